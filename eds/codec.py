@@ -1,0 +1,103 @@
+"""The compiled PDO codec: up to 64 fields of 1-64 bits, at any bit offset, in one 8-byte word.
+
+CiA 301 numbers bits from the least significant bit of byte 0 upwards (little endian, section 7.1.4), so a PDO is one
+64-bit word and a field is a shift and a mask. A motor's TPDO1, as an example::
+
+    bit   63            48 47                            16 15             0
+         +----------------+--------------------------------+----------------+
+         | 6077h torque   | 6064h position (INTEGER32)     | 6041h status   |
+         +----------------+--------------------------------+----------------+
+    byte  7      6          5      4      3      2           1      0
+
+Values are the objects' raw bits held in int64: signed types are sign-extended, unsigned types are zero-extended
+(UNSIGNED64 keeps its bit pattern), REAL32 and REAL64 keep their IEEE 754 bit pattern (`real_bits`, `real_value`).
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+import numpy as np
+
+from eds.compiled import kernel
+
+__all__ = ["MAX_FIELDS", "PDO", "get_field", "pack", "put_field", "real_bits", "real_value", "unpack"]
+
+MAX_FIELDS = 64
+
+PDO = np.dtype(
+    [
+        ("cob_id", np.int64),  # 11-bit identifier; -1: the PDO does not exist or is not valid (bit 31 set)
+        ("transmission", np.int64),  # transmission type, CiA 301 table 72: 0, 1-240, 252-255
+        ("inhibit_ns", np.int64),
+        ("event_ns", np.int64),  # event timer of a TPDO, deadline of an RPDO; 0: none
+        ("sync_start", np.int64),
+        ("rtr_allowed", np.int64),
+        ("length", np.int64),  # data bytes
+        ("count", np.int64),  # fields
+        ("slot", np.int64, (MAX_FIELDS,)),  # where the field's value stands in the value array; -1: dummy
+        ("start", np.int64, (MAX_FIELDS,)),  # first bit
+        ("bits", np.int64, (MAX_FIELDS,)),  # width, 1-64
+        ("signed", np.int64, (MAX_FIELDS,)),
+    ],
+    align=True,
+)
+
+
+@kernel
+def get_field(word: int, start: int, bits: int, signed: int) -> int:
+    """Return the field of `bits` bits that begins at bit `start` of `word`, sign-extended when `signed`."""
+    if bits >= 64:
+        return word
+    value = (word >> start) & ((1 << bits) - 1)
+    if signed and (value >> (bits - 1)) & 1:
+        value -= 1 << bits
+    return value
+
+
+@kernel
+def put_field(word: int, start: int, bits: int, value: int) -> int:
+    """Return `word` with the low `bits` bits of `value` placed at bit `start`."""
+    if bits >= 64:
+        return value
+    field = value & ((1 << bits) - 1)
+    if start + bits >= 64:  # the sign bit of the word: keep within int64 with and without the compiler
+        if (field >> (bits - 1)) & 1:
+            field -= 1 << bits
+        return (word & ((1 << start) - 1)) | (field << start)
+    return (word & ~(((1 << bits) - 1) << start)) | (field << start)
+
+
+@kernel
+def unpack(pdo: Any, word: int, values: Any) -> None:
+    """Write every field of the PDO `word` to its slot of `values` (int64)."""
+    for i in range(pdo.count):
+        slot = pdo.slot[i]
+        if slot >= 0:
+            values[slot] = get_field(word, pdo.start[i], pdo.bits[i], pdo.signed[i])
+
+
+@kernel
+def pack(pdo: Any, values: Any) -> int:
+    """Return the PDO's word made of the slots of `values` (int64); dummy fields are 0."""
+    word = 0
+    for i in range(pdo.count):
+        slot = pdo.slot[i]
+        if slot >= 0:
+            word = put_field(word, pdo.start[i], pdo.bits[i], values[slot])
+    return word
+
+
+def real_bits(value: float, bits: int) -> int:
+    """Return the IEEE 754 pattern of `value` in `bits` (32 or 64) bits, as it stands in a slot."""
+    if bits == 32:
+        return int(struct.unpack("<I", struct.pack("<f", value))[0])
+    return int(struct.unpack("<q", struct.pack("<d", value))[0])
+
+
+def real_value(pattern: int, bits: int) -> float:
+    """Return the number whose IEEE 754 pattern in `bits` (32 or 64) bits is `pattern`."""
+    if bits == 32:
+        return float(struct.unpack("<f", struct.pack("<I", pattern & 0xFFFFFFFF))[0])
+    return float(struct.unpack("<d", struct.pack("<q", pattern))[0])

@@ -1,0 +1,82 @@
+"""The one way this project compiles a function, and where the machine code is kept.
+
+Numba's disk cache looks at the file of the function that it compiles, not at the files of the functions which that one
+calls: an edited callee is served stale. Hence the cache directory is keyed by a hash of every source file that may hold
+a kernel. An edit anywhere gives a new directory; the oldest ones are removed.
+
+Import this module before `numba`. ``NUMBA_CACHE_DIR`` set by the user wins (the hash is appended to it all the same);
+``NUMBA_DISABLE_JIT=1`` runs every kernel as plain Python.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+__all__ = ["CACHE_DIR", "JIT_DISABLED", "kernel", "source_key"]
+
+KERNEL_PACKAGES = ("eds", "wire", "node", "sim_bus", "host", "lab", "analysis")
+KEPT_CACHES = 4
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def source_key(root: Path) -> str:
+    """Hash of all Python sources under `root` that may hold or feed a kernel, with the interpreter's version."""
+    digest = hashlib.sha256(sys.version.encode())
+    for package in KERNEL_PACKAGES:
+        for path in sorted((root / package).glob("*.py")):
+            digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _base_directory() -> Path:
+    named = os.environ.get("NUMBA_CACHE_DIR")
+    if named:
+        return Path(named)
+    home = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
+    return Path(home) / "coulombus" / "numba"
+
+
+def _prepare_cache() -> Path:
+    key = source_key(Path(__file__).resolve().parent.parent)
+    base = _base_directory()
+    if base.name == key:  # a child process inherits the directory that its parent chose
+        return base
+    directory = base / key
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=directory):
+            pass
+        os.utime(directory)
+    except OSError:
+        directory = Path(tempfile.gettempdir()) / f"coulombus-{os.getuid()}" / key
+        directory.mkdir(parents=True, exist_ok=True, mode=0o700)
+    others = (p for p in directory.parent.iterdir() if p != directory and len(p.name) == 16 and p.is_dir())
+    for stale in sorted(others, key=lambda p: p.stat().st_mtime, reverse=True)[KEPT_CACHES - 1 :]:
+        shutil.rmtree(stale, ignore_errors=True)
+    os.environ["NUMBA_CACHE_DIR"] = str(directory)
+    return directory
+
+
+CACHE_DIR = _prepare_cache()
+
+import numba  # noqa: E402  (only now does numba read NUMBA_CACHE_DIR)
+
+numba.config.CACHE_DIR = str(CACHE_DIR)
+JIT_DISABLED = bool(numba.config.DISABLE_JIT)
+
+
+def kernel(function: F) -> F:
+    """Compile `function` on its first call: no GIL, cached on disk, C's arithmetic errors (no exceptions).
+
+    Inside a kernel all integers are int64: mixing int64 with uint64 gives float64.
+    """
+    compiled: F = numba.njit(nogil=True, cache=True, error_model="numpy")(function)
+    return compiled

@@ -1,0 +1,86 @@
+"""A CAN frame as the kernels see it, and the queue in which frames wait.
+
+All integers are int64. `data` holds the eight data bytes in little-endian order: byte 0 of the frame is bits 0-7, as in
+the second half of Linux's 16-byte ``struct can_frame`` read on a little-endian machine. `can_id` carries Linux's flags
+``CAN_EFF_FLAG``, ``CAN_RTR_FLAG`` and ``CAN_ERR_FLAG``.
+"""
+
+from __future__ import annotations
+
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from eds.compiled import kernel
+
+__all__ = [
+    "CAN_EFF_FLAG",
+    "CAN_ERR_FLAG",
+    "CAN_RTR_FLAG",
+    "FRAME",
+    "QUEUE_CAPACITY",
+    "Records",
+    "data_bytes",
+    "data_word",
+    "frames",
+    "new_queue",
+    "push",
+]
+
+CAN_EFF_FLAG = 0x80000000
+CAN_RTR_FLAG = 0x40000000
+CAN_ERR_FLAG = 0x20000000
+
+Records: TypeAlias = npt.NDArray[Any]
+"""An array of records (a structured dtype)."""
+
+FRAME = np.dtype(
+    [
+        ("t_ns", np.int64),  # ready to be sent (in a queue), or end of frame (in a log)
+        ("can_id", np.int64),
+        ("length", np.int64),  # data bytes, 0-8
+        ("data", np.int64),  # little-endian word of the eight data bytes, 0 beyond `length`
+        ("source", np.int64),  # number of the sending station
+    ],
+    align=True,
+)
+
+QUEUE_CAPACITY = 256
+QUEUE = np.dtype([("count", np.int64), ("dropped", np.int64)], align=True)
+
+
+def frames(capacity: int) -> Records:
+    """Return `capacity` empty frames."""
+    return np.zeros(capacity, FRAME)
+
+
+def new_queue(capacity: int = QUEUE_CAPACITY) -> tuple[Records, Records]:
+    """Return an empty queue: its frames and its one-record header (`count`, `dropped`)."""
+    return frames(capacity), np.zeros(1, QUEUE)
+
+
+@kernel
+def push(queue: Any, header: Any, source: int, t_ns: int, can_id: int, length: int, data: int) -> None:
+    """Append a frame that is ready at `t_ns`; when the queue is full the frame is dropped and counted."""
+    n = header[0].count
+    if n >= queue.shape[0]:
+        header[0].dropped += 1
+        return
+    f = queue[n]
+    f.t_ns = t_ns
+    f.can_id = can_id
+    f.length = length
+    f.data = data
+    f.source = source
+    header[0].count = n + 1
+
+
+def data_word(data: bytes) -> int:
+    """Return up to eight data bytes as the signed 64-bit little-endian word of `FRAME`."""
+    return int.from_bytes(data.ljust(8, b"\0"), "little", signed=True)
+
+
+def data_bytes(word: int, length: int) -> bytes:
+    """Return the first `length` data bytes of the word `word`."""
+    return int(word).to_bytes(8, "little", signed=True)[:length]
