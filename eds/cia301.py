@@ -193,7 +193,7 @@ def abort_text(code: int) -> str:
 
 
 class Emcy(IntEnum):
-    """Emergency error codes that this project sends (table 26; 0x2310-0x3220 and 0x8700 by CiA 402, 0xF001 by CiA 404)."""
+    """Emergency error codes that this project sends (table 26; 0x2310, 0x3220, 0x8700: CiA 402)."""
 
     NO_ERROR = 0x0000
     GENERIC = 0x1000

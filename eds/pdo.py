@@ -1,0 +1,245 @@
+"""PDO layouts from an EDS's communication and mapping parameters (CiA 301, sections 7.5.2.35 to 7.5.2.38).
+
+A map is read right or refused: an entry that is dropped or misread would shift every field behind it, and a shifted
+torque is a wrong torque. Times are nanoseconds inside; 1800h:3 counts 100 us and 1800h:5 counts 1 ms.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from eds.cia301 import DATA_TYPES, DUMMY_TYPES
+from eds.codec import MAX_FIELDS
+from eds.reader import Description, EdsError, Variable
+
+__all__ = ["Entry", "PdoLayout", "entry_of", "fill", "layouts"]
+
+Direction = Literal["rpdo", "tpdo"]
+
+PDO_BITS = 64
+COB_ID_INVALID = 1 << 31
+COB_ID_NO_RTR = 1 << 30
+COB_ID_EXTENDED = 1 << 29
+INHIBIT_UNIT_NS = 100_000
+EVENT_UNIT_NS = 1_000_000
+EVENT_DRIVEN = 255
+
+COMMUNICATION = {"rpdo": 0x1400, "tpdo": 0x1800}
+MAPPING = {"rpdo": 0x1600, "tpdo": 0x1A00}
+PREDEFINED = {"rpdo": 0x200, "tpdo": 0x180}
+"""Identifier of PDO 1 less the node id; PDO 2 to 4 follow at 0x100 each, further ones are invalid by default."""
+PREDEFINED_PDOS = 4
+PDO_COUNT = 512
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One mapped field; `kind` "real" means an IEEE 754 pattern. Dummy entries have index 0001h to 0007h."""
+
+    index: int
+    subindex: int
+    bits: int
+    signed: bool
+    kind: Literal["int", "real"]
+    name: str
+
+    @property
+    def dummy(self) -> bool:
+        """A gap: bits that carry no object."""
+        return self.index in DUMMY_TYPES
+
+
+@dataclass(frozen=True)
+class PdoLayout:
+    """One PDO, as the device sees it (an RPDO is what it receives); `cob_id` is -1 where the PDO is not valid."""
+
+    number: int
+    direction: Direction
+    cob_id: int
+    transmission: int
+    inhibit_ns: int
+    event_ns: int
+    sync_start: int
+    rtr_allowed: bool
+    entries: tuple[Entry, ...]
+
+    @property
+    def length(self) -> int:
+        """Data bytes; a last byte that is begun counts."""
+        return (sum(entry.bits for entry in self.entries) + 7) // 8
+
+    @property
+    def starts(self) -> tuple[int, ...]:
+        """First bit of each entry."""
+        return tuple(sum(entry.bits for entry in self.entries[:i]) for i in range(len(self.entries)))
+
+    def diagram(self) -> str:
+        """Draw the bits, the last byte on the left, as the codec counts them.
+
+        ::
+
+            bit  63            48 47                            16 15             0
+                +----------------+--------------------------------+----------------+
+                | 6077:00        | 6064:00                        | 6041:00        |
+                | torque         | position actual value          | statusword     |
+                +----------------+--------------------------------+----------------+
+        """
+        return _diagram(self)
+
+
+def layouts(description: Description, node_id: int) -> tuple[PdoLayout, ...]:
+    """Return every PDO that the EDS describes, RPDOs first.
+
+    Raises
+    ------
+    EdsError
+        A default map or identifier cannot be read right; nothing is guessed, dropped or shifted.
+    """
+    directions: tuple[Direction, ...] = ("rpdo", "tpdo")
+    return tuple(
+        _layout(description, node_id, direction, number)
+        for direction in directions
+        for number in range(1, PDO_COUNT + 1)
+        if description.has(COMMUNICATION[direction] + number - 1)
+    )
+
+
+def fill(record: Any, layout: PdoLayout, slot_of: Callable[[int, int], int]) -> None:
+    """Write a layout into one record of `eds.codec.PDO`.
+
+    `slot_of` gives the slot of (index, sub-index) and is not asked about dummy entries, which get slot -1.
+    """
+    for name in ("cob_id", "transmission", "inhibit_ns", "event_ns", "sync_start", "rtr_allowed", "length"):
+        record[name] = getattr(layout, name)
+    if len(layout.entries) > MAX_FIELDS:
+        raise ValueError(f"{len(layout.entries)} fields in a PDO; at most {MAX_FIELDS} fit into {PDO_BITS} bits")
+    record["count"] = len(layout.entries)
+    record["slot"] = -1
+    for name in ("start", "bits", "signed"):
+        record[name] = 0
+    for i, (entry, start) in enumerate(zip(layout.entries, layout.starts, strict=True)):
+        record["slot"][i] = -1 if entry.dummy else slot_of(entry.index, entry.subindex)
+        record["start"][i] = start
+        record["bits"][i] = entry.bits
+        record["signed"][i] = entry.signed
+
+
+def entry_of(variable: Variable, bits: int = 0) -> Entry:
+    """Return the entry that maps `variable`, in `bits` bits where its data type has no fixed width (0: the type's)."""
+    data_type = DATA_TYPES.get(variable.data_type)
+    real = data_type is not None and data_type.kind == "real"
+    signed = data_type is not None and data_type.signed and not real
+    return Entry(
+        variable.index, variable.subindex, bits or variable.bits, signed, "real" if real else "int", variable.name
+    )
+
+
+def _refuse(description: Description, line: int, text: str, wanted: str) -> EdsError:
+    return EdsError(f"{description.path}:{line}: {text}; {wanted}")
+
+
+def _number(description: Description, index: int, subindex: int, node_id: int, assumed: int | None) -> int | None:
+    """Return a parameter's default, or `assumed` where the EDS gives none."""
+    if not description.has(index, subindex):
+        return assumed
+    variable = description.variable(index, subindex)
+    if variable.unreadable:
+        raise _refuse(description, variable.line, variable.unreadable, "correct it, a PDO parameter is never guessed")
+    value = description.default(index, subindex, node_id)
+    if value is None:
+        return assumed
+    if not isinstance(value, int):
+        text = f"{index:04X}h:{subindex} has the default {value!r}"
+        raise _refuse(description, variable.line, text, "expected an unsigned number")
+    return value
+
+
+def _layout(description: Description, node_id: int, direction: Direction, number: int) -> PdoLayout:
+    index = COMMUNICATION[direction] + number - 1
+    predefined = PREDEFINED[direction] + 0x100 * (number - 1) + node_id
+    fallback = predefined if number <= PREDEFINED_PDOS else COB_ID_INVALID
+    cob_id = _number(description, index, 1, node_id, fallback) or 0
+    line = description.variable(index, 1).line if description.has(index, 1) else 1
+    valid = not cob_id & COB_ID_INVALID
+    if valid and cob_id & COB_ID_EXTENDED:
+        text = f"{index:04X}h:1 has the 29-bit identifier 0x{cob_id & 0x1FFFFFFF:X}"
+        raise _refuse(description, line, text, "expected an 11-bit identifier")
+    if valid and not 0 < cob_id & 0x1FFFFFFF <= 0x7FF:
+        text = f"{index:04X}h:1 has the identifier 0x{cob_id & 0x1FFFFFFF:X}"
+        raise _refuse(description, line, text, "expected 0x001 to 0x7FF, or bit 31 set for a PDO that is not valid")
+    return PdoLayout(
+        number=number,
+        direction=direction,
+        cob_id=cob_id & 0x7FF if valid else -1,
+        transmission=_number(description, index, 2, node_id, EVENT_DRIVEN) or 0,
+        inhibit_ns=(_number(description, index, 3, node_id, 0) or 0) * INHIBIT_UNIT_NS,
+        event_ns=(_number(description, index, 5, node_id, 0) or 0) * EVENT_UNIT_NS,
+        sync_start=_number(description, index, 6, node_id, 0) or 0,
+        rtr_allowed=not cob_id & COB_ID_NO_RTR,
+        entries=_entries(description, node_id, direction, number),
+    )
+
+
+def _entries(description: Description, node_id: int, direction: Direction, number: int) -> tuple[Entry, ...]:
+    index = MAPPING[direction] + number - 1
+    if not description.has(index):
+        return ()
+    mapping = description.objects[index]
+    words = {sub: _number(description, index, sub, node_id, None) for sub in mapping.variables if 0 < sub <= MAX_FIELDS}
+    count = _number(description, index, 0, node_id, None)
+    line = next(iter(mapping.variables.values())).line if mapping.variables else 1
+    if count is None:
+        if any(words.values()):
+            text = f"{index:04X}h:0 has no default, yet entries are mapped"
+            raise _refuse(description, line, text, "expected the number of mapped entries")
+        count = 0
+    if count > MAX_FIELDS:
+        raise _refuse(description, line, f"{index:04X}h:0 is {count}", "expected 0 to 64 entries (no multiplexed PDO)")
+    entries = []
+    for subindex in range(1, count + 1):
+        word = words.get(subindex)
+        if not word:
+            text = f"{index:04X}h:0 says {count} entries, but entry {subindex} has no default"
+            raise _refuse(description, line, text, "expected an object to map")
+        entries.append(_entry(description, word, mapping.variables[subindex]))
+    used = sum(entry.bits for entry in entries)
+    if used > PDO_BITS:
+        raise _refuse(description, line, f"{index:04X}h maps {used} bits", "at most 64 fit into a PDO")
+    return tuple(entries)
+
+
+def _entry(description: Description, word: int, place: Variable) -> Entry:
+    index, subindex, bits = word >> 16, word >> 8 & 0xFF, word & 0xFF
+    what = f"{place.index:04X}h:{place.subindex} maps {index:04X}h:{subindex} in {bits} bits"
+    if not 1 <= bits <= PDO_BITS:
+        raise _refuse(description, place.line, what, "expected 1 to 64 bits")
+    if index in DUMMY_TYPES:
+        data_type = DATA_TYPES[index]
+        return Entry(index, subindex, bits, data_type.signed, "int", "dummy")
+    if not description.has(index, subindex):
+        raise _refuse(description, place.line, f"{what}, which the file does not describe", "describe it or unmap it")
+    variable = description.variable(index, subindex)
+    if variable.data_type not in DATA_TYPES:
+        raise _refuse(description, place.line, f"{what}, whose DataType is not known", "give its DataType")
+    if variable.bits not in (0, bits) and variable.data_type != 1:
+        raise _refuse(description, place.line, f"{what}, but its type has {variable.bits}", "the two widths must agree")
+    return entry_of(variable, bits)
+
+
+def _diagram(layout: PdoLayout) -> str:
+    top, name, number, rule = "bit  ", "    ", "    ", "    "
+    for entry, start in reversed(list(zip(layout.entries, layout.starts, strict=True))):
+        label = f"{entry.index:04X}:{entry.subindex:02X}" if not entry.dummy else "-"
+        last = str(start + entry.bits - 1)
+        first = str(start) if entry.bits > 1 else ""
+        width = max(min(entry.bits, 32), len(label) + 2, len(last) + len(first) + 1, min(len(entry.name) + 2, 24))
+        top += last + first.rjust(width - len(last)) + " "
+        rule += "+" + "-" * width
+        number += "|" + f" {label}".ljust(width)
+        name += "|" + f" {entry.name[: width - 2]}".ljust(width)
+    if not layout.entries:
+        return "(nothing is mapped)"
+    lines = (top, rule + "+", number + "|", name + "|", rule + "+")
+    return "\n".join(line.rstrip() for line in lines)
