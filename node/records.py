@@ -83,12 +83,13 @@ NODE = np.dtype(
         ("rpdo_ns", _I, (MAX_PDOS,)),  # last reception
         ("rpdo_armed", _I, (MAX_PDOS,)),  # its deadline is watched
         ("rpdo_lost", _I, (MAX_PDOS,)),
-        ("rpdo_pending", _I, (MAX_PDOS,)),  # waits for the next SYNC
+        ("rpdo_pending", _I),  # bit k: RPDO k waits for the next SYNC
         ("rpdo_word", _I, (MAX_PDOS,)),
         ("rpdo_carries", _I, (MAX_PDOS,)),  # bit 0: a controlword, bit 1: a set-point
         ("rpdo_next", _I, (MAX_PDOS,)),  # next RPDO with the same COB-ID, or -1
-        ("rpdo_pending_count", _I),
+        ("rpdo_used", _I),  # 1 + the last valid RPDO
         ("tpdo_used", _I),  # 1 + the last valid TPDO
+        ("tpdo_events", _I),  # how many valid TPDOs are sent on events (transmission type 254, 255)
         ("tpdo_count", _I, (MAX_PDOS,)),  # SYNCs since the last transmission; -1: waits for the SYNC start value
         ("tpdo_ns", _I, (MAX_PDOS,)),  # last transmission
         ("tpdo_word", _I, (MAX_PDOS,)),  # what was sent last; sampled at SYNC for transmission type 252
@@ -106,20 +107,24 @@ NODE = np.dtype(
         ("sdo_deadline_ns", _I),
         ("sdo_abort_id", _I),
         ("sdo_abort_word", _I),
+        # set-point of a drive or a brake
+        ("setpoint_ns", _I),  # reception of the one that acts
+        ("setpoint_armed", _I),  # its age is watched (since the first RPDO that carries one)
+        ("setpoint_stale", _I),
         # drive (CiA 402)
         ("power_state", _I),
-        ("setpoint_ns", _I),  # reception of the set-point that acts
-        ("setpoint_armed", _I),  # its age is watched
-        ("setpoint_stale", _I),
         ("torque_demand_pm", _F),
         ("demand_ns", _I),  # when torque_demand_pm was computed
         ("controlword", _I),  # the last one that was acted upon: for the edge of bit 7
         ("limited", _I),  # the set-point is above 6072h now
         # brake (CiA 404)
         ("setpoint_high", _I),  # high limit of 7300h:01 in the EDS, raw
+        ("ao_unit_Nm", _F),  # 10 ** -6302h:01
+        ("ai_gain", _F, (3,)),  # 6126h * 10 ** 6132h
+        ("ai_bias", _F, (3,)),  # 6127h * 10 ** 6132h
         ("ramp_from_Nm", _F),
         ("ramp_start_ns", _I),
-        ("ramping", _I),
+        ("ramping", _I),  # 0 the set-point acts, 1 on the way to the fault value, 2 there
         # tables
         ("values", _I, (SLOTS,)),  # raw values of the objects, REAL as bit patterns
         ("route", np.int8, (2048,)),  # node.core's route of each identifier

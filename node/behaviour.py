@@ -1,0 +1,103 @@
+"""What a kind of device does when the communication side calls it, compiled: one place that knows the kinds."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from eds.compiled import kernel
+from node import brake404, drive402, emcy
+from node.records import KIND_BRAKE, KIND_DRIVE
+
+__all__ = [
+    "CARRIES_CONTROLWORD",
+    "CARRIES_SETPOINT",
+    "alarm",
+    "apply",
+    "connection_lost",
+    "inputs",
+    "next_deadline",
+    "sample",
+    "step",
+]
+
+CARRIES_CONTROLWORD, CARRIES_SETPOINT = 1, 2
+"""Bits of the record's `rpdo_carries`, and of what was written over SDO."""
+
+
+@kernel
+def sample(n: Any) -> None:
+    """Bring what the device measures, and its statusword, to the slots."""
+    if n.kind == KIND_DRIVE:
+        drive402.sample(n)
+    elif n.kind == KIND_BRAKE:
+        brake404.sample(n)
+
+
+@kernel
+def step(n: Any, t_ns: int) -> None:
+    """Compute the output that acts at `t_ns`."""
+    if n.kind == KIND_DRIVE:
+        drive402.step(n, t_ns)
+    elif n.kind == KIND_BRAKE:
+        brake404.step(n, t_ns)
+
+
+@kernel
+def apply(n: Any, i: int, t_ns: int, received_ns: int, carries: int, queue: Any, header: Any) -> None:
+    """Act on the controlword or the set-point that now stand in their slots; it was received at `received_ns`."""
+    if n.kind == KIND_DRIVE:
+        if carries & CARRIES_SETPOINT:
+            drive402.new_setpoint(n, received_ns)
+        if carries & CARRIES_CONTROLWORD:
+            drive402.new_controlword(n, i, t_ns, queue, header)
+    elif n.kind == KIND_BRAKE and carries & CARRIES_SETPOINT:
+        brake404.new_setpoint(n, received_ns)
+
+
+@kernel
+def connection_lost(n: Any, t_ns: int, forced: int) -> None:
+    """NMT left OPERATIONAL: safe output; `forced` (a reset) whatever the option codes say."""
+    if n.kind == KIND_DRIVE:
+        drive402.connection_lost(n, forced)
+    elif n.kind == KIND_BRAKE:
+        brake404.connection_lost(n, t_ns, forced)
+
+
+@kernel
+def alarm(n: Any, i: int, t_ns: int, cause: int, info: int, queue: Any, header: Any) -> None:
+    """Tell of a cause by EMCY, and react: a drive's fault gives torque 0, a brake's own fault the ramp."""
+    emcy.come(n, i, t_ns, cause, info, queue, header)
+    if n.kind == KIND_DRIVE and emcy.FAULT_MASK >> cause & 1:
+        drive402.fault(n)
+    elif n.kind == KIND_BRAKE and emcy.DEVICE_MASK >> cause & 1:
+        brake404.connection_lost(n, t_ns, 1)
+
+
+@kernel
+def inputs(n: Any, i: int, t_ns: int, queue: Any, header: Any) -> None:
+    """Look at the supply and at the device's own faults."""
+    supply_lost = n.kind == KIND_DRIVE and n.in_supply_ok == 0
+    present = n.in_faults << emcy.FIRST_DEVICE_CAUSE
+    if not supply_lost and present == n.causes & (emcy.DEVICE_MASK | 1 << emcy.SUPPLY):
+        return
+    if supply_lost:
+        if drive402.needs_supply(n):
+            alarm(n, i, t_ns, emcy.SUPPLY, 0, queue, header)
+    elif n.causes >> emcy.SUPPLY & 1:
+        emcy.gone(n, i, t_ns, emcy.SUPPLY, queue, header)
+    for cause in range(emcy.FIRST_DEVICE_CAUSE, emcy.CAUSE_COUNT):
+        before, now = n.causes >> cause & 1, present >> cause & 1
+        if now and not before:
+            alarm(n, i, t_ns, cause, 0, queue, header)
+        elif before and not now:
+            emcy.gone(n, i, t_ns, cause, queue, header)
+
+
+@kernel
+def next_deadline(n: Any, t_ns: int, next_ns: int) -> int:
+    """Return the earlier of `next_ns` and the device's own next deadline."""
+    if n.kind == KIND_DRIVE:
+        return drive402.next_deadline(n, t_ns, next_ns)
+    if n.kind == KIND_BRAKE:
+        return brake404.next_deadline(n, t_ns, next_ns)
+    return next_ns

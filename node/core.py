@@ -1,0 +1,205 @@
+"""The compiled half of a CANopen device: what happens on a frame and what happens at a time.
+
+`on_frame` and `on_time` are functions of their arguments: the node's records, the time, a frame. They push what the node
+answers to the queue and keep the node's next deadline in `next_ns`. Deadlines are lazy: a reception only stores its time,
+and `on_time`, when it is called at `next_ns`, finds out whether something is late and computes the next deadline. A frame
+that has the same time as a deadline is handled first, so it is in time.
+
+Python (`node.device`) serves NMT commands and SDO, for which `on_frame` returns 1, and edits the same records.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from eds.compiled import kernel
+from node import emcy, pdo, watch
+from node.behaviour import apply, connection_lost, inputs, next_deadline, sample, step
+from node.records import FAR_FUTURE_NS, KIND_GENERIC
+from wire.frame import CAN_RTR_FLAG, push
+
+__all__ = [
+    "ROUTE_CONSUMER",
+    "ROUTE_NMT",
+    "ROUTE_NONE",
+    "ROUTE_PDO",
+    "ROUTE_SDO",
+    "ROUTE_SYNC",
+    "on_frame",
+    "on_time",
+    "refresh_inputs",
+    "set_nmt",
+    "written",
+]
+
+ROUTE_NONE, ROUTE_NMT, ROUTE_SYNC, ROUTE_SDO = 0, 1, 2, 3
+ROUTE_PDO = 8  # + number of the PDO: an RPDO in `route`, a TPDO in `rtr_route`
+ROUTE_CONSUMER = 32  # + number of the entry of 1016h
+
+_STOPPED, _OPERATIONAL, _PRE_OPERATIONAL = 4, 5, 127
+_ALL_NODES = 0
+
+
+@kernel
+def on_frame(
+    nodes: Any,
+    rpdo: Any,
+    tpdo: Any,
+    i: int,
+    t_ns: int,
+    can_id: int,
+    length: int,
+    data: int,
+    queue: Any,
+    header: Any,
+) -> int:
+    """Handle a frame whose end was at `t_ns`; return 1 when Python has to serve it (SDO, NMT command), else 0."""
+    n = nodes[i]
+    if can_id > 0x7FF:  # remote, extended or error frame
+        if can_id & ~0x7FF == CAN_RTR_FLAG and n.powered and n.nmt == _OPERATIONAL:
+            route = n.rtr_route[can_id & 0x7FF]
+            if route >= ROUTE_PDO:
+                pdo.answer_rtr(nodes, tpdo, i, route - ROUTE_PDO, t_ns, queue, header)
+        return 0
+    route = n.route[can_id]
+    if route == ROUTE_NONE or n.powered == 0:
+        return 0
+    if route == ROUTE_SYNC:
+        _sync(nodes, rpdo, tpdo, i, t_ns, length, data, queue, header)
+        return 0
+    if route >= ROUTE_CONSUMER:
+        watch.heartbeat_received(n, i, route - ROUTE_CONSUMER, t_ns, length, data, queue, header)
+        return 0
+    if route >= ROUTE_PDO:
+        if n.nmt != _OPERATIONAL:
+            n.dropped_unknown += 1
+            return 0
+        acted = 0
+        k = route - ROUTE_PDO
+        while k >= 0:
+            acted |= pdo.receive(nodes, rpdo, i, k, t_ns, length, data, queue, header)
+            k = n.rpdo_next[k]
+        if acted and n.tpdo_events > 0:
+            n.next_ns = min(n.next_ns, pdo.transmit_events(nodes, tpdo, i, t_ns, n.next_ns, queue, header))
+        return 0
+    if route == ROUTE_NMT:
+        if length < 2:
+            n.dropped_length += 1
+            return 0
+        addressed = data >> 8 & 0xFF
+        return 1 if addressed == n.node_id or addressed == _ALL_NODES else 0
+    if n.nmt == _STOPPED:
+        n.dropped_unknown += 1
+        return 0
+    return 1
+
+
+@kernel
+def _sync(nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, length: int, data: int, queue: Any, header: Any) -> None:
+    """Act on a SYNC: RPDOs act, inputs are sampled, synchronous TPDOs go out."""
+    n = nodes[i]
+    if n.nmt != _OPERATIONAL:
+        return
+    if length != (1 if n.sync_overflow > 0 else 0):
+        n.dropped_length += 1
+        emcy.come(n, i, t_ns, emcy.SYNC_LENGTH, length, queue, header)
+        return
+    n.sync_ns = t_ns
+    if n.causes & (1 << emcy.SYNC_LENGTH | 1 << emcy.SYNC_LOST):
+        emcy.gone(n, i, t_ns, emcy.SYNC_LENGTH, queue, header)
+        if n.causes >> emcy.SYNC_LOST & 1:
+            emcy.gone(n, i, t_ns, emcy.SYNC_LOST, queue, header)
+            n.sync_armed = 0
+    if n.sync_armed == 0:
+        n.sync_armed = 1
+        n.next_ns = min(n.next_ns, t_ns + 1)  # to schedule the watch
+    if n.kind != KIND_GENERIC:
+        inputs(n, i, t_ns, queue, header)
+    if n.rpdo_pending:
+        pdo.act_pending(nodes, rpdo, i, t_ns, queue, header)
+    step(n, t_ns)
+    sample(n)
+    pdo.transmit_sync(nodes, tpdo, i, t_ns, data & 0xFF if length else -1, queue, header)
+    if n.tpdo_events > 0:
+        n.next_ns = min(n.next_ns, pdo.transmit_events(nodes, tpdo, i, t_ns, n.next_ns, queue, header))
+
+
+@kernel
+def on_time(nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, queue: Any, header: Any) -> None:
+    """Judge what is due at `t_ns`, and set `next_ns`."""
+    n = nodes[i]
+    if n.powered == 0:
+        n.next_ns = FAR_FUTURE_NS
+        return
+    if n.kind != KIND_GENERIC:
+        inputs(n, i, t_ns, queue, header)
+    if watch.expire(nodes, rpdo, i, t_ns, queue, header) and n.nmt == _OPERATIONAL:
+        if n.error_behaviour == 0:
+            set_nmt(nodes, rpdo, tpdo, i, t_ns, _PRE_OPERATIONAL, 0, queue, header)
+        elif n.error_behaviour == 2:
+            set_nmt(nodes, rpdo, tpdo, i, t_ns, _STOPPED, 0, queue, header)
+    if n.sync_producer_ns > 0 and n.nmt != _STOPPED and t_ns >= n.sync_next_ns:
+        _produce_sync(nodes, rpdo, tpdo, i, t_ns, queue, header)
+    step(n, t_ns)
+    _schedule(nodes, rpdo, tpdo, i, t_ns, queue, header)
+
+
+@kernel
+def _produce_sync(nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, queue: Any, header: Any) -> None:
+    n = nodes[i]
+    length = 0
+    if n.sync_overflow > 0:
+        length = 1
+        n.sync_counter = n.sync_counter % n.sync_overflow + 1
+    push(queue, header, i, t_ns, n.sync_id, length, n.sync_counter if length else 0)
+    n.sync_next_ns = max(n.sync_next_ns, t_ns - n.sync_producer_ns + 1) + n.sync_producer_ns
+    _sync(nodes, rpdo, tpdo, i, t_ns, length, n.sync_counter, queue, header)
+
+
+@kernel
+def _schedule(nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, queue: Any, header: Any) -> None:
+    n = nodes[i]
+    next_ns = watch.next_deadline(nodes, rpdo, i, FAR_FUTURE_NS)
+    if n.sync_producer_ns > 0 and n.nmt != _STOPPED:
+        next_ns = min(next_ns, n.sync_next_ns)
+    next_ns = next_deadline(n, t_ns, next_ns)
+    if n.nmt == _OPERATIONAL and n.tpdo_events > 0:
+        next_ns = pdo.transmit_events(nodes, tpdo, i, t_ns, next_ns, queue, header)
+    n.next_ns = max(next_ns, t_ns + 1)
+
+
+@kernel
+def set_nmt(
+    nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, state: int, reset: int, queue: Any, header: Any
+) -> None:
+    """Change the NMT state; leaving OPERATIONAL makes the output safe, in any case when it is a `reset`."""
+    n = nodes[i]
+    before = n.nmt
+    n.nmt = state
+    if before == _OPERATIONAL and state != _OPERATIONAL:
+        n.rpdo_pending = 0
+        watch.stop(n, i, t_ns, queue, header)
+        connection_lost(n, t_ns, reset)
+    elif before != _OPERATIONAL and state == _OPERATIONAL:
+        n.sync_armed = 0
+        pdo.start(nodes, tpdo, i, t_ns)
+    step(n, t_ns)
+    _schedule(nodes, rpdo, tpdo, i, t_ns, queue, header)
+
+
+@kernel
+def written(nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, carries: int, queue: Any, header: Any) -> None:
+    """Let the device act on what Python wrote to `values` or to the records (an SDO download)."""
+    n = nodes[i]
+    apply(n, i, t_ns, t_ns, carries, queue, header)
+    step(n, t_ns)
+    _schedule(nodes, rpdo, tpdo, i, t_ns, queue, header)
+
+
+@kernel
+def refresh_inputs(nodes: Any, i: int, t_ns: int) -> None:
+    """Bring the values that the device measures up to date (before an SDO upload)."""
+    n = nodes[i]
+    if n.powered:
+        step(n, t_ns)
+        sample(n)

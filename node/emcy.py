@@ -1,0 +1,121 @@
+"""Emergencies of a node, compiled: causes, their latches, the EMCY frame, 1001h and 1003h (CiA 301, section 7.2.7).
+
+A cause is one bit of the record's `causes` while it is present. When it comes, its bit in `latched` is set, the error
+register and the history follow and the EMCY frame goes out at once; it is told once, until it is released. A drive's
+fault stays latched until the fault reset of CiA 402; every other cause is released when it is gone. A release sends the
+EMCY "error reset" (0000h) with the register of what remains.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from eds.compiled import kernel
+from node import slots
+from node.records import KIND_DRIVE, MAX_HISTORY
+from wire.frame import push
+
+__all__ = ["CAUSES", "CAUSE_COUNT", "DEVICE_MASK", "FAULT_MASK", "Cause", "clear_latches", "come", "gone"]
+
+_STOPPED, _INITIALISING = 4, 0
+
+
+class Cause(NamedTuple):
+    """One row of the table of causes."""
+
+    name: str
+    code: int  # EMCY error code
+    register: int  # bits of 1001h, without bit 0 (generic), which is set by all
+    fault: bool  # a drive enters the state FAULT
+
+
+RPDO_SHORT, RPDO_LONG, SYNC_LENGTH, HEARTBEAT, RPDO_DEADLINE, SYNC_LOST, SUPPLY = range(7)
+FIRST_DEVICE_CAUSE = 8
+OVER_CURRENT, OVER_TEMPERATURE, ENCODER, COIL_OPEN, COIL_SHORT, SUPPLY_LOW = range(8, 14)
+
+_CURRENT, _VOLTAGE, _TEMPERATURE, _COMMUNICATION, _PROFILE = 0x02, 0x04, 0x08, 0x10, 0x20
+
+CAUSES: tuple[Cause, ...] = (
+    Cause("RPDO too short, not processed", 0x8210, _COMMUNICATION, False),
+    Cause("RPDO longer than mapped", 0x8220, _COMMUNICATION, False),
+    Cause("SYNC of an unexpected length", 0x8240, _COMMUNICATION, False),
+    Cause("heartbeat lost", 0x8130, _COMMUNICATION, True),
+    Cause("RPDO deadline", 0x8250, _COMMUNICATION, True),
+    Cause("SYNC lost", 0x8700, _COMMUNICATION, True),
+    Cause("supply lost while switched on", 0x3220, _VOLTAGE, True),
+    Cause("", 0xFF00, 0, False),
+    Cause("over-current", 0x2310, _CURRENT, True),
+    Cause("over-temperature", 0x4210, _TEMPERATURE, True),
+    Cause("encoder lost", 0x7305, _PROFILE, True),
+    Cause("coil open", 0x5410, _PROFILE, True),
+    Cause("coil short circuit", 0x2320, _CURRENT, True),
+    Cause("supply low", 0x3120, _VOLTAGE, True),
+    Cause("", 0xFF00, 0, False),
+    Cause("", 0xFF00, 0, False),
+)
+"""The causes by bit; from bit 8 on they are the device's own faults, bits 0-7 of the record's `in_faults`."""
+
+FAULT_MASK = sum(1 << i for i, cause in enumerate(CAUSES) if cause.fault)
+CAUSE_COUNT = len(CAUSES)
+DEVICE_MASK = sum(1 << i for i in range(FIRST_DEVICE_CAUSE, len(CAUSES)))
+
+_CODE = np.array([cause.code for cause in CAUSES], np.int64)
+_REGISTER = np.array([cause.register | 0x01 for cause in CAUSES], np.int64)
+
+
+@kernel
+def _update_register(n: Any) -> None:
+    register = 0
+    for cause in range(_REGISTER.shape[0]):
+        if (n.latched >> cause) & 1:
+            register |= _REGISTER[cause]
+    n.values[slots.ERROR_REGISTER] = register
+
+
+@kernel
+def _send(n: Any, i: int, t_ns: int, code: int, info: int, queue: Any, header: Any) -> None:
+    """Push the EMCY frame; STOPPED and INITIALISING allow none. The inhibit time delays it in the queue."""
+    if n.kind == KIND_DRIVE:
+        n.values[slots.ERROR_CODE] = code
+    if n.emcy_id < 0 or n.nmt == _STOPPED or n.nmt == _INITIALISING:
+        return
+    ready = max(t_ns + n.processing_ns, n.emcy_ready_ns)
+    n.emcy_ready_ns = ready + n.emcy_inhibit_ns
+    n.emcy_count += 1
+    push(queue, header, i, ready, n.emcy_id, 8, code | n.values[slots.ERROR_REGISTER] << 16 | info << 24)
+
+
+@kernel
+def come(n: Any, i: int, t_ns: int, cause: int, info: int, queue: Any, header: Any) -> None:
+    """Tell of a `cause` (bit number) that is present, once; `info` (16 bits) goes to bytes 3-4 and into 1003h."""
+    bit = 1 << cause
+    n.causes |= bit
+    if n.latched & bit:
+        return
+    n.latched |= bit
+    _update_register(n)
+    for k in range(MAX_HISTORY - 1, 0, -1):
+        n.history[k] = n.history[k - 1]
+    n.history[0] = _CODE[cause] | info << 16
+    n.history_count = min(n.history_count + 1, MAX_HISTORY)
+    _send(n, i, t_ns, _CODE[cause], info, queue, header)
+
+
+@kernel
+def gone(n: Any, i: int, t_ns: int, cause: int, queue: Any, header: Any) -> None:
+    """Release a `cause` that is no longer present; a drive's fault stays latched until its reset."""
+    bit = 1 << cause
+    n.causes &= ~bit
+    if not n.latched & bit or (n.kind == KIND_DRIVE and FAULT_MASK & bit):
+        return
+    clear_latches(n, i, t_ns, bit, queue, header)
+
+
+@kernel
+def clear_latches(n: Any, i: int, t_ns: int, mask: int, queue: Any, header: Any) -> None:
+    """Reset the latches of `mask` and send "error reset" with the register of what remains."""
+    n.latched &= ~mask
+    _update_register(n)
+    _send(n, i, t_ns, 0x0000, 0, queue, header)

@@ -1,0 +1,167 @@
+"""PDOs of a node, compiled (CiA 301, section 7.2.2): reception, action on SYNC or at once, transmission.
+
+Transmission types of a TPDO: 0 on the SYNC after a change; 1-240 every nth SYNC, from the SYNC start value on; 252 sampled on SYNC,
+sent on RTR; 253 sent on RTR; 254 and 255 on an event: the event timer, or a change of the bits in `tpdo_mask`,
+not before the inhibit time is over. RPDOs: 0-240 act on the next SYNC, 254 and 255 at once.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from eds.codec import pack, unpack
+from eds.compiled import kernel
+from node import emcy
+from node.behaviour import CARRIES_SETPOINT, alarm, apply, sample, step
+from node.records import MAX_PDOS
+from wire.frame import push
+
+__all__ = ["act_pending", "answer_rtr", "receive", "start", "transmit_events", "transmit_sync"]
+
+_SYNC_MAX, _SYNC_RTR, _RTR, _EVENT = 240, 252, 253, 254
+
+
+@kernel
+def start(nodes: Any, tpdo: Any, i: int, t_ns: int) -> None:
+    """NMT enters OPERATIONAL: nothing received, nothing sent yet; every event TPDO is due once."""
+    n = nodes[i]
+    n.rpdo_pending = 0
+    for k in range(MAX_PDOS):
+        n.rpdo_armed[k] = 0
+        n.rpdo_lost[k] = 0
+        p = tpdo[i, k]
+        n.tpdo_count[k] = -1 if p.sync_start > 0 and n.sync_overflow > 0 else 0
+        n.tpdo_ns[k] = t_ns - p.inhibit_ns
+        n.tpdo_due[k] = 1
+
+
+@kernel
+def receive(nodes: Any, rpdo: Any, i: int, k: int, t_ns: int, length: int, data: int, queue: Any, header: Any) -> int:
+    """Take the frame of RPDO `k`; return 1 when it acted at once."""
+    n = nodes[i]
+    p = rpdo[i, k]
+    if length < p.length:
+        n.dropped_length += 1
+        alarm(n, i, t_ns, emcy.RPDO_SHORT, k + 1, queue, header)
+        return 0
+    if length > p.length:
+        n.excess_length += 1
+        alarm(n, i, t_ns, emcy.RPDO_LONG, k + 1, queue, header)
+    elif n.causes & (1 << emcy.RPDO_SHORT | 1 << emcy.RPDO_LONG):
+        emcy.gone(n, i, t_ns, emcy.RPDO_SHORT, queue, header)
+        emcy.gone(n, i, t_ns, emcy.RPDO_LONG, queue, header)
+    n.rpdo_ns[k] = t_ns
+    if n.rpdo_armed[k] == 0:
+        n.rpdo_armed[k] = 1
+        if p.event_ns > 0:
+            n.next_ns = min(n.next_ns, t_ns + p.event_ns)
+    if n.rpdo_lost[k]:
+        n.rpdo_lost[k] = 0
+        lost = 0
+        for other in range(n.rpdo_used):
+            lost += n.rpdo_lost[other]
+        if lost == 0:
+            emcy.gone(n, i, t_ns, emcy.RPDO_DEADLINE, queue, header)
+    if p.transmission <= _SYNC_MAX:
+        n.rpdo_word[k] = data
+        n.rpdo_pending |= 1 << k
+        return 0
+    unpack(p, data, n.values)
+    _act(n, i, t_ns, k, queue, header)
+    step(n, t_ns)
+    return 1
+
+
+@kernel
+def _act(n: Any, i: int, t_ns: int, k: int, queue: Any, header: Any) -> None:
+    carries = n.rpdo_carries[k]
+    if carries == 0:
+        return
+    if carries & CARRIES_SETPOINT and n.setpoint_armed == 0:
+        n.setpoint_armed = 1
+        n.next_ns = min(n.next_ns, t_ns + 1)  # to schedule the watch of its age
+    apply(n, i, t_ns, n.rpdo_ns[k], carries, queue, header)
+
+
+@kernel
+def act_pending(nodes: Any, rpdo: Any, i: int, t_ns: int, queue: Any, header: Any) -> None:
+    """Let the RPDOs act that waited for this SYNC, in their order."""
+    n = nodes[i]
+    for k in range(n.rpdo_used):
+        if n.rpdo_pending >> k & 1:
+            unpack(rpdo[i, k], n.rpdo_word[k], n.values)
+            _act(n, i, t_ns, k, queue, header)
+    n.rpdo_pending = 0
+
+
+@kernel
+def _send(n: Any, p: Any, i: int, k: int, t_ns: int, word: int, queue: Any, header: Any) -> None:
+    n.tpdo_word[k] = word
+    n.tpdo_ns[k] = t_ns
+    n.tpdo_due[k] = 0
+    push(queue, header, i, t_ns + n.processing_ns, p.cob_id, p.length, word)
+
+
+@kernel
+def transmit_sync(nodes: Any, tpdo: Any, i: int, t_ns: int, counter: int, queue: Any, header: Any) -> None:
+    """Send the synchronous TPDOs; `counter` is the SYNC's, or -1."""
+    n = nodes[i]
+    for k in range(n.tpdo_used):
+        p = tpdo[i, k]
+        kind = p.transmission
+        if p.cob_id < 0 or kind > _SYNC_RTR:
+            continue
+        if kind == 0:
+            word = pack(p, n.values)
+            if n.tpdo_due[k] or word != n.tpdo_word[k]:
+                _send(n, p, i, k, t_ns, word, queue, header)
+        elif kind == _SYNC_RTR:
+            n.tpdo_word[k] = pack(p, n.values)
+            n.tpdo_due[k] = 0
+        else:
+            count = n.tpdo_count[k]
+            if count < 0:
+                if counter != p.sync_start:
+                    continue
+                count = kind - 1  # the SYNC with the start value is the first that counts
+            count += 1
+            if count >= kind:
+                count = 0
+                _send(n, p, i, k, t_ns, pack(p, n.values), queue, header)
+            n.tpdo_count[k] = count
+
+
+@kernel
+def transmit_events(nodes: Any, tpdo: Any, i: int, t_ns: int, next_ns: int, queue: Any, header: Any) -> int:
+    """Send the event-driven TPDOs that are due; return the earlier of `next_ns` and their next deadline."""
+    n = nodes[i]
+    sample(n)
+    for k in range(n.tpdo_used):
+        p = tpdo[i, k]
+        if p.cob_id < 0 or p.transmission < _EVENT:
+            continue
+        word = pack(p, n.values)
+        if (word ^ n.tpdo_word[k]) & n.tpdo_mask[k] or (p.event_ns > 0 and t_ns - n.tpdo_ns[k] >= p.event_ns):
+            n.tpdo_due[k] = 1
+        if n.tpdo_due[k]:
+            if t_ns - n.tpdo_ns[k] >= p.inhibit_ns:
+                _send(n, p, i, k, t_ns, word, queue, header)
+            else:
+                next_ns = min(next_ns, n.tpdo_ns[k] + p.inhibit_ns)
+        if p.event_ns > 0:
+            next_ns = min(next_ns, n.tpdo_ns[k] + max(p.event_ns, p.inhibit_ns))
+    return next_ns
+
+
+@kernel
+def answer_rtr(nodes: Any, tpdo: Any, i: int, k: int, t_ns: int, queue: Any, header: Any) -> None:
+    """Answer a remote frame for TPDO `k`, where its COB-ID allows that; a synchronous one repeats its last sample."""
+    n = nodes[i]
+    p = tpdo[i, k]
+    if p.rtr_allowed == 0:
+        return
+    word = n.tpdo_word[k]
+    if p.transmission >= _RTR or n.tpdo_due[k]:
+        sample(n)
+        word = pack(p, n.values)
+    push(queue, header, i, t_ns + n.processing_ns, p.cob_id, p.length, word)
