@@ -14,7 +14,7 @@ from eds.cia301 import DATA_TYPES, DUMMY_TYPES
 from eds.codec import MAX_FIELDS
 from eds.reader import Description, EdsError, Variable
 
-__all__ = ["Entry", "PdoLayout", "entry_of", "fill", "layouts"]
+__all__ = ["Entry", "PdoLayout", "entry_of", "fill", "layouts", "read_layout"]
 
 Direction = Literal["rpdo", "tpdo"]
 
@@ -32,6 +32,8 @@ PREDEFINED = {"rpdo": 0x200, "tpdo": 0x180}
 """Identifier of PDO 1 less the node id; PDO 2 to 4 follow at 0x100 each, further ones are invalid by default."""
 PREDEFINED_PDOS = 4
 PDO_COUNT = 512
+DIAGRAM_COLUMNS = 110
+NAME_COLUMNS = 34
 
 
 @dataclass(frozen=True)
@@ -99,10 +101,41 @@ def layouts(description: Description, node_id: int) -> tuple[PdoLayout, ...]:
     """
     directions: tuple[Direction, ...] = ("rpdo", "tpdo")
     return tuple(
-        _layout(description, node_id, direction, number)
+        read_layout(description, node_id, direction, number)
         for direction in directions
         for number in range(1, PDO_COUNT + 1)
         if description.has(COMMUNICATION[direction] + number - 1)
+    )
+
+
+def read_layout(description: Description, node_id: int, direction: Direction, number: int) -> PdoLayout:
+    """Return one PDO; EdsError as for `layouts`.
+
+    Where the EDS gives no default: the identifier of the pre-defined connection set (section 7.3.5), transmission type
+    255, no timers.
+    """
+    if not 1 <= node_id <= 127:
+        raise ValueError(f"node id {node_id}; expected 1 to 127")
+    index = COMMUNICATION[direction] + number - 1
+    predefined = PREDEFINED[direction] + 0x100 * (number - 1) + node_id
+    fallback = predefined if number <= PREDEFINED_PDOS else COB_ID_INVALID
+    cob_id = _number(description, index, 1, node_id, fallback) or 0
+    can_id = cob_id & 0x1FFFFFFF
+    line = description.variable(index, 1).line if description.has(index, 1) else 1
+    valid = not cob_id & COB_ID_INVALID and can_id != 0  # identifier 0 is NMT's: files write it for "not used"
+    if valid and (cob_id & COB_ID_EXTENDED or can_id > 0x7FF):
+        text = f"{index:04X}h:1 has the identifier 0x{can_id:X}"
+        raise _refuse(description, line, text, "expected 0x001 to 0x7FF, or bit 31 set for a PDO that is not valid")
+    return PdoLayout(
+        number=number,
+        direction=direction,
+        cob_id=can_id if valid else -1,
+        transmission=_number(description, index, 2, node_id, EVENT_DRIVEN) or 0,
+        inhibit_ns=(_number(description, index, 3, node_id, 0) or 0) * INHIBIT_UNIT_NS,
+        event_ns=(_number(description, index, 5, node_id, 0) or 0) * EVENT_UNIT_NS,
+        sync_start=_number(description, index, 6, node_id, 0) or 0,
+        rtr_allowed=not cob_id & COB_ID_NO_RTR,
+        entries=_entries(description, node_id, direction, number),
     )
 
 
@@ -156,32 +189,6 @@ def _number(description: Description, index: int, subindex: int, node_id: int, a
     return value
 
 
-def _layout(description: Description, node_id: int, direction: Direction, number: int) -> PdoLayout:
-    index = COMMUNICATION[direction] + number - 1
-    predefined = PREDEFINED[direction] + 0x100 * (number - 1) + node_id
-    fallback = predefined if number <= PREDEFINED_PDOS else COB_ID_INVALID
-    cob_id = _number(description, index, 1, node_id, fallback) or 0
-    line = description.variable(index, 1).line if description.has(index, 1) else 1
-    valid = not cob_id & COB_ID_INVALID
-    if valid and cob_id & COB_ID_EXTENDED:
-        text = f"{index:04X}h:1 has the 29-bit identifier 0x{cob_id & 0x1FFFFFFF:X}"
-        raise _refuse(description, line, text, "expected an 11-bit identifier")
-    if valid and not 0 < cob_id & 0x1FFFFFFF <= 0x7FF:
-        text = f"{index:04X}h:1 has the identifier 0x{cob_id & 0x1FFFFFFF:X}"
-        raise _refuse(description, line, text, "expected 0x001 to 0x7FF, or bit 31 set for a PDO that is not valid")
-    return PdoLayout(
-        number=number,
-        direction=direction,
-        cob_id=cob_id & 0x7FF if valid else -1,
-        transmission=_number(description, index, 2, node_id, EVENT_DRIVEN) or 0,
-        inhibit_ns=(_number(description, index, 3, node_id, 0) or 0) * INHIBIT_UNIT_NS,
-        event_ns=(_number(description, index, 5, node_id, 0) or 0) * EVENT_UNIT_NS,
-        sync_start=_number(description, index, 6, node_id, 0) or 0,
-        rtr_allowed=not cob_id & COB_ID_NO_RTR,
-        entries=_entries(description, node_id, direction, number),
-    )
-
-
 def _entries(description: Description, node_id: int, direction: Direction, number: int) -> tuple[Entry, ...]:
     index = MAPPING[direction] + number - 1
     if not description.has(index):
@@ -216,30 +223,43 @@ def _entry(description: Description, word: int, place: Variable) -> Entry:
     if not 1 <= bits <= PDO_BITS:
         raise _refuse(description, place.line, what, "expected 1 to 64 bits")
     if index in DUMMY_TYPES:
-        data_type = DATA_TYPES[index]
-        return Entry(index, subindex, bits, data_type.signed, "int", "dummy")
+        _check_width(description, place, what, index, bits)
+        return Entry(index, subindex, bits, DATA_TYPES[index].signed, "int", "dummy")
     if not description.has(index, subindex):
         raise _refuse(description, place.line, f"{what}, which the file does not describe", "describe it or unmap it")
     variable = description.variable(index, subindex)
     if variable.data_type not in DATA_TYPES:
         raise _refuse(description, place.line, f"{what}, whose DataType is not known", "give its DataType")
-    if variable.bits not in (0, bits) and variable.data_type != 1:
-        raise _refuse(description, place.line, f"{what}, but its type has {variable.bits}", "the two widths must agree")
+    _check_width(description, place, what, variable.data_type, bits)
     return entry_of(variable, bits)
 
 
-def _diagram(layout: PdoLayout) -> str:
-    top, name, number, rule = "bit  ", "    ", "    ", "    "
-    for entry, start in reversed(list(zip(layout.entries, layout.starts, strict=True))):
-        label = f"{entry.index:04X}:{entry.subindex:02X}" if not entry.dummy else "-"
-        last = str(start + entry.bits - 1)
-        first = str(start) if entry.bits > 1 else ""
-        width = max(min(entry.bits, 32), len(label) + 2, len(last) + len(first) + 1, min(len(entry.name) + 2, 24))
-        top += last + first.rjust(width - len(last)) + " "
-        rule += "+" + "-" * width
-        number += "|" + f" {label}".ljust(width)
-        name += "|" + f" {entry.name[: width - 2]}".ljust(width)
-    if not layout.entries:
+def _check_width(description: Description, place: Variable, what: str, code: int, bits: int) -> None:
+    data_type = DATA_TYPES[code]
+    whole_byte = data_type.kind == "bool" and bits == 8  # some devices send a BOOLEAN as a byte: the value is the same
+    if data_type.bits not in (0, bits) and not whole_byte:
+        text = f"{what}, but {data_type.name} has {data_type.bits}"
+        raise _refuse(description, place.line, text, "expected the same width in the map and in the object")
+
+
+def _diagram(pdo: PdoLayout) -> str:
+    if not pdo.entries:
         return "(nothing is mapped)"
-    lines = (top, rule + "+", number + "|", name + "|", rule + "+")
-    return "\n".join(line.rstrip() for line in lines)
+    blocks: list[list[str]] = []
+    for entry, start in reversed(list(zip(pdo.entries, pdo.starts, strict=True))):
+        label = "-" if entry.dummy else f"{entry.index:04X}:{entry.subindex:02X}"
+        last, first = str(start + entry.bits - 1), str(start) if entry.bits > 1 else ""
+        name = entry.name[:NAME_COLUMNS]
+        width = max(min(entry.bits, 32), len(label) + 2, len(last) + len(first) + 1, len(name) + 2)
+        if not blocks or len(blocks[-1][0]) + width > DIAGRAM_COLUMNS:
+            blocks.append(["bit  ", "    ", "    ", "    "])
+        block = blocks[-1]
+        block[0] += last + first.rjust(width - len(last)) + " "
+        block[1] += "+" + "-" * width
+        block[2] += "|" + f" {label}".ljust(width)
+        block[3] += "|" + f" {name}".ljust(width)
+    return "\n".join(
+        line.rstrip()
+        for bits, rule, label, name in blocks
+        for line in (bits, rule + "+", label + "|", name + "|", rule + "+")
+    )
