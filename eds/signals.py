@@ -1,0 +1,166 @@
+"""The PDOs that the host maps, always the same five, and what their raw numbers mean in SI units.
+
+::
+
+    motor  RPDO1  6040 controlword   6071 target torque                       from the host
+           TPDO1  6041 statusword    6064 position       6077 torque          to the host
+           TPDO2  606C velocity
+    brake  RPDO1  7300:1 set-point
+           TPDO1  7130:1 handle torque   7130:2 coil current   7130:3 coil temperature
+
+A drive's torque counts in per mille of its rated torque and its position in encoder counts (CiA 402); ratio and
+polarity, which turn them to the handle, are the rig file's. A CiA 404 block carries its unit (6131, 6301) and its decimal digits
+(6132, 6302): the EDS gives the scale, and a unit that is not what the signal's name says is refused.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+from eds.pdo import Entry, PdoLayout, entry_of
+from eds.reader import Description
+from eds.rig_errors import Source
+
+if TYPE_CHECKING:
+    from eds.rig import Rig
+
+__all__ = ["PDO_MAP", "RigPdo", "Signal", "rig_pdos"]
+
+Node = Literal["motor", "brake"]
+Direction = Literal["rpdo", "tpdo"]
+UNITS = {"Nm": 0x56, "A": 0x04, "degC": 0x2D}
+"""Notation indices of CiA 303-2: the numerator of a unit."""
+
+COB_ID = {("rpdo", 1): 0x200, ("tpdo", 1): 0x180, ("tpdo", 2): 0x280}
+"""The predefined connection set, CiA 301 section 7.3.5, less the node id."""
+
+PDO_MAP: tuple[tuple[Node, Direction, int, tuple[tuple[int, int, str], ...]], ...] = (
+    ("motor", "rpdo", 1, ((0x6040, 0, "controlword"), (0x6071, 0, "target_torque_Nm"))),
+    ("motor", "tpdo", 1, ((0x6041, 0, "statusword"), (0x6064, 0, "position_rad"), (0x6077, 0, "torque_Nm"))),
+    ("motor", "tpdo", 2, ((0x606C, 0, "velocity_rad_s"),)),
+    ("brake", "rpdo", 1, ((0x7300, 1, "setpoint_Nm"),)),
+    (
+        "brake",
+        "tpdo",
+        1,
+        ((0x7130, 1, "handle_torque_Nm"), (0x7130, 2, "coil_current_A"), (0x7130, 3, "coil_temperature_degC")),
+    ),
+)
+"""(node, direction, number, ((index, sub-index, signal's name without the node), ...))."""
+
+
+@dataclass(frozen=True)
+class Signal:
+    """One object in a PDO: SI value = raw x `scale` + `offset`, in `unit` ("" for a word of bits)."""
+
+    name: str
+    index: int
+    subindex: int
+    scale: float
+    offset: float
+    unit: str
+
+    def si(self, raw: float) -> float:
+        """Return the SI value of a raw number."""
+        return raw * self.scale + self.offset
+
+    def raw(self, value: float) -> int:
+        """Return the raw number nearest to an SI value."""
+        return round((value - self.offset) / self.scale)
+
+
+@dataclass(frozen=True)
+class RigPdo:
+    """One PDO that the host maps, with one signal for each entry of its layout."""
+
+    node: Node
+    node_id: int
+    layout: PdoLayout
+    signals: tuple[Signal, ...]
+
+
+def rig_pdos(rig: Rig, source: Source) -> tuple[RigPdo, ...]:
+    """Return the PDOs of `rig`; what an EDS file lacks is noted in `source` at the key that names it."""
+    found = []
+    for node, direction, number, objects in PDO_MAP:
+        part = rig.motor if node == "motor" else rig.brake
+        entries: list[Entry] = []
+        signals: list[Signal] = []
+        for index, subindex, name in objects:
+            try:
+                entries.append(_entry(rig.description(node), index, subindex, direction))
+                signals.append(_signal(rig, node, index, subindex, name))
+            except ValueError as error:
+                source.say((node, "eds"), f"'{part.eds}' stands there, but {error}")
+        deadline_ns = round(part.setpoint_fault_s * 1e9) if direction == "rpdo" else 0
+        layout = PdoLayout(
+            number=number,
+            direction=direction,
+            cob_id=COB_ID[direction, number] + part.node_id,
+            transmission=rig.bus.transmission if direction == "rpdo" else 1,
+            inhibit_ns=0,
+            event_ns=deadline_ns,
+            sync_start=0,
+            rtr_allowed=False,
+            entries=tuple(entries),
+        )
+        found.append(RigPdo(node, part.node_id, layout, tuple(signals)))
+    return tuple(found)
+
+
+def _entry(description: Description, index: int, subindex: int, direction: Direction) -> Entry:
+    """Return the entry that maps an object; ValueError says what the EDS file lacks."""
+    if not description.has(index, subindex):
+        raise ValueError(f"{description.path} describes no {index:04X}h:{subindex}, which the host maps")
+    variable = description.variable(index, subindex)
+    where = f"{description.path}:{variable.line}: {index:04X}h:{subindex}"
+    entry = entry_of(variable)
+    if not 1 <= entry.bits <= 64 or entry.kind != "int":
+        raise ValueError(f"{where} has the data type 0x{variable.data_type:04X}; expected an integer")
+    refused = ("ro", "const", "rwr") if direction == "rpdo" else ("wo", "rww")
+    if not variable.pdo_mappable or variable.access in refused:
+        way = "an RPDO" if direction == "rpdo" else "a TPDO"
+        raise ValueError(f"{where} cannot be mapped into {way}; expected PDOMapping=1 and a matching AccessType")
+    return entry
+
+
+def _signal(rig: Rig, node: Node, index: int, subindex: int, name: str) -> Signal:
+    unit = next((unit for unit in ("rad_s", "rad", "Nm", "A", "degC") if name.endswith(f"_{unit}")), "")
+    scale = 1.0
+    if node == "motor" and unit:
+        torque = rig.motor.rated_torque_Nm * 1e-3 * rig.mechanics.ratio * rig.mechanics.motor_polarity
+        angle = rig.mechanics.encoder_polarity * 2 * math.pi / (rig.motor.encoder_counts_rev * rig.mechanics.ratio)
+        scale = torque if unit == "Nm" else angle
+    elif node == "brake":
+        scale = _block_scale(rig.description(node), rig.brake.node_id, index, subindex, unit)
+        if name == "handle_torque_Nm":
+            scale *= rig.mechanics.transducer_polarity
+    return Signal(f"{node}.{name}", index, subindex, scale, 0.0, unit.replace("rad_s", "rad/s"))
+
+
+def _block_scale(description: Description, node_id: int, index: int, subindex: int, unit: str) -> float:
+    """Return SI units per raw count of a CiA 404 block: 10^-decimals, with the prefix of its unit object.
+
+    The unit's four bytes are, from the highest: prefix (power of ten, INTEGER8), numerator, denominator, reserved.
+    """
+    unit_index, digits_index = (0x6131, 0x6132) if index == 0x7130 else (0x6301, 0x6302)
+    values = []
+    for wanted in (unit_index, digits_index):
+        place = f"{wanted:04X}h:{subindex}"
+        if not description.has(wanted, subindex):
+            raise ValueError(f"{description.path} describes no {place}, so that {index:04X}h:{subindex} has no scale")
+        value = description.default(wanted, subindex, node_id)
+        line = description.variable(wanted, subindex).line
+        if not isinstance(value, int):
+            raise ValueError(f"{description.path}:{line}: {place} has no default; expected a number")
+        values.append((value, f"{description.path}:{line}: {place}"))
+    (code, where), (digits, digits_where) = values
+    prefix = (code >> 24 & 0xFF) - (0x100 if code >> 31 & 1 else 0)
+    if (code >> 16 & 0xFF, code >> 8 & 0xFF) != (UNITS[unit], 0):
+        wanted_code = UNITS[unit] << 16
+        raise ValueError(f"{where} is 0x{code:08X}; expected 0x{wanted_code:08X} ({unit}), a prefix allowed")
+    if not 0 <= digits <= 9:
+        raise ValueError(f"{digits_where} is {digits}; expected 0 to 9 decimal digits")
+    return float(10.0 ** (prefix - digits))

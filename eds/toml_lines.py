@@ -1,0 +1,202 @@
+"""Read TOML with the line of every key, and go on behind a line that cannot be read.
+
+`tomllib` gives the values; it stops at the first error and forgets lines. Here a light scan finds where each key
+stands, and a statement that `tomllib` refuses is blanked out, so that one reading reports every error of the file.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
+
+__all__ = ["Document", "Key", "read_toml", "split_key"]
+
+Key: TypeAlias = tuple[str | int, ...]
+"""Path of a value: ("mode", "active", "F_s_Nm"), or ("phase", 1, "kind") in an array of tables."""
+
+MOST_ERRORS = 50
+
+_PART = r"""(?:[A-Za-z0-9_-]+|"(?:[^"\\]|\\.)*"|'[^']*')"""
+_DOTTED = rf"{_PART}(?:\s*\.\s*{_PART})*"
+_KEY = re.compile(rf"\s*({_DOTTED})\s*=(.*)")
+_HEADER = re.compile(rf"\s*(\[\[?)\s*({_DOTTED})\s*\]\]?\s*(?:#.*)?$")
+_AT_LINE = re.compile(r"\s*\(at line (\d+), column (\d+)\)$|\s*\(at end of document\)$")
+
+_HINTS = (
+    (r"$|#", "a value behind the ="),
+    (r"[+-]?\d+,\d", "a decimal point instead of the comma"),
+    (r"(?i:true|false|yes|no|on|off)\b", "true or false, in small letters"),
+    (r"[+-]?\.\d|[+-]?\d+\.(\D|$)", "digits on both sides of the decimal point"),
+    (r"[+-]?0\d", "a number without leading zeros"),
+    (r"[+-]?[\d._]+(e[+-]?\d+)?\s*[A-Za-z%°µ]", "a number alone: the unit stands in the key's name"),
+    (r"[A-Za-z_./~]", "a text in double quotes"),
+    (r"\[", "a list of values with commas between them and a closing ]"),
+    (r"\"|'", "a text with a closing quote"),
+)
+
+
+@dataclass
+class Document:
+    """A TOML file's values, where its keys stand, and what could not be read.
+
+    `lines` holds the keys and the sections' headers; `broken` the keys and sections whose statement could not be read
+    (they are not missing); `problems` are (line, text) in the file's order.
+    """
+
+    values: dict[str, Any] = field(default_factory=dict)
+    lines: dict[Key, int] = field(default_factory=dict)
+    broken: set[Key] = field(default_factory=set)
+    problems: list[tuple[int, str]] = field(default_factory=list)
+
+    def line(self, key: Key) -> int:
+        """Return the line of the key, or of the nearest section or value that holds it; 1 where there is none."""
+        for length in range(len(key), 0, -1):
+            if key[:length] in self.lines:
+                return self.lines[key[:length]]
+        return 1
+
+    def is_broken(self, key: Key) -> bool:
+        """Tell whether the key, or a section that holds it, stands in a statement that could not be read."""
+        return any(key[:length] in self.broken for length in range(1, len(key) + 1))
+
+
+@dataclass(frozen=True)
+class _Statement:
+    first: int  # 0-based index of its first line
+    last: int
+    key: Key
+    header: bool
+    text: str
+
+
+def split_key(dotted: str) -> list[str] | None:
+    """Split "a.b.'c d'" into its parts; None where it is no TOML key."""
+    if not re.fullmatch(rf"\s*{_DOTTED}\s*", dotted):
+        return None
+    return [part[1:-1] if part[0] in "\"'" else part for part in re.findall(_PART, dotted)]
+
+
+def read_toml(text: str) -> Document:
+    """Read `text`; nothing is raised, see `Document.problems`."""
+    lines = text.replace("\r\n", "\n").split("\n")
+    document = Document()
+    for _ in range(MOST_ERRORS):
+        try:
+            document.values = tomllib.loads("\n".join(lines))
+            break
+        except (tomllib.TOMLDecodeError, RecursionError) as error:
+            _blame(document, lines, str(error))
+    document.problems.sort()
+    for statement in _statements(lines):
+        document.lines.setdefault(statement.key, statement.first + 1)
+    return document
+
+
+def _blame(document: Document, lines: list[str], message: str) -> None:
+    """Report the statement that `message` of tomllib is about, and blank it out."""
+    place = _AT_LINE.search(message)
+    number = int(place[1]) - 1 if place and place[1] else len(lines) - 1
+    reason = _AT_LINE.sub("", message)
+    statements = list(_statements(lines))
+    guilty = next((s for s in reversed(statements) if s.first <= number <= s.last), None)
+    if guilty is None:  # neither a key nor a header
+        text = lines[number].strip()
+        section = text.startswith("[")
+        wanted = "[section]" if section else "key = value, [section] or a comment behind #"
+        document.problems.append((number + 1, f"'{_short(text)}' cannot be read; expected {wanted}"))
+        later = [s.first for s in statements if s.header and s.first > number]
+        if section:
+            document.broken.update((name,) for name in re.findall(r"[\w-]+", text)[:1])
+            _blank(lines, number, (later[0] if later else len(lines)) - 1)
+        else:
+            document.broken.update((*_section(statements, number), name) for name in re.findall(r"[\w-]+", text)[:1])
+            _blank(lines, number, number)
+        return
+    name = ".".join(map(str, guilty.key))
+    document.broken.add(guilty.key)
+    earlier = next((s for s in statements if s.key == guilty.key and s.first < guilty.first), None)
+    if guilty.header:
+        known = f"[{name}] stands in line {earlier.first + 1} already" if earlier else f"[{name}]: {reason.lower()}"
+        document.problems.append((guilty.first + 1, f"{known}; expected each section once"))
+        later = [s.first for s in statements if s.header and s.first > guilty.first]
+        _blank(lines, guilty.first, (later[0] if later else len(lines)) - 1)
+        return
+    last = guilty.first  # an unclosed list reaches over innocent keys
+    while last < number and not (_KEY.match(lines[last + 1]) or _HEADER.match(lines[last + 1])):
+        last += 1
+    if earlier:
+        text = f"{name}: stands in line {earlier.first + 1} already; expected each key once"
+    else:
+        hint = next((hint for pattern, hint in _HINTS if re.match(pattern, guilty.text)), "a TOML value")
+        text = f"{name}: '{_short(guilty.text)}' cannot be read ({reason.lower()}); expected {hint}"
+    document.problems.append((guilty.first + 1, text))
+    _blank(lines, guilty.first, last)
+
+
+def _section(statements: list[_Statement], number: int) -> Key:
+    return next((s.key for s in reversed(statements) if s.header and s.first < number), ())
+
+
+def _blank(lines: list[str], first: int, last: int) -> None:
+    lines[first : last + 1] = [""] * (last + 1 - first)
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _statements(lines: list[str]) -> list[_Statement]:
+    """Find keys and headers; a value reaches to the line where its brackets and quotes are closed."""
+    found: list[_Statement] = []
+    section: Key = ()
+    tables: dict[Key, int] = {}  # arrays of tables and the index of their last one
+    number = 0
+    while number < len(lines):
+        header, key = _HEADER.match(lines[number]), _KEY.match(lines[number])
+        first = number
+        if header:
+            section = ()
+            parts = split_key(header[2]) or []
+            for i, part in enumerate(parts):
+                section = (*section, part)
+                if header[1] == "[[" and i == len(parts) - 1:
+                    tables[section] = tables.get(section, -1) + 1
+                if section in tables:
+                    section = (*section, tables[section])
+            found.append(_Statement(first, first, section, True, lines[first].strip()))
+        elif key:
+            depth, quote = _scan(key[2], 0, "")
+            while (depth > 0 or quote) and number + 1 < len(lines):
+                number += 1
+                depth, quote = _scan(lines[number], depth, quote)
+            path = (*section, *(split_key(key[1]) or []))
+            found.append(_Statement(first, number, path, False, key[2].strip()))
+            if depth > 0 or quote:  # never closed: do not hide what follows
+                number = first
+        number += 1
+    return found
+
+
+def _scan(text: str, depth: int, quote: str) -> tuple[int, str]:
+    """Follow brackets and quotes through one line; return the depth and the open multi-line quote."""
+    i = 0
+    while i < len(text):
+        if quote:
+            if quote[0] == '"' and text[i] == "\\":
+                i += 2
+            elif text.startswith(quote, i):
+                i += len(quote)
+                quote = ""
+            else:
+                i += 1
+        elif text[i] == "#":
+            break
+        elif text[i] in "\"'":
+            quote = text[i] * (3 if text.startswith(text[i] * 3, i) else 1)
+            i += len(quote)
+        else:
+            depth += (text[i] in "[{") - (text[i] in "]}")
+            i += 1
+    return depth, quote if len(quote) == 3 else ""
