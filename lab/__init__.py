@@ -1,0 +1,1 @@
+"""Host, bus, nodes and rig put together: simulate, demo, figures and their measures."""

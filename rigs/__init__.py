@@ -1,0 +1,1 @@
+"""Rig files as package data."""

@@ -25,6 +25,7 @@ __all__ = [
     "data_word",
     "frames",
     "new_queue",
+    "new_records",
     "push",
 ]
 
@@ -50,14 +51,19 @@ QUEUE_CAPACITY = 256
 QUEUE = np.dtype([("count", np.int64), ("dropped", np.int64)], align=True)
 
 
+def new_records(dtype: np.dtype[Any], count: int = 1) -> Records:
+    """Return `count` records of `dtype`, all zero, whose fields are attributes in compiled and in plain Python."""
+    return np.zeros(count, dtype).view(np.recarray)
+
+
 def frames(capacity: int) -> Records:
     """Return `capacity` empty frames."""
-    return np.zeros(capacity, FRAME)
+    return new_records(FRAME, capacity)
 
 
 def new_queue(capacity: int = QUEUE_CAPACITY) -> tuple[Records, Records]:
     """Return an empty queue: its frames and its one-record header (`count`, `dropped`)."""
-    return frames(capacity), np.zeros(1, QUEUE)
+    return frames(capacity), new_records(QUEUE)
 
 
 @kernel

@@ -1,0 +1,41 @@
+# Two commands do it all: `make demo` and `make test`. They create .venv and install what they need.
+# PYTHON=... chooses the interpreter (3.11 or newer); otherwise the first that fits is taken.
+
+VENV := .venv
+BIN := $(VENV)/bin
+NEEDED := import sys; sys.exit(sys.version_info < (3, 11))
+PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python3.14; do \
+	"$$p" -c '$(NEEDED)' 2>/dev/null && { echo "$$p"; break; }; done)
+
+.PHONY: demo test check bench clean
+
+demo: $(VENV)/.run  ## the paper's experiment on the built-in virtual bus
+	@$(BIN)/coulombus demo
+
+test: $(VENV)/.dev  ## all tests
+	@$(BIN)/python -m pytest
+
+check: $(VENV)/.dev  ## lint, format, types, import contracts
+	@scripts/check
+
+bench: $(VENV)/.dev  ## the figures of speed, as ratios
+	@$(BIN)/python -m benchmarks
+
+$(VENV)/bin/python:
+	@test -n "$(PYTHON)" || { echo "make: Python 3.11 or newer is needed; name one with PYTHON=/path/to/python3.11" >&2; exit 1; }
+	@"$(PYTHON)" -c '$(NEEDED)' || { echo "make: $(PYTHON) is older than 3.11" >&2; exit 1; }
+	@echo "creating $(VENV) with $$("$(PYTHON)" --version)"
+	@"$(PYTHON)" -m venv $(VENV) || { echo "make: cannot create a virtual environment (Debian: apt install python3-venv)" >&2; exit 1; }
+
+$(VENV)/.run: $(VENV)/bin/python pyproject.toml
+	@echo "installing (once) ..."
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	@touch $@
+
+$(VENV)/.dev: $(VENV)/bin/python pyproject.toml
+	@echo "installing with the development tools (once) ..."
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@touch $@ $(VENV)/.run
+
+clean:  ## remove what was made here
+	rm -rf $(VENV) out build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

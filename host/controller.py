@@ -1,0 +1,227 @@
+"""Everything that the cycle's compiled step works on, made from a rig file and a mode."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from eds.codec import PDO
+from eds.pdo import fill
+from eds.rig import Rig
+from eds.signals import RigPdo, Signal
+from host.laws import LAW, LAW_STATE, MOTION, load_law
+from host.records import CONTROL, DRIVE_PDOS, HOST, WORK_WINDOW, Image, Phase, SignResult, Trip
+from wire.frame import Records, new_records
+
+__all__ = ["TRIP_TEXT", "Controller"]
+
+BRAKE_LAG_S = 0.02
+"""Time constant with which the brake's torque is expected at the handle (coil and fluid of a typical MR brake)."""
+SIGN_HAND_S = 0.12
+"""A little more than the period of a hand's tremor (8-12 Hz), over which the sign check averages it out."""
+SIGN_HAND_NM = 0.008
+SETTLE_S = 0.05
+ENABLE_TIMEOUT_S = 1.0
+
+IMAGE_OF_SIGNAL = {
+    "motor.controlword": Image.CONTROLWORD,
+    "motor.target_torque_Nm": Image.TARGET_TORQUE,
+    "motor.statusword": Image.STATUSWORD,
+    "motor.position_rad": Image.POSITION,
+    "motor.torque_Nm": Image.TORQUE,
+    "motor.velocity_rad_s": Image.VELOCITY,
+    "brake.setpoint_Nm": Image.BRAKE_SETPOINT,
+    "brake.handle_torque_Nm": Image.HANDLE_TORQUE,
+    "brake.coil_current_A": Image.COIL_CURRENT,
+    "brake.coil_temperature_degC": Image.COIL_TEMPERATURE,
+}
+
+TRIP_TEXT = {
+    Trip.SPEED: "the handle was faster than limits.speed_rad_s",
+    Trip.ENCODER_JUMP: "the encoder jumped by more than limits.encoder_jump_counts in a cycle",
+    Trip.NET_WORK: "the motor put more than limits.net_work_J into the handle within limits.net_work_window_s: is a sign wrong?",
+    Trip.HANDLE_TORQUE: "the handle torque did not fit the brake's command for limits.handle_mismatch_s",
+    Trip.TRAVEL: "the handle left +- limits.travel_rad",
+    Trip.VOLTAGE: "the drive lost its supply (statusword: voltage enabled is 0)",
+    Trip.COIL_I2T: "the brake's coil would overheat (I2t above brake.coil_continuous_A)",
+    Trip.TPDO_LOST: "no complete set of TPDOs for limits.missed_tpdo_cycles cycles",
+    Trip.EMCY_MOTOR: "the motor drive sent an EMCY",
+    Trip.EMCY_BRAKE: "the brake sent an EMCY",
+    Trip.HEARTBEAT_MOTOR: "the motor drive's heartbeat was lost",
+    Trip.HEARTBEAT_BRAKE: "the brake's heartbeat was lost",
+    Trip.DRIVE_STATE: "the drive left Operation Enabled by itself",
+    Trip.NMT_STATE: "a node left NMT state OPERATIONAL",
+    Trip.TRANSMIT: "the bus did not take a frame",
+    Trip.RECORDING: "the recording could not be written",
+    Trip.NOT_STILL: "arming refused: the handle was not still for limits.still_s within limits.still_timeout_s",
+    Trip.HANDLE_LOADED: "arming refused: more than limits.still_handle_torque_Nm on the handle; let go of it, or check the transducer",
+    Trip.ENABLE_TIMEOUT: "arming refused: the drive did not reach Operation Enabled",
+    Trip.SIGN_NO_MOTION: "arming refused: the sign check's torque did not move the handle: is it held, or the motor not connected?",
+    Trip.SIGN_ENCODER: "arming refused: motor and encoder disagree on the sign (mechanics.motor_polarity, mechanics.encoder_polarity)",
+    Trip.SIGN_TRANSDUCER: "arming refused: the torque transducer's sign is wrong (mechanics.transducer_polarity)",
+    Trip.SIGN_TRAVEL: "arming refused: the handle moved too far in the sign check",
+}
+"""Each trip in words, with the rig file's key that decides it."""
+
+
+def _cycles(seconds: float, period_s: float) -> int:
+    return max(1, round(seconds / period_s))
+
+
+class Controller:
+    """The host's compiled state for one run in one mode.
+
+    Attributes
+    ----------
+    control, host : one-record arrays of CONTROL and HOST
+    rpdos, tpdos : PDO arrays; what the host sends, and what it waits for
+    law_function, motion, law, state : the friction law as a function pointer, and its three records
+    """
+
+    def __init__(self, rig: Rig, mode: str) -> None:
+        self.rig = rig
+        self.mode = mode
+        self.law_function: Any = load_law(rig.law.function, rig.directory)
+        self.motion = new_records(MOTION)
+        self.motion["dt_s"] = rig.bus.period_s
+        self.law = self._new_law()
+        self.state = new_records(LAW_STATE)
+        pdos = rig.pdos()
+        self.rpdos = self._new_pdos([pdo for pdo in pdos if pdo.layout.direction == "rpdo"])
+        self.tpdos = self._new_pdos([pdo for pdo in pdos if pdo.layout.direction == "tpdo"])
+        self.control = self._new_control(pdos)
+        self.host = new_records(HOST)
+        for name in ("enabled_ns", "armed_ns", "motor_heartbeat_ns", "brake_heartbeat_ns"):
+            self.host[name] = -1
+
+    def _new_law(self) -> Records:
+        mode, law = self.rig.mode[self.mode], self.rig.law
+        record = new_records(LAW)
+        r = record[0]
+        r["K_p"], r["F_s"], r["F_d"] = mode.K_p_Nm_rad, mode.F_s_Nm, mode.F_d_Nm
+        r["velocity_band_counts"] = law.velocity_band_counts
+        r["paper_entry"] = law.stick_entry == "paper"
+        r["brake_spring"] = law.brake_stick == "spring"
+        r["user"][: len(law.user)] = law.user
+        return record
+
+    def _new_pdos(self, pdos: list[RigPdo]) -> Records:
+        records = new_records(PDO, DRIVE_PDOS)
+        records["cob_id"] = -1
+        for record, pdo in zip(records, pdos, strict=False):
+            slots = {(s.index, s.subindex): int(IMAGE_OF_SIGNAL[s.name]) for s in pdo.signals}
+            fill(record, pdo.layout, lambda index, subindex, slots=slots: slots[index, subindex])
+        return records
+
+    def _signal(self, pdos: tuple[RigPdo, ...], name: str) -> Signal:
+        return next(signal for pdo in pdos for signal in pdo.signals if signal.name == name)
+
+    def _new_control(self, pdos: tuple[RigPdo, ...]) -> Records:
+        rig, mode, limits = self.rig, self.rig.mode[self.mode], self.rig.limits
+        T = rig.bus.period_s
+        control = new_records(CONTROL)
+        c = control[0]
+        c["period_ns"], c["window_ns"] = round(T * 1e9), round(rig.bus.tpdo_window_s * 1e9)
+        c["sync_cob_id"], c["host_id"] = 0x80, rig.host.node_id
+        c["motor_id"], c["brake_id"] = rig.motor.node_id, rig.brake.node_id
+        c["heartbeat_ns"] = round(rig.host.heartbeat_s * 1e9)
+        c["motor_heartbeat_timeout_ns"] = round(rig.motor.heartbeat_timeout_s * 1e9)
+        c["brake_heartbeat_timeout_ns"] = round(rig.brake.heartbeat_timeout_s * 1e9)
+        tpdos = [pdo for pdo in pdos if pdo.layout.direction == "tpdo"]
+        c["rpdos"], c["tpdos"] = len(pdos) - len(tpdos), len(tpdos)
+        for i, pdo in enumerate(tpdos):
+            if any(signal.name == "motor.position_rad" for signal in pdo.signals):
+                c["position_mask"] = 1 << i
+        c["motor_active"], c["brake_active"] = self.mode == "active", self.mode in ("passive", "hybrid")
+
+        c["rad_count"] = self._signal(pdos, "motor.position_rad").scale
+        c["Nm_pm"] = self._signal(pdos, "motor.target_torque_Nm").scale
+        c["handle_Nm_raw"] = self._signal(pdos, "brake.handle_torque_Nm").scale
+        c["brake_Nm_raw"] = self._signal(pdos, "brake.setpoint_Nm").scale
+        c["coil_A_raw"] = self._signal(pdos, "brake.coil_current_A").scale
+
+        c["friction_Nm"] = rig.mechanics.friction_Nm
+        c["compensation_Nm"] = mode.compensation * rig.mechanics.friction_Nm
+        c["inertia"], c["viscous"] = rig.mechanics.inertia_kg_m2, rig.mechanics.viscous_Nms_rad
+        c["velocity_band_counts"] = rig.law.velocity_band_counts
+        c["gain_step"] = T / rig.law.gain_ramp_s if rig.law.gain_ramp_s > 0 else 1.0
+
+        c["motor_limit_pm"] = self.motor_limit_pm(float(c["Nm_pm"]))
+        c["motor_rate_Nm"] = limits.torque_rate_Nm_s * T
+        c["brake_limit_Nm"] = limits.brake_torque_Nm
+        c["speed_limit"], c["jump_counts"] = limits.speed_rad_s, limits.encoder_jump_counts
+        c["net_work_J"] = limits.net_work_J
+        c["net_work_cycles"] = min(_cycles(limits.net_work_window_s, T), WORK_WINDOW)
+        c["travel_rad"] = math.inf if limits.travel_rad == "unlimited" else float(limits.travel_rad)
+        c["mismatch_Nm"] = limits.handle_mismatch_Nm
+        c["mismatch_cycles"] = _cycles(limits.handle_mismatch_s, T)
+        c["missed_cycles"] = limits.missed_tpdo_cycles
+        c["coil_limit_A2"] = rig.brake.coil_continuous_A**2
+        c["coil_decay"] = math.exp(-T / rig.brake.coil_time_constant_s)
+        c["brake_lag_decay"] = math.exp(-T / BRAKE_LAG_S)
+
+        c["still_cycles"], c["still_handle_Nm"] = _cycles(limits.still_s, T), limits.still_handle_torque_Nm
+        c["still_timeout_cycles"] = _cycles(limits.still_timeout_s, T)
+        c["enable_timeout_cycles"] = _cycles(ENABLE_TIMEOUT_S, T)
+        c["sign_check"] = c["motor_limit_pm"] > 0
+        c["sign_step_Nm"] = limits.sign_check_rate_Nm_s * T
+        c["sign_counts"], c["sign_torque_Nm"] = limits.sign_check_counts, limits.sign_check_torque_Nm
+        c["sign_travel_counts"] = math.ceil(limits.sign_check_travel_rad / abs(c["rad_count"]))
+        c["sign_hand_Nm"], c["sign_hand_cycles"] = SIGN_HAND_NM, _cycles(SIGN_HAND_S, T)
+        c["settle_cycles"] = _cycles(SETTLE_S, T)
+
+        c["safe_brake_Nm"] = limits.safe_brake_Nm
+        c["safe_hold_cycles"] = _cycles(limits.safe_hold_s, T)
+        c["safe_ramp_cycles"] = _cycles(limits.safe_ramp_s, T)
+        return control
+
+    def motor_limit_pm(self, Nm_pm: float) -> int:
+        """Return the motor's torque limit in per mille, rounded down: what the drive's 6072h is set to."""
+        limit = math.floor(self.rig.mode[self.mode].motor_limit_Nm / abs(Nm_pm) + 1e-9)
+        return min(limit, 32767)
+
+    def start(self, t_ns: int) -> None:
+        """Begin with the first cycle at `t_ns`; both nodes were heard just now."""
+        h = self.host[0]
+        h["next_ns"] = h["heartbeat_due_ns"] = t_ns
+        h["motor_heartbeat_ns"] = h["brake_heartbeat_ns"] = t_ns
+        h["motor_nmt"] = h["brake_nmt"] = 5
+        h["phase"] = Phase.STILL
+
+    def stop(self, trip: Trip = Trip.NONE) -> None:
+        """Ask for the safe state: the normal end of a run, or for the reason `trip`."""
+        self.host["stop"] = max(1, int(trip))
+
+    @property
+    def phase(self) -> Phase:
+        """What the cycle is doing."""
+        return Phase(int(self.host["phase"][0]))
+
+    @property
+    def trip(self) -> str | None:
+        """Why the safe state was entered, in words, or None."""
+        trip = Trip(int(self.host["trip"][0]))
+        if trip is Trip.NONE:
+            return None
+        text = f"{trip.name}: {TRIP_TEXT[trip]}"
+        if trip in (Trip.EMCY_MOTOR, Trip.EMCY_BRAKE):
+            text += f" (error code {int(self.host['emcy_code'][0]):04X}h)"
+        return text
+
+    @property
+    def sign_result(self) -> SignResult:
+        """Outcome of the sign check."""
+        return SignResult(int(self.host["sign_result"][0]))
+
+    def counters(self) -> dict[str, int]:
+        """Return the cycle's counters."""
+        names = ("lost_pdos", "missed_deadlines", "stray_frames", "malformed_pdos", "clipped_torque", "negative_setpoints")
+        return {name: int(self.host[name][0]) for name in names}
+
+
+def arguments(controller: Controller) -> tuple[np.ndarray[Any, Any], ...]:
+    """Return the controller's arrays in the order of `host.step`'s and the event loops' arguments."""
+    k = controller
+    return (k.control, k.host, k.rpdos, k.tpdos, k.law_function, k.motion, k.law, k.state)

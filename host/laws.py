@@ -1,0 +1,176 @@
+r"""Friction laws: what the display should feel like, as compiled functions of one fixed signature.
+
+A law is named in the rig file as ``module:function`` or ``file.py:function``. It is one plain function::
+
+    def my_law(motion, law, state):
+        state.brake_Nm = law.F_d                      # what the brake should bear, >= 0
+        return law.F_d * motion.v_rad_s / (abs(motion.v_rad_s) + 0.1)
+
+motion : `MOTION` record
+    measured: angle, speed, speed in encoder counts a cycle, cycle time, handle torque
+law : `LAW` record
+    parameters of the mode: K_p, F_s, F_d, the velocity band, and ``user``, 16 numbers of the rig file
+state : `LAW_STATE` record
+    what the law keeps from cycle to cycle, and its second output ``brake_Nm``
+returns
+    :math:`\psi` [Nm], the friction to be displayed: :math:`\psi > 0` opposes :math:`v > 0`. A motor shows :math:`-\psi`; a
+    brake cannot push and is given ``state.brake_Nm`` instead.
+
+The function must be what Numba compiles; nothing may be imported in it. The compiled law is passed as a function pointer, so the
+host's kernels are not compiled again for it.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from eds.compiled import JIT_DISABLED
+
+import numba  # isort: skip  (after eds.compiled, which names the cache directory)
+
+__all__ = ["LAW", "LAW_STATE", "MOTION", "LawError", "coulomb", "karnopp", "load_law"]
+
+MOTION = np.dtype(
+    [
+        ("x_rad", np.float64),
+        ("v_rad_s", np.float64),  # backward difference of the position
+        ("v_counts", np.float64),  # the same in encoder counts a cycle
+        ("dt_s", np.float64),
+        ("handle_Nm", np.float64),  # torque transducer, the hand's torque on the handle
+    ],
+    align=True,
+)
+
+LAW = np.dtype(
+    [
+        ("K_p", np.float64),  # Nm/rad
+        ("F_s", np.float64),  # Nm
+        ("F_d", np.float64),  # Nm
+        ("velocity_band_counts", np.float64),  # Delta v, in encoder counts a cycle
+        ("paper_entry", np.int64),  # 1: x_stuck = x at stick entry, as printed in the paper
+        ("brake_spring", np.int64),  # 1: the brake shows |K_p (x - x_stuck)| when stuck, as printed in the paper
+        ("user", np.float64, (16,)),
+    ],
+    align=True,
+)
+
+LAW_STATE = np.dtype(
+    [
+        ("stuck", np.int64),
+        ("x_stuck", np.float64),  # rad
+        ("psi_Nm", np.float64),  # what the law returned last; kept by the host
+        ("brake_Nm", np.float64),  # the law's set-point for the brake, >= 0
+        ("user", np.float64, (16,)),
+    ],
+    align=True,
+)
+
+
+class LawError(Exception):
+    """A law cannot be loaded; the text names it, the reason and what a law looks like."""
+
+
+def karnopp(motion: Any, law: Any, state: Any) -> float:
+    r"""Karnopp's stick-slip friction, as corrected from the paper's eq. (20).
+
+    .. math::
+
+        \psi = \begin{cases} F_d\,\mathrm{sgn}(v) & |v| > \Delta v \\
+               \mathrm{sgn}(F_a)\,\min(|F_a|, F_s) & |v| \le \Delta v \end{cases}
+        \qquad F_a = K_p\,(x - x_{stuck})
+
+    At stick entry and on saturation :math:`x_{stuck} = x - F/K_p`, so the torque neither jumps nor winds up. ``paper_entry`` takes the
+    paper's :math:`x_{stuck} = x` at entry instead. The brake bears F_s whenever stuck and F_d in slip; with ``brake_spring`` it shows
+    the spring, which on an encoder is a coarse switch (K_p = 10000 Nm/rad is 0.8 Nm a count).
+
+    Source: the paper, section 5; D. Karnopp, J. Dyn. Sys. Meas. Control 107(1), 1985, doi:10.1115/1.3140698.
+    """
+    if abs(motion.v_counts) > law.velocity_band_counts:
+        state.stuck = 0
+        state.brake_Nm = law.F_d
+        return law.F_d if motion.v_counts > 0.0 else -law.F_d
+    if state.stuck == 0:
+        state.stuck = 1
+        if law.paper_entry:
+            state.x_stuck = motion.x_rad
+        else:
+            state.x_stuck = motion.x_rad - state.psi_Nm / law.K_p
+    force = law.K_p * (motion.x_rad - state.x_stuck)
+    if abs(force) > law.F_s:
+        force = law.F_s if force > 0.0 else -law.F_s
+        state.x_stuck = motion.x_rad - force / law.K_p
+    state.brake_Nm = abs(force) if law.brake_spring else law.F_s
+    return force
+
+
+def coulomb(motion: Any, law: Any, state: Any) -> float:
+    r"""Coulomb friction, eq. (4): :math:`\psi(v) = c\,\mathrm{sgn}(v)` with :math:`c = F_d` and :math:`\mathrm{sgn}(0) = 0`.
+
+    Within the velocity band (0 counts for the paper's own simulation) psi is 0; the brake bears c at any speed.
+    Describing function: :math:`\Psi(a) = 4c/(\pi a)`, eq. (5).
+    """
+    state.brake_Nm = law.F_d
+    if abs(motion.v_counts) <= law.velocity_band_counts:
+        state.stuck = 1
+        return 0.0
+    state.stuck = 0
+    return law.F_d if motion.v_counts > 0.0 else -law.F_d
+
+
+def _signature() -> Any:
+    records = (numba.from_dtype(dtype) for dtype in (MOTION, LAW, LAW_STATE))
+    return numba.float64(*records)
+
+
+def compile_law(function: Callable[..., Any]) -> Any:
+    """Compile `function` for the one signature of a law; what is returned is passed to kernels as a function pointer."""
+    if JIT_DISABLED:
+        return function
+    dispatcher = numba.njit(_signature(), nogil=True, cache=True, error_model="numpy")(function)
+    return numba.core.types.CompileResultWAP(dispatcher.overloads[dispatcher.signatures[0]])
+
+
+def load_law(name: str, directory: Path | None = None) -> Any:
+    """Return the compiled law called `name`: ``module:function``, or ``file.py:function`` beside `directory`.
+
+    Raises
+    ------
+    LawError
+        the module, file or function does not exist, or it does not compile with a law's signature
+    """
+    place, _, attribute = name.rpartition(":")
+    if not place or not attribute:
+        raise LawError(f"law {name!r}: expected 'module:function' or 'file.py:function', as in 'host.laws:karnopp'")
+    try:
+        if place.endswith(".py"):
+            path = Path(place) if directory is None else directory / place
+            spec = importlib.util.spec_from_file_location(f"coulombus_law_{path.stem}", path)
+            if spec is None or spec.loader is None:
+                raise LawError(f"law {name!r}: {path} is not a Python file")
+            module = importlib.util.module_from_spec(spec)
+            sys.modules[spec.name] = module
+            spec.loader.exec_module(module)
+        else:
+            module = importlib.import_module(place)
+    except LawError:
+        raise
+    except Exception as error:
+        raise LawError(f"law {name!r}: {place} cannot be imported: {error}") from error
+    function = getattr(module, attribute, None)
+    if not callable(function):
+        known = ", ".join(sorted(n for n in vars(module) if not n.startswith("_") and callable(vars(module)[n]))[:8])
+        raise LawError(f"law {name!r}: {place} has no function {attribute!r}; it has {known or 'none'}")
+    try:
+        return compile_law(getattr(function, "py_func", function))
+    except numba.core.errors.NumbaError as error:
+        text = next((line.strip() for line in str(error).splitlines() if line.strip()), "")
+        raise LawError(
+            f"law {name!r} does not compile as law(motion, law, state) -> float: {text}; see host/laws.py for the records' fields"
+        ) from error

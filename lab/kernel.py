@@ -1,0 +1,187 @@
+"""The virtual-time event loop: bus, nodes, plant and host as functions of time, in one compiled kernel.
+
+`run` goes from event to event in integer nanoseconds and returns to Python only when the control plane has work, as a virtual
+machine exits to its monitor (`Exit`). Events at the same instant go in a fixed order: a frame's end first (so what arrives is handled
+before a deadline is judged), then the script, the nodes, the host, and at last the start of the next frame (so that everything that is ready
+takes part in the arbitration).
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+
+from eds.cia402 import PowerState
+from eds.compiled import kernel
+from host import step
+from node import core
+from sim_bus.arbiter import FAR_NS, end_frame, start_frame, start_ns
+from sim_bus.plant import advance, sample_noise
+
+__all__ = ["BRAKE", "MOTOR", "WORLD", "Exit", "run"]
+
+MOTOR, BRAKE = 0, 1
+"""Rows of the node records, and their station numbers."""
+
+OPERATION_ENABLED = int(PowerState.OPERATION_ENABLED)
+SYNC = 0x80
+
+
+class Exit(IntEnum):
+    """Why the kernel returned."""
+
+    UNTIL = 0  # the time was reached
+    FORCE = 1  # the plant needs the next block of the operator's force
+    LOG = 2  # the frame log is full
+    SERVICE = 3  # the last frame of the log is for Python: `service` tells who wants it
+    ENABLED = 4  # the drive entered Operation Enabled: the schedule begins
+    PHASE = 5  # the host went to another phase
+    SCRIPT = 6  # a script's entry is due
+
+
+EXIT_UNTIL, EXIT_FORCE, EXIT_LOG = int(Exit.UNTIL), int(Exit.FORCE), int(Exit.LOG)
+EXIT_SERVICE, EXIT_ENABLED, EXIT_PHASE, EXIT_SCRIPT = (
+    int(Exit.SERVICE),
+    int(Exit.ENABLED),
+    int(Exit.PHASE),
+    int(Exit.SCRIPT),
+)
+
+WORLD = np.dtype(
+    [
+        ("t_ns", np.int64),
+        ("until_ns", np.int64),
+        ("script_ns", np.int64),
+        ("host_on", np.int64),  # 1: the host's cycle runs
+        ("phase", np.int64),  # the host's phase that Python knows
+        ("operator_start_ns", np.int64),  # -1: the schedule has not begun
+        ("log_count", np.int64),
+        ("service", np.int64),  # bit i: node i wants the last frame; bit 62: the control plane does
+        ("force_step", np.int64),  # the plant's step at which the force block begins
+        ("steps_per_knot", np.int64),
+        ("truth_on", np.int64),
+    ],
+    align=True,
+)
+
+CONTROL_PLANE = 1 << 62
+
+
+@kernel
+def _sample(plant: Any, motor: Any, brake: Any) -> None:
+    """Let the devices look at the rig: encoder, motor current, transducer, coil."""
+    p = plant[0]
+    motor.in_position_counts = int(np.floor(p.x * p.counts_rad + 0.5))
+    motor.in_velocity_counts_s = p.v * p.counts_rad
+    motor.in_torque_pm = p.motor / p.motor_Nm_pm
+    brake.in_handle_Nm = p.transducer_polarity * (p.f_operator + p.noise * sample_noise(p))
+    brake.in_coil_A = p.coil * p.coil_A_Nm
+    brake.in_coil_degC = p.temperature
+
+
+@kernel
+def _advance(w: Any, plant: Any, nodes: Any, f_h: Any, truth: Any, t_ns: int) -> bool:
+    """Bring the plant to the last grid point at or before `t_ns`; False when the force block ends before."""
+    p = plant[0]
+    first = p.t_ns // p.step_ns - w.force_step
+    steps = (t_ns - p.t_ns) // p.step_ns
+    room = (f_h.shape[0] - 1) * w.steps_per_knot - first
+    done = min(steps, room)
+    if done > 0:
+        row = first if w.truth_on else -1
+        advance(p, nodes[MOTOR].out_torque_pm, nodes[BRAKE].out_brake_Nm, f_h, w.steps_per_knot, first, done, truth, row)
+    return steps <= room
+
+
+@kernel
+def run(
+    world: Any,
+    bus: Any,
+    queue: Any,
+    header: Any,
+    log: Any,
+    nodes: Any,
+    rpdo: Any,
+    tpdo: Any,
+    plant: Any,
+    f_h: Any,
+    truth: Any,
+    control: Any,
+    host: Any,
+    host_rpdos: Any,
+    host_tpdos: Any,
+    law_function: Any,
+    motion: Any,
+    law: Any,
+    state: Any,
+) -> int:
+    """Run until Python is needed; return the `Exit` that says why."""
+    w, b, c, h = world[0], bus[0], control[0], host[0]
+    n = nodes.shape[0]
+    while True:
+        if w.log_count >= log.shape[0]:
+            return EXIT_LOG
+        # The next event: strict comparisons keep the order of equals.
+        t = b.end_ns if b.busy else FAR_NS
+        who = -1  # -1 end of frame, 0..n-1 node, n script, n + 1 host, n + 2 start of frame
+        if w.script_ns < t:
+            t, who = w.script_ns, n
+        for i in range(n):
+            if nodes[i].powered and nodes[i].next_ns < t:
+                t, who = nodes[i].next_ns, i
+        if w.host_on and h.next_ns < t:
+            t, who = h.next_ns, n + 1
+        if not b.busy:
+            t_start = start_ns(b, queue, header[0].count)
+            if t_start < t:
+                t, who = t_start, n + 2
+        if t < w.t_ns:
+            t = w.t_ns
+        if t > w.until_ns:
+            t, who = w.until_ns, n + 3
+        if who == n + 2:  # no one looks at the plant when a frame starts
+            w.t_ns = t
+            start_frame(b, queue, header, t)
+            continue
+        if not _advance(w, plant, nodes, f_h, truth, t):
+            return EXIT_FORCE
+        w.t_ns = t
+        if who == n + 3:
+            return EXIT_UNTIL
+        if who == n:
+            return EXIT_SCRIPT
+        if who == n + 1:
+            step.on_time(
+                c, h, host_rpdos, law_function, motion[0], law[0], state[0], t, queue, header
+            )
+        elif who >= 0:
+            _sample(plant, nodes[MOTOR], nodes[BRAKE])
+            core.on_time(nodes, rpdo, tpdo, who, t, queue, header)
+        else:
+            row = w.log_count
+            end_frame(b, log, row)
+            w.log_count = row + 1
+            w.service = 0
+            if b.can_id == SYNC:
+                _sample(plant, nodes[MOTOR], nodes[BRAKE])
+            for i in range(n):
+                if nodes[i].powered and b.source != i and core.on_frame(
+                    nodes, rpdo, tpdo, i, t, b.can_id, b.length, b.data, queue, header
+                ):
+                    w.service |= 1 << i
+            if b.source != step.SOURCE_HOST:
+                wanted = step.on_frame(c, h, host_tpdos, t, b.can_id, b.length, b.data)
+                if wanted == 1:
+                    step.finish(c, h, host_rpdos, law_function, motion[0], law[0], state[0], t, queue, header)
+                elif wanted == 2:
+                    w.service |= CONTROL_PLANE
+            if w.service != 0:
+                return EXIT_SERVICE
+        if w.operator_start_ns < 0 and nodes[MOTOR].power_state == OPERATION_ENABLED:
+            w.operator_start_ns = t
+            return EXIT_ENABLED
+        if h.phase != w.phase:
+            w.phase = h.phase
+            return EXIT_PHASE
