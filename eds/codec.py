@@ -50,9 +50,10 @@ def get_field(word: int, start: int, bits: int, signed: int) -> int:
     """Return the field of `bits` bits that begins at bit `start` of `word`, sign-extended when `signed`."""
     if bits >= 64:
         return word
-    value = (word >> start) & ((1 << bits) - 1)
-    if signed and (value >> (bits - 1)) & 1:
-        value -= 1 << bits
+    half = 1 << (bits - 1)  # masks are made of halves: 1 << 63 would leave int64
+    value = (word >> start) & (half - 1 + half)
+    if signed and value >= half:
+        value = value - half - half
     return value
 
 
@@ -61,12 +62,15 @@ def put_field(word: int, start: int, bits: int, value: int) -> int:
     """Return `word` with the low `bits` bits of `value` placed at bit `start`."""
     if bits >= 64:
         return value
-    field = value & ((1 << bits) - 1)
-    if start + bits >= 64:  # the sign bit of the word: keep within int64 with and without the compiler
-        if (field >> (bits - 1)) & 1:
-            field -= 1 << bits
-        return (word & ((1 << start) - 1)) | (field << start)
-    return (word & ~(((1 << bits) - 1) << start)) | (field << start)
+    half = 1 << (bits - 1)
+    mask = half - 1 + half
+    field = value & mask
+    if start + bits >= 64:  # the field ends in the word's sign bit
+        if field >= half:
+            field = field - half - half
+        below = 1 << (start - 1)
+        return (word & (below - 1 + below)) | (field << start)
+    return (word & ~(mask << start)) | (field << start)
 
 
 @kernel
