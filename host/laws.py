@@ -169,8 +169,8 @@ def load_law(name: str, directory: Path | None = None) -> Any:
         raise LawError(f"law {name!r}: {place} has no function {attribute!r}; it has {known or 'none'}")
     try:
         return compile_law(getattr(function, "py_func", function))
-    except numba.core.errors.NumbaError as error:
-        text = next((line.strip() for line in str(error).splitlines() if line.strip()), "")
+    except Exception as error:  # numba raises many kinds
+        text = next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)
         raise LawError(
             f"law {name!r} does not compile as law(motion, law, state) -> float: {text}; see host/laws.py for the records' fields"
         ) from error

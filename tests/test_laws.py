@@ -1,0 +1,120 @@
+"""Friction laws: the paper's equations, stick entry, saturation, loading a law by its name."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from host.laws import LAW, LAW_STATE, MOTION, LawError, coulomb, karnopp, load_law
+from wire.frame import new_records
+
+K_P, F_S, F_D = 100.0, 1.2, 1.0
+
+
+def records(**parameters):
+    motion, law, state = new_records(MOTION)[0], new_records(LAW)[0], new_records(LAW_STATE)[0]
+    law.K_p, law.F_s, law.F_d, law.velocity_band_counts = K_P, F_S, F_D, 2.0
+    for name, value in parameters.items():
+        setattr(law, name, value)
+    return motion, law, state
+
+
+def ask(law_function, motion, law, state, x, counts):
+    motion.x_rad, motion.v_counts = x, counts
+    state.psi_Nm = law_function(motion, law, state)
+    return state.psi_Nm
+
+
+@given(st.floats(2.01, 1e4), st.sampled_from([-1, 1]))
+def test_karnopp_slips_with_f_d_against_the_motion(counts, sign):
+    motion, law, state = records()
+    assert ask(karnopp, motion, law, state, 0.0, sign * counts) == sign * F_D
+    assert state.stuck == 0
+    assert state.brake_Nm == F_D
+
+
+def test_karnopp_sticks_within_two_counts_and_springs_against_the_motion():
+    motion, law, state = records()
+    state.stuck, state.x_stuck = 1, 0.5
+    assert ask(karnopp, motion, law, state, 0.503, 2.0) == pytest.approx(K_P * 0.003)
+    assert ask(karnopp, motion, law, state, 0.497, -2.0) == pytest.approx(-K_P * 0.003)
+    assert state.brake_Nm == F_S
+
+
+def test_karnopp_saturates_at_f_s_and_drags_its_anchor_along():
+    motion, law, state = records()
+    state.stuck, state.x_stuck = 1, 0.0
+    assert ask(karnopp, motion, law, state, 0.1, 1.0) == F_S
+    assert state.x_stuck == pytest.approx(0.1 - F_S / K_P)
+    # a step back unloads the spring from F_s instead of winding it up
+    assert ask(karnopp, motion, law, state, 0.099, -1.0) == pytest.approx(F_S - K_P * 0.001)
+
+
+def test_stick_entry_is_continuous_or_the_papers():
+    motion, law, state = records()
+    ask(karnopp, motion, law, state, 0.2, 50.0)
+    assert ask(karnopp, motion, law, state, 0.2, 1.0) == pytest.approx(F_D)
+    motion, law, state = records(paper_entry=1)
+    ask(karnopp, motion, law, state, 0.2, 50.0)
+    assert ask(karnopp, motion, law, state, 0.2, 1.0) == 0.0
+
+
+def test_brake_spring_is_for_study_and_unsigned():
+    motion, law, state = records(brake_spring=1)
+    state.stuck, state.x_stuck = 1, 0.0
+    ask(karnopp, motion, law, state, -0.005, -1.0)
+    assert state.brake_Nm == pytest.approx(0.5)
+
+
+@given(st.floats(-5, 5), st.floats(-100, 100))
+def test_karnopp_is_odd_and_bounded(x, counts):
+    motion, law, state = records()
+    mirrored = records()
+    state.stuck = mirrored[2].stuck = 1
+    psi = ask(karnopp, motion, law, state, x, counts)
+    assert abs(psi) <= F_S
+    assert ask(karnopp, *mirrored, -x, -counts) == -psi
+    assert state.brake_Nm >= 0
+
+
+def test_coulomb_is_equation_4():
+    motion, law, state = records(velocity_band_counts=0.0)
+    assert [ask(coulomb, motion, law, state, 0.0, v) for v in (-3.0, 0.0, 3.0)] == [-F_D, 0.0, F_D]
+    assert state.brake_Nm == F_D
+
+
+def test_compiled_law_gives_what_the_plain_one_gives():
+    wrapped = load_law("host.laws:karnopp")
+    motion, law, state = records()
+    assert math.isclose(float(wrapped(motion, law, state)), 0.0)
+
+
+def test_a_law_of_ones_own_is_one_function_in_a_file(tmp_path):
+    (tmp_path / "own.py").write_text("def thick(motion, law, state):\n    state.brake_Nm = law.user[0]\n    return law.F_d * motion.v_rad_s\n")
+    own = load_law("own.py:thick", tmp_path)
+    motion, law, state = records()
+    law.user[0] = 0.25
+    motion.v_rad_s = 3.0
+    assert own(motion, law, state) == 3.0 * F_D
+    assert state.brake_Nm == 0.25
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("karnopp", "expected 'module:function'"),
+        ("host.laws:karnop", "no function 'karnop'; it has"),
+        ("no.such.module:f", "cannot be imported"),
+        ("missing.py:f", "cannot be imported"),
+        ("broken.py:f", "cannot be imported"),
+        ("wrong.py:f", "does not compile as law"),
+    ],
+)
+def test_a_law_that_cannot_be_had_says_why(tmp_path, name, text):
+    (tmp_path / "broken.py").write_text("def f(:\n")
+    (tmp_path / "wrong.py").write_text("def f(motion, law, state):\n    return motion.no_such_field\n")
+    with pytest.raises(LawError, match=text):
+        load_law(name, tmp_path)
