@@ -6,6 +6,7 @@ from typing import Any
 
 from eds.compiled import kernel
 from node import brake404, drive402, emcy
+from node.inlined import inlined
 from node.records import KIND_BRAKE, KIND_DRIVE
 
 __all__ = [
@@ -23,8 +24,10 @@ __all__ = [
 CARRIES_CONTROLWORD, CARRIES_SETPOINT = 1, 2
 """Bits of the record's `rpdo_carries`, and of what was written over SDO."""
 
+_INPUT_CAUSES = emcy.DEVICE_MASK | 1 << emcy.SUPPLY
 
-@kernel
+
+@inlined
 def sample(n: Any) -> None:
     """Bring what the device measures, and its statusword, to the slots."""
     if n.kind == KIND_DRIVE:
@@ -33,7 +36,7 @@ def sample(n: Any) -> None:
         brake404.sample(n)
 
 
-@kernel
+@inlined
 def step(n: Any, t_ns: int) -> None:
     """Compute the output that acts at `t_ns`."""
     if n.kind == KIND_DRIVE:
@@ -42,7 +45,7 @@ def step(n: Any, t_ns: int) -> None:
         brake404.step(n, t_ns)
 
 
-@kernel
+@inlined
 def apply(n: Any, i: int, t_ns: int, received_ns: int, carries: int, queue: Any, header: Any) -> None:
     """Act on the controlword or the set-point that now stand in their slots; it was received at `received_ns`."""
     if n.kind == KIND_DRIVE:
@@ -73,13 +76,17 @@ def alarm(n: Any, i: int, t_ns: int, cause: int, info: int, queue: Any, header: 
         brake404.connection_lost(n, t_ns, 1)
 
 
-@kernel
+@inlined
 def inputs(n: Any, i: int, t_ns: int, queue: Any, header: Any) -> None:
-    """Look at the supply and at the device's own faults."""
-    supply_lost = n.kind == KIND_DRIVE and n.in_supply_ok == 0
+    """Look at the supply and at the device's own faults; almost always there is nothing new."""
     present = n.in_faults << emcy.FIRST_DEVICE_CAUSE
-    if not supply_lost and present == n.causes & (emcy.DEVICE_MASK | 1 << emcy.SUPPLY):
-        return
+    if present != n.causes & _INPUT_CAUSES or n.in_supply_ok == 0:
+        _new_inputs(n, i, t_ns, present, queue, header)
+
+
+@kernel
+def _new_inputs(n: Any, i: int, t_ns: int, present: int, queue: Any, header: Any) -> None:
+    supply_lost = n.kind == KIND_DRIVE and n.in_supply_ok == 0
     if supply_lost:
         if drive402.needs_supply(n):
             alarm(n, i, t_ns, emcy.SUPPLY, 0, queue, header)

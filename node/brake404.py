@@ -1,8 +1,9 @@
 """The driver of the MR brake as a CiA 404 device, compiled: one analogue output block, three analogue input blocks.
 
-Output: torque = 7300h:01 * 10 ** -6302h:01 in Nm. The channel is unsigned: a negative set-point is 0 and counted, one above the
-EDS' high limit is clipped and counted. Without a new set-point for 2001h microseconds the output goes in a straight line of 2005h
-microseconds to the fault value 7341h:01, when the fault mode 6340h:01 is 1; a new set-point ends it.
+Output: torque = 7300h:01 * 10 ** -6302h:01 in Nm. The channel is unsigned: a negative set-point is 0 and counted, one
+above the EDS' high limit is clipped and counted. Without a new set-point for 2001h microseconds the output goes in a
+straight line of 2005h microseconds to the fault value 7341h:01, when the fault mode 6340h:01 is 1; a new set-point ends
+it.
 
 Inputs: 7130h = saturate_int16((in * 6126h + 6127h) * 10 ** 6132h): handle torque, coil current, coil temperature.
 """
@@ -105,8 +106,9 @@ def next_deadline(n: Any, t_ns: int, next_ns: int) -> int:
     """Return the earlier of `next_ns` and the brake's own next deadline."""
     if n.ramping == 1:
         end_ns = n.ramp_start_ns + n.values[slots.RAMP_US] * 1000
-        return min(next_ns, max(min(t_ns + RAMP_STEP_NS, end_ns), t_ns + 1))
+        next_ns = min(next_ns, max(min(t_ns + RAMP_STEP_NS, end_ns), t_ns + 1))
+        return next_ns
     hold_ns = n.values[slots.SETPOINT_AGE_US] * 1000
     if n.ramping == 0 and n.setpoint_armed and hold_ns > 0 and n.values[slots.FAULT_MODE] == 1:
-        return min(next_ns, max(n.setpoint_ns + hold_ns, t_ns + 1))
+        next_ns = min(next_ns, max(n.setpoint_ns + hold_ns, t_ns + 1))
     return next_ns

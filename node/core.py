@@ -1,11 +1,14 @@
 """The compiled half of a CANopen device: what happens on a frame and what happens at a time.
 
-`on_frame` and `on_time` are functions of their arguments: the node's records, the time, a frame. They push what the node
-answers to the queue and keep the node's next deadline in `next_ns`. Deadlines are lazy: a reception only stores its time,
-and `on_time`, when it is called at `next_ns`, finds out whether something is late and computes the next deadline. A frame
-that has the same time as a deadline is handled first, so it is in time.
+`on_frame` and `on_time` are functions of their arguments: the node's records, the time, a frame. They push what the
+node answers to the queue and keep the node's next deadline in `next_ns`. Deadlines are lazy: a reception only stores
+its time, and `on_time`, when it is called at `next_ns`, finds out whether something is late and computes the next
+deadline. A frame that has the same time as a deadline is handled first, so it is in time.
 
 Python (`node.device`) serves NMT commands and SDO, for which `on_frame` returns 1, and edits the same records.
+
+A kernel that calls `on_frame` for every frame passes its arrays through `node.inlined.borrowed` first: a frame that is
+not the node's own then costs below 1 ns (25 ns otherwise).
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ from typing import Any
 from eds.compiled import kernel
 from node import emcy, pdo, watch
 from node.behaviour import apply, connection_lost, inputs, next_deadline, sample, step
+from node.inlined import borrowed, inlined
 from node.records import FAR_FUTURE_NS, KIND_GENERIC
 from wire.frame import CAN_RTR_FLAG, push
 
@@ -40,7 +44,7 @@ _STOPPED, _OPERATIONAL, _PRE_OPERATIONAL = 4, 5, 127
 _ALL_NODES = 0
 
 
-@kernel
+@inlined
 def on_frame(
     nodes: Any,
     rpdo: Any,
@@ -54,6 +58,26 @@ def on_frame(
     header: Any,
 ) -> int:
     """Handle a frame whose end was at `t_ns`; return 1 when Python has to serve it (SDO, NMT command), else 0."""
+    if can_id <= 0x7FF and nodes[i].route[can_id] == ROUTE_NONE:
+        return 0
+    return _handle(nodes, rpdo, tpdo, i, t_ns, can_id, length, data, queue, header)
+
+
+@kernel
+def _handle(
+    nodes: Any,
+    rpdo: Any,
+    tpdo: Any,
+    i: int,
+    t_ns: int,
+    can_id: int,
+    length: int,
+    data: int,
+    queue: Any,
+    header: Any,
+) -> int:
+    nodes, rpdo, tpdo = borrowed(nodes), borrowed(rpdo), borrowed(tpdo)
+    queue, header = borrowed(queue), borrowed(header)
     n = nodes[i]
     if can_id > 0x7FF:  # remote, extended or error frame
         if can_id & ~0x7FF == CAN_RTR_FLAG and n.powered and n.nmt == _OPERATIONAL:
@@ -94,7 +118,7 @@ def on_frame(
     return 1
 
 
-@kernel
+@inlined
 def _sync(nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, length: int, data: int, queue: Any, header: Any) -> None:
     """Act on a SYNC: RPDOs act, inputs are sampled, synchronous TPDOs go out."""
     n = nodes[i]
@@ -127,6 +151,8 @@ def _sync(nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, length: int, data
 @kernel
 def on_time(nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, queue: Any, header: Any) -> None:
     """Judge what is due at `t_ns`, and set `next_ns`."""
+    nodes, rpdo, tpdo = borrowed(nodes), borrowed(rpdo), borrowed(tpdo)
+    queue, header = borrowed(queue), borrowed(header)
     n = nodes[i]
     if n.powered == 0:
         n.next_ns = FAR_FUTURE_NS

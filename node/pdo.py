@@ -1,8 +1,8 @@
 """PDOs of a node, compiled (CiA 301, section 7.2.2): reception, action on SYNC or at once, transmission.
 
-Transmission types of a TPDO: 0 on the SYNC after a change; 1-240 every nth SYNC, from the SYNC start value on; 252 sampled on SYNC,
-sent on RTR; 253 sent on RTR; 254 and 255 on an event: the event timer, or a change of the bits in `tpdo_mask`,
-not before the inhibit time is over. RPDOs: 0-240 act on the next SYNC, 254 and 255 at once.
+Transmission types of a TPDO: 0 on the SYNC after a change; 1-240 every nth SYNC, from the SYNC start value on; 252
+sampled on SYNC, sent on RTR; 253 sent on RTR; 254 and 255 on an event: the event timer, or a change of the bits in
+`tpdo_mask`, not before the inhibit time is over. RPDOs: 0-240 act on the next SYNC, 254 and 255 at once.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from eds.codec import pack, unpack
 from eds.compiled import kernel
 from node import emcy
 from node.behaviour import CARRIES_SETPOINT, alarm, apply, sample, step
+from node.inlined import inlined
 from node.records import MAX_PDOS
 from wire.frame import push
 
@@ -35,7 +36,7 @@ def start(nodes: Any, tpdo: Any, i: int, t_ns: int) -> None:
         n.tpdo_due[k] = 1
 
 
-@kernel
+@inlined
 def receive(nodes: Any, rpdo: Any, i: int, k: int, t_ns: int, length: int, data: int, queue: Any, header: Any) -> int:
     """Take the frame of RPDO `k`; return 1 when it acted at once."""
     n = nodes[i]
@@ -72,7 +73,7 @@ def receive(nodes: Any, rpdo: Any, i: int, k: int, t_ns: int, length: int, data:
     return 1
 
 
-@kernel
+@inlined
 def _act(n: Any, i: int, t_ns: int, k: int, queue: Any, header: Any) -> None:
     carries = n.rpdo_carries[k]
     if carries == 0:
@@ -83,7 +84,7 @@ def _act(n: Any, i: int, t_ns: int, k: int, queue: Any, header: Any) -> None:
     apply(n, i, t_ns, n.rpdo_ns[k], carries, queue, header)
 
 
-@kernel
+@inlined
 def act_pending(nodes: Any, rpdo: Any, i: int, t_ns: int, queue: Any, header: Any) -> None:
     """Let the RPDOs act that waited for this SYNC, in their order."""
     n = nodes[i]
@@ -94,7 +95,7 @@ def act_pending(nodes: Any, rpdo: Any, i: int, t_ns: int, queue: Any, header: An
     n.rpdo_pending = 0
 
 
-@kernel
+@inlined
 def _send(n: Any, p: Any, i: int, k: int, t_ns: int, word: int, queue: Any, header: Any) -> None:
     n.tpdo_word[k] = word
     n.tpdo_ns[k] = t_ns
@@ -102,7 +103,7 @@ def _send(n: Any, p: Any, i: int, k: int, t_ns: int, word: int, queue: Any, head
     push(queue, header, i, t_ns + n.processing_ns, p.cob_id, p.length, word)
 
 
-@kernel
+@inlined
 def transmit_sync(nodes: Any, tpdo: Any, i: int, t_ns: int, counter: int, queue: Any, header: Any) -> None:
     """Send the synchronous TPDOs; `counter` is the SYNC's, or -1."""
     n = nodes[i]

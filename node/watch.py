@@ -1,7 +1,7 @@
 """Deadlines of a node, compiled: heartbeats both ways, RPDO deadline, SYNC time-out, a stale SDO transfer.
 
-Each watch begins with the first reception (heartbeat, RPDO, SYNC) and is judged lazily: `expire` looks at what is late at
-`t_ns`, `next_deadline` tells when to look again.
+Each watch begins with the first reception (heartbeat, RPDO, SYNC) and is judged lazily: `expire` looks at what is late
+at `t_ns`, `next_deadline` tells when to look again.
 """
 
 from __future__ import annotations
