@@ -128,6 +128,12 @@ class Rig(RigFile):
     def __hash__(self) -> int:
         return hash(self._identity())
 
+    def __copy__(self) -> Rig:
+        return self  # frozen
+
+    def __deepcopy__(self, memo: dict[int, Any] | None = None) -> Rig:
+        return self
+
     def __reduce__(self) -> tuple[Any, ...]:
         return load_rig_text, (self.effective(), self.path, dict(self.eds_texts))
 
@@ -220,6 +226,5 @@ def _load(
     rig._path, rig._text, rig._overrides = path, text, tuple(overrides)
     rig._descriptions = descriptions
     rig._warnings = remarks(values, source)
-    rig._pdos = rig_pdos(rig, source)
-    source.raise_all()
+    rig._pdos = rig_pdos(rig)
     return rig

@@ -106,12 +106,14 @@ REMARKS = (
     _rule("plant.motor_rated_torque_Nm motor.rated_torque_Nm", lambda truth, belief: truth == belief,
           "the same as motor.rated_torque_Nm ({1}), unless a wrong rig is to be simulated"),
     *(
-        _rule(f"mode.{mode}.F_d_Nm mode.{mode}.F_s_Nm", _at_most, "at most F_s_Nm ({1}): friction that grows when it slips")
+        _rule(f"mode.{mode}.F_d_Nm mode.{mode}.F_s_Nm", _at_most,
+              "at most F_s_Nm ({1}): this friction grows when it slips")
         for mode in MODES
     ),
     _rule("mode.active.F_s_Nm mode.active.motor_limit_Nm", _at_most, "at most motor_limit_Nm ({1}), which cuts it off"),
     *(
-        _rule(f"mode.{mode}.F_s_Nm limits.brake_torque_Nm", _at_most, "at most limits.brake_torque_Nm ({1}), which cuts it off")
+        _rule(f"mode.{mode}.F_s_Nm limits.brake_torque_Nm", _at_most,
+              "at most limits.brake_torque_Nm ({1}), which cuts it off")
         for mode in ("passive", "hybrid")
     ),
     *(

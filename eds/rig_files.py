@@ -12,6 +12,7 @@ from typing import Any
 
 from eds.reader import Description, EdsError, read_eds
 from eds.rig_errors import Source, nearest
+from eds.signals import shortcomings
 
 __all__ = ["read_descriptions", "read_schedules"]
 
@@ -41,6 +42,8 @@ def read_descriptions(
                 found[node] = _from_text(name, eds_texts)
             else:
                 found[node] = _from_file(name, source.path)
+            for lack in shortcomings(found[node], node):
+                source.say((node, "eds"), f"'{name}' stands there, but {lack}")
         except EdsError as error:
             source.say((node, "eds"), f"'{name}' stands there, but {error}")
     return found

@@ -79,7 +79,11 @@ class HoldPhase(_Phase):
     push_F_s: float = Field(ge=-10, le=10, description="amplitude of the push, as a share of the mode's F_s_Nm")
     frequency_Hz: float = Field(ge=0, le=1e3, description="frequency of the push (a sine)")
     taps_s: tuple[Annotated[float, Field(ge=0)], ...] = Field(
-        (), strict=False, max_length=1000, description="when taps begin, from the phase's start"
+        (),
+        strict=False,
+        max_length=1000,
+        description="when taps begin, from the phase's start",
+        json_schema_extra={"expected": "a list of at most 1000 numbers from 0 on, in s"},
     )
     tap_Nm: float = Field(0.0, ge=-1e4, le=1e4, description="torque of a tap")
     tap_s: float = Field(0.01, gt=0, le=60, description="length of a tap")
@@ -149,4 +153,4 @@ class FilePhase(Section):
         return hash(self._key())
 
 
-Phase: TypeAlias = RestPhase | HoldPhase | StrokePhase | PaperPhase | FilePhase
+Phase: TypeAlias = Annotated[RestPhase | HoldPhase | StrokePhase | PaperPhase | FilePhase, Field(discriminator="kind")]

@@ -71,7 +71,7 @@ def _choices(info: FieldInfo | None) -> tuple[str, ...]:
 
 
 def _spelled(bound: float) -> str:
-    return str(bound) if isinstance(bound, int) else f"{bound:g}"
+    return str(bound) if isinstance(bound, int) else f"{bound:g}".replace("e+0", "e").replace("e-0", "e-")
 
 
 def accepted_range(info: FieldInfo) -> str:
@@ -114,12 +114,16 @@ def explain(error: ValidationError, values: Mapping[str, Any], schema: type[Base
     """Note every mistake that pydantic found in `values`, once for each key."""
     for detail in error.errors():
         key, holder, info = _follow(detail["loc"], values, schema)
+        if isinstance(key[-1], int) and not kinds_of(info):
+            key = key[:-1]  # a number of a list: the list is shown
         if source.is_wrong(key):
             continue
         name = next(part for part in reversed(key) if isinstance(part, str))
         if detail["type"] == "missing" and info is not None:
-            what = f"missing in [{dotted(key[:-1])}]" if len(key) > 1 else "the section is missing"
-            source.say(key, f"{what}; expected {expected(name, info)}")
+            if len(key) > 1:
+                source.say(key, f"missing in [{dotted(key[:-1])}]; expected {expected(name, info)}")
+            else:
+                source.say(key, f"the section is missing; expected [{name}] ({info.description})")
         elif detail["type"] == "extra_forbidden" or info is None:
             _unknown(key, holder, schema, source)
         elif detail["type"].startswith("union_tag"):

@@ -9,24 +9,24 @@
            TPDO1  7130:1 handle torque   7130:2 coil current   7130:3 coil temperature
 
 A drive's torque counts in per mille of its rated torque and its position in encoder counts (CiA 402); ratio and
-polarity, which turn them to the handle, are the rig file's. A CiA 404 block carries its unit (6131, 6301) and its decimal digits
-(6132, 6302): the EDS gives the scale, and a unit that is not what the signal's name says is refused.
+polarity, which turn them to the handle, are the rig file's. A CiA 404 block carries its unit (6131, 6301) and its
+decimal digits (6132, 6302): the EDS gives the scale, and a unit that is not what the signal's name says is refused.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from eds.pdo import Entry, PdoLayout, entry_of
 from eds.reader import Description
-from eds.rig_errors import Source
 
 if TYPE_CHECKING:
     from eds.rig import Rig
 
-__all__ = ["PDO_MAP", "RigPdo", "Signal", "rig_pdos"]
+__all__ = ["PDO_MAP", "RigPdo", "Signal", "rig_pdos", "shortcomings"]
 
 Node = Literal["motor", "brake"]
 Direction = Literal["rpdo", "tpdo"]
@@ -81,19 +81,12 @@ class RigPdo:
     signals: tuple[Signal, ...]
 
 
-def rig_pdos(rig: Rig, source: Source) -> tuple[RigPdo, ...]:
-    """Return the PDOs of `rig`; what an EDS file lacks is noted in `source` at the key that names it."""
+def rig_pdos(rig: Rig) -> tuple[RigPdo, ...]:
+    """Return the PDOs of `rig`, whose EDS files have no `shortcomings`."""
     found = []
     for node, direction, number, objects in PDO_MAP:
         part = rig.motor if node == "motor" else rig.brake
-        entries: list[Entry] = []
-        signals: list[Signal] = []
-        for index, subindex, name in objects:
-            try:
-                entries.append(_entry(rig.description(node), index, subindex, direction))
-                signals.append(_signal(rig, node, index, subindex, name))
-            except ValueError as error:
-                source.say((node, "eds"), f"'{part.eds}' stands there, but {error}")
+        description = rig.description(node)
         deadline_ns = round(part.setpoint_fault_s * 1e9) if direction == "rpdo" else 0
         layout = PdoLayout(
             number=number,
@@ -104,10 +97,28 @@ def rig_pdos(rig: Rig, source: Source) -> tuple[RigPdo, ...]:
             event_ns=deadline_ns,
             sync_start=0,
             rtr_allowed=False,
-            entries=tuple(entries),
+            entries=tuple(_entry(description, index, subindex, direction) for index, subindex, _ in objects),
         )
-        found.append(RigPdo(node, part.node_id, layout, tuple(signals)))
+        signals = tuple(_signal(rig, node, index, subindex, name) for index, subindex, name in objects)
+        found.append(RigPdo(node, part.node_id, layout, signals))
     return tuple(found)
+
+
+def shortcomings(description: Description, node: str) -> Iterator[str]:
+    """Yield what an EDS file lacks for the PDOs of `node`, each with file:line."""
+    for owner, direction, _, objects in PDO_MAP:
+        for index, subindex, name in objects if owner == node else ():
+            try:
+                _entry(description, index, subindex, direction)
+                if node == "brake":
+                    _block_scale(description, index, subindex, _unit(name))
+            except ValueError as error:
+                yield str(error)
+
+
+def _unit(name: str) -> str:
+    """Return the unit in a signal's name, as the name spells it; "" where it has none."""
+    return next((unit for unit in ("rad_s", "rad", "Nm", "A", "degC") if name.endswith(f"_{unit}")), "")
 
 
 def _entry(description: Description, index: int, subindex: int, direction: Direction) -> Entry:
@@ -127,20 +138,20 @@ def _entry(description: Description, index: int, subindex: int, direction: Direc
 
 
 def _signal(rig: Rig, node: Node, index: int, subindex: int, name: str) -> Signal:
-    unit = next((unit for unit in ("rad_s", "rad", "Nm", "A", "degC") if name.endswith(f"_{unit}")), "")
+    unit = _unit(name)
     scale = 1.0
     if node == "motor" and unit:
         torque = rig.motor.rated_torque_Nm * 1e-3 * rig.mechanics.ratio * rig.mechanics.motor_polarity
         angle = rig.mechanics.encoder_polarity * 2 * math.pi / (rig.motor.encoder_counts_rev * rig.mechanics.ratio)
         scale = torque if unit == "Nm" else angle
     elif node == "brake":
-        scale = _block_scale(rig.description(node), rig.brake.node_id, index, subindex, unit)
+        scale = _block_scale(rig.description(node), index, subindex, unit)
         if name == "handle_torque_Nm":
             scale *= rig.mechanics.transducer_polarity
     return Signal(f"{node}.{name}", index, subindex, scale, 0.0, unit.replace("rad_s", "rad/s"))
 
 
-def _block_scale(description: Description, node_id: int, index: int, subindex: int, unit: str) -> float:
+def _block_scale(description: Description, index: int, subindex: int, unit: str) -> float:
     """Return SI units per raw count of a CiA 404 block: 10^-decimals, with the prefix of its unit object.
 
     The unit's four bytes are, from the highest: prefix (power of ten, INTEGER8), numerator, denominator, reserved.
@@ -151,7 +162,7 @@ def _block_scale(description: Description, node_id: int, index: int, subindex: i
         place = f"{wanted:04X}h:{subindex}"
         if not description.has(wanted, subindex):
             raise ValueError(f"{description.path} describes no {place}, so that {index:04X}h:{subindex} has no scale")
-        value = description.default(wanted, subindex, node_id)
+        value = description.variable(wanted, subindex).default
         line = description.variable(wanted, subindex).line
         if not isinstance(value, int):
             raise ValueError(f"{description.path}:{line}: {place} has no default; expected a number")

@@ -69,6 +69,7 @@ class _Statement:
     key: Key
     header: bool
     text: str
+    closed: bool = True
 
 
 def split_key(dotted: str) -> list[str] | None:
@@ -98,41 +99,50 @@ def _blame(document: Document, lines: list[str], message: str) -> None:
     """Report the statement that `message` of tomllib is about, and blank it out."""
     place = _AT_LINE.search(message)
     number = int(place[1]) - 1 if place and place[1] else len(lines) - 1
-    reason = _AT_LINE.sub("", message)
-    statements = list(_statements(lines))
-    guilty = next((s for s in reversed(statements) if s.first <= number <= s.last), None)
-    if guilty is None:  # neither a key nor a header
-        text = lines[number].strip()
-        section = text.startswith("[")
-        wanted = "[section]" if section else "key = value, [section] or a comment behind #"
-        document.problems.append((number + 1, f"'{_short(text)}' cannot be read; expected {wanted}"))
-        later = [s.first for s in statements if s.header and s.first > number]
-        if section:
-            document.broken.update((name,) for name in re.findall(r"[\w-]+", text)[:1])
-            _blank(lines, number, (later[0] if later else len(lines)) - 1)
-        else:
-            document.broken.update((*_section(statements, number), name) for name in re.findall(r"[\w-]+", text)[:1])
-            _blank(lines, number, number)
-        return
-    name = ".".join(map(str, guilty.key))
-    document.broken.add(guilty.key)
-    earlier = next((s for s in statements if s.key == guilty.key and s.first < guilty.first), None)
-    if guilty.header:
-        known = f"[{name}] stands in line {earlier.first + 1} already" if earlier else f"[{name}]: {reason.lower()}"
-        document.problems.append((guilty.first + 1, f"{known}; expected each section once"))
-        later = [s.first for s in statements if s.header and s.first > guilty.first]
-        _blank(lines, guilty.first, (later[0] if later else len(lines)) - 1)
+    reason = _AT_LINE.sub("", message).lower()
+    statements = _statements(lines)
+    holding = [s for s in statements if s.first <= number and (s.first <= number <= s.last or not s.closed)]
+    guilty = next((s for s in holding if not s.closed), holding[-1] if holding else None)
+    if guilty is None or guilty.header:
+        _blame_line(document, lines, number, reason, guilty, statements)
         return
     last = guilty.first  # an unclosed list reaches over innocent keys
     while last < number and not (_KEY.match(lines[last + 1]) or _HEADER.match(lines[last + 1])):
         last += 1
+    name = ".".join(map(str, guilty.key))
+    earlier = next((s for s in statements if s.key == guilty.key and s.first < guilty.first), None)
     if earlier:
         text = f"{name}: stands in line {earlier.first + 1} already; expected each key once"
     else:
+        document.broken.add(guilty.key)
         hint = next((hint for pattern, hint in _HINTS if re.match(pattern, guilty.text)), "a TOML value")
-        text = f"{name}: '{_short(guilty.text)}' cannot be read ({reason.lower()}); expected {hint}"
+        text = f"{name}: '{_short(guilty.text)}' cannot be read ({reason}); expected {hint}"
     document.problems.append((guilty.first + 1, text))
     _blank(lines, guilty.first, last)
+
+
+def _blame_line(
+    document: Document, lines: list[str], number: int, reason: str, header: _Statement | None, known: list[_Statement]
+) -> None:
+    """Report a header, which takes its section with it, or a line that is no statement at all."""
+    text = lines[number].strip()
+    names = tuple(re.findall(r"[\w-]+", text))
+    if not text.startswith("["):
+        wanted = "key = value, [section] or a comment behind #"
+        document.problems.append((number + 1, f"'{_short(text)}' cannot be read; expected {wanted}"))
+        document.broken.add((*_section(known, number), *names[:1]))
+        _blank(lines, number, number)
+        return
+    last = min((s.first for s in known if s.header and s.first > number), default=len(lines)) - 1
+    earlier = next((s for s in known if header and s.key == header.key and s.first < number), None)
+    if earlier:
+        document.problems.append((number + 1, f"{text}: stands in line {earlier.first + 1} already; expected it once"))
+        document.broken.update(s.key for s in known if number < s.first <= last)
+    else:
+        why = f" ({reason})" if header else ""
+        document.problems.append((number + 1, f"'{_short(text)}' cannot be read{why}; expected [section]"))
+        document.broken.add(header.key if header else names)
+    _blank(lines, number, last)
 
 
 def _section(statements: list[_Statement], number: int) -> Key:
@@ -172,8 +182,9 @@ def _statements(lines: list[str]) -> list[_Statement]:
                 number += 1
                 depth, quote = _scan(lines[number], depth, quote)
             path = (*section, *(split_key(key[1]) or []))
-            found.append(_Statement(first, number, path, False, key[2].strip()))
-            if depth > 0 or quote:  # never closed: do not hide what follows
+            closed = depth <= 0 and not quote
+            found.append(_Statement(first, number if closed else first, path, False, key[2].strip(), closed))
+            if not closed:  # do not hide what follows
                 number = first
         number += 1
     return found
