@@ -1,15 +1,18 @@
 """The EDS reader: one quirk at a time in a few lines of EDS, then every file of the corpus of real ones."""
 
 import logging
+import random
 import re
 from pathlib import Path
 
 import pytest
 
 from eds.cia301 import ABORT_TEXT, DATA_TYPES, EMCY_TEXT, Abort, Emcy, NmtState, abort_text, emcy_text
+from eds.pdo import layouts
 from eds.reader import EdsError, read_eds
 
-CORPUS = Path(__file__).resolve().parents[2] / "shared" / "eds-corpus"
+ROOT = Path(__file__).resolve().parents[1]
+CORPUS = ROOT.parent / "shared" / "eds-corpus"
 CORPUS_FILES = sorted(CORPUS.glob("*.eds")) + sorted(CORPUS.glob("*.dcf"))
 
 HEAD = """[DeviceInfo]
@@ -428,6 +431,59 @@ def test_what_cannot_be_read_at_all_is_refused(tmp_path, make, match):
     make(tmp_path / "none.eds")
     with pytest.raises(EdsError, match=match):
         read_eds(tmp_path / "none.eds")
+
+
+NOISE = [
+    "",
+    "[",
+    "]",
+    "=",
+    "0x",
+    "$NODEID",
+    "+",
+    "-",
+    ";",
+    "0x1FFFFFFFFF",
+    "[1800]",
+    "[1A00sub1]",
+    "\x00",
+    "\u00fc",
+    "1e999",
+]
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_a_damaged_file_is_read_or_refused_and_never_more(tmp_path, seed):
+    """Lines lost, doubled, swapped and overwritten: no exception but EdsError, no PDO wider than 64 bits."""
+    chance = random.Random(seed)
+    lines = (ROOT / "eds" / "motor.eds").read_text().split("\n")
+    for _ in range(chance.randrange(1, 200)):
+        at = chance.randrange(len(lines))
+        key, _, value = lines[at].partition("=")
+        damage = chance.randrange(5)
+        if damage == 0:
+            del lines[at]
+        elif damage == 1:
+            lines.insert(chance.randrange(len(lines)), lines[at])
+        elif damage == 2:
+            lines[at] = key + "=" + chance.choice(NOISE) + value
+        elif damage == 3:
+            lines[at] = lines[at][: chance.randrange(len(lines[at]) + 1)] + chance.choice(NOISE)
+        else:
+            lines[at] = key + "=" + lines[chance.randrange(len(lines))].partition("=")[2]
+    path = tmp_path / "device.eds"
+    path.write_text("\n".join(lines), chance.choice(["utf-8", "latin-1", "utf-16"]))
+    d = read_eds(path)
+    assert d.diagnoses
+    try:
+        found = layouts(d, 1)
+    except EdsError as error:
+        found = ()
+        said = str(error)
+    else:
+        said = f"{path}:1: "
+    assert re.match(re.escape(str(path)) + r":\d+: ", said)
+    assert all(p.length <= 8 and len(p.entries) <= 64 for p in found)
 
 
 # CiA 301's tables
