@@ -100,7 +100,7 @@ class CobId(IntEnum):
     NMT = 0x000
     SYNC = 0x080
     TIME = 0x100
-    EMCY = 0x080
+    EMCY = 0x080  # an alias of SYNC: the node id makes the difference
     TPDO1 = 0x180
     RPDO1 = 0x200
     TPDO2 = 0x280
