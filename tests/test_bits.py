@@ -4,7 +4,7 @@ import random
 import re
 
 import pytest
-from hypothesis import example, given
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from wire.bits import data_frame_bits, frame_bits, worst_case_bits
@@ -73,6 +73,7 @@ def test_20000_seeded_random_frames(extended: bool, remote: bool):
     st.binary(max_size=8),
     st.booleans(),
 )
+@settings(deadline=None)
 @example((False, 0), b"", False)
 @example((False, 0x7FF), b"\xff" * 8, False)
 @example((True, 0x1FFFFFFF), b"\xff" * 8, False)

@@ -10,7 +10,7 @@ After five equal bits the sender inserts one of the other value, which counts as
 34 + 8n (base) or 54 + 8n (extended) stuffable bits L, 13 more, and at most floor((L - 1)/4) stuff bits: 55 bits
 for SYNC, 135 for eight data bytes, 160 with an extended identifier.
 
-The kernel goes byte by byte. Two tables are enough: the CRC is linear, so each byte adds (xor) what it alone would leave
+The kernel goes byte by byte. Two tables are enough: the CRC is linear, so each byte adds (xor) what it alone leaves
 in the register at the end; stuffing is an automaton of nine states (nothing sent yet, a run of 1-4 zeros, of 1-4 ones).
 """
 
@@ -122,7 +122,7 @@ def frame_bits(
     can_id
         Identifier without flags: 0 to 0x7FF, or 0 to 0x1FFFFFFF when `extended`.
     data
-        Up to eight data bytes. For a remote frame: as many bytes as it asks for (their values are not sent), or the DLC.
+        Up to eight data bytes. For a remote frame: as many bytes as it asks for (no value is sent), or the DLC.
     extended, remote
         29-bit identifier; remote frame.
 
