@@ -57,13 +57,21 @@ def apply(n: Any, i: int, t_ns: int, received_ns: int, carries: int, queue: Any,
         brake404.new_setpoint(n, received_ns)
 
 
+BY_COMMAND, BY_RESET, BY_ITSELF = 0, 1, 2
+"""Why NMT left OPERATIONAL: a command, a reset (safe output whatever the option codes say), 1029h."""
+
+
 @kernel
-def connection_lost(n: Any, t_ns: int, forced: int) -> None:
-    """NMT left OPERATIONAL: safe output; `forced` (a reset) whatever the option codes say."""
+def connection_lost(n: Any, t_ns: int, why: int) -> None:
+    """NMT left OPERATIONAL: safe output."""
+    forced = 1 if why == BY_RESET else 0
     if n.kind == KIND_DRIVE:
         drive402.connection_lost(n, forced)
     elif n.kind == KIND_BRAKE:
-        brake404.connection_lost(n, t_ns, forced)
+        if why == BY_ITSELF:
+            brake404.host_lost(n, t_ns)
+        else:
+            brake404.connection_lost(n, t_ns, forced)
 
 
 @kernel

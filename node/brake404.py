@@ -60,6 +60,13 @@ def connection_lost(n: Any, t_ns: int, forced: int) -> None:
 
 
 @kernel
+def host_lost(n: Any, t_ns: int) -> None:
+    """NMT left OPERATIONAL by itself (1029h): the last set-point is still held for its time, if that is watched."""
+    if n.setpoint_armed == 0 or n.values[slots.SETPOINT_AGE_US] <= 0:
+        connection_lost(n, t_ns, 0)
+
+
+@kernel
 def step(n: Any, t_ns: int) -> None:
     """Compute the output at `t_ns`."""
     values = n.values
@@ -107,7 +114,6 @@ def next_deadline(n: Any, t_ns: int, next_ns: int) -> int:
     if n.ramping == 1:
         end_ns = n.ramp_start_ns + n.values[slots.RAMP_US] * 1000
         next_ns = min(next_ns, max(min(t_ns + RAMP_STEP_NS, end_ns), t_ns + 1))
-        return next_ns
     hold_ns = n.values[slots.SETPOINT_AGE_US] * 1000
     if n.ramping == 0 and n.setpoint_armed and hold_ns > 0 and n.values[slots.FAULT_MODE] == 1:
         next_ns = min(next_ns, max(n.setpoint_ns + hold_ns, t_ns + 1))

@@ -17,7 +17,7 @@ from typing import Any
 
 from eds.compiled import kernel
 from node import emcy, pdo, watch
-from node.behaviour import apply, connection_lost, inputs, next_deadline, sample, step
+from node.behaviour import BY_ITSELF, BY_RESET, apply, connection_lost, inputs, next_deadline, sample, step
 from node.inlined import borrowed, inlined
 from node.records import FAR_FUTURE_NS, KIND_GENERIC
 from wire.frame import CAN_RTR_FLAG, push
@@ -161,9 +161,9 @@ def on_time(nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, queue: Any, hea
         inputs(n, i, t_ns, queue, header)
     if watch.expire(nodes, rpdo, i, t_ns, queue, header) and n.nmt == _OPERATIONAL:
         if n.error_behaviour == 0:
-            set_nmt(nodes, rpdo, tpdo, i, t_ns, _PRE_OPERATIONAL, 0, queue, header)
+            set_nmt(nodes, rpdo, tpdo, i, t_ns, _PRE_OPERATIONAL, BY_ITSELF, queue, header)
         elif n.error_behaviour == 2:
-            set_nmt(nodes, rpdo, tpdo, i, t_ns, _STOPPED, 0, queue, header)
+            set_nmt(nodes, rpdo, tpdo, i, t_ns, _STOPPED, BY_ITSELF, queue, header)
     if n.sync_producer_ns > 0 and n.nmt != _STOPPED and t_ns >= n.sync_next_ns:
         _produce_sync(nodes, rpdo, tpdo, i, t_ns, queue, header)
     step(n, t_ns)
@@ -195,18 +195,17 @@ def _schedule(nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, queue: Any, h
 
 
 @kernel
-def set_nmt(
-    nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, state: int, reset: int, queue: Any, header: Any
-) -> None:
-    """Change the NMT state; leaving OPERATIONAL makes the output safe, in any case when it is a `reset`."""
+def set_nmt(nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, state: int, why: int, queue: Any, header: Any) -> None:
+    """Change the NMT state; leaving OPERATIONAL, and any reset, makes the output safe (`why`: node.behaviour)."""
     n = nodes[i]
     before = n.nmt
     n.nmt = state
     if before == _OPERATIONAL and state != _OPERATIONAL:
         n.rpdo_pending = 0
         watch.stop(n, i, t_ns, queue, header)
-        connection_lost(n, t_ns, reset)
-    elif before != _OPERATIONAL and state == _OPERATIONAL:
+    if why == BY_RESET or (before == _OPERATIONAL and state != _OPERATIONAL):
+        connection_lost(n, t_ns, why)
+    if before != _OPERATIONAL and state == _OPERATIONAL:
         n.sync_armed = 0
         pdo.start(nodes, tpdo, i, t_ns)
     step(n, t_ns)

@@ -2,8 +2,9 @@
 
 The torque that acts is
 
-    demand = clip(6071h + 60B2h, -6072h, 6072h)            in CST (mode 10)
+    demand = clip(6071h + 60B2h, -limit, limit)            in CST (mode 10)
     d demand / dt = +- 6087h until demand = clip(6071h)    in profile torque (mode 4)
+    limit = min(6072h, 60E0h or 60E1h by sign)
 
 in per mille of the rated torque, and 0 in every state but Operation Enabled, without supply, and while the set-point is
 older than 2001h. The fault reaction and every way out of Operation Enabled are "torque 0 at once": a hand is on the
@@ -52,8 +53,9 @@ _STOPPED = 4
 _HALT = 0x0100
 _WARNING, _REMOTE, _TARGET_REACHED, _LIMIT, _FOLLOWS = 0x0080, 0x0200, 0x0400, 0x0800, 0x1000
 
-# 6007h, abort connection option code: the state that follows in Operation Enabled (-1: no action)
-_ABORT_STATE = np.array([-1, _FAULT, _DISABLED, _QUICK_STOP], np.int64)
+# 6007h, abort connection option code, when NMT leaves OPERATIONAL by command: the state that follows (-1: no action).
+# Option 1, "fault signal", is for a connection that breaks; what the master commands is no malfunction.
+_ABORT_STATE = np.array([-1, _DISABLED, _DISABLED, _QUICK_STOP], np.int64)
 
 
 @kernel
@@ -66,6 +68,7 @@ def start(n: Any, t_ns: int) -> None:
     n.torque_demand_pm = 0.0
     n.demand_ns = t_ns
     n.limited = 0
+    n.ramping = 0
     n.out_torque_pm = 0.0
 
 
@@ -134,11 +137,24 @@ def new_controlword(n: Any, i: int, t_ns: int, queue: Any, header: Any) -> None:
 
 
 @kernel
+def _highest(n: Any) -> int:
+    highest: int = min(n.values[slots.MAX_TORQUE], n.values[slots.POSITIVE_LIMIT])
+    return highest
+
+
+@kernel
+def _lowest(n: Any) -> int:
+    lowest: int = -min(n.values[slots.MAX_TORQUE], n.values[slots.NEGATIVE_LIMIT])
+    return lowest
+
+
+@kernel
 def new_setpoint(n: Any, t_ns: int) -> None:
     """Take the set-point in 6071h that was received at `t_ns`."""
     n.setpoint_ns = t_ns
     n.setpoint_stale = 0
-    if abs(n.values[slots.TARGET_TORQUE]) > n.values[slots.MAX_TORQUE]:
+    target = n.values[slots.TARGET_TORQUE]
+    if target > _highest(n) or target < _lowest(n):
         n.clipped_setpoints += 1
 
 
@@ -153,13 +169,14 @@ def step(n: Any, t_ns: int) -> None:
         n.setpoint_stale = 1
     elapsed_ns = t_ns - n.demand_ns
     n.demand_ns = t_ns
-    limit = values[slots.MAX_TORQUE]
+    high, low = _highest(n), _lowest(n)
     target = values[slots.TARGET_TORQUE]
     if mode == _CST:
         target += values[slots.TORQUE_OFFSET]
-    n.limited = 1 if abs(target) > limit else 0
-    target = min(max(target, -limit), limit)
+    n.limited = 1 if target > high or target < low else 0
+    target = min(max(target, low), high)
     demand = 0.0
+    n.ramping = 0
     if n.power_state == _ENABLED and n.in_supply_ok and not n.setpoint_stale:
         if n.controlword & _HALT:
             target = 0
@@ -169,7 +186,8 @@ def step(n: Any, t_ns: int) -> None:
             change = values[slots.TORQUE_SLOPE] * 1e-9 * elapsed_ns
             present = n.torque_demand_pm
             demand = min(present + change, target) if target >= present else max(present - change, target)
-            demand = min(max(demand, -limit), limit)  # a limit lowered by SDO acts at once, not by the slope
+            n.ramping = 1 if demand != target else 0
+            demand = min(max(demand, low), high)  # a limit lowered by SDO acts at once, not by the slope
     n.torque_demand_pm = demand
     n.out_torque_pm = demand
     values[slots.TORQUE_DEMAND] = math.floor(demand + 0.5)
@@ -192,7 +210,9 @@ def sample(n: Any) -> None:
         (n.in_position_counts + 0x80000000) & 0xFFFFFFFF
     ) - 0x80000000  # wraps as the counter does
     values[slots.VELOCITY] = _to_int32(n.in_velocity_counts_s)
+    values[slots.DC_LINK_MV] = n.supply_mV if n.in_supply_ok else 0
     values[slots.TORQUE_ACTUAL] = min(max(_to_int32(n.in_torque_pm), -32768), 32767)
+    values[slots.CURRENT_ACTUAL] = values[slots.TORQUE_ACTUAL]  # per mille of rated current: a DC motor's torque
     word = STATUSWORD_OF_STATE[n.power_state]
     if n.in_supply_ok:
         word |= cia402.VOLTAGE_ENABLED
@@ -216,9 +236,6 @@ def next_deadline(n: Any, t_ns: int, next_ns: int) -> int:
     age_ns = n.values[slots.SETPOINT_AGE_US] * 1000
     if n.setpoint_armed and age_ns > 0 and not n.setpoint_stale:
         next_ns = min(next_ns, n.setpoint_ns + age_ns)
-    if n.power_state == _ENABLED and n.values[slots.MODE] == _PROFILE and not n.setpoint_stale:
-        limit = n.values[slots.MAX_TORQUE]
-        target = 0 if n.controlword & _HALT else min(max(n.values[slots.TARGET_TORQUE], -limit), limit)
-        if n.torque_demand_pm != target:
-            next_ns = min(next_ns, t_ns + RAMP_STEP_NS)
+    if n.ramping:
+        next_ns = min(next_ns, t_ns + RAMP_STEP_NS)
     return next_ns

@@ -117,6 +117,7 @@ NODE = np.dtype(
         ("demand_ns", _I),  # when torque_demand_pm was computed
         ("controlword", _I),  # the last one that was acted upon: for the edge of bit 7
         ("limited", _I),  # the set-point is above 6072h now
+        ("supply_mV", _I),  # what 6079h shows while the supply is there
         # brake (CiA 404)
         ("setpoint_high", _I),  # high limit of 7300h:01 in the EDS, raw
         ("ao_unit_Nm", _F),  # 10 ** -6302h:01
@@ -124,7 +125,7 @@ NODE = np.dtype(
         ("ai_bias", _F, (3,)),  # 6127h * 10 ** 6132h
         ("ramp_from_Nm", _F),
         ("ramp_start_ns", _I),
-        ("ramping", _I),  # 0 the set-point acts, 1 on the way to the fault value, 2 there
+        ("ramping", _I),  # brake: 0 the set-point acts, 1 on the way to the fault value, 2 there; drive: 1 on a slope
         # tables
         ("values", _I, (SLOTS,)),  # raw values of the objects, REAL as bit patterns
         ("route", np.int8, (2048,)),  # node.core's route of each identifier

@@ -35,6 +35,10 @@ ERROR_CODE = 20
 ABORT_OPTION = 21
 QUICK_STOP_OPTION = 22
 SUPPORTED_MODES = 23
+POSITIVE_LIMIT = 24
+NEGATIVE_LIMIT = 25
+CURRENT_ACTUAL = 26
+DC_LINK_MV = 27
 
 # CiA 404
 SETPOINT = 8
@@ -68,8 +72,12 @@ CORE_SLOTS: Mapping[int, Mapping[tuple[int, int], int]] = {
         (0x6072, 0): MAX_TORQUE,
         (0x6074, 0): TORQUE_DEMAND,
         (0x6077, 0): TORQUE_ACTUAL,
+        (0x6078, 0): CURRENT_ACTUAL,
+        (0x6079, 0): DC_LINK_MV,
         (0x6087, 0): TORQUE_SLOPE,
         (0x60B2, 0): TORQUE_OFFSET,
+        (0x60E0, 0): POSITIVE_LIMIT,
+        (0x60E1, 0): NEGATIVE_LIMIT,
         (0x6502, 0): SUPPORTED_MODES,
     },
     KIND_BRAKE: {
@@ -86,7 +94,16 @@ CORE_SLOTS: Mapping[int, Mapping[tuple[int, int], int]] = {
 
 FALLBACK: Mapping[int, Mapping[int, int]] = {
     KIND_GENERIC: {},
-    KIND_DRIVE: {MODE: 10, MAX_TORQUE: 1000, TORQUE_SLOPE: 1_000_000, ABORT_OPTION: 2, QUICK_STOP_OPTION: 2},
+    KIND_DRIVE: {
+        MODE: 10,
+        MAX_TORQUE: 1000,
+        POSITIVE_LIMIT: 32767,
+        NEGATIVE_LIMIT: 32767,
+        TORQUE_SLOPE: 1_000_000,
+        ABORT_OPTION: 2,
+        QUICK_STOP_OPTION: 2,
+        SUPPORTED_MODES: 0x208,
+    },
     KIND_BRAKE: {FAULT_MODE: 1},
 }
 """Value of a core slot by kind where the EDS has no such object."""
