@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -83,7 +84,7 @@ class Controller:
     def __init__(self, rig: Rig, mode: str) -> None:
         self.rig = rig
         self.mode = mode
-        self.law_function: Any = load_law(rig.law.function, rig.directory)
+        self.law_function: Any = load_law(rig.law.function, Path(rig.path).parent)
         self.motion = new_records(MOTION)
         self.motion["dt_s"] = rig.bus.period_s
         self.law = self._new_law()

@@ -105,5 +105,6 @@ def watch_devices(c: Any, h: Any, t_ns: int) -> int:
         return HEARTBEAT_BRAKE
     if h.motor_nmt != OPERATIONAL or h.brake_nmt != OPERATIONAL:
         return NMT_STATE
-    h.voltage_low = 0 if h.image[STATUSWORD] & VOLTAGE_ENABLED else h.voltage_low + 1
+    if h.fresh:  # the statusword comes with the position
+        h.voltage_low = 0 if h.image[STATUSWORD] & VOLTAGE_ENABLED else h.voltage_low + 1
     return VOLTAGE if h.voltage_low >= VOLTAGE_LOW_CYCLES else NONE

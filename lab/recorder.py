@@ -37,9 +37,7 @@ class Recorder:
         attachments = {"rig.toml": rig.effective().encode(), "mode": mode.encode(), "version": project_version().encode()}
         if seed is not None:
             attachments["seed"] = str(seed).encode()
-        for node in ("motor", "brake"):
-            description = rig.description(node)
-            attachments[Path(description.path).name] = description.text.encode()
+        attachments |= {name: text.encode() for name, text in rig.eds_texts.items()}
         self._writer = PcapngWriter(path, attachments=attachments)
         self._markers: list[tuple[int, int, str]] = []
         self._marked = 0

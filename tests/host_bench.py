@@ -1,0 +1,120 @@
+"""A bench for the host's compiled step alone: the test plays both devices, TPDO by TPDO."""
+
+from __future__ import annotations
+
+import math
+
+from eds.cia402 import NEXT_STATE, STATUSWORD, VOLTAGE_ENABLED, COMMAND_OF_CONTROLWORD, PowerState
+from eds.codec import pack
+from eds.rig import load_rig
+from host.controller import Controller
+from host.records import Image, Phase
+from host.step import begin, finish, on_frame
+from wire.frame import new_queue, push
+
+MS = 1_000_000
+
+
+class HostBench:
+    """Two devices whose answers a test can bend: position in counts, handle torque, statusword, missing TPDOs."""
+
+    def __init__(self, mode="hybrid", *overrides):
+        self.rig = load_rig("bench", overrides)
+        self.k = Controller(self.rig, mode)
+        self.c, self.h = self.k.control[0], self.k.host[0]
+        self.queue, self.header = new_queue()
+        self.t_ns = 0
+        self.state = int(PowerState.SWITCH_ON_DISABLED)
+        self.counts = 0.0
+        self.handle_Nm = 0.0
+        self.coil_A = 0.0
+        self.torque_pm = 0
+        self.supply = True
+        self.silent = set()  # "motor" or "brake"
+        self.heartbeats = True
+        self.sent = {}
+        self.k.start(0)
+
+    def tpdo_values(self):
+        """Raw values of the process image as the devices would send them."""
+        values = self.h.image.copy()
+        values[Image.STATUSWORD] = int(STATUSWORD[self.state]) | (VOLTAGE_ENABLED if self.supply else 0)
+        values[Image.POSITION] = math.floor(self.counts)
+        values[Image.TORQUE] = round(self.torque_pm)
+        values[Image.HANDLE_TORQUE] = round(self.handle_Nm / self.c.handle_Nm_raw)
+        values[Image.COIL_CURRENT] = round(self.coil_A / self.c.coil_A_raw)
+        return values
+
+    def frame(self, can_id, length, data):
+        return on_frame(self.c, self.h, self.k.tpdos, self.t_ns, can_id, length, data)
+
+    def finish(self):
+        k = self.k
+        finish(self.c, self.h, k.rpdos, k.law_function, k.motion[0], k.law[0], k.state[0], self.t_ns, self.queue, self.header)
+
+    def cycle(self):
+        """One cycle; afterwards `sent` has the image of what the host sent."""
+        self.header["count"] = 0
+        self.t_ns = self.h.cycle * MS
+        begin(self.c, self.h, self.t_ns, self.queue, self.header)
+        self.t_ns += 500_000
+        if self.heartbeats and self.h.cycle % 20 == 0:
+            for node in (self.c.motor_id, self.c.brake_id):
+                self.frame(0x700 + node, 1, 5)
+        values = self.tpdo_values()
+        done = 0
+        for i in range(self.c.tpdos):
+            pdo = self.k.tpdos[i]
+            owner = "brake" if pdo.cob_id & 0x7F == self.c.brake_id else "motor"
+            if owner not in self.silent:
+                done = self.frame(int(pdo.cob_id), int(pdo.length), pack(pdo, values))
+        if done != 1:
+            self.t_ns += 200_000
+        self.finish()
+        command = int(COMMAND_OF_CONTROLWORD[self.controlword & 0xF])
+        self.state = int(NEXT_STATE[self.state, command])
+
+    def cycles(self, n, until=None):
+        for _ in range(n):
+            if until is not None and until():
+                return
+            self.cycle()
+
+    @property
+    def controlword(self):
+        return int(self.h.image[Image.CONTROLWORD])
+
+    @property
+    def motor_pm(self):
+        """Target torque sent, per mille."""
+        return int(self.h.image[Image.TARGET_TORQUE])
+
+    @property
+    def brake_Nm(self):
+        """Brake set-point sent."""
+        return float(self.h.image[Image.BRAKE_SETPOINT] * self.c.brake_Nm_raw)
+
+    @property
+    def phase(self):
+        return self.k.phase
+
+    def follow_sign_check(self, direction=1, hand=-1):
+        """Be a handle on a light hand: move when the torque exceeds the friction, and let the hand resist."""
+        torque = self.motor_pm * self.c.Nm_pm
+        excess = max(abs(torque) - 0.14, 0.0)
+        angle = direction * excess / 5.0
+        self.counts = angle / abs(self.c.rad_count)
+        self.handle_Nm = hand * 5.0 * abs(angle)
+
+    def arm(self, direction=1, hand=-1):
+        """Cycle through the arming until RUN (or a refusal)."""
+        for _ in range(3000):
+            if self.phase >= Phase.RUN:
+                return
+            if self.phase in (Phase.SIGN, Phase.SETTLE):
+                self.follow_sign_check(direction, hand)
+            self.cycle()
+        raise AssertionError(f"neither armed nor refused: {self.phase.name}")
+
+
+__all__ = ["MS", "HostBench", "push"]
