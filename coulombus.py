@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
-    from lab.simulate import RunResult, simulate
     from scope.recording import read
+
+    from lab.simulate import RunResult, simulate
 
 __all__ = ["main", "read", "simulate"]
 
@@ -72,7 +73,11 @@ def _errors() -> Iterator[None]:
         module, name = type(error).__module__, type(error).__name__
         if (module, name) == ("host.laws", "LawError"):
             _fail(str(error), 3)
-        if (module, name) in (("wire.pcapng", "RecordingError"), ("wire.pcapng_blocks", "PcapngError"), ("wire.pcapng", "PcapngError")):
+        if (module, name) in (
+            ("wire.pcapng", "RecordingError"),
+            ("wire.pcapng_blocks", "PcapngError"),
+            ("wire.pcapng", "PcapngError"),
+        ):
             _fail(str(error), 2)
         status = getattr(error, "exit_status", None)
         if status is None:
@@ -84,10 +89,21 @@ def _json(value: Any) -> None:
     click.echo(json.dumps(value, indent=2, allow_nan=False))
 
 
-rig_option = click.option("--rig", "rig_name", default="bench", show_default=True, metavar="R",
-                          help="A packaged rig (bench, paper) or the path of a rig file.")
-set_option = click.option("--set", "overrides", multiple=True, metavar="SECTION.KEY=V",
-                          help="Set any key of the rig file, as in --set plant.inertia_kg_m2=3e-3. May be given several times.")
+rig_option = click.option(
+    "--rig",
+    "rig_name",
+    default="bench",
+    show_default=True,
+    metavar="R",
+    help="A packaged rig (bench, paper) or the path of a rig file.",
+)
+set_option = click.option(
+    "--set",
+    "overrides",
+    multiple=True,
+    metavar="SECTION.KEY=V",
+    help="Set any key of the rig file, as in --set plant.inertia_kg_m2=3e-3. May be given several times.",
+)
 seed_option = click.option("--seed", default=0, show_default=True, help="Start of everything random.")
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON to stdout.")
 
@@ -119,8 +135,12 @@ def _progress(enabled: bool) -> Iterator[Callable[[str, float, float], None]]:
     if not enabled or not console.is_terminal:
         yield lambda label, t, total: None
         return
-    columns = (TextColumn("{task.description:<8}"), BarColumn(40), TextColumn("{task.completed:5.1f} of {task.total:.0f} s displayed"),
-               TimeElapsedColumn())
+    columns = (
+        TextColumn("{task.description:<8}"),
+        BarColumn(40),
+        TextColumn("{task.completed:5.1f} of {task.total:.0f} s displayed"),
+        TimeElapsedColumn(),
+    )
     with Progress(*columns, console=console) as bars:
         tasks: dict[str, TaskID] = {}
 
@@ -134,17 +154,36 @@ def _progress(enabled: bool) -> Iterator[Callable[[str, float, float], None]]:
 
 @main.command("simulate", epilog=EXIT_STATUS)
 @rig_option
-@click.option("--mode", type=click.Choice(MODES), default="hybrid", show_default=True, help="Who displays the friction.")
-@click.option("--seconds", type=click.FloatRange(0, min_open=True), default=None, help="Length of the display.  [default: the rig's schedule]")
-@click.option("--record", type=click.Path(dir_okay=False, path_type=Path), metavar="F.pcapng", help="Record every frame there.")
+@click.option(
+    "--mode", type=click.Choice(MODES), default="hybrid", show_default=True, help="Who displays the friction."
+)
+@click.option(
+    "--seconds",
+    type=click.FloatRange(0, min_open=True),
+    default=None,
+    help="Length of the display.  [default: the rig's schedule]",
+)
+@click.option(
+    "--record", type=click.Path(dir_okay=False, path_type=Path), metavar="F.pcapng", help="Record every frame there."
+)
 @seed_option
 @set_option
-@click.option("--truth", type=click.Path(dir_okay=False, path_type=Path), metavar="F.npz",
-              help="Save the plant's true course there, at its own step: time, angle, speed, torques, works.")
+@click.option(
+    "--truth",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="F.npz",
+    help="Save the plant's true course there, at its own step: time, angle, speed, torques, works.",
+)
 @json_option
 def simulate_command(
-    rig_name: str, mode: str, seconds: float | None, record: Path | None, seed: int, overrides: tuple[str, ...],
-    truth: Path | None, as_json: bool,
+    rig_name: str,
+    mode: str,
+    seconds: float | None,
+    record: Path | None,
+    seed: int,
+    overrides: tuple[str, ...],
+    truth: Path | None,
+    as_json: bool,
 ) -> None:
     """Run the rig in virtual time: bring-up, arming, display, safe end - over real PDOs.
 
@@ -169,9 +208,13 @@ def simulate_command(
         total = schedule_s(rig) if seconds is None else seconds
         for path in (record, truth):
             if path is not None and not path.absolute().parent.is_dir():
-                raise click.BadParameter(f"{path}: there is no directory {path.absolute().parent}", param_hint="--record / --truth")
+                raise click.BadParameter(
+                    f"{path}: there is no directory {path.absolute().parent}", param_hint="--record / --truth"
+                )
         with _progress(not as_json) as report:
-            result = simulate(rig, mode, total, record=record, seed=seed, truth=truth, progress=lambda t: report(mode, t, total))
+            result = simulate(
+                rig, mode, total, record=record, seed=seed, truth=truth, progress=lambda t: report(mode, t, total)
+            )
         if as_json:
             _json(result.as_dict())
         else:
@@ -215,7 +258,13 @@ def _print_runs(results: dict[str, RunResult]) -> None:
 @rig_option
 @set_option
 @seed_option
-@click.option("--out", type=click.Path(file_okay=False, path_type=Path), default=Path("out/demo"), show_default=True, help="Directory for the results.")
+@click.option(
+    "--out",
+    type=click.Path(file_okay=False, path_type=Path),
+    default=Path("out/demo"),
+    show_default=True,
+    help="Directory for the results.",
+)
 @json_option
 def demo(rig_name: str, overrides: tuple[str, ...], seed: int, out: Path, as_json: bool) -> None:
     """Show the paper's experiment: active force feedback chatters, hybrid force feedback holds still.
@@ -229,10 +278,11 @@ def demo(rig_name: str, overrides: tuple[str, ...], seed: int, out: Path, as_jso
       coulombus demo --seed 3 --out out/third
     """
     with _errors():
+        from scope.recording import read
+
         from eds.rig import load_rig
         from lab.demo import DEMO_MODES, as_dict, run_demo, schedule_s
         from lab.figures import figure_14
-        from scope.recording import read
 
         rig = load_rig(rig_name, overrides)
         missing = [mode for mode in DEMO_MODES if mode not in rig.mode]
@@ -267,9 +317,10 @@ def decode(file: Path, rig_name: str | None, as_json: bool) -> None:
       coulombus decode run.pcapng --json | jq 'select(.node == "motor")'
     """
     with _errors():
-        from eds.rig import load_rig
         from scope.decode import as_text, rows
         from scope.recording import read
+
+        from eds.rig import load_rig
 
         recording = read(file, rig=None if rig_name is None else load_rig(rig_name))
         out = sys.stdout
@@ -298,27 +349,52 @@ def check(rig_name: str, overrides: tuple[str, ...], as_json: bool) -> None:
         rig = load_rig(rig_name, overrides)
         diagnoses = [str(d) for node in ("motor", "brake") for d in rig.description(node).diagnoses]
         load = cycle_load(rig)
-        limits = {mode: Controller(rig, mode).motor_limit_pm(float(_scale(rig, "motor.target_torque_Nm"))) for mode in rig.mode}
+        limits = {
+            mode: Controller(rig, mode).motor_limit_pm(float(_scale(rig, "motor.target_torque_Nm")))
+            for mode in rig.mode
+        }
         if as_json:
-            _json({"rig": rig.rig.name, "diagnoses": diagnoses, "bitrate_bit_s": load.bitrate_bit_s, "period_s": load.period_s,
-                   "busy_s": load.busy_s, "utilisation": load.utilisation, "fits": load.fits, "motor_limit_per_mille": limits,
-                   "frames": [{"name": f.name, "can_id": f.can_id, "bytes": f.length, "bits": f.bits} for f in load.frames]})
+            _json(
+                {
+                    "rig": rig.rig.name,
+                    "diagnoses": diagnoses,
+                    "bitrate_bit_s": load.bitrate_bit_s,
+                    "period_s": load.period_s,
+                    "busy_s": load.busy_s,
+                    "utilisation": load.utilisation,
+                    "fits": load.fits,
+                    "motor_limit_per_mille": limits,
+                    "frames": [
+                        {"name": f.name, "can_id": f.can_id, "bytes": f.length, "bits": f.bits} for f in load.frames
+                    ],
+                }
+            )
         else:
             for text in diagnoses:
                 click.echo(text)
             for pdo in rig.pdos():
-                click.echo(f"\n{pdo.node} {pdo.layout.direction.upper()}{pdo.layout.number}, COB-ID {pdo.layout.cob_id:03X}h, "
-                           f"transmission type {pdo.layout.transmission}")
+                click.echo(
+                    f"\n{pdo.node} {pdo.layout.direction.upper()}{pdo.layout.number}, COB-ID {pdo.layout.cob_id:03X}h, "
+                    f"transmission type {pdo.layout.transmission}"
+                )
                 click.echo(pdo.layout.diagram())
                 for signal in pdo.signals:
-                    click.echo(f"  {signal.name:<28} = raw x {signal.scale:.9g}" + (f" {signal.unit}" if signal.unit else ""))
+                    click.echo(
+                        f"  {signal.name:<28} = raw x {signal.scale:.9g}" + (f" {signal.unit}" if signal.unit else "")
+                    )
             click.echo(f"\nworst case on the wire at {load.bitrate_bit_s / 1e6:g} Mbit/s:")
             for frame in load.frames:
                 click.echo(f"  {frame.can_id:03X}h  {frame.name:<14} {frame.length} bytes  {frame.bits:>4} bits")
-            click.echo(f"  together {load.busy_s * 1e6:.0f} us of each {load.period_s * 1e6:.0f} us: {load.utilisation:.1%}")
+            click.echo(
+                f"  together {load.busy_s * 1e6:.0f} us of each {load.period_s * 1e6:.0f} us: {load.utilisation:.1%}"
+            )
             for mode, limit in limits.items():
                 click.echo(f"mode {mode}: drive torque limit 6072h = {limit} per mille")
-            click.echo("ok" if load.fits else "FAIL: the cycle does not fit on the bus; raise bus.bitrate_bit_s or bus.period_s")
+            click.echo(
+                "ok"
+                if load.fits
+                else "FAIL: the cycle does not fit on the bus; raise bus.bitrate_bit_s or bus.period_s"
+            )
         sys.exit(0 if load.fits else 1)
 
 

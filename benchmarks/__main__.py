@@ -57,7 +57,11 @@ def simulation() -> None:
         plain()
         recorded()
         without, with_recording = rounds(plain, recorded)
-    show("simulate: host, two nodes, exact bus, rig, heartbeats; no recording", f"{SIMULATED_S / without:.0f} x", "at least 300 x real time")
+    show(
+        "simulate: host, two nodes, exact bus, rig, heartbeats; no recording",
+        f"{SIMULATED_S / without:.0f} x",
+        "at least 300 x real time",
+    )
     show("simulate with recording, figures computed from it", f"{SIMULATED_S / with_recording:.0f} x", "at least 200 x")
 
     def armed() -> VirtualRig:
@@ -75,7 +79,11 @@ def simulation() -> None:
 
     world = armed()
     (cyclic,) = rounds(lambda: world.wait_ns(20_000_000_000), count=3)
-    show("cyclic kernel alone: five PDOs, SYNC, heartbeats, law, plant at 50 us", f"{20 / cyclic:.0f} x", "at least 1,000 x")
+    show(
+        "cyclic kernel alone: five PDOs, SYNC, heartbeats, law, plant at 50 us",
+        f"{20 / cyclic:.0f} x",
+        "at least 1,000 x",
+    )
     show("... CPU time of one cycle", f"{cyclic / 20_000 * 1e9:.0f} ns")
 
 
@@ -88,7 +96,9 @@ def start_up() -> None:
         subprocess.run([sys.executable, "-c", code], check=True, env=environment)
 
     def bare() -> None:
-        subprocess.run([sys.executable, "-c", "import numba, scipy.signal, canopen, pydantic"], check=True, env=environment)
+        subprocess.run(
+            [sys.executable, "-c", "import numba, scipy.signal, canopen, pydantic"], check=True, env=environment
+        )
 
     fresh()
     ours, imports = rounds(fresh, bare, count=3)

@@ -53,7 +53,9 @@ class Setting:
 class _Device:
     """SDO access to one node, with sizes from its EDS and errors in words."""
 
-    def __init__(self, plane: ControlPlane, name: str, node_id: int, description: Description, timeout_s: float) -> None:
+    def __init__(
+        self, plane: ControlPlane, name: str, node_id: int, description: Description, timeout_s: float
+    ) -> None:
         self.name, self.node_id, self.description = name, node_id, description
         self.node = canopen.RemoteNode(node_id, canopen.ObjectDictionary())
         plane.network.add_node(self.node)
@@ -211,7 +213,9 @@ def bring_up(rig: Rig, plane: ControlPlane, motor_limit_pm: int) -> None:
         raise DeviceMismatch("; ".join(differences))
     modes = devices[0].read(0x6502, 0) if devices[0].description.has(0x6502) else 1 << (OPERATION_MODE_CST - 1)
     if not modes >> (OPERATION_MODE_CST - 1) & 1:
-        raise DeviceMismatch(f"motor: supported drive modes 6502h = {modes:#010x} do not include cyclic synchronous torque")
+        raise DeviceMismatch(
+            f"motor: supported drive modes 6502h = {modes:#010x} do not include cyclic synchronous torque"
+        )
     for device in devices:
         part = parts[device.name]
         mine = tuple(pdo for pdo in pdos if pdo.node == device.name)

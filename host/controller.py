@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -71,6 +72,10 @@ def _cycles(seconds: float, period_s: float) -> int:
     return max(1, round(seconds / period_s))
 
 
+def _slot_of(slots: dict[tuple[int, int], int]) -> Callable[[int, int], int]:
+    return lambda index, subindex: slots[index, subindex]
+
+
 class Controller:
     """The host's compiled state for one run in one mode.
 
@@ -113,7 +118,7 @@ class Controller:
         records["cob_id"] = -1
         for record, pdo in zip(records, pdos, strict=False):
             slots = {(s.index, s.subindex): int(IMAGE_OF_SIGNAL[s.name]) for s in pdo.signals}
-            fill(record, pdo.layout, lambda index, subindex, slots=slots: slots[index, subindex])
+            fill(record, pdo.layout, _slot_of(slots))
         return records
 
     def _signal(self, pdos: tuple[RigPdo, ...], name: str) -> Signal:
@@ -218,7 +223,14 @@ class Controller:
 
     def counters(self) -> dict[str, int]:
         """Return the cycle's counters."""
-        names = ("lost_pdos", "missed_deadlines", "stray_frames", "malformed_pdos", "clipped_torque", "negative_setpoints")
+        names = (
+            "lost_pdos",
+            "missed_deadlines",
+            "stray_frames",
+            "malformed_pdos",
+            "clipped_torque",
+            "negative_setpoints",
+        )
         return {name: int(self.host[name][0]) for name in names}
 
 

@@ -1,10 +1,10 @@
 """Why the host refuses or stops, and the exit status that each reason has.
 
-    HostError
-    +-- NodeMissing        5   a node does not answer
-    +-- SdoAborted         6   a node refuses a value
-    +-- DeviceMismatch     3   a node is not what the rig file says
-    +-- SafetyTrip         7   arming was refused, or the safe state was entered
+HostError
++-- NodeMissing        5   a node does not answer
++-- SdoAborted         6   a node refuses a value
++-- DeviceMismatch     3   a node is not what the rig file says
++-- SafetyTrip         7   arming was refused, or the safe state was entered
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ from enum import IntEnum
 
 import numpy as np
 
-__all__ = ["CONTROL", "DRIVE_PDOS", "HOST", "Image", "Phase", "SignResult", "Trip", "WORK_WINDOW"]
+__all__ = ["CONTROL", "DRIVE_PDOS", "HOST", "WORK_WINDOW", "Image", "Phase", "SignResult", "Trip"]
 
 
 class Phase(IntEnum):

@@ -340,13 +340,13 @@ def finish(
         elif h.phase == DISABLE or h.phase == DONE or h.phase == OFF:
             controlword = 0
             h.brake_Nm = 0.0
-            disabled = drive == SWITCH_ON_DISABLED or drive == FAULT
+            disabled = drive in (SWITCH_ON_DISABLED, FAULT)
             if h.phase == DISABLE and (disabled or h.phase_cycle > DISABLE_CYCLES):
                 _enter(h, DONE)
 
     h.image[CONTROLWORD] = controlword
-    h.image[TARGET_TORQUE] = int(round(h.motor_Nm / c.Nm_pm))
-    h.image[BRAKE_SETPOINT] = int(round(h.brake_Nm / c.brake_Nm_raw))
+    h.image[TARGET_TORQUE] = round(h.motor_Nm / c.Nm_pm)
+    h.image[BRAKE_SETPOINT] = round(h.brake_Nm / c.brake_Nm_raw)
     for i in range(c.rpdos):
         push(queue, header, SOURCE_HOST, t_ns, rpdos[i].cob_id, rpdos[i].length, pack(rpdos[i], h.image))
 

@@ -8,18 +8,26 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scope.recording import Recording
 
 from lab.measures import Floats, PhaseSpan, phases, velocity
-from scope.recording import Recording
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 __all__ = ["Traces", "draw_traces", "figure_14", "traces"]
 
-HANDLE_COLOUR, COMMAND_COLOUR, VELOCITY_COLOUR = "#0072B2", "#D55E00", "#009E73"  # Okabe-Ito: safe for colour-blind eyes
+HANDLE_COLOUR, COMMAND_COLOUR, VELOCITY_COLOUR = (
+    "#0072B2",
+    "#D55E00",
+    "#009E73",
+)  # Okabe-Ito: safe for colour-blind eyes
 SHADES = {"rest": "#ffffff", "hold": "#ececec", "stroke": "#f7f7f7"}
-LABELS = {"active": "(a) active force feedback", "hybrid": "(b) hybrid force feedback", "passive": "passive force feedback"}
+LABELS = {
+    "active": "(a) active force feedback",
+    "hybrid": "(b) hybrid force feedback",
+    "passive": "passive force feedback",
+}
 
 
 @dataclass(frozen=True)
@@ -44,7 +52,11 @@ def traces(recording: Recording, mode: str) -> Traces:
     end = spans[-1].end_s if spans else np.inf
     angle = recording["motor.position_rad"]
     t, v = velocity(angle.t_s, angle.values, recording.rig.bus.period_s)
-    name, label = ("motor.target_torque_Nm", "motor, commanded") if mode == "active" else ("brake.setpoint_Nm", "brake, commanded")
+    name, label = (
+        ("motor.target_torque_Nm", "motor, commanded")
+        if mode == "active"
+        else ("brake.setpoint_Nm", "brake, commanded")
+    )
     handle, command = recording["brake.handle_torque_Nm"], recording[name]
 
     def cut(times: Floats, values: Floats) -> tuple[Floats, Floats]:
@@ -73,8 +85,15 @@ def draw_traces(torque: Axes, speed: Axes, data: Traces, mode: str) -> None:
         axes.margins(x=0)
     for span in data.phases:
         torque.annotate(
-            span.kind, (0.5 * (span.begin_s + span.end_s), 1.0), xycoords=("data", "axes fraction"),
-            xytext=(0, -3), textcoords="offset points", ha="center", va="top", fontsize=8, color="0.25",
+            span.kind,
+            (0.5 * (span.begin_s + span.end_s), 1.0),
+            xycoords=("data", "axes fraction"),
+            xytext=(0, -3),
+            textcoords="offset points",
+            ha="center",
+            va="top",
+            fontsize=8,
+            color="0.25",
         )
 
 
@@ -85,10 +104,15 @@ def figure_14(recordings: Mapping[str, Recording], path: Path) -> None:
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    figure, axes = plt.subplots(2, len(recordings), figsize=(5.6 * len(recordings), 6.0), sharex=True, sharey="row", squeeze=False)
+    figure, axes = plt.subplots(
+        2, len(recordings), figsize=(5.6 * len(recordings), 6.0), sharex=True, sharey="row", squeeze=False
+    )
     for column, (mode, recording) in enumerate(recordings.items()):
         draw_traces(axes[0, column], axes[1, column], traces(recording, mode), mode)
-    figure.suptitle(f"Friction display on the rig '{next(iter(recordings.values())).rig.rig.name}', from the recorded PDOs", fontsize=12)
+    figure.suptitle(
+        f"Friction display on the rig '{next(iter(recordings.values())).rig.rig.name}', from the recorded PDOs",
+        fontsize=12,
+    )
     figure.tight_layout()
     metadata: dict[str, Any] = {"Date": None} if path.suffix == ".svg" else {"Software": None}
     figure.savefig(path, dpi=130, metadata=metadata)

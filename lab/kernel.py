@@ -91,7 +91,9 @@ def _advance(w: Any, plant: Any, nodes: Any, f_h: Any, truth: Any, t_ns: int) ->
     done = min(steps, room)
     if done > 0:
         row = first if w.truth_on else -1
-        advance(p, nodes[MOTOR].out_torque_pm, nodes[BRAKE].out_brake_Nm, f_h, w.steps_per_knot, first, done, truth, row)
+        advance(
+            p, nodes[MOTOR].out_torque_pm, nodes[BRAKE].out_brake_Nm, f_h, w.steps_per_knot, first, done, truth, row
+        )
     return steps <= room
 
 
@@ -153,9 +155,7 @@ def run(
         if who == n:
             return EXIT_SCRIPT
         if who == n + 1:
-            step.on_time(
-                c, h, host_rpdos, law_function, motion[0], law[0], state[0], t, queue, header
-            )
+            step.on_time(c, h, host_rpdos, law_function, motion[0], law[0], state[0], t, queue, header)
         elif who >= 0:
             _sample(plant, nodes[MOTOR], nodes[BRAKE])
             core.on_time(nodes, rpdo, tpdo, who, t, queue, header)
@@ -167,8 +167,10 @@ def run(
             if b.can_id == SYNC:
                 _sample(plant, nodes[MOTOR], nodes[BRAKE])
             for i in range(n):
-                if nodes[i].powered and b.source != i and core.on_frame(
-                    nodes, rpdo, tpdo, i, t, b.can_id, b.length, b.data, queue, header
+                if (
+                    nodes[i].powered
+                    and b.source != i
+                    and core.on_frame(nodes, rpdo, tpdo, i, t, b.can_id, b.length, b.data, queue, header)
                 ):
                     w.service |= 1 << i
             if b.source != step.SOURCE_HOST:

@@ -34,7 +34,11 @@ class Recorder:
     """
 
     def __init__(self, path: Path, rig: Rig, mode: str, seed: int | None = None) -> None:
-        attachments = {"rig.toml": rig.effective().encode(), "mode": mode.encode(), "version": project_version().encode()}
+        attachments = {
+            "rig.toml": rig.effective().encode(),
+            "mode": mode.encode(),
+            "version": project_version().encode(),
+        }
         if seed is not None:
             attachments["seed"] = str(seed).encode()
         attachments |= {name: text.encode() for name, text in rig.eds_texts.items()}
@@ -63,5 +67,7 @@ class Recorder:
     def __enter__(self) -> Recorder:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         self.close()

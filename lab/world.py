@@ -11,12 +11,12 @@ from typing import Any
 
 import canopen
 import numpy as np
+from node.device import Device
 
 from eds.rig import Rig
 from host.controller import Controller, arguments
 from host.step import SOURCE_HOST
 from lab.kernel import BRAKE, CONTROL_PLANE, MOTOR, WORLD, Exit, run
-from node.device import Device
 from node.records import KIND_BRAKE, KIND_DRIVE, new_nodes
 from sim_bus.arbiter import FAR_NS, new_bus
 from sim_bus.operator import KNOT_S, Operator
@@ -78,8 +78,12 @@ class VirtualRig:
         self._script: list[tuple[int, int, Callable[[VirtualRig], None]]] = []
 
         self.nodes, self.rpdo, self.tpdo = new_nodes(2)
-        self.motor = Device(rig.description("motor"), rig.motor.node_id, KIND_DRIVE, self.nodes, self.rpdo, self.tpdo, MOTOR)
-        self.brake = Device(rig.description("brake"), rig.brake.node_id, KIND_BRAKE, self.nodes, self.rpdo, self.tpdo, BRAKE)
+        self.motor = Device(
+            rig.description("motor"), rig.motor.node_id, KIND_DRIVE, self.nodes, self.rpdo, self.tpdo, MOTOR
+        )
+        self.brake = Device(
+            rig.description("brake"), rig.brake.node_id, KIND_BRAKE, self.nodes, self.rpdo, self.tpdo, BRAKE
+        )
         self.bus = new_bus(rig.bus.bitrate_bit_s)
         self.plant = new_plant(rig, seed)
         self._queue, self._header = new_queue()
@@ -148,7 +152,7 @@ class VirtualRig:
         elif reason is Exit.LOG:
             self.flush()
         elif reason is Exit.SCRIPT:
-            t_ns, _, action = heapq.heappop(self._script)
+            _, _, action = heapq.heappop(self._script)
             self._world["script_ns"] = self._script[0][0] if self._script else FAR_NS
             action(self)
 

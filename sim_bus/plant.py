@@ -132,7 +132,7 @@ def new_plant(rig: Rig, seed: int = 0) -> Records:
 def sample_noise(p: Any) -> float:
     """Return the next value of the transducer's noise: four uniforms summed, unit variance, bounded at 3.5 sigma."""
     total = 0.0
-    state = p.random
+    state = int(p.random)
     for _ in range(4):
         state = (state * 0x5DEECE66D + 0xB) & 0xFFFFFFFFFFFF
         total += state * 3.552713678800501e-15  # 2**-48
@@ -175,10 +175,7 @@ def _move(p: Any, dt: float, drive: float, f_h: float, level: float, motor: floa
     way = mean * dt
     if dt > 0.0:
         p.f_operator = (
-            f_h
-            - p.operator_inertia * (v1 - v0) / dt
-            - p.operator_damping * mean
-            - stiffness * (x + 0.5 * way)
+            f_h - p.operator_inertia * (v1 - v0) / dt - p.operator_damping * mean - stiffness * (x + 0.5 * way)
         )
     p.f_brake = -sign * capacity
     p.f_friction = -sign * p.coulomb

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from eds.cia402 import NEXT_STATE, STATUSWORD, VOLTAGE_ENABLED, COMMAND_OF_CONTROLWORD, PowerState
+from eds.cia402 import COMMAND_OF_CONTROLWORD, NEXT_STATE, STATUSWORD, VOLTAGE_ENABLED, PowerState
 from eds.codec import pack
 from eds.rig import load_rig
 from host.controller import Controller
@@ -50,7 +50,18 @@ class HostBench:
 
     def finish(self):
         k = self.k
-        finish(self.c, self.h, k.rpdos, k.law_function, k.motion[0], k.law[0], k.state[0], self.t_ns, self.queue, self.header)
+        finish(
+            self.c,
+            self.h,
+            k.rpdos,
+            k.law_function,
+            k.motion[0],
+            k.law[0],
+            k.state[0],
+            self.t_ns,
+            self.queue,
+            self.header,
+        )
 
     def cycle(self):
         """One cycle; afterwards `sent` has the image of what the host sent."""

@@ -66,9 +66,9 @@ def arbitration_bits(can_id):
     return f"{can_id & 0x7FF:011b}" + str(remote) + "0"
 
 
-identifiers = st.one_of(
-    st.integers(0, 0x7FF), st.integers(0, 0x1FFFFFFF).map(lambda i: i | CAN_EFF_FLAG)
-).flatmap(lambda i: st.sampled_from([i, i | CAN_RTR_FLAG]))
+identifiers = st.one_of(st.integers(0, 0x7FF), st.integers(0, 0x1FFFFFFF).map(lambda i: i | CAN_EFF_FLAG)).flatmap(
+    lambda i: st.sampled_from([i, i | CAN_RTR_FLAG])
+)
 
 
 @given(identifiers, identifiers)

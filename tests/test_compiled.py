@@ -20,8 +20,13 @@ CALLER = "from eds.compiled import kernel\nfrom host.callee import callee\n@kern
 def run(code, directory, **environment):
     clean = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
     done = subprocess.run(
-        [sys.executable, "-c", code], cwd=directory, env={**clean, "PYTHONPATH": str(directory), **environment},
-        capture_output=True, text=True, check=True, timeout=120,
+        [sys.executable, "-c", code],
+        cwd=directory,
+        env={**clean, "PYTHONPATH": str(directory), **environment},
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=120,
     )
     return done.stdout.strip()
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import pytest
 from host_bench import HostBench
 
@@ -107,6 +109,6 @@ def test_the_gain_ramps_in():
     for _ in range(600):
         bench.cycle()
         shown.append(bench.brake_Nm)
-    assert all(later >= earlier for earlier, later in zip(shown, shown[1:], strict=False))
+    assert all(later >= earlier for earlier, later in pairwise(shown))
     assert shown[249] == pytest.approx(F_s / 2, rel=0.02)
     assert shown[-1] == pytest.approx(F_s)

@@ -244,7 +244,10 @@ def test_near_the_speed_limit_the_motor_may_only_brake():
 
 
 @settings(max_examples=30, deadline=None)
-@given(st.lists(st.integers(-(2**31), 2**31 - 1), min_size=5, max_size=60), st.lists(st.integers(-32768, 32767), min_size=5, max_size=60))
+@given(
+    st.lists(st.integers(-(2**31), 2**31 - 1), min_size=5, max_size=60),
+    st.lists(st.integers(-32768, 32767), min_size=5, max_size=60),
+)
 def test_any_wire_input_keeps_the_outputs_within_limits(positions, torques):
     bench = armed("active")
     for position, torque in zip(positions, torques, strict=False):

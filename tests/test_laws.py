@@ -93,7 +93,9 @@ def test_compiled_law_gives_what_the_plain_one_gives():
 
 
 def test_a_law_of_ones_own_is_one_function_in_a_file(tmp_path):
-    (tmp_path / "own.py").write_text("def thick(motion, law, state):\n    state.brake_Nm = law.user[0]\n    return law.F_d * motion.v_rad_s\n")
+    (tmp_path / "own.py").write_text(
+        "def thick(motion, law, state):\n    state.brake_Nm = law.user[0]\n    return law.F_d * motion.v_rad_s\n"
+    )
     own = load_law("own.py:thick", tmp_path)
     motion, law, state = records()
     law.user[0] = 0.25

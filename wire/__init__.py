@@ -1,0 +1,1 @@
+"""How frames move: the frame, exact lengths on the wire, recordings."""
