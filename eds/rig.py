@@ -27,6 +27,8 @@ from eds.toml_lines import read_toml
 
 __all__ = ["Rig", "RigError", "known_rigs", "load_rig", "load_rig_text"]
 
+HYBRID_MARGIN = 1.2
+
 
 class RigFile(Section):
     """The sections of a rig file."""
@@ -110,6 +112,14 @@ class Rig(RigFile):
     def pdos(self) -> tuple[RigPdo, ...]:
         """Return the PDOs that the host maps, always the same five, with their signals."""
         return self._pdos
+
+    def motor_limit_Nm(self, mode: str) -> float:
+        """Return the largest motor torque at the handle [Nm] in a mode, which the drive's own limit 6072h is set to.
+
+        In `hybrid` the motor has friction to compensate and nothing else: at most 1.2 times the identified friction.
+        """
+        limit = self.mode[mode].motor_limit_Nm
+        return min(limit, HYBRID_MARGIN * self.mechanics.friction_Nm) if mode == "hybrid" else limit
 
     def effective(self) -> str:
         """Return the configuration after overrides as TOML text; loading it gives an equal rig."""

@@ -6,7 +6,6 @@ test, and `eds.rig_errors` makes its texts of them. The simulated rig ([plant], 
 nanoseconds.
 """
 
-# ruff: noqa: N815  (units stand in the keys as SI writes them)
 from __future__ import annotations
 
 from collections.abc import Iterator

@@ -1,6 +1,5 @@
 """The rig file's second half: the simulated rig as it truly is, the simulated hand, and its schedule."""
 
-# ruff: noqa: N815  (units stand in the keys as SI writes them)
 from __future__ import annotations
 
 from typing import Annotated, Any, Literal, TypeAlias

@@ -58,7 +58,7 @@ def _no_entry(key: Key, part: str, entries: list[Any], override: str, source: So
 def _read(value: str) -> Any:
     try:
         read = tomllib.loads(f"value = {value}")
-    except (tomllib.TOMLDecodeError, RecursionError):
+    except (ValueError, RecursionError):
         return value.strip()
     return read["value"] if len(read) == 1 else value.strip()
 
@@ -86,7 +86,7 @@ def _section(lines: list[str], name: str, section: Mapping[str, Any]) -> None:
 
 
 def _keys(lines: list[str], section: Mapping[str, Any]) -> None:
-    for key, value in section.items():
+    for key, value in sorted(section.items(), key=lambda item: item[0] != "kind"):
         plain = value.tolist() if isinstance(value, np.ndarray) else value
         if plain is not None:
             lines.append(f"{key} = {toml_value(plain)}")

@@ -59,7 +59,7 @@ class Document:
 
     def is_broken(self, key: Key) -> bool:
         """Tell whether the key, or a section that holds it, stands in a statement that could not be read."""
-        return any(key[:length] in self.broken for length in range(1, len(key) + 1))
+        return any(key[:length] in self.broken for length in range(len(key) + 1))
 
 
 @dataclass(frozen=True)
@@ -87,8 +87,14 @@ def read_toml(text: str) -> Document:
         try:
             document.values = tomllib.loads("\n".join(lines))
             break
-        except (tomllib.TOMLDecodeError, RecursionError) as error:
+        except (ValueError, RecursionError) as error:  # a number of 5,000 digits is a plain ValueError
+            before = list(lines)
             _blame(document, lines, str(error))
+            if lines == before:
+                document.broken.add(())
+                break
+    else:
+        document.broken.add(())
     document.problems.sort()
     for statement in _statements(lines):
         document.lines.setdefault(statement.key, statement.first + 1)
@@ -125,9 +131,13 @@ def _blame_line(
     document: Document, lines: list[str], number: int, reason: str, header: _Statement | None, known: list[_Statement]
 ) -> None:
     """Report a header, which takes its section with it, or a line that is no statement at all."""
+    if not lines[number].strip():  # tomllib names the file's end for a quote that is never closed
+        covered = {n for s in known for n in range(s.first, s.last + 1)}
+        junk = (n for n, line in enumerate(lines) if n not in covered and line.strip() and line.lstrip()[0] != "#")
+        number = next(junk, number)
     text = lines[number].strip()
     names = tuple(re.findall(r"[\w-]+", text))
-    if not text.startswith("["):
+    if not (text.startswith("[") or re.match(r"[\w.-]+\]", text)):
         wanted = "key = value, [section] or a comment behind #"
         document.problems.append((number + 1, f"'{_short(text)}' cannot be read; expected {wanted}"))
         document.broken.add((*_section(known, number), *names[:1]))
@@ -151,6 +161,19 @@ def _section(statements: list[_Statement], number: int) -> Key:
 
 def _blank(lines: list[str], first: int, last: int) -> None:
     lines[first : last + 1] = [""] * (last + 1 - first)
+
+
+def _without_comment(text: str) -> str:
+    """Return the value on a line; a # within quotes is part of it."""
+    quote = ""
+    for i, character in enumerate(text):
+        if quote:
+            quote = "" if character == quote else quote
+        elif character in "\"'":
+            quote = character
+        elif character == "#":
+            return text[:i].strip()
+    return text.strip()
 
 
 def _short(text: str) -> str:
@@ -183,7 +206,7 @@ def _statements(lines: list[str]) -> list[_Statement]:
                 depth, quote = _scan(lines[number], depth, quote)
             path = (*section, *(split_key(key[1]) or []))
             closed = depth <= 0 and not quote
-            found.append(_Statement(first, number if closed else first, path, False, key[2].strip(), closed))
+            found.append(_Statement(first, number if closed else first, path, False, _without_comment(key[2]), closed))
             if not closed:  # do not hide what follows
                 number = first
         number += 1
