@@ -29,6 +29,7 @@ __all__ = [
     "ROUTE_PDO",
     "ROUTE_SDO",
     "ROUTE_SYNC",
+    "forget_connections",
     "on_frame",
     "on_time",
     "refresh_inputs",
@@ -216,9 +217,20 @@ def set_nmt(nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, state: int, why
 def written(nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, carries: int, queue: Any, header: Any) -> None:
     """Let the device act on what Python wrote to `values` or to the records (an SDO download)."""
     n = nodes[i]
+    watch.settle(n, i, t_ns, queue, header)
     apply(n, i, t_ns, t_ns, carries, queue, header)
     step(n, t_ns)
     _schedule(nodes, rpdo, tpdo, i, t_ns, queue, header)
+
+
+@kernel
+def forget_connections(nodes: Any, i: int, t_ns: int, queue: Any, header: Any) -> None:
+    """After a reset nothing is watched yet, so no loss of a connection is present."""
+    watch.settle(nodes[i], i, t_ns, queue, header)
+    emcy.gone(nodes[i], i, t_ns, emcy.RPDO_SHORT, queue, header)
+    emcy.gone(nodes[i], i, t_ns, emcy.RPDO_LONG, queue, header)
+    emcy.gone(nodes[i], i, t_ns, emcy.SYNC_LENGTH, queue, header)
+    emcy.update_register(nodes[i])
 
 
 @kernel

@@ -17,7 +17,17 @@ from node import slots
 from node.records import KIND_DRIVE, MAX_HISTORY
 from wire.frame import push
 
-__all__ = ["CAUSES", "CAUSE_COUNT", "DEVICE_MASK", "FAULT_MASK", "Cause", "clear_latches", "come", "gone"]
+__all__ = [
+    "CAUSES",
+    "CAUSE_COUNT",
+    "DEVICE_MASK",
+    "FAULT_MASK",
+    "Cause",
+    "clear_latches",
+    "come",
+    "gone",
+    "update_register",
+]
 
 _STOPPED, _INITIALISING = 4, 0
 
@@ -66,7 +76,8 @@ _REGISTER = np.array([cause.register | 0x01 for cause in CAUSES], np.int64)
 
 
 @kernel
-def _update_register(n: Any) -> None:
+def update_register(n: Any) -> None:
+    """Bring 1001h up to the latches."""
     register = 0
     for cause in range(_REGISTER.shape[0]):
         if (n.latched >> cause) & 1:
@@ -95,7 +106,7 @@ def come(n: Any, i: int, t_ns: int, cause: int, info: int, queue: Any, header: A
     if n.latched & bit:
         return
     n.latched |= bit
-    _update_register(n)
+    update_register(n)
     for k in range(MAX_HISTORY - 1, 0, -1):
         n.history[k] = n.history[k - 1]
     n.history[0] = _CODE[cause] | info << 16
@@ -117,5 +128,5 @@ def gone(n: Any, i: int, t_ns: int, cause: int, queue: Any, header: Any) -> None
 def clear_latches(n: Any, i: int, t_ns: int, mask: int, queue: Any, header: Any) -> None:
     """Reset the latches of `mask` and send "error reset" with the register of what remains."""
     n.latched &= ~mask
-    _update_register(n)
+    update_register(n)
     _send(n, i, t_ns, 0x0000, 0, queue, header)

@@ -11,7 +11,7 @@ from typing import Any
 
 from eds.codec import pack, unpack
 from eds.compiled import kernel
-from node import emcy
+from node import emcy, watch
 from node.behaviour import CARRIES_SETPOINT, alarm, apply, sample, step
 from node.inlined import inlined
 from node.records import MAX_PDOS
@@ -58,11 +58,7 @@ def receive(nodes: Any, rpdo: Any, i: int, k: int, t_ns: int, length: int, data:
             n.next_ns = min(n.next_ns, t_ns + p.event_ns)
     if n.rpdo_lost[k]:
         n.rpdo_lost[k] = 0
-        lost = 0
-        for other in range(n.rpdo_used):
-            lost += n.rpdo_lost[other]
-        if lost == 0:
-            emcy.gone(n, i, t_ns, emcy.RPDO_DEADLINE, queue, header)
+        watch.settle(n, i, t_ns, queue, header)
     if p.transmission <= _SYNC_MAX:
         n.rpdo_word[k] = data
         n.rpdo_pending |= 1 << k

@@ -11,10 +11,10 @@ from typing import Any
 from eds.compiled import kernel
 from node import emcy, slots
 from node.behaviour import alarm
-from node.records import FAR_FUTURE_NS, MAX_CONSUMERS
+from node.records import FAR_FUTURE_NS, MAX_CONSUMERS, MAX_PDOS
 from wire.frame import push
 
-__all__ = ["expire", "heartbeat_received", "next_deadline", "start_heartbeat", "stop"]
+__all__ = ["expire", "heartbeat_received", "next_deadline", "settle", "stop"]
 
 _OPERATIONAL, _INITIALISING = 5, 0
 _WAITING, _ALIVE, _LOST = 0, 1, 2
@@ -35,30 +35,33 @@ def heartbeat_received(n: Any, i: int, k: int, t_ns: int, length: int, data: int
     n.consumer_state[k] = _ALIVE
     n.next_ns = min(n.next_ns, t_ns + n.consumer_ns[k])
     if before == _LOST:
-        lost = 0
-        for other in range(MAX_CONSUMERS):
-            lost += n.consumer_state[other] == _LOST
-        if lost == 0:
-            emcy.gone(n, i, t_ns, emcy.HEARTBEAT, queue, header)
+        settle(n, i, t_ns, queue, header)
 
 
 @kernel
-def start_heartbeat(n: Any, t_ns: int) -> None:
-    """Begin a new period of the heartbeat producer at `t_ns`."""
-    n.heartbeat_next_ns = t_ns + n.heartbeat_ns if n.heartbeat_ns > 0 else FAR_FUTURE_NS
+def settle(n: Any, i: int, t_ns: int, queue: Any, header: Any) -> None:
+    """Release the losses that are no longer present: none lost any more, or no longer watched."""
+    heartbeats, rpdos = 0, 0
+    for k in range(MAX_CONSUMERS):
+        heartbeats += n.consumer_state[k] == _LOST
+    for k in range(MAX_PDOS):
+        rpdos += n.rpdo_lost[k]
+    if heartbeats == 0 and n.causes >> emcy.HEARTBEAT & 1:
+        emcy.gone(n, i, t_ns, emcy.HEARTBEAT, queue, header)
+    if rpdos == 0 and n.causes >> emcy.RPDO_DEADLINE & 1:
+        emcy.gone(n, i, t_ns, emcy.RPDO_DEADLINE, queue, header)
+    if n.sync_armed == 0 and n.causes >> emcy.SYNC_LOST & 1:
+        emcy.gone(n, i, t_ns, emcy.SYNC_LOST, queue, header)
 
 
 @kernel
 def stop(n: Any, i: int, t_ns: int, queue: Any, header: Any) -> None:
     """NMT left OPERATIONAL: SYNC and RPDOs are no longer expected, so their loss is no longer present."""
     n.sync_armed = 0
-    for k in range(n.rpdo_used):
+    for k in range(MAX_PDOS):
         n.rpdo_armed[k] = 0
         n.rpdo_lost[k] = 0
-    if n.causes >> emcy.RPDO_DEADLINE & 1:
-        emcy.gone(n, i, t_ns, emcy.RPDO_DEADLINE, queue, header)
-    if n.causes >> emcy.SYNC_LOST & 1:
-        emcy.gone(n, i, t_ns, emcy.SYNC_LOST, queue, header)
+    settle(n, i, t_ns, queue, header)
 
 
 @kernel

@@ -1,0 +1,193 @@
+"""The object dictionary of a node: the EDS' objects with their values, as bytes for SDO and as numbers for Python.
+
+An object that the core uses, or that a PDO maps, stands in a slot of the record's `values`; every other one stands here.
+`slot` moves an object into a slot when a PDO maps it. Access rights, lengths and limits are those of the EDS; a breach
+is a `SdoAbort` with CiA 301's code.
+"""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+import numpy.typing as npt
+
+from eds.cia301 import DATA_TYPES, Abort, DataType, abort_text
+from eds.codec import real_bits, real_value
+from eds.reader import Description, Object, Value, Variable
+from node import slots
+
+__all__ = ["Dictionary", "SdoAbort", "decode", "encode"]
+
+MAX_STRING = 4096
+MAX_DOMAIN = 4 << 20
+"""Bytes that a client may write to a string and to a domain; CiA 301 sets no limit, memory does."""
+
+_OCTETS = DATA_TYPES[0x000A]
+
+
+class SdoAbort(Exception):
+    """An SDO service is aborted; `code` goes to the client."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(abort_text(code))
+        self.code = code
+
+
+class Dictionary:
+    """Objects of `description` for the node `node_id`; `values` are the slots of its record."""
+
+    def __init__(self, description: Description, node_id: int, kind: int, values: npt.NDArray[np.int64]) -> None:
+        self.description = description
+        self.node_id = node_id
+        self.values = values
+        core = slots.CORE_SLOTS[kind]
+        self._fallback = slots.FALLBACK[kind]
+        self._slots = {key: slot for key, slot in core.items() if description.has(*key)}
+        self._absent = {slot for key, slot in core.items() if key not in self._slots}
+        self._next = slots.FIRST_FREE
+        self._store: dict[tuple[int, int], Value] = {}
+        self.reset(0x0000, 0xFFFF)
+
+    def reset(self, first: int, last: int) -> None:
+        """Give the objects from index `first` to `last` the defaults of the EDS."""
+        for slot in self._absent:
+            self.values[slot] = self._fallback.get(slot, 0)
+        for index, entry in self.description.objects.items():
+            if first <= index <= last:
+                for subindex in entry.variables:
+                    self[index, subindex] = self.default(index, subindex)
+
+    def default(self, index: int, subindex: int) -> Value:
+        """Return the EDS' default, or the zero of its type where there is none."""
+        value = self.description.default(index, subindex, self.node_id)
+        if value is not None:
+            return value
+        zero: dict[str, Value] = {"text": "", "unicode": "", "bytes": b"", "domain": b"", "real": 0.0}
+        return zero.get(data_type(self.description.variable(index, subindex)).kind, 0)
+
+    def find(self, index: int, subindex: int) -> Variable:
+        """Return the variable, or abort: no such object, no such sub-index."""
+        entry: Object | None = self.description.objects.get(index)
+        if entry is None:
+            raise SdoAbort(Abort.NO_OBJECT)
+        variable = entry.variables.get(subindex)
+        if variable is None:
+            raise SdoAbort(Abort.NO_SUBINDEX)
+        return variable
+
+    def __contains__(self, key: tuple[int, int]) -> bool:
+        return self.description.has(*key)
+
+    def __getitem__(self, key: tuple[int, int]) -> Value:
+        """Return the present value; KeyError where the EDS has no such object."""
+        variable = self.description.variable(*key)
+        slot = self._slots.get(key)
+        if slot is None:
+            return self._store[key]
+        raw, kind = int(self.values[slot]), data_type(variable)
+        if kind.kind == "real":
+            return real_value(raw, kind.bits)
+        return raw & 0xFFFFFFFFFFFFFFFF if kind.bits == 64 and not kind.signed else raw
+
+    def __setitem__(self, key: tuple[int, int], value: Value) -> None:
+        """Set the value as the device itself does: no access right, no limit, no side effect."""
+        variable = self.description.variable(*key)
+        slot = self._slots.get(key)
+        if slot is None:
+            self._store[key] = value
+            return
+        kind = data_type(variable)
+        if kind.kind == "real":
+            self.values[slot] = real_bits(float(value or 0), kind.bits)
+        else:
+            raw = int(value or 0)
+            self.values[slot] = raw - (1 << 64) if raw > 0x7FFFFFFFFFFFFFFF else raw
+
+    def number(self, index: int, subindex: int = 0, fallback: int = 0) -> int:
+        """Return an integer object, or `fallback` where the EDS has none."""
+        if (index, subindex) not in self:
+            return fallback
+        value = self[index, subindex]
+        return value if isinstance(value, int) else fallback
+
+    def real(self, index: int, subindex: int, fallback: float) -> float:
+        """Return a numeric object, or `fallback` where the EDS has none."""
+        if (index, subindex) not in self:
+            return fallback
+        value = self[index, subindex]
+        return float(value) if isinstance(value, (int, float)) else fallback
+
+    def slot(self, index: int, subindex: int) -> int:
+        """Return the slot of a numeric object of up to 64 bits, moving it there if need be."""
+        key = (index, subindex)
+        if key not in self._slots:
+            kind = data_type(self.find(index, subindex))
+            if not 1 <= kind.bits <= 64:
+                raise SdoAbort(Abort.NOT_MAPPABLE)
+            if self._next >= self.values.shape[0]:
+                raise SdoAbort(Abort.INTERNAL_INCOMPATIBLE)
+            value = self._store.pop(key)
+            self._slots[key] = self._next
+            self._next += 1
+            self[key] = value
+        return self._slots[key]
+
+    def check_read(self, index: int, subindex: int) -> Variable:
+        """Abort unless a client may read the object."""
+        variable = self.find(index, subindex)
+        if variable.access == "wo":
+            raise SdoAbort(Abort.WRITE_ONLY)
+        return variable
+
+    def check_write(self, index: int, subindex: int, size: int | None) -> int:
+        """Abort unless a client may write `size` bytes (None: not known) to the object; return how many at most."""
+        variable = self.find(index, subindex)
+        if variable.access in ("ro", "const"):
+            raise SdoAbort(Abort.READ_ONLY)
+        kind = data_type(variable)
+        longest = (kind.bits + 7) // 8 or (MAX_DOMAIN if kind.kind == "domain" else MAX_STRING)
+        if size is not None and size > longest:
+            raise SdoAbort(Abort.TOO_LONG)
+        if size is not None and kind.bits and size < longest:
+            raise SdoAbort(Abort.TOO_SHORT)
+        return longest
+
+
+def data_type(variable: Variable) -> DataType:
+    """Return the variable's data type; an unknown one is a string of octets."""
+    return DATA_TYPES.get(variable.data_type, _OCTETS)
+
+
+def encode(variable: Variable, value: Value) -> bytes:
+    """Return `value` as it is transferred: little endian, text without a terminating zero."""
+    kind = data_type(variable)
+    if isinstance(value, bytes):
+        return value
+    if isinstance(value, str):
+        return value.encode("utf-16-le") if kind.kind == "unicode" else value.encode("latin-1", "replace")
+    if kind.kind == "real":
+        return struct.pack("<f" if kind.bits == 32 else "<d", value or 0.0)
+    width = kind.bits or 32
+    return (int(value or 0) & ((1 << width) - 1)).to_bytes((width + 7) // 8, "little")
+
+
+def decode(variable: Variable, data: bytes) -> Value:
+    """Return the value that `data` (of the right length) spells, within the EDS' limits, or abort."""
+    kind = data_type(variable)
+    value: int | float
+    if kind.kind == "text":
+        return data.decode("latin-1")
+    if kind.kind == "unicode":
+        return data.decode("utf-16-le", "replace")
+    if kind.kind in ("bytes", "domain", "record"):
+        return data
+    if kind.kind == "real":
+        value = struct.unpack("<f" if kind.bits == 32 else "<d", data)[0]
+    else:
+        value = int.from_bytes(data, "little", signed=kind.signed)
+    if (variable.high is not None and value > variable.high) or (kind.kind == "bool" and value > 1):
+        raise SdoAbort(Abort.VALUE_HIGH)
+    if variable.low is not None and value < variable.low:
+        raise SdoAbort(Abort.VALUE_LOW)
+    return value
