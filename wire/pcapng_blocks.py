@@ -18,6 +18,7 @@ import hashlib
 import struct
 import zlib
 from collections.abc import Iterator
+from typing import ClassVar
 
 __all__ = [
     "ATTACHMENT",
@@ -63,9 +64,13 @@ ATTACHMENT_MAGIC = b"CoulAtt1"
 class PcapngError(Exception):
     """The file is not a pcapng recording that can be read; the text names file, offset, what is wrong, what to do."""
 
+    exit_status: ClassVar[int] = 2
+
 
 class RecordingError(OSError):
     """The recording cannot be written any further (disk full, limit reached); what was written stays readable."""
+
+    exit_status: ClassVar[int] = 2
 
 
 def block(kind: int, body: bytes) -> bytes:
