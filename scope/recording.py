@@ -103,6 +103,18 @@ class Recording:
         """Time of each frame [s]."""
         return (self.frames["t_ns"] - self.epoch_ns) / 1e9
 
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Sentences on what was left out: a torn end, damaged attachments, other packets, malformed PDOs."""
+        capture = self.capture
+        found = list(capture.warnings)
+        if capture.torn:
+            found.append(f"{self.path}: the last block is unfinished: {capture.torn} bytes were left out")
+        if capture.skipped:
+            found.append(f"{self.path}: {capture.skipped} packets are no classical CAN frames and were left out")
+        found += [f"{self.path}: {n} frames of {name} have a wrong length" for name, n in self.malformed.items() if n]
+        return tuple(found)
+
     def __getitem__(self, name: str) -> Series:
         """Return a signal; KeyError names the nearest ones."""
         if name not in self.signals:

@@ -19,6 +19,7 @@ __all__ = ["Row", "Sdo", "emcy", "heartbeat", "nmt", "sync"]
 Row: TypeAlias = dict[str, Any]
 
 COMMANDS = {command.value: command.name.lower().replace("_", " ") for command in NmtCommand}
+COMMANDS[NmtCommand.ENTER_PRE_OPERATIONAL.value] = "enter pre-operational"
 STATES = {state.value: state.name.lower().replace("_", "-") for state in NmtState} | {0: "boot-up"}
 
 

@@ -82,7 +82,7 @@ def test_every_row_is_json_and_has_the_four_keys(decoded):
     [
         (0x000, "0101", {"node": "motor", "service": "nmt", "command": "start"}),
         (0x000, "0200", {"node": "all", "service": "nmt", "command": "stop"}),
-        (0x000, "8005", {"node": "5", "service": "nmt", "command": "enter pre operational"}),
+        (0x000, "8005", {"node": "5", "service": "nmt", "command": "enter pre-operational"}),
         (0x000, "07ff", {"node": "255", "service": "nmt", "command": "unknown command 7"}),
         (0x000, "01", {"node": None, "service": "nmt", "malformed": "1 bytes, expected 2"}),
         (0x080, "", {"node": None, "service": "sync"}),

@@ -125,6 +125,13 @@ def test_markers(tmp_path: Path, rig: Rig):
     assert recording.markers == [(0.0010003, "enabled"), (0.0010003, "phase rest"), (0.002, "phase hold")]
 
 
+def test_remarks_tell_what_was_left_out(tmp_path: Path, rig: Rig):
+    path = save(tmp_path / "a.pcapng", [*CYCLE, (3 * MS, 0x181, b"short")], attached(rig))
+    assert read(path).remarks == (f"{path}: 1 frames of motor.TPDO1 have a wrong length",)
+    path.write_bytes(path.read_bytes()[:-60])
+    assert read(path).remarks == (f"{path}: the last block is unfinished: 36 bytes were left out",)
+
+
 def test_an_empty_recording(tmp_path: Path, rig: Rig):
     recording = read(save(tmp_path / "a.pcapng", [], attached(rig)))
     assert all(len(series) == 0 for series in recording.signals.values())
