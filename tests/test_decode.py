@@ -8,9 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from eds.reader import Description, Object, Variable
 from eds.rig import Rig, load_rig
 from scope.decode import as_text, rows
 from scope.recording import read
+from scope.services import Sdo
 from wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, FRAME, data_word
 from wire.pcapng import PcapngWriter
 
@@ -194,6 +196,27 @@ def test_sdo_oddities(decoded):
     assert [row["sdo"] for row in found[2:7]] == ["block upload"] * 2 + ["block download"] * 3
     assert ["index" in row for row in found[2:7]] == [True, False, True, True, False]
     assert found[7]["value"] == 0x04030201
+
+
+def test_sdo_values_by_their_data_type():
+    types = {0x2000: 0x0008, 0x2001: 0x0009, 0x2002: 0x0003, 0x2003: 0x0006, 0x2004: 0x7777}
+    objects = {i: Object(i, "x", 7, {0: variable(i, data_type)}) for i, data_type in types.items()}
+    server = Sdo(Description("x.eds", "", objects, (), {}))
+
+    def value(index: int, raw: bytes) -> Any:
+        unused = 4 - len(raw)
+        return server.row(bytes([0x43 | unused << 2, index & 0xFF, index >> 8, 0]) + raw + bytes(unused), True)["value"]
+
+    assert value(0x2000, struct.pack("<f", 0.5)) == 0.5
+    assert value(0x2000, struct.pack("<f", float("-inf"))) == "-inf"
+    assert value(0x2001, b"AB") == "AB"
+    assert value(0x2002, b"\xfe\xff") == -2
+    assert value(0x2003, b"\xfe\xff") == 0xFFFE
+    assert value(0x2004, b"\xff") == value(0x2005, b"\xff") == 0xFF
+
+
+def variable(index: int, data_type: int) -> Variable:
+    return Variable(index, 0, "x", data_type, "rw", None, False, None, None, False, 1)
 
 
 def test_lines_for_the_eye(decoded):
