@@ -32,7 +32,9 @@ class Access:
     def upload(self, index: int, subindex: int) -> bytes:
         """Return the bytes of an object that may be read."""
         variable = self._dictionary.check_read(index, subindex)
-        self._communication.read(index, subindex)
+        self._communication.collect(index)
+        if index == 0x1003 and subindex > self._dictionary.number(0x1003):
+            raise SdoAbort(Abort.NO_DATA)
         return encode(variable, self._dictionary[index, subindex])
 
     def check_download(self, index: int, subindex: int, size: int | None) -> int:

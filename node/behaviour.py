@@ -43,6 +43,8 @@ def step(n: Any, t_ns: int) -> None:
         drive402.step(n, t_ns)
     elif n.kind == KIND_BRAKE:
         brake404.step(n, t_ns)
+    if n.ramping == 1:
+        n.next_ns = min(n.next_ns, t_ns + RAMP_STEP_NS)
 
 
 @inlined
@@ -56,6 +58,9 @@ def apply(n: Any, i: int, t_ns: int, received_ns: int, carries: int, queue: Any,
     elif n.kind == KIND_BRAKE and carries & CARRIES_SETPOINT:
         brake404.new_setpoint(n, received_ns)
 
+
+RAMP_STEP_NS = 1_000_000
+"""How often a ramp is computed when nothing else calls."""
 
 BY_COMMAND, BY_RESET, BY_ITSELF = 0, 1, 2
 """Why NMT left OPERATIONAL: a command, a reset (safe output whatever the option codes say), 1029h."""
@@ -111,8 +116,10 @@ def _new_inputs(n: Any, i: int, t_ns: int, present: int, queue: Any, header: Any
 @kernel
 def next_deadline(n: Any, t_ns: int, next_ns: int) -> int:
     """Return the earlier of `next_ns` and the device's own next deadline."""
+    if n.ramping == 1:
+        next_ns = min(next_ns, t_ns + RAMP_STEP_NS)
     if n.kind == KIND_DRIVE:
-        return drive402.next_deadline(n, t_ns, next_ns)
+        return drive402.next_deadline(n, next_ns)
     if n.kind == KIND_BRAKE:
-        return brake404.next_deadline(n, t_ns, next_ns)
+        return brake404.next_deadline(n, next_ns)
     return next_ns

@@ -18,8 +18,6 @@ from node import emcy, slots
 
 __all__ = ["connection_lost", "new_setpoint", "next_deadline", "sample", "start", "step"]
 
-RAMP_STEP_NS = 1_000_000  # how often a ramp is computed when nothing else calls
-
 
 @kernel
 def start(n: Any, t_ns: int) -> None:
@@ -109,12 +107,11 @@ def sample(n: Any) -> None:
 
 
 @kernel
-def next_deadline(n: Any, t_ns: int, next_ns: int) -> int:
+def next_deadline(n: Any, next_ns: int) -> int:
     """Return the earlier of `next_ns` and the brake's own next deadline."""
     if n.ramping == 1:
-        end_ns = n.ramp_start_ns + n.values[slots.RAMP_US] * 1000
-        next_ns = min(next_ns, max(min(t_ns + RAMP_STEP_NS, end_ns), t_ns + 1))
+        next_ns = min(next_ns, n.ramp_start_ns + n.values[slots.RAMP_US] * 1000)
     hold_ns = n.values[slots.SETPOINT_AGE_US] * 1000
     if n.ramping == 0 and n.setpoint_armed and hold_ns > 0 and n.values[slots.FAULT_MODE] == 1:
-        next_ns = min(next_ns, max(n.setpoint_ns + hold_ns, t_ns + 1))
+        next_ns = min(next_ns, n.setpoint_ns + hold_ns)
     return next_ns

@@ -12,7 +12,7 @@ from eds.cia301 import Abort
 from node import core
 from node.dictionary import Dictionary, SdoAbort
 from node.mapping import Pdos, restricted
-from node.records import FAR_FUTURE_NS, MAX_CONSUMERS, MAX_PDOS
+from node.records import FAR_FUTURE_NS, MAX_CONSUMERS, MAX_HISTORY, MAX_PDOS
 from wire.frame import Records
 
 __all__ = ["Communication"]
@@ -44,14 +44,15 @@ class Communication:
         """Identifier of the responses of the SDO server."""
         return self._dictionary.number(0x1200, 2, 0x580 + self._dictionary.node_id) & 0x7FF
 
-    def read(self, index: int, subindex: int) -> None:
-        """Bring what the core keeps (1003h) to the dictionary before it is read; abort for an entry that is empty."""
-        if index != 0x1003:
+    def collect(self, index: int) -> None:
+        """Bring what the core keeps (1003h) to the dictionary before it is read."""
+        if index != 0x1003 or (index, 0) not in self._dictionary:
             return
         count = int(self._node["history_count"])
-        if subindex > count:
-            raise SdoAbort(Abort.NO_DATA)
-        self._dictionary[index, subindex] = int(self._node["history"][subindex - 1]) if subindex else count
+        self._dictionary[index, 0] = count
+        for k in range(MAX_HISTORY):
+            if (index, k + 1) in self._dictionary:
+                self._dictionary[index, k + 1] = int(self._node["history"][k]) if k < count else 0
 
     def check(self, index: int, subindex: int, value: int) -> None:
         """Abort unless `value` may be written to a communication object now."""

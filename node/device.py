@@ -90,6 +90,7 @@ class Device:
     def __getitem__(self, key: tuple[int, int]) -> Value:
         """Return an object's present value, as a Python number, text or bytes."""
         core.refresh_inputs(self._nodes, self._i, self._now)
+        self.communication.collect(key[0])
         return self.dictionary[key]
 
     def __setitem__(self, key: tuple[int, int], value: Value) -> None:

@@ -36,7 +36,6 @@ __all__ = [
     "step",
 ]
 
-RAMP_STEP_NS = 1_000_000  # how often a ramp is computed when nothing else calls
 
 MODES = (0, cia402.OPERATION_MODE_PROFILE_TORQUE, cia402.OPERATION_MODE_CST)
 """What 6060h may hold."""
@@ -82,7 +81,8 @@ def _leave_enabled(n: Any, state: int) -> None:
 
 @kernel
 def fault(n: Any) -> None:
-    """Transitions 13 and 14: torque 0 and FAULT."""
+    """Transitions 13 and 14: torque 0 and FAULT; what was commanded before acts no more."""
+    n.setpoint_stale = 1
     _leave_enabled(n, _FAULT)
 
 
@@ -96,6 +96,8 @@ def needs_supply(n: Any) -> bool:
 def connection_lost(n: Any, forced: int) -> None:
     """NMT leaves OPERATIONAL: 6007h decides unless `forced`; a drive that is not enabled stays where it is."""
     n.setpoint_armed = 0
+    if forced or n.values[slots.ABORT_OPTION] != 0:
+        n.setpoint_stale = 1
     if n.power_state != _ENABLED and n.power_state != _QUICK_STOP:
         return
     if forced:
@@ -231,11 +233,9 @@ def sample(n: Any) -> None:
 
 
 @kernel
-def next_deadline(n: Any, t_ns: int, next_ns: int) -> int:
+def next_deadline(n: Any, next_ns: int) -> int:
     """Return the earlier of `next_ns` and the drive's own next deadline."""
     age_ns = n.values[slots.SETPOINT_AGE_US] * 1000
     if n.setpoint_armed and age_ns > 0 and not n.setpoint_stale:
         next_ns = min(next_ns, n.setpoint_ns + age_ns)
-    if n.ramping:
-        next_ns = min(next_ns, t_ns + RAMP_STEP_NS)
     return next_ns

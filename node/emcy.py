@@ -88,7 +88,7 @@ def update_register(n: Any) -> None:
 @kernel
 def _send(n: Any, i: int, t_ns: int, code: int, info: int, queue: Any, header: Any) -> None:
     """Push the EMCY frame; STOPPED and INITIALISING allow none. The inhibit time delays it in the queue."""
-    if n.kind == KIND_DRIVE:
+    if n.kind == KIND_DRIVE and (code or n.latched == 0):
         n.values[slots.ERROR_CODE] = code
     if n.emcy_id < 0 or n.nmt == _STOPPED or n.nmt == _INITIALISING:
         return

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from eds.cia301 import DATA_TYPES, Abort
+from eds.cia301 import DATA_TYPES, DUMMY_TYPES, Abort
 from eds.pdo import (
     COB_ID_EXTENDED,
     COB_ID_INVALID,
@@ -119,20 +119,33 @@ class Pdos:
             raise SdoAbort(Abort.PDO_LENGTH)
 
     def _entry(self, direction: Direction, word: int) -> Entry:
-        """Return the entry that a mapping word spells, or abort."""
+        """Return the entry that a client's mapping word spells, or abort."""
         index, subindex, bits = word >> 16, word >> 8 & 0xFF, word & 0xFF
         if index in self._dictionary.description.dummies and direction == "rpdo":
-            kind = DATA_TYPES[index]
-            if bits != kind.bits:
+            if bits != DATA_TYPES[index].bits:
                 raise SdoAbort(Abort.NOT_MAPPABLE)
-            return Entry(index, subindex, bits, kind.signed, "int", "dummy")
+            return self._read_entry(word)
         variable = self._dictionary.find(index, subindex)
         access = _WRITABLE if direction == "rpdo" else _READABLE
         whole = bits == variable.bits or (variable.bits == 1 and bits == 8)
         if not variable.pdo_mappable or variable.access not in access or not whole:
             raise SdoAbort(Abort.NOT_MAPPABLE)
         self._dictionary.slot(index, subindex)
-        return entry_of(variable, bits)
+        return self._read_entry(word)
+
+    def _read_entry(self, word: int) -> Entry:
+        """Return the entry that a mapping word spells, whatever the EDS' own default maps."""
+        index, subindex, bits = word >> 16, word >> 8 & 0xFF, word & 0xFF
+        if index in DUMMY_TYPES:
+            return Entry(index, subindex, bits, DATA_TYPES[index].signed, "int", "dummy")
+        return entry_of(self._dictionary.description.variable(index, subindex), bits)
+
+    def _slot(self, index: int, subindex: int) -> int:
+        """Return an entry's slot; text in a default map has none and travels as zeros."""
+        try:
+            return self._dictionary.slot(index, subindex)
+        except SdoAbort:
+            return -1
 
     def layout(self, direction: Direction, k: int) -> PdoLayout:
         """Return the PDO as its parameters now describe it."""
@@ -150,7 +163,7 @@ class Pdos:
             event_ns=number(communication, 5) * EVENT_UNIT_NS,
             sync_start=number(communication, 6) if direction == "tpdo" else 0,
             rtr_allowed=not cob_id & COB_ID_NO_RTR,
-            entries=tuple(self._entry(direction, number(mapping, sub)) for sub in range(1, count + 1)),
+            entries=tuple(self._read_entry(number(mapping, sub)) for sub in range(1, count + 1)),
         )
 
     def refresh(self, direction: Direction, k: int, t_ns: int) -> None:
@@ -159,7 +172,7 @@ class Pdos:
             return
         layout = self.layout(direction, k)
         record, node = self._records[direction][k], self._node
-        fill(record, layout, self._dictionary.slot)
+        fill(record, layout, self._slot)
         used = max((j + 1 for j in range(MAX_PDOS) if self._records[direction][j]["cob_id"] >= 0), default=0)
         if direction == "rpdo":
             carried = CARRIED[int(node["kind"])]
