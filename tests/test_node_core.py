@@ -1,0 +1,204 @@
+"""The compiled core: dispatch, heartbeat producer, SYNC producer, EMCY and 1003h, malformed frames."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from node import core, emcy, slots
+from node.records import FAR_FUTURE_NS, new_nodes
+from node_bench import MS, US, Bench, SdoAborted, cycle, motor, setpoint
+from wire.frame import CAN_EFF_FLAG, CAN_RTR_FLAG
+
+
+def test_powered_off_nothing_goes_in_and_nothing_comes_out():
+    bench = Bench("motor")
+    assert bench.node.next_ns == FAR_FUTURE_NS
+    bench.sync()
+    bench.nmt(1)
+    bench.frame(0x601, bytes.fromhex("4000100000000000"))
+    bench.frame(0x201, setpoint(0x0F, 100))
+    bench.run(1000 * MS)
+    assert bench.take() == []
+    assert bench.node.nmt == 0
+
+
+def test_power_off_in_mid_run_silences_the_device_and_its_outputs():
+    bench = motor()
+    bench.write(0x1017, 0, 10, 2)
+    for controlword in (6, 7, 15, 15):
+        cycle(bench, setpoint(controlword, 300))
+    bench.sync()
+    assert bench.node.out_torque_pm == 300
+    bench.take()
+    bench.device.power_off()
+    assert bench.node.out_torque_pm == 0
+    bench.sync()
+    bench.run(100 * MS)
+    assert bench.take() == []
+    bench.power_on()
+    assert [(s.can_id, s.data) for s in bench.take()] == [(0x701, b"\0")]
+    assert bench.number(0x1017) == 0  # what was not stored is lost
+
+
+def test_frames_of_others_change_nothing():
+    bench = motor()
+    before = bench.node.tobytes()
+    for can_id in (0x081, 0x082, 0x181, 0x182, 0x202, 0x282, 0x581, 0x582, 0x602, 0x67F, 0x702, 0x77F, 0x7FF):
+        bench.frame(can_id, bytes(range(8)))
+    bench.frame(CAN_EFF_FLAG | 0x201, setpoint(0x0F, 100))
+    bench.frame(CAN_EFF_FLAG | 0x080)
+    bench.frame(CAN_RTR_FLAG | 0x201)
+    bench.frame(0x20000080, bytes(8))  # an error frame
+    assert bench.take() == []
+    assert bench.node.tobytes() == before
+
+
+def test_a_node_is_told_apart_from_its_neighbour_in_the_same_records():
+    nodes, _, _ = new_nodes(3)
+    assert nodes.shape == (3,)
+    assert np.all(nodes["next_ns"] == FAR_FUTURE_NS)
+    assert np.all(nodes["processing_ns"] == 20_000)
+
+
+def test_heartbeat_keeps_its_period_and_tells_the_state():
+    bench = Bench("mr_brake", 5)
+    bench.power_on()
+    bench.take()
+    bench.run(7 * MS)
+    bench.write(0x1017, 0, 50, 2)
+    bench.take()
+    bench.run(120 * MS)
+    bench.nmt(1)
+    bench.run(50 * MS)
+    bench.nmt(2)
+    bench.run(50 * MS)
+    beats = bench.take(0x705)
+    assert [s.t_ns for s in beats] == [57 * MS, 107 * MS, 157 * MS, 207 * MS]
+    assert [s.data[0] for s in beats] == [127, 127, 5, 4]
+
+
+def test_a_late_call_gives_no_burst_of_heartbeats():
+    bench = Bench("motor")
+    bench.power_on()
+    bench.write(0x1017, 0, 10, 2)
+    bench.take()
+    bench.t = 95 * MS
+    core.on_time(bench.nodes, bench.rpdo, bench.tpdo, 0, bench.t, bench.queue, bench.header)
+    bench._collect()
+    assert [s.t_ns for s in bench.take(0x701)] == [95 * MS]
+    assert bench.node.next_ns == 105 * MS
+
+
+def test_sync_producer_counts_and_drives_its_own_pdos():
+    bench = Bench("motor")
+    bench.power_on()
+    bench.write(0x1019, 0, 3, 1)
+    bench.write(0x1006, 0, 2000, 4)
+    bench.write(0x1005, 0, 0x40000080, 4)
+    bench.nmt(1)
+    bench.take()
+    bench.run(10 * MS)
+    assert [(s.t_ns, s.data) for s in bench.take(0x080)] == [
+        (2 * MS, b"\x01"),
+        (4 * MS, b"\x02"),
+        (6 * MS, b"\x03"),
+        (8 * MS, b"\x01"),
+        (10 * MS, b"\x02"),
+    ]
+    assert [s.t_ns - 20 * US for s in bench.take(0x181)] == [2 * MS, 4 * MS, 6 * MS, 8 * MS, 10 * MS]
+
+
+def test_sync_of_a_wrong_length_is_counted_told_once_and_released():
+    bench = motor()
+    bench.sync(b"\x05")
+    bench.sync(b"\x06")
+    assert bench.node.dropped_length == 2
+    assert bench.take(0x181) == []
+    assert bench.emcy() == [(0x8240, 0x11, 1)]
+    bench.sync()
+    assert bench.emcy() == [(0x0000, 0x00, 0)]
+    assert len(bench.take(0x181)) == 1
+
+
+def test_error_history_is_newest_first_and_cleared_by_zero_only():
+    bench = motor()
+    assert bench.number(0x1003) == 0
+    with pytest.raises(SdoAborted, match="08000024"):
+        bench.upload(0x1003, 1)
+    bench.sync(b"\x01")
+    bench.frame(0x201, b"\x00")
+    assert bench.number(0x1003) == 2
+    assert bench.number(0x1003, 1) == 0x0001_8210
+    assert bench.number(0x1003, 2) == 0x0001_8240
+    assert bench.device[0x1003, 1] == 0x0001_8210
+    assert bench.number(0x1001) == 0x11
+    with pytest.raises(SdoAborted, match="06090030"):
+        bench.write(0x1003, 0, 1, 1)
+    bench.write(0x1003, 0, 0, 1)
+    assert bench.number(0x1003) == 0
+
+
+def test_history_keeps_the_last_eight():
+    bench = motor()
+    for _ in range(6):  # two entries each
+        bench.frame(0x201, b"\x00")
+        bench.sync(b"\x01")
+        bench.frame(0x201, bytes(4))
+        bench.sync()
+    assert bench.number(0x1003) == 8
+    assert [bench.number(0x1003, k) & 0xFFFF for k in range(1, 9)] == [0x8240, 0x8210] * 4
+
+
+def test_emcy_inhibit_time_spaces_the_messages():
+    bench = motor()
+    bench.write(0x1015, 0, 50, 2)  # 5 ms
+    start = bench.t
+    bench.frame(0x201, b"\x00")
+    bench.sync(b"\x01")
+    assert [s.t_ns - start for s in bench.take(0x081)] == [20 * US, 5 * MS + 20 * US]
+
+
+def test_emcy_identifier_can_be_moved_and_switched_off():
+    bench = motor()
+    with pytest.raises(SdoAborted, match="06090030"):
+        bench.write(0x1014, 0, 0x0A1, 4)  # to be made invalid first
+    bench.write(0x1014, 0, 0x80000081, 4)
+    bench.frame(0x201, b"\x00")
+    assert bench.emcy() == []
+    bench.write(0x1014, 0, 0x0A1, 4)
+    bench.sync(b"\x01")
+    assert len(bench.take(0x0A1)) == 1
+
+
+def test_causes_are_named_and_fault_codes_are_in_their_class():
+    assert emcy.CAUSES[emcy.HEARTBEAT].code == 0x8130
+    assert emcy.CAUSES[emcy.RPDO_DEADLINE].code == 0x8250
+    assert emcy.CAUSES[emcy.SYNC_LOST].code == 0x8700
+    assert emcy.FAULT_MASK >> emcy.RPDO_SHORT & 1 == 0
+
+
+FRAMES = st.tuples(
+    st.one_of(st.sampled_from([0x000, 0x080, 0x201, 0x301, 0x601, 0x77F, 0x701]), st.integers(0, 0x7FF)),
+    st.binary(min_size=0, max_size=8),
+    st.integers(0, 3 * MS),
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(FRAMES, max_size=60), st.sampled_from(["motor", "mr_brake"]))
+def test_no_sequence_of_frames_breaks_a_node(sequence, name):
+    bench = Bench(name, 1)
+    bench.power_on()
+    own = {0x081, 0x181, 0x281, 0x381, 0x481, 0x581, 0x701}
+    for can_id, data, wait_ns in sequence:
+        bench.run(wait_ns)
+        bench.frame(can_id, data)
+        assert bench.node.nmt in (4, 5, 127)
+        assert bench.node.out_torque_pm == 0 or bench.node.power_state == 4
+        assert abs(bench.node.out_torque_pm) <= bench.node.values[slots.MAX_TORQUE]
+        assert 0 <= bench.node.out_brake_Nm <= 32.767
+        assert bench.header["dropped"][0] == 0
+        remapped = {int(p["cob_id"]) for p in bench.tpdo[0]} | {int(bench.node.emcy_id), int(bench.node.sync_id)}
+        assert {s.can_id for s in bench.take()} <= own | remapped
