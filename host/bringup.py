@@ -19,6 +19,7 @@ from eds.reader import Description
 from eds.rig import Rig
 from eds.signals import RigPdo
 from host.errors import DeviceMismatch, NodeMissing, SdoAborted
+from wire.load import cycle_load
 
 __all__ = ["ControlPlane", "bring_up", "shut_down"]
 
@@ -198,6 +199,12 @@ def bring_up(rig: Rig, plane: ControlPlane, motor_limit_pm: int) -> None:
     NodeMissing, SdoAborted, DeviceMismatch
         nothing was armed; the nodes are left in PRE-OPERATIONAL
     """
+    load = cycle_load(rig)
+    if not load.fits:
+        raise DeviceMismatch(
+            f"the cycle does not fit on the bus: {load.busy_s * 1e6:.0f} us of frames in the worst case, every {load.period_s * 1e6:.0f} us, "
+            f"at {load.bitrate_bit_s} bit/s; raise bus.bitrate_bit_s or bus.period_s"
+        )
     nmt = plane.network.nmt
     nmt.send_command(0x80)  # enter PRE-OPERATIONAL
     plane.wait_ns(SETTLE_NS)

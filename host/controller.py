@@ -185,7 +185,7 @@ class Controller:
 
     def motor_limit_pm(self, Nm_pm: float) -> int:
         """Return the motor's torque limit in per mille, rounded down: what the drive's 6072h is set to."""
-        limit = math.floor(self.rig.mode[self.mode].motor_limit_Nm / abs(Nm_pm) + 1e-9)
+        limit = math.floor(self.rig.motor_limit_Nm(self.mode) / abs(Nm_pm) + 1e-9)
         return min(limit, 32767)
 
     def start(self, t_ns: int) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from eds.cia402 import PowerState
-from eds.compiled import kernel
+from eds.compiled import borrowed, inlined, kernel
 from host import step
 from node import core
 from sim_bus.arbiter import FAR_NS, end_frame, start_frame, start_ns
@@ -60,6 +60,9 @@ WORLD = np.dtype(
         ("log_count", np.int64),
         ("service", np.int64),  # bit i: node i wants the last frame; bit 62: the control plane does
         ("force_step", np.int64),  # the plant's step at which the force block begins
+        ("force_end_ns", np.int64),  # the time at which it ends
+        ("torque_pm", np.float64),  # what motor and brake are held at since the plant was last advanced
+        ("brake_Nm", np.float64),
         ("steps_per_knot", np.int64),
         ("truth_on", np.int64),
     ],
@@ -69,7 +72,7 @@ WORLD = np.dtype(
 CONTROL_PLANE = 1 << 62
 
 
-@kernel
+@inlined
 def _sample(plant: Any, motor: Any, brake: Any) -> None:
     """Let the devices look at the rig: encoder, motor current, transducer, coil."""
     p = plant[0]
@@ -81,20 +84,25 @@ def _sample(plant: Any, motor: Any, brake: Any) -> None:
     brake.in_coil_degC = p.temperature
 
 
-@kernel
-def _advance(w: Any, plant: Any, nodes: Any, f_h: Any, truth: Any, t_ns: int) -> bool:
-    """Bring the plant to the last grid point at or before `t_ns`; False when the force block ends before."""
+@inlined
+def _advance(w: Any, plant: Any, f_h: Any, truth: Any, t_ns: int) -> None:
+    """Bring the plant to the last grid point at or before `t_ns` (within the force block) under the held commands."""
     p = plant[0]
-    first = p.t_ns // p.step_ns - w.force_step
     steps = (t_ns - p.t_ns) // p.step_ns
-    room = (f_h.shape[0] - 1) * w.steps_per_knot - first
-    done = min(steps, room)
-    if done > 0:
+    if steps > 0:
+        first = p.t_ns // p.step_ns - w.force_step
         row = first if w.truth_on else -1
-        advance(
-            p, nodes[MOTOR].out_torque_pm, nodes[BRAKE].out_brake_Nm, f_h, w.steps_per_knot, first, done, truth, row
-        )
-    return steps <= room
+        advance(p, w.torque_pm, w.brake_Nm, f_h, w.steps_per_knot, first, steps, truth, row)
+
+
+@inlined
+def _actuate(w: Any, plant: Any, nodes: Any, f_h: Any, truth: Any, t_ns: int) -> None:
+    """Let the plant feel what the devices command from `t_ns` on, when that has changed."""
+    torque, brake = nodes[MOTOR].out_torque_pm, nodes[BRAKE].out_brake_Nm
+    if torque != w.torque_pm or brake != w.brake_Nm:
+        _advance(w, plant, f_h, truth, t_ns)
+        w.torque_pm = torque
+        w.brake_Nm = brake
 
 
 @kernel
@@ -121,6 +129,10 @@ def run(
 ) -> int:
     """Run until Python is needed; return the `Exit` that says why."""
     w, b, c, h = world[0], bus[0], control[0], host[0]
+    queue, header, log = borrowed(queue), borrowed(header), borrowed(log)
+    nodes, rpdo, tpdo = borrowed(nodes), borrowed(rpdo), borrowed(tpdo)
+    plant, f_h, truth = borrowed(plant), borrowed(f_h), borrowed(truth)
+    host_rpdos, host_tpdos = borrowed(host_rpdos), borrowed(host_tpdos)
     n = nodes.shape[0]
     while True:
         if w.log_count >= log.shape[0]:
@@ -143,28 +155,34 @@ def run(
             t = w.t_ns
         if t > w.until_ns:
             t, who = w.until_ns, n + 3
-        if who == n + 2:  # no one looks at the plant when a frame starts
-            w.t_ns = t
-            start_frame(b, queue, header, t)
-            continue
-        if not _advance(w, plant, nodes, f_h, truth, t):
+        if t > w.force_end_ns:
+            _advance(w, plant, f_h, truth, w.force_end_ns)
+            w.t_ns = w.force_end_ns
             return EXIT_FORCE
         w.t_ns = t
+        if who == n + 2:
+            start_frame(b, queue, header, t)
+            continue
         if who == n + 3:
+            _advance(w, plant, f_h, truth, t)
             return EXIT_UNTIL
         if who == n:
+            _advance(w, plant, f_h, truth, t)
             return EXIT_SCRIPT
         if who == n + 1:
             step.on_time(c, h, host_rpdos, law_function, motion[0], law[0], state[0], t, queue, header)
         elif who >= 0:
+            _advance(w, plant, f_h, truth, t)
             _sample(plant, nodes[MOTOR], nodes[BRAKE])
             core.on_time(nodes, rpdo, tpdo, who, t, queue, header)
+            _actuate(w, plant, nodes, f_h, truth, t)
         else:
             row = w.log_count
             end_frame(b, log, row)
             w.log_count = row + 1
             w.service = 0
             if b.can_id == SYNC:
+                _advance(w, plant, f_h, truth, t)
                 _sample(plant, nodes[MOTOR], nodes[BRAKE])
             for i in range(n):
                 if (
@@ -173,6 +191,7 @@ def run(
                     and core.on_frame(nodes, rpdo, tpdo, i, t, b.can_id, b.length, b.data, queue, header)
                 ):
                     w.service |= 1 << i
+            _actuate(w, plant, nodes, f_h, truth, t)
             if b.source != step.SOURCE_HOST:
                 wanted = step.on_frame(c, h, host_tpdos, t, b.can_id, b.length, b.data)
                 if wanted == 1:
@@ -180,6 +199,8 @@ def run(
                 elif wanted == 2:
                     w.service |= CONTROL_PLANE
             if w.service != 0:
+                _advance(w, plant, f_h, truth, t)
+                _sample(plant, nodes[MOTOR], nodes[BRAKE])
                 return EXIT_SERVICE
         if w.operator_start_ns < 0 and nodes[MOTOR].power_state == OPERATION_ENABLED:
             w.operator_start_ns = t

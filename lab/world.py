@@ -25,7 +25,8 @@ from wire.frame import Records, data_bytes, data_word, frames, new_queue, new_re
 
 __all__ = ["VirtualNetwork", "VirtualRig"]
 
-BLOCK_KNOTS = 500
+BLOCK_KNOTS = 8000
+TRUTH_BLOCK_KNOTS = 500  # less memory for the block of the true course
 LOG_FRAMES = 1 << 15
 SDO_REQUEST, SDO_RESPONSE = 0x600, 0x580
 
@@ -93,8 +94,9 @@ class VirtualRig:
         w["script_ns"], w["operator_start_ns"] = FAR_NS, -1
         w["steps_per_knot"] = max(1, round(KNOT_S / rig.plant.step_s))
         w["truth_on"] = truth
-        self._f_h = np.zeros(BLOCK_KNOTS + 1)
-        steps = BLOCK_KNOTS * int(w["steps_per_knot"])
+        knots = TRUTH_BLOCK_KNOTS if truth else BLOCK_KNOTS
+        self._f_h = np.zeros(knots + 1)
+        steps = knots * int(w["steps_per_knot"])
         self._truth_block = np.zeros((steps if truth else 1, len(TRUTH_COLUMNS)))
         self._truth: list[Any] = []
         self._truth_from = 0
@@ -129,6 +131,7 @@ class VirtualRig:
             reason = Exit(run(*self._arguments))
             self.exits[reason] += 1
             self._answer(reason)
+            self._actuate()
             if reason is Exit.UNTIL or (condition is not None and condition()):
                 return
 
@@ -141,6 +144,12 @@ class VirtualRig:
         """Call `action(world)` at the virtual time `t_ns`: a script's entry."""
         heapq.heappush(self._script, (t_ns, len(self._script), action))
         self._world["script_ns"] = self._script[0][0]
+
+    def _actuate(self) -> None:
+        """What a service or a script made of the devices' outputs acts from now on: the plant was advanced to the present."""
+        w = self._world[0]
+        w["torque_pm"] = self.nodes[MOTOR]["out_torque_pm"]
+        w["brake_Nm"] = self.nodes[BRAKE]["out_brake_Nm"]
 
     # the kernel's exits
 
@@ -173,8 +182,9 @@ class VirtualRig:
         self._keep_truth()
         step = int(plant["t_ns"]) // int(plant["step_ns"])
         w["force_step"] = step
+        w["force_end_ns"] = (step + (len(self._f_h) - 1) * int(w["steps_per_knot"])) * int(plant["step_ns"])
         self._truth_from = step
-        t = (step + np.arange(BLOCK_KNOTS + 1) * int(w["steps_per_knot"])) * float(plant["h"])
+        t = (step + np.arange(len(self._f_h)) * int(w["steps_per_knot"])) * float(plant["h"])
         start = self.enabled_ns
         self._f_h[:] = self.operator.torque_Nm(t, None if start is None else start * 1e-9)
 

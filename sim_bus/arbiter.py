@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from eds.compiled import kernel
+from eds.compiled import inlined
 from wire.bits import data_frame_bits
 from wire.frame import CAN_EFF_FLAG, CAN_RTR_FLAG, Records, new_records
 
@@ -46,7 +46,7 @@ def new_bus(bitrate_bit_s: int) -> Records:
     return bus
 
 
-@kernel
+@inlined
 def arbitration_key(can_id: int) -> int:
     """Return the arbitration field as a number: the lower one wins the bus.
 
@@ -60,7 +60,7 @@ def arbitration_key(can_id: int) -> int:
     return ((can_id & 0x7FF) << 21) | (remote << 20)
 
 
-@kernel
+@inlined
 def start_ns(bus: Any, queue: Any, count: int) -> int:
     """Return when the next waiting frame can start, `FAR_NS` when none waits."""
     if count == 0:
@@ -71,7 +71,7 @@ def start_ns(bus: Any, queue: Any, count: int) -> int:
     return max(first, bus.free_ns)
 
 
-@kernel
+@inlined
 def start_frame(bus: Any, queue: Any, header: Any, now_ns: int) -> None:
     """Arbitrate among the frames that are ready at `now_ns` and put the winner on the wire."""
     best = -1
@@ -105,7 +105,7 @@ def start_frame(bus: Any, queue: Any, header: Any, now_ns: int) -> None:
     header[0].count = count - 1
 
 
-@kernel
+@inlined
 def end_frame(bus: Any, log: Any, row: int) -> None:
     """Take the frame off the wire and write it to `log[row]`, stamped with its end of frame."""
     bus.busy = 0

@@ -55,14 +55,20 @@ class Operator:
         return tremor
 
     def schedule_Nm(self, t: Floats) -> Floats:
-        """Return the schedule's torque [Nm] at the times `t` [s] since its start; 0 outside of it."""
+        """Return the schedule's torque [Nm] at the rising times `t` [s] since its start; 0 outside of it."""
         torque = np.zeros_like(t)
         hand = self._hand
         wanted = 0.0  # where the hand wants to be when a phase begins
         for phase, begin in zip(self._phases, self.starts_s[:-1], strict=True):
-            inside = (t >= begin) & (t < begin + phase.duration_s)
-            s = t[inside] - begin
             rest = hand.stiffness_Nm_rad * wanted
+            if phase.kind == "stroke":
+                end, _ = _stroke(np.array([phase.duration_s]), phase.speed_rad_s, phase.move_s, phase.dwell_s)
+                wanted += float(end[0])
+            first, after = np.searchsorted(t, (begin, begin + phase.duration_s))
+            if first == after:
+                continue
+            inside = slice(first, after)
+            s = t[inside] - begin
             if phase.kind == "hold":
                 push = phase.push_F_s * self._F_s * np.sin(2 * np.pi * phase.frequency_Hz * s)
                 for tap in phase.taps_s:
@@ -71,8 +77,6 @@ class Operator:
             elif phase.kind == "stroke":
                 angle, speed = _stroke(s, phase.speed_rad_s, phase.move_s, phase.dwell_s)
                 torque[inside] = rest + hand.stiffness_Nm_rad * angle + hand.damping_Nms_rad * speed
-                end, _ = _stroke(np.array([phase.duration_s]), phase.speed_rad_s, phase.move_s, phase.dwell_s)
-                wanted += float(end[0])
             elif phase.kind == "paper":
                 torque[inside] = rest + paper_force_N(s)
             elif phase.kind == "file":
