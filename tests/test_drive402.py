@@ -11,7 +11,14 @@ from node_bench import MS, US, Bench, SdoAborted, cycle, enable, motor, setpoint
 SHUTDOWN, SWITCH_ON, ENABLE, DISABLE_VOLTAGE, QUICK_STOP, RESET = 0x06, 0x07, 0x0F, 0x00, 0x02, 0x80
 SOD, RTSO, SO, OE, QSA, FAULT = 1, 2, 3, 4, 5, 7
 PATH = {SOD: (), RTSO: (SHUTDOWN,), SO: (SHUTDOWN, SWITCH_ON), OE: (SHUTDOWN, SWITCH_ON, ENABLE)}
-MASKED = {SOD: (0x4F, 0x40), RTSO: (0x6F, 0x21), SO: (0x6F, 0x23), OE: (0x6F, 0x27), QSA: (0x6F, 0x07), FAULT: (0x4F, 8)}
+MASKED = {
+    SOD: (0x4F, 0x40),
+    RTSO: (0x6F, 0x21),
+    SO: (0x6F, 0x23),
+    OE: (0x6F, 0x27),
+    QSA: (0x6F, 0x07),
+    FAULT: (0x4F, 8),
+}
 
 
 def word(bench: Bench) -> int:
