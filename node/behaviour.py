@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from eds.compiled import kernel
+from eds.compiled import inlined, kernel
 from node import brake404, drive402, emcy
-from node.inlined import inlined
 from node.records import KIND_BRAKE, KIND_DRIVE
 
 __all__ = [

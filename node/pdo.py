@@ -10,10 +10,9 @@ from __future__ import annotations
 from typing import Any
 
 from eds.codec import pack, unpack
-from eds.compiled import kernel
+from eds.compiled import inlined, kernel
 from node import emcy, watch
 from node.behaviour import CARRIES_SETPOINT, alarm, apply, sample, step
-from node.inlined import inlined
 from node.records import MAX_PDOS
 from wire.frame import push
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+
 from eds.reader import Description, read_eds
 from node import core
 from node.device import Device

@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from node import emcy
 from node_bench import MS, US, Bench, SdoAborted, cycle, enable, motor, setpoint
+
+from node import emcy
 
 SHUTDOWN, SWITCH_ON, ENABLE, DISABLE_VOLTAGE, QUICK_STOP, RESET = 0x06, 0x07, 0x0F, 0x00, 0x02, 0x80
 SOD, RTSO, SO, OE, QSA, FAULT = 1, 2, 3, 4, 5, 7

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from node_bench import MS, US, Bench, SdoAborted, cycle, motor, setpoint
+
 from node import core, emcy, slots
 from node.records import FAR_FUTURE_NS, new_nodes
-from node_bench import MS, US, Bench, SdoAborted, cycle, motor, setpoint
 from wire.frame import CAN_EFF_FLAG, CAN_RTR_FLAG
 
 

@@ -8,8 +8,9 @@ import struct
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from node import slots
 from node_bench import MS, US, Bench, SdoAborted, motor, setpoint
+
+from node import slots
 from wire.frame import CAN_RTR_FLAG
 
 INVALID = 0x80000000

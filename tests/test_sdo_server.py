@@ -6,13 +6,14 @@ import struct
 
 import canopen
 import pytest
-from eds.cia301 import DATA_TYPES
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from node_bench import EDS, MS, Bench, SdoAborted, description, motor
+
+from eds.cia301 import DATA_TYPES
 from node.device import SDO_TIMEOUT_NS
 from node.dictionary import SdoAbort
 from node.sdo import SdoServer
-from node_bench import EDS, MS, Bench, SdoAborted, description, motor
 
 
 def powered(name: str = "motor", node_id: int = 1) -> Bench:
