@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from node_bench import MS, US, Bench, SdoAborted, cycle, motor, setpoint
+from node_bench import MS, US, Bench, SdoAborted, cycle, description, motor, setpoint
 
+from eds.reader import EdsError, read_eds
 from node import core, emcy, slots
-from node.records import FAR_FUTURE_NS, new_nodes
+from node.device import Device
+from node.records import FAR_FUTURE_NS, KIND_GENERIC, new_nodes
 from wire.frame import CAN_EFF_FLAG, CAN_RTR_FLAG
 
 
@@ -178,6 +182,63 @@ def test_causes_are_named_and_fault_codes_are_in_their_class():
     assert emcy.CAUSES[emcy.RPDO_DEADLINE].code == 0x8250
     assert emcy.CAUSES[emcy.SYNC_LOST].code == 0x8700
     assert emcy.FAULT_MASK >> emcy.RPDO_SHORT & 1 == 0
+
+
+def test_sync_identifier_can_be_moved():
+    bench = Bench("motor")
+    bench.power_on()
+    bench.write(0x1005, 0, 0x90, 4)
+    bench.nmt(1)
+    bench.take()
+    bench.sync()
+    assert bench.take() == []
+    bench.frame(0x090)
+    assert [s.can_id for s in bench.take()] == [0x181, 0x281]
+
+
+def test_counter_overflow_stands_while_a_period_is_set():
+    bench = Bench("motor")
+    bench.power_on()
+    bench.write(0x1006, 0, 1000, 4)
+    with pytest.raises(SdoAborted, match="08000022"):
+        bench.write(0x1019, 0, 10, 1)
+    bench.write(0x1006, 0, 0, 4)
+    bench.write(0x1019, 0, 10, 1)
+
+
+def test_a_device_refuses_what_it_cannot_be():
+    nodes, rpdo, tpdo = new_nodes(1)
+    for node_id, kind, text in ((0, 1, "node id 0"), (128, 1, "expected 1 to 127"), (1, 3, "kind 3")):
+        with pytest.raises(ValueError, match=text):
+            Device(description("motor"), node_id, kind, nodes, rpdo, tpdo, 0)
+    with pytest.raises(KeyError, match="no object 5555h"):
+        Bench("motor").device[0x5555, 0]
+
+
+CORPUS = Path(__file__).resolve().parent.parent.parent / "shared" / "eds-corpus"
+
+
+@pytest.mark.skipif(not CORPUS.is_dir(), reason="the corpus of vendors' EDS files is not here")
+def test_any_readable_eds_becomes_a_live_node():
+    lived = 0
+    for path in sorted(CORPUS.glob("**/*.[ed][dc][sf]")):
+        try:
+            bench = Bench("", 5, KIND_GENERIC, read_eds(path))
+        except EdsError:
+            continue  # refused with a reason: a map that cannot be read right
+        bench.power_on()
+        assert [(s.can_id, s.data) for s in bench.take()] == [(0x705, b"\0")]
+        for index, entry in bench.device.description.objects.items():
+            for subindex, variable in entry.variables.items():
+                if variable.access != "wo" and not (index == 0x1003 and subindex):
+                    bench.upload(index, subindex)
+        bench.nmt(1)
+        for _ in range(3):
+            bench.sync()
+            bench.run(5 * MS)
+        assert bench.node.nmt == 5
+        lived += 1
+    assert lived >= 20
 
 
 FRAMES = st.tuples(
