@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scope.recording import Recording
 
 from lab.measures import Floats, PhaseSpan, phases, velocity
+from scope.recording import Recording
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["Traces", "draw_traces", "figure_14", "traces"]
+__all__ = ["Traces", "draw_detail", "draw_traces", "figure_14", "traces"]
 
 HANDLE_COLOUR, COMMAND_COLOUR, VELOCITY_COLOUR = (
     "#0072B2",
@@ -23,6 +23,7 @@ HANDLE_COLOUR, COMMAND_COLOUR, VELOCITY_COLOUR = (
     "#009E73",
 )  # Okabe-Ito: safe for colour-blind eyes
 SHADES = {"rest": "#ffffff", "hold": "#ececec", "stroke": "#f7f7f7"}
+DETAIL_FROM_S, DETAIL_S = 2.5, 0.1  # of the hold
 LABELS = {
     "active": "(a) active force feedback",
     "hybrid": "(b) hybrid force feedback",
@@ -73,7 +74,7 @@ def draw_traces(torque: Axes, speed: Axes, data: Traces, mode: str) -> None:
     torque.plot(data.command_t_s, data.command_Nm, lw=0.5, color=COMMAND_COLOUR, label=data.command_label, alpha=0.8)
     torque.plot(data.torque_t_s, data.handle_Nm, lw=0.8, color=HANDLE_COLOUR, label="hand on the handle, measured")
     torque.set_ylabel("torque [Nm]")
-    torque.legend(loc="lower left", fontsize=7, ncols=2, framealpha=0.9)
+    torque.legend(loc="lower center", bbox_to_anchor=(0.5, -0.02), fontsize=7, ncols=2, frameon=False)
     speed.plot(data.t_s, data.velocity_rad_s, lw=0.5, color=VELOCITY_COLOUR)
     speed.set_ylabel("velocity [rad/s]")
     speed.set_xlabel("time since Operation Enabled [s]")
@@ -97,6 +98,17 @@ def draw_traces(torque: Axes, speed: Axes, data: Traces, mode: str) -> None:
         )
 
 
+def draw_detail(axes: Axes, data: Traces, begin_s: float) -> None:
+    """Draw a tenth of a second of the velocity, sample by sample: a limit cycle, or nothing."""
+    inside = (data.t_s >= begin_s) & (data.t_s < begin_s + DETAIL_S)
+    axes.plot(data.t_s[inside], data.velocity_rad_s[inside], lw=0.8, marker=".", ms=3, color=VELOCITY_COLOUR)
+    axes.set_title("0.1 s of the hold, sample by sample", loc="left", fontsize=9)
+    axes.set_ylabel("velocity [rad/s]")
+    axes.set_xlabel("time since Operation Enabled [s]")
+    axes.grid(True, lw=0.3, color="0.85")
+    axes.margins(x=0)
+
+
 def figure_14(recordings: Mapping[str, Recording], path: Path) -> None:
     """Save torque and velocity of each recording, one column a mode, as a picture (the ending names the format)."""
     import matplotlib
@@ -104,11 +116,14 @@ def figure_14(recordings: Mapping[str, Recording], path: Path) -> None:
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    figure, axes = plt.subplots(
-        2, len(recordings), figsize=(5.6 * len(recordings), 6.0), sharex=True, sharey="row", squeeze=False
-    )
+    figure, axes = plt.subplots(3, len(recordings), figsize=(5.6 * len(recordings), 8.2), sharey="row", squeeze=False)
     for column, (mode, recording) in enumerate(recordings.items()):
-        draw_traces(axes[0, column], axes[1, column], traces(recording, mode), mode)
+        data = traces(recording, mode)
+        draw_traces(axes[0, column], axes[1, column], data, mode)
+        hold = next((span for span in data.phases if span.kind == "hold"), None)
+        draw_detail(axes[2, column], data, DETAIL_FROM_S + (hold.begin_s if hold is not None else 0.0))
+    low, high = axes[0, 0].get_ylim()
+    axes[0, 0].set_ylim(low - 0.18 * (high - low), high + 0.1 * (high - low))  # room for legend and phases
     figure.suptitle(
         f"Friction display on the rig '{next(iter(recordings.values())).rig.rig.name}', from the recorded PDOs",
         fontsize=12,

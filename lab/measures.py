@@ -11,7 +11,8 @@ from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from scipy.signal import periodogram
+from scipy.signal import welch
+
 from scope.recording import Recording
 
 __all__ = ["HOLD_LEAD_S", "HOLD_TAIL_S", "STICK_WINDOW_S", "Measures", "PhaseSpan", "measure", "phases", "velocity"]
@@ -20,6 +21,8 @@ Floats: TypeAlias = npt.NDArray[np.float64]
 
 HOLD_LEAD_S, HOLD_TAIL_S = 0.8, 0.02
 STICK_WINDOW_S = (0.35, 0.95)
+SPECTRUM_SAMPLES = 512
+"""Length of the segments of the averaged spectrum (Welch): about 2 Hz of resolution at 1 kHz."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +43,7 @@ class Measures:
     torque_flips_per_s: float | None = None
     stick_velocity_rms_rad_s: float | None = None
     hold_peak_Hz: float | None = None
-    """Frequency of the largest peak in the spectrum of the velocity in the hold window."""
+    """Frequency of the largest peak in the averaged spectrum (Welch) of the velocity in the hold window."""
     hold_push_Nm: float | None = None
     """Largest handle torque that the transducer shows in the hold window."""
 
@@ -91,7 +94,7 @@ def measure(recording: Recording) -> Measures:
             dwell += stroke.move_s + stroke.dwell_s
     figures: dict[str, float | int | None] = {}
     if hold.any():
-        seconds = hold.sum() * period
+        seconds = float(hold.sum()) * period
         counts = np.rint(angle.values[1:][hold] / abs(recording.scale("motor.position_rad")))
         figures["hold_velocity_rms_rad_s"] = _rms(v[hold])
         figures["hold_counts_p2p"] = int(np.ptp(counts))
@@ -100,7 +103,7 @@ def measure(recording: Recording) -> Measures:
         handle = recording["brake.handle_torque_Nm"]
         figures["hold_push_Nm"] = float(np.max(np.abs(handle.values[_like(handle.t_s, t, hold)]), initial=0.0))
         if np.any(v[hold]):
-            frequency, power = periodogram(v[hold], 1 / period)
+            frequency, power = welch(v[hold], 1 / period, nperseg=min(SPECTRUM_SAMPLES, int(hold.sum())))
             figures["hold_peak_Hz"] = float(frequency[np.argmax(power)])
     if stick.any():
         figures["stick_velocity_rms_rad_s"] = _rms(v[stick])

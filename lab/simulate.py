@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scope.recording import read
 
 from eds.rig import Rig, load_rig
 from host.bringup import bring_up, shut_down
@@ -19,6 +18,7 @@ from host.records import Phase, Trip
 from lab.measures import Measures, measure
 from lab.recorder import Recorder
 from lab.world import VirtualRig
+from scope.recording import read
 from wire.frame import Records
 from wire.pcapng import RecordingError
 

@@ -11,12 +11,12 @@ from typing import Any
 
 import canopen
 import numpy as np
-from node.device import Device
 
 from eds.rig import Rig
 from host.controller import Controller, arguments
 from host.step import SOURCE_HOST
 from lab.kernel import BRAKE, CONTROL_PLANE, MOTOR, WORLD, Exit, run
+from node.device import Device
 from node.records import KIND_BRAKE, KIND_DRIVE, new_nodes
 from sim_bus.arbiter import FAR_NS, new_bus
 from sim_bus.operator import KNOT_S, Operator
