@@ -17,9 +17,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
-    from scope.recording import read
-
     from lab.simulate import RunResult, simulate
+    from scope.recording import read
 
 __all__ = ["main", "read", "simulate"]
 
@@ -278,11 +277,10 @@ def demo(rig_name: str, overrides: tuple[str, ...], seed: int, out: Path, as_jso
       coulombus demo --seed 3 --out out/third
     """
     with _errors():
-        from scope.recording import read
-
         from eds.rig import load_rig
         from lab.demo import DEMO_MODES, as_dict, run_demo, schedule_s
         from lab.figures import figure_14
+        from scope.recording import read
 
         rig = load_rig(rig_name, overrides)
         missing = [mode for mode in DEMO_MODES if mode not in rig.mode]
@@ -317,10 +315,9 @@ def decode(file: Path, rig_name: str | None, as_json: bool) -> None:
       coulombus decode run.pcapng --json | jq 'select(.node == "motor")'
     """
     with _errors():
+        from eds.rig import load_rig
         from scope.decode import as_text, rows
         from scope.recording import read
-
-        from eds.rig import load_rig
 
         recording = read(file, rig=None if rig_name is None else load_rig(rig_name))
         out = sys.stdout

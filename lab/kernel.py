@@ -188,12 +188,12 @@ def run(
                 if (
                     nodes[i].powered
                     and b.source != i
-                    and core.on_frame(nodes, rpdo, tpdo, i, t, b.can_id, b.length, b.data, queue, header)
+                    and core.on_frame(nodes, rpdo, tpdo, i, t, b.can_id, b.length, b.word, queue, header)
                 ):
                     w.service |= 1 << i
             _actuate(w, plant, nodes, f_h, truth, t)
             if b.source != step.SOURCE_HOST:
-                wanted = step.on_frame(c, h, host_tpdos, t, b.can_id, b.length, b.data)
+                wanted = step.on_frame(c, h, host_tpdos, t, b.can_id, b.length, b.word)
                 if wanted == 1:
                     step.finish(c, h, host_rpdos, law_function, motion[0], law[0], state[0], t, queue, header)
                 elif wanted == 2:

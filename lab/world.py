@@ -169,7 +169,7 @@ class VirtualRig:
         w = self._world[0]
         frame = self._log[int(w["log_count"]) - 1]
         service, t_ns, can_id = int(w["service"]), int(frame["t_ns"]), int(frame["can_id"])
-        length, data = int(frame["length"]), int(frame["data"])
+        length, data = int(frame["length"]), int(frame["word"])
         for i, device in enumerate((self.motor, self.brake)):
             if service >> i & 1:
                 device.service(t_ns, can_id, length, data, self._queue, self._header)
@@ -184,7 +184,8 @@ class VirtualRig:
         w["force_step"] = step
         w["force_end_ns"] = (step + (len(self._f_h) - 1) * int(w["steps_per_knot"])) * int(plant["step_ns"])
         self._truth_from = step
-        t = (step + np.arange(len(self._f_h)) * int(w["steps_per_knot"])) * float(plant["h"])
+        knots = step + np.arange(len(self._f_h)) * int(w["steps_per_knot"])
+        t = np.asarray(knots * float(plant["h"]), np.float64)
         start = self.enabled_ns
         self._f_h[:] = self.operator.torque_Nm(t, None if start is None else start * 1e-9)
 

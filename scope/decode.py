@@ -44,7 +44,7 @@ def rows(recording: Recording) -> Iterator[Row]:
     comments: dict[int, str] = {}
     for row, text in recording.capture.comments:
         comments[row] = f"{comments[row]}; {text}" if row in comments else text
-    columns = (recording.t_s, frames["can_id"], frames["length"], frames["data"], table_of)
+    columns = (recording.t_s, frames["can_id"], frames["length"], frames["word"], table_of)
     for i, (t_s, can_id, length, word, number) in enumerate(zip(*(c.tolist() for c in columns), strict=True)):
         if number >= 0:
             found: Row = {"t_s": t_s, "can_id": can_id}

@@ -198,7 +198,7 @@ def _table(pdo: RigPdo, frames: Records, can_ids: Integers) -> PdoTable:
     layout = pdo.layout
     came = np.flatnonzero(can_ids == layout.cob_id)
     rows = came[frames["length"][came] == layout.length]
-    words = frames["data"][rows]
+    words = frames["word"][rows]
     columns = tuple(
         _si(decode_field(words, start, entry), signal)
         for entry, start, signal in zip(layout.entries, layout.starts, pdo.signals, strict=True)

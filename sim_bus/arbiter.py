@@ -30,7 +30,7 @@ BUS = np.dtype(
         ("t_ns", np.int64),  # the frame on the wire, fields as in FRAME
         ("can_id", np.int64),
         ("length", np.int64),
-        ("data", np.int64),
+        ("word", np.int64),
         ("source", np.int64),
         ("frames", np.int64),  # counters
         ("bits", np.int64),
@@ -84,10 +84,10 @@ def start_frame(bus: Any, queue: Any, header: Any, now_ns: int) -> None:
                 best = i
                 best_key = key
     frame = queue[best]
-    bits = data_frame_bits(frame.can_id, frame.length, frame.data)
+    bits = data_frame_bits(frame.can_id, frame.length, frame.word)
     bus.can_id = frame.can_id
     bus.length = frame.length
-    bus.data = frame.data
+    bus.word = frame.word
     bus.source = frame.source
     bus.t_ns = now_ns
     bus.end_ns = now_ns + (bits - INTER_FRAME_BITS) * 1_000_000_000 // bus.bit_rate
@@ -100,7 +100,7 @@ def start_frame(bus: Any, queue: Any, header: Any, now_ns: int) -> None:
         into.t_ns = out.t_ns
         into.can_id = out.can_id
         into.length = out.length
-        into.data = out.data
+        into.word = out.word
         into.source = out.source
     header[0].count = count - 1
 
@@ -113,5 +113,5 @@ def end_frame(bus: Any, log: Any, row: int) -> None:
     frame.t_ns = bus.end_ns
     frame.can_id = bus.can_id
     frame.length = bus.length
-    frame.data = bus.data
+    frame.word = bus.word
     frame.source = bus.source

@@ -92,7 +92,7 @@ class Bench:
         count = int(self.header["count"][0])
         for k in range(count):
             row = self.queue[k]
-            data = data_bytes(int(row["data"]), int(row["length"]))
+            data = data_bytes(int(row["word"]), int(row["length"]))
             self.sent.append(Sent(int(row["t_ns"]), int(row["can_id"]), data))
         self.header["count"] = 0
 

@@ -54,7 +54,7 @@ def test_equal_identifiers_keep_their_order():
     for row in range(3):
         start_frame(bus[0], queue, header, start_ns(bus[0], queue, 3 - row))
         end_frame(bus[0], log, row)
-    assert list(log["data"]) == [0, 1, 2]
+    assert list(log["word"]) == [0, 1, 2]
 
 
 def arbitration_bits(can_id):

@@ -18,7 +18,7 @@ def emcys(recording):
     """(t_s, node, error code) of every EMCY in a recording."""
     frames = recording.frames
     some = frames[np.isin(frames["can_id"], (0x81, 0x82)) & (frames["length"] == 8)]
-    return [(f["t_ns"] * 1e-9, int(f["can_id"]) & 0x7F, int(f["data"]) & 0xFFFF) for f in some if f["data"] & 0xFFFF]
+    return [(f["t_ns"] * 1e-9, int(f["can_id"]) & 0x7F, int(f["word"]) & 0xFFFF) for f in some if f["word"] & 0xFFFF]
 
 
 def when_enabled(world, delay_ns, action):

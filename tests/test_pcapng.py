@@ -34,13 +34,13 @@ def records(rows: list[Row]) -> np.ndarray:
     out = np.zeros(len(rows), FRAME)
     for record, (t_ns, can_id, data) in zip(out, rows, strict=True):
         record["t_ns"], record["can_id"], record["length"] = t_ns, can_id, len(data)
-        record["data"] = data_word(data)
+        record["word"] = data_word(data)
     return out
 
 
 def as_rows(frames: np.ndarray) -> list[Row]:
     return [
-        (int(f["t_ns"]), int(f["can_id"]), int(f["data"]).to_bytes(8, "little", signed=True)[: int(f["length"])])
+        (int(f["t_ns"]), int(f["can_id"]), int(f["word"]).to_bytes(8, "little", signed=True)[: int(f["length"])])
         for f in frames
     ]
 
@@ -144,7 +144,7 @@ def test_a_remote_frame_keeps_its_dlc_and_has_no_data(tmp_path: Path):
     with PcapngWriter(tmp_path / "a.pcapng", attachments={}) as writer:
         writer.write(frame)
     frames = read_pcapng(tmp_path / "a.pcapng").frames
-    assert (frames["can_id"][0], frames["length"][0], frames["data"][0]) == (CAN_RTR_FLAG | 0x181, 6, 0)
+    assert (frames["can_id"][0], frames["length"][0], frames["word"][0]) == (CAN_RTR_FLAG | 0x181, 6, 0)
 
 
 def test_same_input_same_bytes_and_epoch(tmp_path: Path):
@@ -160,7 +160,7 @@ def test_many_frames_cross_the_readers_chunks(tmp_path: Path):
     frames = np.zeros(count, FRAME)
     frames["t_ns"] = np.arange(count) * 1000
     frames["can_id"], frames["length"] = 0x181, 8
-    frames["data"] = np.arange(count) - count // 2
+    frames["word"] = np.arange(count) - count // 2
     with PcapngWriter(tmp_path / "a.pcapng", attachments={}) as writer:
         for start in range(0, count, 9_999):
             writer.write(frames[start : start + 9_999], {0: f"batch {start}"})
@@ -516,7 +516,7 @@ def test_what_is_no_classical_frame_is_skipped_and_counted(tmp_path: Path):
 def test_bytes_beyond_the_length_are_cleared(tmp_path: Path):
     path = tmp_path / "a.pcapng"
     path.write_bytes(section() + interface() + packet(1, can(1, b"\x01\x02")[:10] + b"\xff" * 6))
-    assert read_pcapng(path).frames["data"].tolist() == [0x0201]
+    assert read_pcapng(path).frames["word"].tolist() == [0x0201]
 
 
 def run_tool(*command: str) -> str:

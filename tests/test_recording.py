@@ -39,7 +39,7 @@ def save(
 ) -> Path:
     frames = np.zeros(len(rows), FRAME)
     for record, (t_ns, can_id, data) in zip(frames, rows, strict=True):
-        record["t_ns"], record["can_id"], record["length"], record["data"] = t_ns, can_id, len(data), data_word(data)
+        record["t_ns"], record["can_id"], record["length"], record["word"] = t_ns, can_id, len(data), data_word(data)
     with PcapngWriter(path, attachments=attachments) as writer:
         writer.write(frames, comments)
     return path

@@ -1,6 +1,6 @@
 """A CAN frame as the kernels see it, and the queue in which frames wait.
 
-All integers are int64. `data` holds the eight data bytes in little-endian order: byte 0 of the frame is bits 0-7, as in
+All integers are int64. `word` holds the eight data bytes in little-endian order: byte 0 of the frame is bits 0-7, as in
 the second half of Linux's 16-byte ``struct can_frame`` read on a little-endian machine. `can_id` carries Linux's flags
 ``CAN_EFF_FLAG``, ``CAN_RTR_FLAG`` and ``CAN_ERR_FLAG``.
 """
@@ -41,7 +41,7 @@ FRAME = np.dtype(
         ("t_ns", np.int64),  # ready to be sent (in a queue), or end of frame (in a log)
         ("can_id", np.int64),
         ("length", np.int64),  # data bytes, 0-8
-        ("data", np.int64),  # little-endian word of the eight data bytes, 0 beyond `length`
+        ("word", np.int64),  # little-endian word of the eight data bytes, 0 beyond `length`
         ("source", np.int64),  # number of the sending station
     ],
     align=True,
@@ -77,7 +77,7 @@ def push(queue: Any, header: Any, source: int, t_ns: int, can_id: int, length: i
     f.t_ns = t_ns
     f.can_id = can_id
     f.length = length
-    f.data = data
+    f.word = data
     f.source = source
     header[0].count = n + 1
 

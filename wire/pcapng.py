@@ -140,7 +140,7 @@ class PcapngWriter:
             blocks["stamp_low"] = stamps & 0xFFFFFFFF
             blocks["can_id"] = frames["can_id"]
             blocks["length"] = frames["length"]
-            blocks["data"] = frames["data"]
+            blocks["data"] = frames["word"]
         self._write(_commented(blocks, comments) if comments else blocks.tobytes())
         self.frames += count
 

@@ -82,7 +82,7 @@ def decode_packets(words: Words, at: Integers, order: str, interfaces: Sequence[
     frames["source"] = interface[good] + earlier
     low, high = words[np.minimum(at + 9, last)], words[np.minimum(at + 10, last)]
     masks = np.array([(1 << (8 * n)) - 1 for n in range(8)] + [-1])
-    frames["data"] = (low.astype(np.uint64) | high.astype(np.uint64) << np.uint64(32)).view(np.int64) & masks[sent]
+    frames["word"] = (low.astype(np.uint64) | high.astype(np.uint64) << np.uint64(32)).view(np.int64) & masks[sent]
     for number, one in enumerate(interfaces):
         rows = np.flatnonzero(interface[good] == number)
         if len(rows):
