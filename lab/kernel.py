@@ -194,7 +194,7 @@ def run(
             _actuate(w, plant, nodes, f_h, truth, t)
             if b.source != step.SOURCE_HOST:
                 wanted = step.on_frame(c, h, host_tpdos, t, b.can_id, b.length, b.word)
-                if wanted == 1:
+                if wanted == 1 and w.host_on:
                     step.finish(c, h, host_rpdos, law_function, motion[0], law[0], state[0], t, queue, header)
                 elif wanted == 2:
                     w.service |= CONTROL_PLANE
