@@ -1,0 +1,139 @@
+"""The name of a bus: ``coulombus:bench`` is a virtual bus of this project, ``socketcan:can0`` an interface of Linux.
+
+A virtual bus is a socket in a private directory of the user: ``$XDG_RUNTIME_DIR/coulombus`` where the system provides
+one, else ``coulombus-UID`` in the directory for temporary files. Whoever can write to that directory can move the
+motor, so it has mode 0700 and is refused when it belongs to somebody else.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import stat
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, TypeAlias, get_args
+
+__all__ = ["AddressError", "BusAddress", "BusUnavailable", "default_address", "parse_address", "socket_path"]
+
+Kind: TypeAlias = Literal["coulombus", "socketcan"]
+
+_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
+_INTERFACE = re.compile(r"[^\s/:]{1,15}")  # IFNAMSIZ is 16 with the closing zero byte
+_SUN_PATH = 107  # bytes of a socket's path, without the closing zero byte: unix(7)
+_RESERVED = ".host"  # the control socket of the host on bus NAME is NAME.host
+
+
+class AddressError(ValueError):
+    """A bus address that cannot be meant; the text says what can."""
+
+    exit_status = 2
+
+
+class BusUnavailable(OSError):
+    """No bus answers at this address; the text says how to get one."""
+
+    exit_status = 4
+
+
+@dataclass(frozen=True)
+class BusAddress:
+    """Where a bus is: its kind and its name there. ``str()`` is the form that `parse_address` reads."""
+
+    kind: Kind
+    name: str
+
+    def __str__(self) -> str:
+        return f"{self.kind}:{self.name}"
+
+
+def default_address(rig_name: str) -> BusAddress:
+    """Return the virtual bus of a rig: ``coulombus:RIG``, what cannot stand in a name replaced by ``-``."""
+    name = re.sub(r"[^A-Za-z0-9_.-]+", "-", rig_name).strip("-.").removesuffix(_RESERVED) or "bus"
+    return BusAddress("coulombus", name)
+
+
+def parse_address(text: str) -> BusAddress:
+    """Return the address that `text` names.
+
+    Raises
+    ------
+    AddressError
+        (a ValueError) What stands there names no bus; the message says what would.
+    """
+    kind, colon, name = text.partition(":")
+    if kind not in get_args(Kind) or not colon:
+        bare = text if not colon and _NAME.fullmatch(text) else name or "bench"
+        raise AddressError(
+            f"bus {text!r}: expected KIND:NAME; write coulombus:{bare} for a virtual bus or socketcan:{bare} for a "
+            "SocketCAN interface"
+        )
+    if kind == "socketcan":
+        if not _INTERFACE.fullmatch(name):
+            raise AddressError(
+                f"bus {text!r}: no name of a network interface (1 to 15 characters without space, '/' and ':'), "
+                "as in socketcan:can0"
+            )
+        return BusAddress("socketcan", name)
+    _check_name(name)
+    if name.endswith(_RESERVED):
+        raise AddressError(f"bus {text!r}: names that end in {_RESERVED} are kept for the host's control socket")
+    return BusAddress("coulombus", name)
+
+
+def _check_name(name: str) -> None:
+    if not _NAME.fullmatch(name):
+        raise AddressError(
+            f"bus name {name!r}: expected letters, digits, '_', '-' and '.', not starting with '-' or '.', "
+            "as in coulombus:bench"
+        )
+
+
+def socket_path(name: str) -> Path:
+    """Return the path of the socket `name`, in a directory that is made if need be and is this user's alone.
+
+    Raises
+    ------
+    AddressError
+        The name has a character that a name cannot have, or is too long for a socket's address.
+    BusUnavailable
+        The directory belongs to somebody else or others may write to it.
+    """
+    _check_name(name)
+    path = _directory() / name
+    excess = len(os.fsencode(path)) - _SUN_PATH
+    if excess > 0:
+        raise AddressError(
+            f"bus name {name!r}: {path} is {excess} bytes longer than the {_SUN_PATH} of a socket's path; "
+            "use a shorter name, or set XDG_RUNTIME_DIR or TMPDIR to a shorter path"
+        )
+    _make_private(path.parent)
+    return path
+
+
+def _directory() -> Path:
+    runtime = os.environ.get("XDG_RUNTIME_DIR", "")
+    if os.path.isabs(runtime):
+        try:
+            # after `su` the variable may still name the other user's directory
+            if os.stat(runtime).st_uid == os.geteuid():
+                return Path(runtime, "coulombus")
+        except OSError:
+            pass
+    return Path(tempfile.gettempdir(), f"coulombus-{os.geteuid()}")
+
+
+def _make_private(directory: Path) -> None:
+    try:
+        directory.mkdir(mode=0o700, exist_ok=True)
+        found = directory.lstat()  # not stat: in a directory that all may write to, anybody can place a link
+    except OSError as error:
+        raise BusUnavailable(
+            error.errno, f"cannot use {directory} for the sockets of virtual buses: {error.strerror}"
+        ) from None
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.geteuid() or found.st_mode & 0o022:
+        raise BusUnavailable(
+            f"{directory} is refused for the sockets of virtual buses: it must be a directory of user "
+            f"{os.geteuid()} that nobody else may write to; remove it, or set XDG_RUNTIME_DIR to a directory of yours"
+        )

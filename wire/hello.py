@@ -1,0 +1,218 @@
+"""How a client and a virtual bus greet each other, and how a client connects.
+
+The socket is AF_UNIX, SOCK_SEQPACKET: it keeps messages whole and tells when the other side has gone. All words of the
+greeting are little endian::
+
+    client -> bus   u32 magic  u16 version  u16 flags  u16 n  n x (u32 id, u32 mask)  padding     Hello
+    bus -> client   u32 magic  u16 version  u16 status  u32 bit rate  u32 station  padding        Answer
+    then, both ways, messages of one or more 16-byte ``struct can_frame`` in native byte order
+
+A greeting is padded so that its length is 8 modulo 16; a message of frames is a multiple of 16. So the two can be told
+apart at any time, and a client may greet again to change its flags and filters.
+"""
+
+from __future__ import annotations
+
+import errno
+import socket
+import struct
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum, IntFlag
+from pathlib import Path
+
+from wire.address import BusAddress, BusUnavailable, socket_path
+
+__all__ = [
+    "MAGIC",
+    "MAX_FILTERS",
+    "VERSION",
+    "Answer",
+    "BusUnavailable",
+    "Connection",
+    "Flags",
+    "Hello",
+    "Status",
+    "connect",
+    "connect_path",
+    "greet",
+    "is_greeting",
+]
+
+MAGIC = 0x53424C43  # "CLBS"
+VERSION = 1
+MAX_FILTERS = 512  # as CAN_RAW_FILTER_MAX
+SEND_BUFFER = 4 << 20  # bytes asked for; the kernel gives at most net.core.wmem_max
+
+_HELLO = struct.Struct("<IHHH")
+_FILTER = struct.Struct("<II")
+_ANSWER = struct.Struct("<IHHII")
+
+
+class Flags(IntFlag):
+    """What a client asks for besides the frames of others."""
+
+    OWN = 1  # its own frames too, once they were on the wire
+    LISTEN_ONLY = 2  # what it sends is dropped
+    ERRORS = 4  # error frames (CAN_ERR_FLAG), whatever the filters
+
+
+_NO_FLAGS = Flags(0)
+
+
+class Status(IntEnum):
+    """How a bus answers."""
+
+    OK = 0
+    WRONG_VERSION = 1
+    BAD_HELLO = 2
+    FULL = 3
+
+
+_REFUSAL = {
+    Status.WRONG_VERSION: f"it speaks another version than {VERSION} of the protocol; update both to one coulombus",
+    Status.BAD_HELLO: "it does not understand the greeting; update both to one coulombus",
+    Status.FULL: "all its places for clients are taken; end another client first",
+}
+
+
+def is_greeting(message: bytes) -> bool:
+    """Tell a greeting from frames: by its length alone."""
+    return len(message) % 16 == 8
+
+
+def _padded(message: bytes) -> bytes:
+    return message.ljust(len(message) + (8 - len(message)) % 16, b"\0")
+
+
+@dataclass(frozen=True)
+class Hello:
+    """What a client says first. A filter passes frames with ``id & mask == filter id & mask``; none passes all.
+
+    The identifiers and masks have the meaning of SocketCAN's ``struct can_filter``: bit 31 for extended frames, bit 30
+    for remote frames, and bit 29 of the identifier inverts the filter.
+    """
+
+    flags: Flags = _NO_FLAGS
+    filters: tuple[tuple[int, int], ...] = ()
+
+    def pack(self) -> bytes:
+        """Return the greeting's bytes. ValueError for more than `MAX_FILTERS` filters."""
+        if len(self.filters) > MAX_FILTERS:
+            raise ValueError(f"{len(self.filters)} filters: a bus takes at most {MAX_FILTERS} of a client")
+        head = _HELLO.pack(MAGIC, VERSION, self.flags, len(self.filters))
+        return _padded(head + b"".join(_FILTER.pack(*one) for one in self.filters))
+
+    @classmethod
+    def unpack(cls, message: bytes) -> Hello | Status:
+        """Return the greeting in `message`, or with which status the bus refuses it; never raises."""
+        if len(message) < _HELLO.size:
+            return Status.BAD_HELLO
+        magic, version, flags, count = _HELLO.unpack_from(message)
+        if magic != MAGIC:
+            return Status.BAD_HELLO
+        if version != VERSION:
+            return Status.WRONG_VERSION
+        size = _HELLO.size + count * _FILTER.size
+        if count > MAX_FILTERS or len(message) != size + (8 - size) % 16:
+            return Status.BAD_HELLO
+        known = flags & (Flags.OWN | Flags.LISTEN_ONLY | Flags.ERRORS)
+        return cls(Flags(known), tuple(_FILTER.iter_unpack(message[_HELLO.size : size])))
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a bus answers: whether it takes the client, its bit rate (0: unknown), and the client's station number."""
+
+    status: Status
+    bitrate_bit_s: int = 0
+    station: int = 0
+
+    def pack(self) -> bytes:
+        """Return the answer's bytes."""
+        return _padded(_ANSWER.pack(MAGIC, VERSION, self.status, self.bitrate_bit_s, self.station))
+
+    @classmethod
+    def unpack(cls, message: bytes) -> Answer | None:
+        """Return the answer in `message`, None when it is none; never raises."""
+        if len(message) < _ANSWER.size or not is_greeting(message):
+            return None
+        magic, _, status, bitrate, station = _ANSWER.unpack_from(message)
+        if magic != MAGIC or status not in Status.__members__.values():
+            return None
+        return cls(Status(status), bitrate, station)
+
+
+@dataclass(frozen=True)
+class Connection:
+    """A socket on which the greeting is over (blocking, no timeout), and what the bus answered."""
+
+    socket: socket.socket
+    answer: Answer
+
+
+def connect(
+    address: BusAddress,
+    flags: Flags | int = 0,
+    filters: Sequence[tuple[int, int]] = (),
+    timeout: float = 2.0,
+) -> socket.socket:
+    """Return a blocking socket on the virtual bus at `address`, greeted; `timeout` in seconds for all of it.
+
+    Raises
+    ------
+    BusUnavailable
+        No bus is there, or it refuses; the text says what to do.
+    """
+    return greet(address, Hello(Flags(flags), tuple(filters)), timeout).socket
+
+
+def greet(address: BusAddress, hello: Hello, timeout: float = 2.0) -> Connection:
+    """As `connect`, with the bus's answer."""
+    if address.kind != "coulombus":
+        raise ValueError(f"{address}: only coulombus: buses are greeted; a SocketCAN interface is opened by its name")
+    path = socket_path(address.name)
+    try:
+        return connect_path(path, hello, timeout)
+    except (FileNotFoundError, ConnectionRefusedError):
+        text = f"no bus {address}: start one in another terminal with `coulombus sim --bus {address}`"
+    except BusUnavailable as error:
+        text = f"bus {address} refuses: {error}"
+    except TimeoutError:
+        text = f"bus {address} does not answer within {timeout:g} s: is its process stopped? (socket {path})"
+    except OSError as error:
+        text = f"bus {address} cannot be reached at {path}: {error.strerror or error}"
+    raise BusUnavailable(text) from None
+
+
+def connect_path(path: Path, hello: Hello, timeout: float) -> Connection:
+    """Connect to the socket at `path` and greet; errors as the system gives them, a refusal as BusUnavailable."""
+    deadline = time.monotonic() + timeout
+    client = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    try:
+        client.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
+        while True:
+            client.settimeout(max(1e-3, deadline - time.monotonic()))
+            try:
+                client.connect(str(path))
+                break
+            except BlockingIOError:  # the queue of those who wait for accept() is full
+                if time.monotonic() >= deadline:
+                    raise TimeoutError from None
+                time.sleep(0.01)
+        client.send(hello.pack())
+        answer = None
+        while answer is None:  # anything else is not for us yet
+            client.settimeout(max(1e-3, deadline - time.monotonic()))
+            message = client.recv(1 << 16)
+            if not message:
+                raise ConnectionResetError(errno.ECONNRESET, "it closed the connection")
+            answer = Answer.unpack(message)
+        if answer.status != Status.OK:
+            raise BusUnavailable(_REFUSAL[answer.status])
+        client.settimeout(None)
+    except BaseException:
+        client.close()
+        raise
+    return Connection(client, answer)
