@@ -4,11 +4,11 @@ The socket is AF_UNIX, SOCK_SEQPACKET: it keeps messages whole and tells when th
 greeting are little endian::
 
     client -> bus   u32 magic  u16 version  u16 flags  u16 n  n x (u32 id, u32 mask)  padding     Hello
-    bus -> client   u32 magic  u16 version  u16 status  u32 bit rate  u32 station  padding        Answer
+    bus -> client   u32 magic  u16 version  u16 status  u32 bit rate  u32 station  u64 lost       Answer
     then, both ways, messages of one or more 16-byte ``struct can_frame`` in native byte order
 
 A greeting is padded so that its length is 8 modulo 16; a message of frames is a multiple of 16. So the two can be told
-apart at any time, and a client may greet again to change its flags and filters.
+apart at any time, and a client may greet again to change its flags and filters, or to hear how many frames it lost.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from wire.address import BusAddress, BusUnavailable, socket_path
 __all__ = [
     "MAGIC",
     "MAX_FILTERS",
+    "SO_TIMESTAMPNS",
     "VERSION",
     "Answer",
     "BusUnavailable",
@@ -45,9 +46,12 @@ VERSION = 1
 MAX_FILTERS = 512  # as CAN_RAW_FILTER_MAX
 SEND_BUFFER = 4 << 20  # bytes asked for; the kernel gives at most net.core.wmem_max
 
+SO_TIMESTAMPNS = 35
+"""Socket option and control message: struct timespec of CLOCK_REALTIME. Python has no name for it."""
+
 _HELLO = struct.Struct("<IHHH")
 _FILTER = struct.Struct("<II")
-_ANSWER = struct.Struct("<IHHII")
+_ANSWER = struct.Struct("<IHHIIQ")
 
 
 class Flags(IntFlag):
@@ -123,25 +127,29 @@ class Hello:
 
 @dataclass(frozen=True)
 class Answer:
-    """What a bus answers: whether it takes the client, its bit rate (0: unknown), and the client's station number."""
+    """What a bus answers: whether it takes the client, its bit rate (0: unknown), and the client's station number.
+
+    `lost` frames found no place in the client's receive queue, because it does not read, since it connected.
+    """
 
     status: Status
     bitrate_bit_s: int = 0
     station: int = 0
+    lost: int = 0
 
     def pack(self) -> bytes:
         """Return the answer's bytes."""
-        return _padded(_ANSWER.pack(MAGIC, VERSION, self.status, self.bitrate_bit_s, self.station))
+        return _ANSWER.pack(MAGIC, VERSION, self.status, self.bitrate_bit_s, self.station, self.lost)
 
     @classmethod
     def unpack(cls, message: bytes) -> Answer | None:
         """Return the answer in `message`, None when it is none; never raises."""
         if len(message) < _ANSWER.size or not is_greeting(message):
             return None
-        magic, _, status, bitrate, station = _ANSWER.unpack_from(message)
+        magic, _, status, bitrate, station, lost = _ANSWER.unpack_from(message)
         if magic != MAGIC or status not in Status.__members__.values():
             return None
-        return cls(Status(status), bitrate, station)
+        return cls(Status(status), bitrate, station, lost)
 
 
 @dataclass(frozen=True)
@@ -192,6 +200,7 @@ def connect_path(path: Path, hello: Hello, timeout: float) -> Connection:
     client = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     try:
         client.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
+        client.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)  # before connect(): no message without a stamp
         while True:
             client.settimeout(max(1e-3, deadline - time.monotonic()))
             try:
