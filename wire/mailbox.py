@@ -1,0 +1,95 @@
+"""One message from a socket, with the kernel's time stamp: recvmsg(2) for compiled loops.
+
+A mailbox is one record that holds the struct msghdr, the struct iovec and the room for control messages, and an array of
+int64 words for the data: two words are one ``struct can_frame``. `receive` works on both kinds of bus, AF_UNIX and AF_CAN,
+when SO_TIMESTAMPNS is set on the socket (and SO_RXQ_OVFL, on AF_CAN).
+"""
+
+from __future__ import annotations
+
+import ctypes
+import socket
+from typing import Any
+
+import numpy as np
+
+from eds.compiled import kernel
+from wire.frame import Records, new_records
+from wire.libc import MSG_TRUNC, recvmsg
+
+__all__ = ["MAILBOX", "SO_RXQ_OVFL", "SO_TIMESTAMPNS", "ask_for_stamps", "new_mailbox", "receive"]
+
+SO_TIMESTAMPNS, SO_RXQ_OVFL = 35, 40
+SOL_SOCKET = 1
+_CONTROL_WORDS = 16
+_STAMP = SOL_SOCKET | SO_TIMESTAMPNS << 32
+_STAMP_NEW = SOL_SOCKET | 64 << 32  # SO_TIMESTAMPNS_NEW, with the same contents on a 64-bit system
+_OVERFLOW = SOL_SOCKET | SO_RXQ_OVFL << 32
+_SECOND_NS = 1_000_000_000
+
+MAILBOX = np.dtype(
+    [
+        # struct msghdr
+        ("name", np.int64),
+        ("name_length", np.int64),
+        ("iov", np.int64),
+        ("iov_length", np.int64),
+        ("control", np.int64),
+        ("control_length", np.int64),
+        ("message_flags", np.int64),  # an int and its padding
+        # struct iovec
+        ("buffer", np.int64),
+        ("buffer_bytes", np.int64),
+        # what `receive` found
+        ("stamp_ns", np.int64),  # CLOCK_REALTIME at which the kernel had the message; 0: no stamp
+        ("overflow", np.int64),  # frames that this socket's queue has dropped so far (SO_RXQ_OVFL)
+        ("truncated", np.int64),  # the message was longer than the room for it
+        ("room", np.int64, (_CONTROL_WORDS,)),  # struct cmsghdr ...
+    ],
+    align=True,
+)
+
+
+def new_mailbox(frames: int) -> tuple[Records, np.ndarray[Any, np.dtype[np.int64]]]:
+    """Return a mailbox and its data words: room for a message of `frames` frames. Both must be kept alive and in place."""
+    if ctypes.sizeof(ctypes.c_void_p) != 8:
+        raise ImportError("compiled sockets need a 64-bit system")
+    data = np.zeros(2 * frames, np.int64)
+    box = new_records(MAILBOX)
+    start, at = box.ctypes.data, MAILBOX.fields
+    assert at is not None
+    box["iov"], box["iov_length"] = start + at["buffer"][1], 1
+    box["control"] = start + at["room"][1]
+    box["buffer"], box["buffer_bytes"] = data.ctypes.data, data.nbytes
+    return box, data
+
+
+def ask_for_stamps(target: socket.socket) -> None:
+    """Set SO_TIMESTAMPNS; on a CAN socket also SO_RXQ_OVFL."""
+    target.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
+    if target.family == getattr(socket, "AF_CAN", None):
+        target.setsockopt(socket.SOL_SOCKET, SO_RXQ_OVFL, 1)
+
+
+@kernel
+def receive(fd: int, box: Any, flags: int) -> int:
+    """Receive one message; return its bytes, 0 when the other side has closed, -1: see `errno`."""
+    m = box[0]
+    m.control_length = 8 * _CONTROL_WORDS
+    m.stamp_ns = 0
+    n = recvmsg(fd, box.ctypes.data, flags)
+    if n < 0:
+        return n
+    m.truncated = 1 if m.message_flags & MSG_TRUNC else 0
+    words = min(m.control_length // 8, _CONTROL_WORDS)
+    at = 0
+    while at + 2 < words:  # a struct cmsghdr is a length, level and type; then the data, padded to whole words
+        length, kind = m.room[at], m.room[at + 1]
+        if kind in (_STAMP, _STAMP_NEW):
+            m.stamp_ns = m.room[at + 2] * _SECOND_NS + m.room[at + 3]
+        elif kind == _OVERFLOW:
+            m.overflow = m.room[at + 2] & 0xFFFFFFFF
+        if length < 16:
+            break
+        at += (length + 7) // 8
+    return n
