@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
-import tempfile
 from collections.abc import Iterator, Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from eds.reader import Description, EdsError, read_eds
+from eds.reader import Description, EdsError, parse_eds, read_eds
 from eds.rig_errors import Source, nearest
 from eds.signals import shortcomings
 
@@ -52,15 +50,7 @@ def read_descriptions(
 def _from_text(name: str, eds_texts: Mapping[str, str]) -> Description:
     if name not in eds_texts:
         raise EdsError(f"its text is not given; expected one of {', '.join(eds_texts) or 'nothing'}")
-    with tempfile.TemporaryDirectory() as folder:  # the reader reads files
-        path = Path(folder, Path(name).name)
-        path.write_text(eds_texts[name], encoding="utf-8", newline="")
-        try:
-            read = read_eds(path)
-        except EdsError as error:
-            raise EdsError(str(error).replace(str(path), name)) from None
-    diagnoses = tuple(dataclasses.replace(diagnosis, path=name) for diagnosis in read.diagnoses)
-    return dataclasses.replace(read, path=name, diagnoses=diagnoses)
+    return parse_eds(eds_texts[name].encode(), name)
 
 
 def _from_file(name: str, rig_path: str) -> Description:

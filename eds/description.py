@@ -1,0 +1,107 @@
+"""What an EDS file says: objects, variables, and the defects that were found on the way."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from eds.cia301 import DATA_TYPES
+
+__all__ = ["Description", "Diagnosis", "EdsError", "Object", "Severity", "Value", "Variable"]
+
+Value = int | float | str | bytes | None
+Severity = Literal["error", "warning"]
+
+
+class EdsError(Exception):
+    """An EDS file is refused; the text is ``file:line: what; what is expected or what to do``."""
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """One defect of a file, and what the reader assumed instead.
+
+    A "warning" has one sensible reading; after an "error" something is missing that a user should look up.
+    """
+
+    path: str
+    line: int
+    severity: Severity
+    text: str
+    assumed: str
+
+    def __str__(self) -> str:
+        return f"{self.path}:{self.line}: {self.severity}: {self.text}; assumed {self.assumed}"
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One sub-index of the object dictionary.
+
+    `default` is None where the file gives none, and where it gives one that cannot be read: `unreadable` then says why.
+    With `node_relative` the default is the constant that the node id is added to. `data_type` 0 means not known.
+    Numbers are Python numbers: a hexadecimal default of a signed type is read as two's complement.
+    """
+
+    index: int
+    subindex: int
+    name: str
+    data_type: int
+    access: str
+    default: Value
+    node_relative: bool
+    low: int | float | None
+    high: int | float | None
+    pdo_mappable: bool
+    line: int
+    unreadable: str = ""
+
+    @property
+    def bits(self) -> int:
+        """Width of the data type; 0 where it is not fixed or not known."""
+        data_type = DATA_TYPES.get(self.data_type)
+        return data_type.bits if data_type else 0
+
+
+@dataclass(frozen=True)
+class Object:
+    """One index of the object dictionary; a VAR or DOMAIN has the one variable 0."""
+
+    index: int
+    name: str
+    object_type: int
+    variables: Mapping[int, Variable]
+
+
+@dataclass(frozen=True)
+class Description:
+    """What an EDS file says of a device; `info` is [DeviceInfo], `dummies` the types that may fill a PDO's gaps."""
+
+    path: str
+    text: str
+    objects: Mapping[int, Object]
+    diagnoses: tuple[Diagnosis, ...]
+    info: Mapping[str, str]
+    dummies: frozenset[int] = frozenset()
+
+    def has(self, index: int, subindex: int | None = None) -> bool:
+        """Tell whether the object, or its sub-index, is described."""
+        entry = self.objects.get(index)
+        return entry is not None and (subindex is None or subindex in entry.variables)
+
+    def variable(self, index: int, subindex: int) -> Variable:
+        """Return one variable; KeyError names the file and what it lacks."""
+        entry = self.objects.get(index)
+        if entry is None:
+            raise KeyError(f"{self.path} describes no object {index:04X}h")
+        if subindex not in entry.variables:
+            raise KeyError(f"{self.path}: object {index:04X}h ({entry.name}) has no sub-index {subindex}")
+        return entry.variables[subindex]
+
+    def default(self, index: int, subindex: int, node_id: int) -> Value:
+        """Return the variable's default with ``$NODEID`` resolved."""
+        variable = self.variable(index, subindex)
+        if variable.node_relative and isinstance(variable.default, int):
+            return variable.default + node_id
+        return variable.default
