@@ -20,7 +20,7 @@ from node import core
 from sim_bus.arbiter import FAR_NS, end_frame, start_frame, start_ns
 from sim_bus.plant import advance, sample_noise
 
-__all__ = ["BRAKE", "MOTOR", "WORLD", "Exit", "run"]
+__all__ = ["BRAKE", "MOTOR", "WORLD", "Exit", "next_event", "run"]
 
 MOTOR, BRAKE = 0, 1
 """Rows of the node records, and their station numbers."""
@@ -55,6 +55,7 @@ WORLD = np.dtype(
         ("until_ns", np.int64),
         ("script_ns", np.int64),
         ("host_on", np.int64),  # 1: the host's cycle runs
+        ("host_elsewhere", np.int64),  # 1: the host is another process; here nobody looks at what it would want
         ("phase", np.int64),  # the host's phase that Python knows
         ("operator_start_ns", np.int64),  # -1: the schedule has not begun
         ("log_count", np.int64),
@@ -105,6 +106,26 @@ def _actuate(w: Any, plant: Any, nodes: Any, f_h: Any, truth: Any, t_ns: int) ->
         w.brake_Nm = brake
 
 
+@inlined
+def next_event(w: Any, b: Any, queue: Any, header: Any, nodes: Any, h: Any) -> tuple[int, int]:
+    """Return when something happens next, and what: -1 end of frame, 0..n-1 node, n script, n + 1 host, n + 2 start of frame."""
+    n = nodes.shape[0]
+    t = b.end_ns if b.busy else FAR_NS  # strict comparisons keep the order of equals
+    who = -1
+    if w.script_ns < t:
+        t, who = w.script_ns, n
+    for i in range(n):
+        if nodes[i].powered and nodes[i].next_ns < t:
+            t, who = nodes[i].next_ns, i
+    if w.host_on and h.next_ns < t:
+        t, who = h.next_ns, n + 1
+    if not b.busy:
+        t_start = start_ns(b, queue, header[0].count)
+        if t_start < t:
+            t, who = t_start, n + 2
+    return t, who
+
+
 @kernel
 def run(
     world: Any,
@@ -137,20 +158,7 @@ def run(
     while True:
         if w.log_count >= log.shape[0]:
             return EXIT_LOG
-        # The next event: strict comparisons keep the order of equals.
-        t = b.end_ns if b.busy else FAR_NS
-        who = -1  # -1 end of frame, 0..n-1 node, n script, n + 1 host, n + 2 start of frame
-        if w.script_ns < t:
-            t, who = w.script_ns, n
-        for i in range(n):
-            if nodes[i].powered and nodes[i].next_ns < t:
-                t, who = nodes[i].next_ns, i
-        if w.host_on and h.next_ns < t:
-            t, who = h.next_ns, n + 1
-        if not b.busy:
-            t_start = start_ns(b, queue, header[0].count)
-            if t_start < t:
-                t, who = t_start, n + 2
+        t, who = next_event(w, b, queue, header, nodes, h)
         if t < w.t_ns:
             t = w.t_ns
         if t > w.until_ns:
@@ -192,7 +200,7 @@ def run(
                 ):
                     w.service |= 1 << i
             _actuate(w, plant, nodes, f_h, truth, t)
-            if b.source != step.SOURCE_HOST:
+            if b.source != step.SOURCE_HOST and not w.host_elsewhere:
                 wanted = step.on_frame(c, h, host_tpdos, t, b.can_id, b.length, b.word)
                 if wanted == 1 and w.host_on:
                     step.finish(c, h, host_rpdos, law_function, motion[0], law[0], state[0], t, queue, header)
