@@ -66,13 +66,9 @@ def simulation() -> None:
 
     def armed() -> VirtualRig:
         from eds.rig import load_rig
-        from host.bringup import bring_up
 
-        rig = load_rig("bench")
-        world = VirtualRig(rig, "hybrid")
-        world.power_on()
-        world.wait_ns(1_000_000)
-        bring_up(rig, world, int(world.controller.control["motor_limit_pm"][0]))
+        world = VirtualRig(load_rig("bench"), "hybrid")
+        world.bring_up()
         world.start_host()
         world.wait_ns(2_000_000_000)
         return world

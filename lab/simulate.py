@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from eds.rig import Rig, load_rig
-from host.bringup import bring_up, shut_down
+from host.bringup import shut_down
 from host.errors import HostError
 from host.records import Phase, Trip
 from lab.measures import Measures, measure
@@ -103,9 +103,7 @@ class _Run:
     def course(self, seconds: float) -> None:
         """Power on, bring up, arm, display for `seconds` from Operation Enabled on, and end safely."""
         world, k, rig = self.world, self.k, self.world.rig
-        world.power_on()
-        world.wait_ns(1_000_000)
-        bring_up(rig, world, int(k.control["motor_limit_pm"][0]))
+        world.bring_up()
         self.mark(world.t_ns, f"run {k.mode}")
         world.start_host()
         arming_ns = round(2e9 * (rig.limits.still_timeout_s + 1))

@@ -14,6 +14,7 @@ import numpy as np
 
 from eds.compiled import JIT_DISABLED
 from eds.rig import Rig
+from host.bringup import bring_up
 from host.controller import Controller, arguments
 from host.step import SOURCE_HOST
 from lab.kernel import BRAKE, CONTROL_PLANE, MOTOR, WORLD, Exit, run
@@ -22,13 +23,14 @@ from node.records import KIND_BRAKE, KIND_DRIVE, new_nodes
 from sim_bus.arbiter import FAR_NS, new_bus
 from sim_bus.operator import KNOT_S, Operator
 from sim_bus.plant import TRUTH_COLUMNS, new_plant
-from wire.frame import Records, data_bytes, data_word, frames, new_queue, new_records, push
+from wire.frame import Records, data_bytes, data_word, frames, new_queue, push
 
 __all__ = ["VirtualNetwork", "VirtualRig"]
 
 BLOCK_KNOTS = 8000
 TRUTH_BLOCK_KNOTS = 500  # less memory for the block of the true course
 LOG_FRAMES = 1 << 15
+BOOT_NS = 1_000_000  # power-on to the first SDO: both boot-ups are on the bus
 SDO_REQUEST, SDO_RESPONSE = 0x600, 0x580
 
 
@@ -235,6 +237,12 @@ class VirtualRig:
         """Switch both nodes on."""
         for device in (self.motor, self.brake):
             device.power_on(self.t_ns, self._queue, self._header)
+
+    def bring_up(self) -> None:
+        """Switch the nodes on and bring them up over SDO, as `host.bringup` does on a rig."""
+        self.power_on()
+        self.wait_ns(BOOT_NS)
+        bring_up(self.rig, self, int(self.controller.control["motor_limit_pm"][0]))
 
     def power_off(self, node: int) -> None:
         """Switch the node `MOTOR` or `BRAKE` off; what it had waiting to be sent is gone."""

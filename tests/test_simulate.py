@@ -11,6 +11,7 @@ import pytest
 from eds.rig import load_rig
 from host.errors import DeviceMismatch, NodeMissing
 from lab.simulate import simulate
+from lab.world import VirtualRig
 from scope.recording import read
 from wire.bits import frame_bits
 from wire.frame import data_bytes
@@ -174,16 +175,10 @@ def test_a_missing_node_is_named():
         simulate("bench", "hybrid", 1.0, script=unplug)
 
 
-def test_twenty_kilohertz_of_python_is_not_needed(runs):
-    """Python is entered for services only: a steady second costs a handful of exits."""
-    from host.bringup import bring_up
-    from lab.world import VirtualRig
-
-    rig = load_rig("bench")
-    world = VirtualRig(rig, "hybrid")
-    world.power_on()
-    world.wait_ns(1_000_000)
-    bring_up(rig, world, int(world.controller.control["motor_limit_pm"][0]))
+def test_python_is_entered_for_services_only():
+    """A steady second costs a handful of the kernel's exits."""
+    world = VirtualRig(load_rig("bench"), "hybrid")
+    world.bring_up()
     world.start_host()
     world.wait_ns(2_000_000_000)
     before = sum(world.exits.values())
