@@ -15,7 +15,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypeAlias, get_args
 
-__all__ = ["AddressError", "BusAddress", "BusUnavailable", "default_address", "parse_address", "socket_path"]
+__all__ = [
+    "AddressError",
+    "BusAddress",
+    "BusUnavailable",
+    "bus_names",
+    "default_address",
+    "parse_address",
+    "socket_path",
+]
 
 Kind: TypeAlias = Literal["coulombus", "socketcan"]
 
@@ -110,6 +118,15 @@ def socket_path(name: str) -> Path:
         )
     _make_private(path.parent)
     return path
+
+
+def bus_names() -> list[str]:
+    """Return the names of the virtual buses whose sockets are there, dead ones of killed processes among them."""
+    try:
+        found = sorted(path.name for path in _directory().iterdir() if path.is_socket())
+    except OSError:
+        return []
+    return [name for name in found if _NAME.fullmatch(name) and not name.endswith(_RESERVED)]
 
 
 def _directory() -> Path:

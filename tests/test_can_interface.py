@@ -1,0 +1,237 @@
+import asyncio
+import select
+import struct
+import time
+
+import can
+import canopen
+import pytest
+from can.bus import BusState
+from tiny_bus import tiny_bus
+
+from wire.address import BusUnavailable, parse_address
+from wire.client import BusFull, BusGone, Client, pack_frame
+
+BENCH = parse_address("coulombus:bench")
+
+
+@pytest.fixture(autouse=True)
+def runtime(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+
+
+@pytest.fixture
+def bus():
+    with tiny_bus() as bus:
+        yield bus
+
+
+def opened(**options):
+    return can.Bus(interface="coulombus", channel="bench", **options)
+
+
+def test_found_by_its_entry_point(bus):
+    with opened() as ours:
+        assert type(ours).__module__ == "wire.can_interface"
+        assert str(ours) == "coulombus:bench"
+        assert ours.bitrate_bit_s == 1_000_000
+        assert ours.protocol is can.CanProtocol.CAN_20
+    assert {"interface": "coulombus", "channel": "bench"} in can.detect_available_configs(["coulombus"])
+
+
+@pytest.mark.parametrize(
+    ("message", "can_id", "length", "data"),
+    [
+        (can.Message(arbitration_id=0x181, data=b"abc", is_extended_id=False), 0x181, 3, b"abc"),
+        (can.Message(arbitration_id=0x80, is_extended_id=False), 0x80, 0, b""),
+        (can.Message(arbitration_id=0x12345678, data=bytes(range(8))), 0x92345678, 8, bytes(range(8))),
+        (can.Message(arbitration_id=0x601, is_remote_frame=True, dlc=8, is_extended_id=False), 0x40000601, 8, b""),
+    ],
+)
+def test_a_frame_goes_to_the_others_as_it_is(bus, message, can_id, length, data):
+    with opened() as ours, opened() as other:
+        before = time.time()
+        ours.send(message)
+        found = other.recv(2)
+        assert bus.frames == [(can_id, length, data.ljust(8, b"\0"))]
+        assert found.equals(message, timestamp_delta=None, check_channel=False)
+        assert found.channel == "bench"
+        assert before <= found.timestamp <= time.time()
+        assert ours.recv(0) is None
+
+
+def test_own_frames_on_demand(bus):
+    with opened(receive_own_messages=True) as ours:
+        ours.send(can.Message(arbitration_id=5, is_extended_id=False))
+        assert ours.recv(2).arbitration_id == 5
+
+
+def test_a_message_of_many_frames_comes_frame_by_frame_and_the_descriptor_stays_readable(bus):
+    with opened() as ours:
+        bus.deliver(*[(0x180 + i, bytes([i])) for i in range(5)])
+        for i in range(5):
+            assert select.select([ours.fileno()], [], [], 2)[0]
+            assert ours.recv(0).arbitration_id == 0x180 + i
+        assert select.select([ours.fileno()], [], [], 0)[0] == []
+        assert ours.recv(0) is None
+
+
+def test_asyncio_gets_every_frame_of_a_message(bus):
+    async def collect():
+        reader = can.AsyncBufferedReader()
+        with opened() as ours:
+            notifier = can.Notifier(ours, [reader], loop=asyncio.get_running_loop())
+            bus.deliver(*[(i, b"") for i in range(1, 8)])
+            found = [(await asyncio.wait_for(reader.get_message(), 2)).arbitration_id for _ in range(7)]
+            notifier.stop()
+        return found
+
+    assert asyncio.run(collect()) == list(range(1, 8))
+
+
+def test_filters_are_the_buss(bus):
+    with opened(can_filters=[{"can_id": 0x180, "can_mask": 0x780, "extended": False}]) as ours:
+        assert bus.greetings[-1][1] == [(0x180, 0x80000780)]
+        bus.deliver((0x181, b""), (0x80000181, b""), (0x201, b""), (0x182, b""))
+        assert [ours.recv(2).arbitration_id for _ in range(2)] == [0x181, 0x182]
+        assert ours.recv(0) is None
+
+
+def test_filters_change_at_once_also_for_frames_under_way(bus):
+    with opened() as ours:
+        bus.deliver((0x181, b""), (0x201, b""))
+        ours.set_filters([{"can_id": 0x201, "can_mask": 0x7FF}])
+        assert ours.recv(2).arbitration_id == 0x201
+        assert ours.recv(0.05) is None  # takes the answer
+        bus.deliver((0x181, b""), (0x201, b"2"))
+        assert ours.recv(2).data == b"2"
+        ours.set_filters(None)
+        assert ours.recv(0.05) is None
+        bus.deliver((0x181, b""))
+        assert ours.recv(2).arbitration_id == 0x181
+
+
+def test_more_filters_than_a_bus_takes_are_applied_here(bus):
+    with opened(can_filters=[{"can_id": i, "can_mask": 0x7FF} for i in range(600)]) as ours:
+        assert bus.greetings[-1][1] == []
+        bus.deliver((700, b""), (599, b""))
+        assert ours.recv(2).arbitration_id == 599
+
+
+def test_error_frames(bus):
+    with opened() as ours, opened(ignore_rx_error_frames=True) as deaf:
+        bus.deliver((0x20000004, bytes(8)), (0x80, b""))
+        assert ours.recv(2).is_error_frame
+        assert not deaf.recv(2).is_error_frame
+
+
+def test_state_passive_listens_only(bus):
+    with opened(listen_only=True) as ours, opened() as other:
+        assert ours.state is BusState.PASSIVE
+        with pytest.raises(can.CanOperationError, match="listen only"):
+            ours.send(can.Message(arbitration_id=1))
+        ours.state = BusState.ACTIVE
+        assert ours.state is BusState.ACTIVE
+        ours.send(can.Message(arbitration_id=1))
+        assert other.recv(2).arbitration_id == 1
+        with pytest.raises(ValueError, match="ACTIVE or PASSIVE"):
+            ours.state = BusState.ERROR
+
+
+def test_periodic_frames(bus):
+    with opened() as ours, opened() as other:
+        task = ours.send_periodic(can.Message(arbitration_id=0x77F, data=[5], is_extended_id=False), 0.01)
+        assert [other.recv(2).arbitration_id for _ in range(3)] == [0x77F] * 3
+        task.stop()
+
+
+def test_what_is_no_frame_is_dropped_and_counted(bus):
+    with Client(BENCH) as client:
+        bus.deliver_bytes(b"\1" * 7)
+        bus.deliver_bytes(b"\1" * 24)  # a greeting by its length, but no answer
+        bus.deliver_bytes(struct.pack("=IB3x8s", 1, 9, b"") + pack_frame(2, b"ok"))
+        found = []
+        while not found:
+            assert client.wait(2)
+            found = client.receive()
+        assert [(can_id, length) for _, can_id, length, _ in found] == [(2, 2)]
+        assert client.malformed == 3
+
+
+def test_lost_frames_are_told_on_demand(bus):
+    with Client(BENCH) as client:
+        assert client.lost == 0
+        bus.lost = 12
+        client.ask()
+        assert client.wait(2)
+        assert client.receive() == []
+        assert (client.lost, client.unanswered) == (12, 0)
+
+
+def fill(client):
+    for _ in range(1_000_000):
+        client.send(bytes(16 * 64))
+
+
+def test_a_bus_that_does_not_read_is_full_and_nobody_hangs(bus):
+    with opened() as ours, bus._lock:  # the bus's thread hangs
+        with pytest.raises(BusFull, match="full"):
+            fill(ours._client)
+        with pytest.raises(can.CanOperationError, match="full"):
+            ours.send(can.Message(arbitration_id=1), timeout=0.02)
+
+
+def test_a_bus_that_goes_is_told_not_waited_for():
+    with tiny_bus():
+        ours, client = opened(), Client(BENCH)
+    with ours, client:
+        with pytest.raises(can.CanOperationError, match="is gone"):
+            ours.recv(2)
+        assert ours.state is BusState.ERROR
+        with pytest.raises(can.CanOperationError, match="is gone"):
+            ours.recv(2)
+        with pytest.raises(can.CanOperationError, match="is gone"):
+            ours.send(can.Message(arbitration_id=1))
+        with pytest.raises(BusGone, match="is gone"):
+            client.receive()
+
+
+def test_no_bus_and_no_name_say_what_to_do(bus):
+    with pytest.raises(can.CanInitializationError, match="coulombus sim --bus coulombus:other"):
+        can.Bus(interface="coulombus", channel="other")
+    with pytest.raises(can.CanInitializationError, match="virtual buses here: bench"):
+        can.Bus(interface="coulombus", channel="")
+    with pytest.raises(can.CanInitializationError, match="-i socketcan -c can0"):
+        can.Bus(interface="coulombus", channel="socketcan:can0")
+    with pytest.raises(can.CanInitializationError, match="classical"):
+        opened(fd=True)
+    with opened() as ours, pytest.raises(can.CanOperationError, match="at most 8"):
+        ours.send(can.Message(arbitration_id=1, data=bytes(12), is_fd=True))
+
+
+def test_shut_down_twice_and_descriptors_returned(bus):
+    ours = opened()
+    ours.shutdown()
+    ours.shutdown()
+    assert ours.fileno() == -1
+
+
+def test_a_plain_canopen_network(bus):
+    network = canopen.Network()
+    network.connect(interface="coulombus", channel="bench", bitrate=1_000_000)
+    node = network.add_node(1, canopen.ObjectDictionary())
+    bus.deliver((0x701, b"\x05"))
+    assert node.nmt.wait_for_heartbeat(2) == "OPERATIONAL"
+    network.nmt.state = "PRE-OPERATIONAL"
+    network.sync.transmit()
+    deadline = time.monotonic() + 2
+    while len(bus.frames) < 2 and time.monotonic() < deadline:
+        time.sleep(0.001)
+    network.disconnect()
+    assert bus.frames == [(0, 2, b"\x80\0" + bytes(6)), (0x80, 0, bytes(8))]
+
+
+def test_a_missing_interface_of_linux_is_told():
+    with pytest.raises(BusUnavailable, match=r"socketcan:nocan0 cannot be opened: .*sudo") as caught:
+        Client(parse_address("socketcan:nocan0"))
+    assert caught.value.exit_status == 4
