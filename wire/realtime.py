@@ -1,0 +1,160 @@
+"""What a real-time thread asks the system for, and what it was granted. Nothing is required; each refusal names the command that would grant it."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import os
+import resource
+import signal
+import struct
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+__all__ = [
+    "RealTime",
+    "Right",
+    "ask_for_real_time",
+    "die_with_parent",
+    "freeze_garbage",
+    "hold_dma_latency",
+    "lock_memory",
+    "pin",
+    "set_fifo",
+    "set_timer_slack",
+]
+
+PR_SET_PDEATHSIG, PR_SET_TIMERSLACK = 1, 29
+MCL_CURRENT, MCL_FUTURE = 1, 2
+_ALLOW = "sudo prlimit --pid $$ --rtprio=95 --memlock=unlimited  (for this shell; for good: rtprio and memlock in /etc/security/limits.d)"
+_library = ctypes.CDLL(None, use_errno=True)
+
+
+@dataclass(frozen=True)
+class Right:
+    """One thing that was asked for."""
+
+    name: str
+    granted: bool
+    detail: str = ""
+    remedy: str = ""
+    """The command that would grant it; empty when it was granted."""
+
+    def __str__(self) -> str:
+        if self.granted:
+            return f"{self.name}: granted" + (f" ({self.detail})" if self.detail else "")
+        return f"{self.name}: refused ({self.detail}); to have it: {self.remedy}"
+
+
+@dataclass(frozen=True)
+class RealTime:
+    """Everything that was asked for."""
+
+    rights: tuple[Right, ...] = ()
+
+    @property
+    def refused(self) -> tuple[Right, ...]:
+        """What was not granted."""
+        return tuple(right for right in self.rights if not right.granted)
+
+    def as_dict(self) -> list[dict[str, Any]]:
+        """Return the rights as plain values for JSON."""
+        return [asdict(right) for right in self.rights]
+
+
+def _checked(result: int) -> None:
+    if result != 0:
+        number = ctypes.get_errno()
+        raise OSError(number, os.strerror(number))
+
+
+def _ask(name: str, detail: str, remedy: str, request: Callable[[], None]) -> Right:
+    try:
+        request()
+    except (OSError, ValueError) as error:
+        return Right(name, False, getattr(error, "strerror", None) or str(error), remedy)
+    return Right(name, True, detail)
+
+
+def set_fifo(priority: int) -> Right:
+    """Schedule the calling thread by SCHED_FIFO; threads and processes that it starts are not (SCHED_RESET_ON_FORK)."""
+
+    def request() -> None:
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+
+    return _ask("SCHED_FIFO", f"priority {priority}", _ALLOW, request)
+
+
+def lock_memory() -> Right:
+    """Keep all of this process's memory, present and future, out of page faults (mlockall)."""
+
+    def request() -> None:
+        # under a limit the call may succeed now, and a later allocation fail: rather not at all
+        if os.geteuid() != 0 and resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] != resource.RLIM_INFINITY:
+            raise PermissionError(1, "the limit of locked memory (ulimit -l) is not unlimited")
+        _checked(_library.mlockall(MCL_CURRENT | MCL_FUTURE))
+
+    return _ask("locked memory", "mlockall", _ALLOW, request)
+
+
+def pin(cpu: int) -> Right:
+    """Let the calling thread run on one CPU only."""
+    return _ask(f"CPU {cpu}", "", f"a CPU of those allowed here: {_cpus()}", lambda: os.sched_setaffinity(0, {cpu}))
+
+
+def _cpus() -> str:
+    return ", ".join(str(cpu) for cpu in sorted(os.sched_getaffinity(0)))
+
+
+_latency: list[int] = []
+
+
+def hold_dma_latency() -> Right:
+    """Keep the CPUs out of deep sleep for as long as this process lives (/dev/cpu_dma_latency held open at 0 us)."""
+
+    def request() -> None:
+        if not _latency:
+            fd = os.open("/dev/cpu_dma_latency", os.O_WRONLY | os.O_CLOEXEC)
+            os.write(fd, struct.pack("i", 0))
+            _latency.append(fd)
+
+    return _ask("CPU wake-up latency", "/dev/cpu_dma_latency", "sudo chmod o+w /dev/cpu_dma_latency", request)
+
+
+def set_timer_slack() -> Right:
+    """Let the calling thread's sleeps end on time, not up to 50 us later (matters for ordinary scheduling only)."""
+    remedy = "a kernel with PR_SET_TIMERSLACK"
+    return _ask("timer slack", "1 ns", remedy, lambda: _checked(_library.prctl(PR_SET_TIMERSLACK, 1, 0, 0, 0)))
+
+
+def ask_for_real_time(priority: int | None, cpu: int | None = None) -> RealTime:
+    """Ask for everything on behalf of the calling thread.
+
+    Call it when all is loaded and allocated: memory is locked, and objects that live now are taken out of the garbage collector.
+
+    Parameters
+    ----------
+    priority : of SCHED_FIFO, 1 to 99; None: ordinary scheduling, and nothing but the timer slack is asked for
+    cpu : pin the thread there
+    """
+    rights = [set_timer_slack()]
+    if cpu is not None:
+        rights.append(pin(cpu))
+    if priority is not None:
+        freeze_garbage()
+        rights += [lock_memory(), hold_dma_latency(), set_fifo(priority)]
+    return RealTime(tuple(rights))
+
+
+def freeze_garbage() -> None:
+    """Collect garbage once, and never look again at what lives now (30 ms -> nothing for 1e6 objects)."""
+    gc.collect()
+    gc.freeze()
+
+
+def die_with_parent(parent: int, number: int = signal.SIGKILL) -> None:
+    """Let the kernel send this process a signal when `parent`, its parent's id, ends; if that has happened already, exit at once."""
+    _checked(_library.prctl(PR_SET_PDEATHSIG, int(number), 0, 0, 0))
+    if os.getppid() != parent:
+        os._exit(1)
