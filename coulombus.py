@@ -395,6 +395,40 @@ def check(rig_name: str, overrides: tuple[str, ...], as_json: bool) -> None:
         sys.exit(0 if load.fits else 1)
 
 
+@main.command(epilog=EXIT_STATUS)
+@rig_option
+@set_option
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="F.dbc",
+    help="Write the file there.  [default: stdout]",
+)
+def dbc(rig_name: str, overrides: tuple[str, ...], out: Path | None) -> None:
+    """Write a DBC file of the rig's PDOs and services, for cantools, SavvyCAN, PlotJuggler.
+
+    \b
+    Examples:
+      coulombus dbc --rig bench -o bench.dbc
+      cantools monitor -i coulombus -c bench bench.dbc
+      candump -L can0 | cantools decode bench.dbc
+    """
+    with _errors():
+        from eds.rig import load_rig
+        from scope.dbc import dbc_text
+
+        text = dbc_text(load_rig(rig_name, overrides))
+        if out is None:
+            sys.stdout.write(text)
+            sys.stdout.flush()
+            return
+        try:
+            out.write_text(text, encoding="cp1252", errors="replace")  # what readers of DBC files expect
+        except OSError as error:
+            raise click.BadParameter(f"{out}: {error.strerror}", param_hint="-o / --out") from None
+
+
 def _scale(rig: Any, name: str) -> float:
     return next(float(signal.scale) for pdo in rig.pdos() for signal in pdo.signals if signal.name == name)
 

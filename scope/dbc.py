@@ -1,0 +1,135 @@
+"""The rig's messages as a DBC file, for the tools that read one: cantools, SavvyCAN, PlotJuggler, CANdevStudio.
+
+::
+
+    coulombus dbc --rig bench -o bench.dbc
+    cantools monitor -i coulombus -c bench bench.dbc
+
+The five PDOs are messages ``motor_TPDO1``, ..., with the signals' names, scales and units of the rig. SYNC, NMT, heartbeats
+and emergencies are in it too, so that nothing cyclic on the bus is left undecoded. SDO is no message of fixed layout, and
+is not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import TypeAlias
+
+from cantools.database.can import Database, Message, Node, Signal
+from cantools.database.conversion import BaseConversion
+
+from eds.cia301 import EMCY_TEXT, CobId, NmtCommand
+from eds.pdo import Entry
+from eds.rig import Rig
+from eds.signals import RigPdo
+from eds.signals import Signal as RigSignal
+from scope.services import STATES
+
+__all__ = ["database", "dbc_text"]
+
+Choices: TypeAlias = Mapping[int, str]
+
+HOST = "host"
+
+
+def dbc_text(rig: Rig) -> str:
+    """Return the DBC file of `rig`."""
+    return database(rig).as_dbc_string().replace("\r\n", "\n")
+
+
+def database(rig: Rig) -> Database:
+    """Return the rig's messages as cantools' database."""
+    ids = {HOST: rig.host.node_id, "motor": rig.motor.node_id, "brake": rig.brake.node_id}
+    period_ms = round(rig.bus.period_s * 1e3)
+    messages = [_pdo(pdo, period_ms) for pdo in rig.pdos()]
+    messages += _services(ids, rig, period_ms)
+    nodes = [Node(name, f"node {number}") for name, number in ids.items()]
+    return Database(sorted(messages, key=lambda message: message.frame_id), nodes=nodes, version=rig.rig.name)
+
+
+def _pdo(pdo: RigPdo, period_ms: int) -> Message:
+    layout = pdo.layout
+    sender, receiver = (HOST, pdo.node) if layout.direction == "rpdo" else (pdo.node, HOST)
+    fields = zip(pdo.signals, layout.entries, layout.starts, strict=True)
+    return Message(
+        frame_id=layout.cob_id,
+        name=f"{pdo.node}_{layout.direction.upper()}{layout.number}",
+        length=layout.length,
+        signals=[_signal(signal, entry, start, receiver) for signal, entry, start in fields if not entry.dummy],
+        senders=[sender],
+        cycle_time=period_ms or None,
+        comment=f"{layout.direction.upper()} {layout.number} of the {pdo.node}",
+    )
+
+
+def _signal(signal: RigSignal, entry: Entry, start: int, receiver: str) -> Signal:
+    conversion = BaseConversion.factory(
+        scale=_whole(signal.scale), offset=_whole(signal.offset), is_float=entry.kind == "real"
+    )
+    return Signal(
+        name=signal.name.partition(".")[2],
+        start=start,
+        length=entry.bits,
+        is_signed=entry.signed,
+        conversion=conversion,
+        unit=signal.unit or None,
+        receivers=[receiver],
+        comment=f"{entry.index:04X}h:{entry.subindex} {entry.name}",
+    )
+
+
+def _whole(number: float) -> float:
+    """Return `number`, as an integer where it is one: so cantools keeps words of bits integers."""
+    return int(number) if float(number).is_integer() else float(number)
+
+
+def _services(ids: Mapping[str, int], rig: Rig, period_ms: int) -> Iterator[Message]:
+    yield Message(CobId.SYNC, "SYNC", 0, [], senders=[HOST], cycle_time=period_ms or None, comment="SYNC")
+    commands = {command.value: command.name.lower() for command in NmtCommand}
+    targets = {0: "all"} | {number: name for name, number in ids.items() if name != HOST}
+    others = [name for name in ids if name != HOST]
+    yield Message(
+        CobId.NMT,
+        "NMT",
+        2,
+        [_field("command", 0, 8, others, choices=commands), _field("node", 8, 8, others, choices=targets)],
+        senders=[HOST],
+        comment="NMT command",
+    )
+    heartbeat_s = {HOST: rig.host.heartbeat_s, "motor": rig.motor.heartbeat_s, "brake": rig.brake.heartbeat_s}
+    for name, number in ids.items():
+        listeners = [other for other in ids if other != name]
+        yield Message(
+            CobId.HEARTBEAT + number,
+            f"{name}_heartbeat",
+            1,
+            [_field("state", 0, 8, listeners, choices={code: text.replace("-", "_") for code, text in STATES.items()})],
+            senders=[name],
+            cycle_time=round(heartbeat_s[name] * 1e3),
+            comment=f"Heartbeat of the {name}",
+        )
+        if name == HOST:
+            continue
+        yield Message(
+            CobId.EMCY + number,
+            f"{name}_EMCY",
+            8,
+            [
+                _field("code", 0, 16, listeners, choices=EMCY_TEXT),
+                _field("error_register", 16, 8, listeners),
+                _field("manufacturer", 24, 40, listeners),
+            ],
+            senders=[name],
+            comment=f"Emergency of the {name}",
+        )
+
+
+def _field(name: str, start: int, length: int, receivers: list[str], choices: Choices | None = None) -> Signal:
+    named = None if choices is None else {code: text.replace('"', "'") for code, text in choices.items()}
+    return Signal(
+        name=name,
+        start=start,
+        length=length,
+        conversion=BaseConversion.factory(choices=named),  # type: ignore[arg-type]
+        receivers=receivers,
+    )
