@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +19,9 @@ from lab.world import VirtualRig
 from scope.recording import read
 from wire.bits import frame_bits
 from wire.frame import data_bytes
+
+
+ROOT = Path(__file__).resolve().parent.parent
 
 
 @pytest.fixture(scope="module")
@@ -184,3 +191,13 @@ def test_python_is_entered_for_services_only():
     before = sum(world.exits.values())
     world.wait_ns(1_000_000_000)
     assert sum(world.exits.values()) - before <= 10
+
+
+def test_plain_python_gives_the_same_bytes_as_the_compiled_kernels(tmp_path):
+    """The whole stack without the compiler: what is debugged there is what runs."""
+    compiled = simulate("bench", "active", 0.2, record=tmp_path / "a.pcapng")
+    code = f"from lab.simulate import simulate; simulate('bench', 'active', 0.2, record={str(tmp_path / 'b.pcapng')!r})"
+    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
+    subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=environment, check=True, timeout=300)
+    assert compiled.trip is None
+    assert (tmp_path / "a.pcapng").read_bytes() == (tmp_path / "b.pcapng").read_bytes()
