@@ -57,6 +57,10 @@ TRIP_TEXT = {
     Trip.NMT_STATE: "a node left NMT state OPERATIONAL",
     Trip.TRANSMIT: "the bus did not take a frame",
     Trip.RECORDING: "the recording could not be written",
+    Trip.BUS_LOST: "the bus is gone: its process ended, or its interface went down",
+    Trip.SECOND_HOST: "another host sends SYNC or this host's heartbeat on the same bus",
+    Trip.DEADMAN: "the dead man's switch was not held",
+    Trip.DATA_PLANE: "the data plane's process died",
     Trip.NOT_STILL: "arming refused: the handle was not still for limits.still_s within limits.still_timeout_s",
     Trip.HANDLE_LOADED: "arming refused: more than limits.still_handle_torque_Nm on the handle; let go of it, or check the transducer",
     Trip.ENABLE_TIMEOUT: "arming refused: the drive did not reach Operation Enabled",
@@ -101,6 +105,7 @@ class Controller:
         self.host = new_records(HOST)
         for name in ("enabled_ns", "armed_ns", "motor_heartbeat_ns", "brake_heartbeat_ns"):
             self.host[name] = -1
+        self.host["deadman_ok"] = 1
 
     def _new_law(self) -> Records:
         mode, law = self.rig.mode[self.mode], self.rig.law
@@ -177,6 +182,8 @@ class Controller:
         c["sign_travel_counts"] = math.ceil(limits.sign_check_travel_rad / abs(c["rad_count"]))
         c["sign_hand_Nm"], c["sign_hand_cycles"] = SIGN_HAND_NM, _cycles(SIGN_HAND_S, T)
         c["settle_cycles"] = _cycles(SETTLE_S, T)
+
+        c["deadman_slot"] = -1
 
         c["safe_brake_Nm"] = limits.safe_brake_Nm
         c["safe_hold_cycles"] = _cycles(limits.safe_hold_s, T)

@@ -46,6 +46,10 @@ class Trip(IntEnum):
     NMT_STATE = 14
     TRANSMIT = 15
     RECORDING = 16
+    BUS_LOST = 17
+    SECOND_HOST = 18
+    DEADMAN = 19
+    DATA_PLANE = 20
     NOT_STILL = 32  # from here on: arming was refused
     HANDLE_LOADED = 33
     ENABLE_TIMEOUT = 34
@@ -76,6 +80,7 @@ class Image(IntEnum):
     HANDLE_TORQUE = 7
     COIL_CURRENT = 8
     COIL_TEMPERATURE = 9
+    DEADMAN = 10
 
 
 DRIVE_PDOS = 8
@@ -141,6 +146,9 @@ CONTROL = np.dtype(
         ("sign_hand_Nm", np.float64),  # change of the handle torque that is decisive
         ("sign_hand_cycles", np.int64),  # ... averaged over this many cycles
         ("settle_cycles", np.int64),
+        # dead man
+        ("deadman_key", np.int64),  # 1: somebody outside keeps HOST.deadman_ok
+        ("deadman_slot", np.int64),  # slot of the process image that is not 0 while the switch is held; -1: none
         # safe state
         ("safe_brake_Nm", np.float64),
         ("safe_hold_cycles", np.int64),
@@ -158,6 +166,7 @@ HOST = np.dtype(
         ("trip_ns", np.int64),
         ("emcy_code", np.int64),  # error code of the EMCY that tripped
         ("sign_result", np.int64),
+        ("deadman_ok", np.int64),  # 1: a hand is on the switch, or none is asked for
         # the cycle
         ("cycle", np.int64),
         ("next_ns", np.int64),  # when `on_time` wants to be called

@@ -44,6 +44,7 @@ SWITCH_ON_DISABLED = int(PowerState.SWITCH_ON_DISABLED)
 EMCY_MOTOR, EMCY_BRAKE = int(Trip.EMCY_MOTOR), int(Trip.EMCY_BRAKE)
 NOT_STILL, HANDLE_LOADED, ENABLE_TIMEOUT = int(Trip.NOT_STILL), int(Trip.HANDLE_LOADED), int(Trip.ENABLE_TIMEOUT)
 SIGN_NO_MOTION, SIGN_ENCODER = int(Trip.SIGN_NO_MOTION), int(Trip.SIGN_ENCODER)
+DEADMAN = int(Trip.DEADMAN)
 SIGN_TRANSDUCER, SIGN_TRAVEL, DRIVE_STATE = int(Trip.SIGN_TRANSDUCER), int(Trip.SIGN_TRAVEL), int(Trip.DRIVE_STATE)
 AGREED, NO_HAND = int(SignResult.AGREED), int(SignResult.NO_HAND)
 
@@ -94,12 +95,14 @@ def _phase_still(c: Any, h: Any, state: int, t_ns: int) -> None:
         h.handle_samples = 0
     h.handle_before_Nm += h.handle_Nm
     h.handle_samples += 1
-    if h.still >= c.still_cycles and state == SWITCHED_ON:
+    if h.still >= c.still_cycles and state == SWITCHED_ON and h.deadman_ok:
         h.handle_before_Nm /= h.handle_samples
         _enter(h, ENABLE)
     elif h.phase_cycle > c.still_timeout_cycles:
         if state != SWITCHED_ON:
             _trip(c, h, ENABLE_TIMEOUT, t_ns)
+        elif h.still >= c.still_cycles:
+            _trip(c, h, DEADMAN, t_ns)
         else:
             _trip(c, h, HANDLE_LOADED if loaded else NOT_STILL, t_ns)
 
@@ -213,7 +216,7 @@ def _limit_motor(c: Any, h: Any, wanted: float) -> float:
 @kernel
 def begin(c: Any, h: Any, t_ns: int, queue: Any, header: Any) -> None:
     """Begin the cycle that is due at `t_ns`: count what the last one lost, send SYNC (and the host's heartbeat when due)."""
-    if h.cycle > 0:
+    if h.cycle > 0 and h.phase < DONE:
         for i in range(c.tpdos):
             if (h.arrived >> i) & 1 == 0:
                 h.lost_pdos += 1
@@ -287,6 +290,10 @@ def finish(
         trip = watch_devices(c, h, t_ns)
     if trip == NONE and ENABLE < h.phase < SAFE and drive != OPERATION_ENABLED:
         trip = DRIVE_STATE
+    if c.deadman_slot >= 0:
+        h.deadman_ok = 1 if h.image[c.deadman_slot] != 0 else 0
+    if trip == NONE and not h.deadman_ok and h.phase > STILL:
+        trip = DEADMAN
     if trip == NONE and h.stop > 1:
         trip = h.stop
     if trip != NONE or (h.stop != 0 and h.phase < SAFE):

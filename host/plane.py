@@ -1,0 +1,68 @@
+"""The data plane's process: ``python -m host.plane SETTINGS``, started by `host.data_plane` with two open descriptors.
+
+It is apart from the parent's interpreter, so that no lock, no garbage collection and no other thread of it can hold a cycle up. It dies with its
+parent (PR_SET_PDEATHSIG): no orphan keeps sending SYNC. Signals of the terminal are the parent's business.
+
+One line of JSON on the standard output tells that it is ready, and which real-time rights it was refused.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from host.laws import load_law
+from host.loop import MESSAGE_FRAMES, run_plane
+from host.plane_records import Command, SharedPlane
+from wire.frame import QUEUE_CAPACITY, new_queue
+from wire.mailbox import new_mailbox
+from wire.realtime import ask_for_real_time, die_with_parent
+
+__all__ = ["loop_arguments", "main"]
+
+
+def loop_arguments(fd: int, shared: SharedPlane, law_function: Any) -> tuple[Any, ...]:
+    """Return the arguments of `host.loop.run_plane` for a socket and a shared memory."""
+    box, words = new_mailbox(MESSAGE_FRAMES)
+    queue, header = new_queue()
+    s = shared
+    return (
+        *(fd, s.plane, s.ring, box, words, np.zeros(2 * QUEUE_CAPACITY, np.int64), np.zeros(1, np.int64)),
+        *(s.wakeup_bins, s.latency_bins, s.control, s.host, s.rpdos, s.tpdos),
+        *(law_function, s.motion, s.law, s.state, queue, header),
+    )
+
+
+def _warm_up(shared: SharedPlane, arguments: tuple[Any, ...]) -> None:
+    """Load (or compile) the loop by a call that ends at once, and touch every page of the ring and the histograms."""
+    command = int(shared.plane["command"][0])
+    shared.plane["command"] = Command.QUIT
+    run_plane(*arguments)
+    shared.plane["command"] = command
+    shared.ring["source"] = 0
+    shared.wakeup_bins[:] = 0
+    shared.latency_bins[:] = 0
+
+
+def main(settings: dict[str, Any]) -> int:
+    """Run the data plane to its end; return the exit status of the process."""
+    die_with_parent(settings["parent"])
+    signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM, signal.SIGHUP))
+    shared = SharedPlane(settings["memory_fd"])
+    law_function = load_law(settings["law"], Path(settings["law_directory"]))
+    arguments = loop_arguments(settings["bus_fd"], shared, law_function)
+    _warm_up(shared, arguments)
+    report = ask_for_real_time(settings["priority"], settings["cpu"])
+    print(json.dumps({"ready": True, "real_time": report.as_dict()}), flush=True)
+    run_plane(*arguments)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(json.loads(sys.argv[1])))
