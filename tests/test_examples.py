@@ -1,0 +1,51 @@
+"""Each example runs as a user runs it: as a program of its own, in a directory of its own."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
+
+
+def run(name, folder, *arguments):
+    done = subprocess.run(
+        [sys.executable, str(EXAMPLES / name), *arguments],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_simulate_and_plot(tmp_path):
+    out = run("simulate_and_plot.py", tmp_path, "--seconds", "6", "--png")
+    assert "trip: None" in out
+    assert "hold: 0 counts" in out
+    assert "phase hold" in out
+    assert (tmp_path / "hybrid.pcapng").stat().st_size > 1e5
+    assert (tmp_path / "hybrid.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_own_law(tmp_path):
+    out = run("own_law.py", tmp_path)
+    assert "trip: None; hold: 0 counts" in out
+    low, high = out.split("told ")[1].split(" Nm")[0].split(" to ")
+    assert 1.45 <= float(low) < 2.0  # F_d in the moves
+    assert float(high) == 3.5  # F_s in the dwells
+
+
+def test_fault_script(tmp_path):
+    out = run("fault_script.py", tmp_path)
+    assert "exit status 7: TPDO_LOST" in out
+    assert 0.0 < float(out.split("tripped ")[1].split(" ms")[0]) <= 5.0
+    assert "at most 1.0 Nm" in out
+    assert 0.5 <= float(out.split("0 after ")[1].split(" s")[0]) <= 0.75
+
+
+def test_every_example_is_run():
+    assert {path.name for path in EXAMPLES.glob("*.py")} == {"simulate_and_plot.py", "own_law.py", "fault_script.py"}
