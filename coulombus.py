@@ -398,6 +398,46 @@ def check(rig_name: str, overrides: tuple[str, ...], as_json: bool) -> None:
 @main.command(epilog=EXIT_STATUS)
 @rig_option
 @set_option
+@click.option("--bus", "bus_name", metavar="B", help="coulombus:NAME or socketcan:IF.  [default: coulombus:RIG]")
+@click.option("--seconds", type=click.FloatRange(0, min_open=True), default=None, help="End after this time.")
+@click.option(
+    "--interval",
+    type=click.FloatRange(0.02),
+    default=None,
+    help="Seconds between two looks.  [default: 0.1 in a terminal, else 1]",
+)
+@click.option("--json", "as_json", is_flag=True, help="One JSON object a line to stdout.")
+def watch(
+    rig_name: str,
+    overrides: tuple[str, ...],
+    bus_name: str | None,
+    seconds: float | None,
+    interval: float | None,
+    as_json: bool,
+) -> None:
+    """Show a bus live: PDOs by name in SI units with rate and age, states of the nodes, emergencies, losses.
+
+    Nothing is sent. A live table in a terminal, else lines. Ends with 0 on Ctrl-C or SIGTERM, with 4 when the bus goes away.
+
+    \b
+    Examples:
+      coulombus watch --bus coulombus:bench
+      coulombus watch --bus socketcan:can0 --rig my-rig.toml
+      coulombus watch --json --seconds 5 | jq .signals
+    """
+    with _errors():
+        from eds.rig import load_rig
+        from scope.watch import watch as run
+        from wire.address import default_address, parse_address
+
+        rig = load_rig(rig_name, overrides)
+        address = default_address(rig.rig.name) if bus_name is None else parse_address(bus_name)
+        run(rig, address, seconds=seconds, as_json=as_json, interval_s=interval)
+
+
+@main.command(epilog=EXIT_STATUS)
+@rig_option
+@set_option
 @click.option(
     "-o",
     "--out",

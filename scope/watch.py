@@ -1,0 +1,297 @@
+"""``coulombus watch``: a bus in one live table, or line by line where no terminal is.
+
+The bus is read in a thread of its own, so that frames do not wait for the drawing; the main thread draws and takes the
+signals. Nothing is ever sent.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import signal
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from rich.console import Console, Group, RenderableType
+from rich.live import Live as Display
+from rich.table import Table
+from rich.text import Text
+
+from eds.cia402 import COMMAND_OF_CONTROLWORD, STATE_OF_STATUSWORD, Command, PowerState
+from eds.rig import Rig
+from scope.live import Event, Live, PdoRow, Snapshot, Value
+from wire.address import BusAddress
+from wire.client import BusDown, BusFull, BusGone, Client
+from wire.hello import Flags, Hello
+
+__all__ = ["as_dict", "as_lines", "table", "watch"]
+
+DRAW_S = 0.1
+LINE_S = 1.0
+ASK_NS = 1_000_000_000
+COLLECT_S = 0.002  # frames of this time are taken together: it saves most of the wake-ups
+EVENTS = 6
+STALE_S = 0.1
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+def watch(
+    rig: Rig,
+    address: BusAddress,
+    *,
+    seconds: float | None = None,
+    as_json: bool = False,
+    interval_s: float | None = None,
+    console: Console | None = None,
+) -> None:
+    """Show the bus until a signal, or for `seconds`.
+
+    Raises
+    ------
+    wire.address.BusUnavailable
+        There is no bus, or it went away meanwhile.
+    """
+    console = console or Console()
+    live = Live(rig)
+    hello = Hello(Flags.LISTEN_ONLY | Flags.ERRORS)
+    with Client(address, hello) as client, _stop_signal() as stop, _Reader(client, live) as reader:
+        begin_ns = time.time_ns()
+
+        def look() -> tuple[Snapshot, dict[str, Any]]:
+            with reader.lock:
+                snapshot = live.snapshot(time.time_ns())
+            facts = {"bus": str(address), "bitrate_bit_s": client.bitrate_bit_s}
+            return snapshot, facts | {"lost": client.lost, "malformed": client.malformed}
+
+        terminal = console.is_terminal and not as_json
+        pause_s = interval_s or (DRAW_S if terminal else LINE_S)
+        show = _on_terminal if terminal else _line_by_line
+        with show(console, as_json, begin_ns) as draw:
+            end = None if seconds is None else time.monotonic() + seconds
+            running = True
+            while running:
+                wait_s = pause_s if end is None else min(pause_s, max(0.0, end - time.monotonic()))
+                running = not stop(wait_s) and reader.failure is None
+                running = running and (end is None or time.monotonic() < end)
+                draw(*look())
+        if reader.failure is not None:
+            raise reader.failure
+
+
+class _Reader:
+    """Takes frames off the bus in a thread of its own; `failure` is why it ended by itself."""
+
+    def __init__(self, client: Client, live: Live) -> None:
+        self.lock = threading.Lock()
+        self.failure: OSError | None = None
+        self._client, self._live = client, live
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="bus reader", daemon=True)
+
+    def __enter__(self) -> _Reader:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        asked_ns = time.monotonic_ns()
+        while not self._stop.is_set():
+            try:
+                self._client.wait(STALE_S)
+                while found := self._client.receive():
+                    with self.lock:
+                        self._live.take(found)
+                if time.monotonic_ns() - asked_ns > ASK_NS:
+                    asked_ns = time.monotonic_ns()
+                    self._client.ask()
+            except BusDown as error:
+                with self.lock:
+                    self._live.tell(time.time_ns(), str(error), grave=True)
+            except BusFull:
+                pass  # it does not read: its own affair, and told by the silence of all nodes
+            except BusGone as error:
+                self.failure = error
+                return
+            except OSError as error:
+                self.failure = error
+                return
+            self._stop.wait(COLLECT_S)
+
+
+@contextmanager
+def _stop_signal() -> Iterator[Callable[[float], bool]]:
+    """Take the stop signals, also when they were ignored at start; yield a wait that says whether one came."""
+    reading, writing = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+    before = {number: signal.signal(number, lambda *_: os.write(writing, b"x")) for number in STOP_SIGNALS}
+    try:
+        yield lambda seconds: bool(select.select([reading], [], [], seconds)[0])
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        os.close(reading)
+        os.close(writing)
+
+
+@contextmanager
+def _on_terminal(console: Console, as_json: bool, begin_ns: int) -> Iterator[Callable[[Snapshot, Any], None]]:
+    past: deque[Event] = deque(maxlen=EVENTS)
+    with Display(console=console, auto_refresh=False) as display:
+
+        def draw(snapshot: Snapshot, facts: dict[str, Any]) -> None:
+            past.extend(snapshot.events)
+            display.update(table(snapshot, facts, list(past), begin_ns), refresh=True)
+
+        yield draw
+
+
+@contextmanager
+def _line_by_line(console: Console, as_json: bool, begin_ns: int) -> Iterator[Callable[[Snapshot, Any], None]]:
+    def draw(snapshot: Snapshot, facts: dict[str, Any]) -> None:
+        if as_json:
+            sys.stdout.write(json.dumps(as_dict(snapshot, facts, begin_ns), allow_nan=False) + "\n")
+        else:
+            sys.stdout.write("".join(line + "\n" for line in as_lines(snapshot, facts, begin_ns)))
+        sys.stdout.flush()
+
+    yield draw
+
+
+def as_dict(snapshot: Snapshot, facts: dict[str, Any], begin_ns: int) -> dict[str, Any]:
+    """Return a snapshot for ``--json``: times in seconds from the start, ages and rates in SI."""
+    return {
+        "t_s": (snapshot.t_ns - begin_ns) / 1e9,
+        **facts,
+        "frames": snapshot.frames,
+        "frames_per_s": snapshot.frames_per_s,
+        "sync_per_s": snapshot.sync_per_s,
+        "error_frames": snapshot.error_frames,
+        "unknown": snapshot.unknown,
+        "signals": {value.name: value.value for row in snapshot.pdos for value in row.values},
+        "pdos": {
+            row.name: {
+                "can_id": row.can_id,
+                "frames": row.count,
+                "rate_per_s": row.rate_per_s,
+                "age_s": row.age_s,
+                "malformed": row.malformed,
+            }
+            for row in snapshot.pdos
+        },
+        "nodes": {
+            row.name: {
+                "node_id": row.node_id,
+                "state": row.state,
+                "heartbeat_age_s": row.age_s,
+                "silent": row.silent,
+                "power_state": row.power_state,
+                "emergency": row.emergency,
+            }
+            for row in snapshot.nodes
+        },
+        "events": [
+            {"t_s": (event.t_ns - begin_ns) / 1e9, "text": event.text, "grave": event.grave}
+            for event in snapshot.events
+        ],
+    }
+
+
+def as_lines(snapshot: Snapshot, facts: dict[str, Any], begin_ns: int) -> Iterator[str]:
+    """Yield a snapshot as lines: events first, then a line for each PDO and one for the nodes."""
+    for event in snapshot.events:
+        yield f"{(event.t_ns - begin_ns) / 1e9:10.3f}  {'!' if event.grave else '*'} {event.text}"
+    at = f"{(snapshot.t_ns - begin_ns) / 1e9:10.3f}"
+    for row in snapshot.pdos:
+        content = "  ".join(f"{_short(value)}={_number(value)}{_unit(value)}" for value in row.values)
+        yield f"{at}  {row.name:<11} {row.rate_per_s:7.1f}/s  {_age(row.age_s):>8}  {content}"
+    nodes = "  ".join(f"{row.name} {'silent' if row.silent else row.state or '-'}" for row in snapshot.nodes)
+    yield f"{at}  {_head(snapshot, facts)}  {nodes}"
+
+
+def _head(snapshot: Snapshot, facts: dict[str, Any]) -> str:
+    text = (
+        f"{facts['bus']}  {snapshot.frames_per_s:.0f} frames/s  SYNC {snapshot.sync_per_s:.1f}/s  lost {facts['lost']}"
+    )
+    for name, count in (
+        ("error frames", snapshot.error_frames),
+        ("unknown", snapshot.unknown),
+        ("malformed", facts["malformed"] + sum(row.malformed for row in snapshot.pdos)),
+    ):
+        text += f"  {name} {count}" if count else ""
+    return text
+
+
+def table(snapshot: Snapshot, facts: dict[str, Any], events: list[Event], begin_ns: int) -> RenderableType:
+    """Return what the terminal shows."""
+    pdos = Table(box=None, pad_edge=False, header_style="bold")
+    for title, right in (("PDO", 0), ("COB-ID", 1), ("signal", 0), ("value", 1), ("", 0), ("rate", 1), ("age", 1)):
+        pdos.add_column(title, justify="right" if right else "left", no_wrap=True)
+    for row in snapshot.pdos:
+        _pdo_lines(pdos, row)
+    nodes = Table(box=None, pad_edge=False, header_style="bold")
+    for title in ("node", "id", "NMT state", "heartbeat", "drive", "last emergency"):
+        nodes.add_column(title, no_wrap=title != "last emergency")
+    for node in snapshot.nodes:
+        style = "red" if node.silent or node.emergency else "dim" if node.state is None else ""
+        state = f"{node.state}, silent" if node.silent else node.state or "not heard"
+        cells = (node.name, str(node.node_id), state, _age(node.age_s), node.power_state or "", node.emergency or "")
+        nodes.add_row(*cells, style=style)
+    lines = [
+        Text(f"{(event.t_ns - begin_ns) / 1e9:10.3f}  {event.text}", style="red" if event.grave else "")
+        for event in events
+    ]
+    head = Text(_head(snapshot, facts), style="red" if facts["lost"] else "bold")
+    return Group(head, Text(), pdos, Text(), nodes, Text(), *lines)
+
+
+def _pdo_lines(pdos: Table, row: PdoRow) -> None:
+    style = "dim" if row.age_s is None else "yellow" if row.age_s > STALE_S else ""
+    head = (row.name, f"{row.can_id:03X}h")
+    tail = (f"{row.rate_per_s:.1f} /s", _age(row.age_s))
+    for number, value in enumerate(row.values):
+        first = number == 0
+        cells = (_short(value), _number(value), value.unit or _meaning(value))
+        pdos.add_row(*(head if first else ("", "")), *cells, *(tail if first else ("", "")), style=style)
+
+
+def _short(value: Value) -> str:
+    return value.name.rpartition(".")[2]
+
+
+def _number(value: Value) -> str:
+    if value.value is None:
+        return "-"
+    if _short(value) in ("controlword", "statusword"):
+        return f"0x{int(value.value):04X}"
+    return f"{value.value:+.5f}" if isinstance(value.value, float) else str(value.value)
+
+
+def _meaning(value: Value) -> str:
+    if value.value is None:
+        return ""
+    name, word = _short(value), int(value.value)
+    if name == "statusword":
+        state = int(STATE_OF_STATUSWORD[word & 0x7F])
+        return PowerState(state).name.lower().replace("_", " ") if state >= 0 else "unknown state"
+    if name == "controlword":
+        command = Command.FAULT_RESET if word & 0x80 else Command(COMMAND_OF_CONTROLWORD[word & 0x0F])
+        return command.name.lower().replace("_", " ")
+    return ""
+
+
+def _unit(value: Value) -> str:
+    return f" {value.unit}" if value.unit and value.value is not None else ""
+
+
+def _age(age_s: float | None) -> str:
+    if age_s is None:
+        return "-"
+    return f"{age_s * 1e3:.0f} ms" if age_s < 10 else f"{age_s:.0f} s"
