@@ -193,7 +193,7 @@ class Live:
             self._heartbeat(t_ns, node, data[0] & 0x7F)
         elif function == CobId.EMCY and node is not None and len(data) == 8:
             row = emcy(data)
-            node.emergency = f"{row['code']:04X}h {row['text']}" if row["code"] else None
+            node.emergency = row["text"] if row["code"] else None
             text = node.emergency or "error reset or no error"
             self.tell(t_ns, f"{node.name}: EMCY {text} (register {row['register']:02X}h)", grave=bool(row["code"]))
         elif function in (CobId.SDO_TX, CobId.SDO_RX) and node is not None and len(data) == 8:

@@ -54,6 +54,8 @@ class TinyBus:
                     client.send(kept)
 
     def close(self):
+        if not self._thread.is_alive():
+            return
         os.write(self._wake, b"x")
         self._thread.join(5)
         for client in self._clients:
