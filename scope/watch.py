@@ -59,9 +59,10 @@ def watch(
     """
     console = console or Console()
     live = Live(rig)
+    begin_ns = time.time_ns()
+    live.snapshot(begin_ns)  # rates count from here
     hello = Hello(Flags.LISTEN_ONLY | Flags.ERRORS)
     with Client(address, hello) as client, _stop_signal() as stop, _Reader(client, live) as reader:
-        begin_ns = time.time_ns()
 
         def look() -> tuple[Snapshot, dict[str, Any]]:
             with reader.lock:
