@@ -10,7 +10,7 @@ from typing import Any
 
 from eds.reader import Description, EdsError, parse_eds, read_eds
 from eds.rig_errors import Source, nearest
-from eds.signals import shortcomings
+from eds.signals import deadman_object, shortcomings
 
 __all__ = ["read_descriptions", "read_schedules"]
 
@@ -44,6 +44,13 @@ def read_descriptions(
                 source.say((node, "eds"), f"'{name}' stands there, but {lack}")
         except EdsError as error:
             source.say((node, "eds"), f"'{name}' stands there, but {error}")
+    host = values.get("host")
+    deadman = host.get("deadman") if isinstance(host, dict) else None
+    if isinstance(deadman, str) and len(found) == 2 and not source.found:
+        try:
+            deadman_object(deadman, found)
+        except ValueError as error:
+            source.stands(("host", "deadman"), deadman, f"an input that the drive or the brake can send, but {error}")
     return found
 
 

@@ -33,6 +33,7 @@ __all__ = [
 
 MODES = ("active", "passive", "hybrid")
 CIA_301_BIT_RATES = (10_000, 20_000, 50_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
+DEADMAN = r"^(|none|key|object:[0-9A-Fa-f]{4}:[0-9A-Fa-f]{1,2})$"
 LAW = r"^\s*(([A-Za-z_]\w*)(\.[A-Za-z_]\w*)*|[^:]+\.py):[A-Za-z_]\w*\s*$"
 
 
@@ -111,6 +112,13 @@ class Host(Section):
         ge=1e-3, le=65.535, description="period of the host's heartbeat", json_schema_extra=MS
     )
     sdo_timeout_s: float = Field(0.5, ge=0.01, le=60, description="how long the host waits for an SDO response")
+    deadman: str = Field(
+        "",
+        pattern=DEADMAN,
+        description="the dead man's switch",
+        json_schema_extra={"expected": '"none", "key" or "object:INDEX:SUB"'},
+    )
+    loss_limit: float = Field(0.05, ge=0, le=1, description="share of cycles with a missed deadline or a lost PDO")
 
 
 class _Node(Section):

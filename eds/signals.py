@@ -16,7 +16,7 @@ decimal digits (6132, 6302): the EDS gives the scale, and a unit that is not wha
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
@@ -49,6 +49,9 @@ PDO_MAP: tuple[tuple[Node, Direction, int, tuple[tuple[int, int, str], ...]], ..
     ),
 )
 """(node, direction, number, ((index, sub-index, signal's name without the node), ...))."""
+
+DEADMAN_PDO: tuple[tuple[Node, int], ...] = (("motor", 2), ("brake", 1))
+"""The TPDOs that have room for a dead man's switch, in the order in which the nodes are searched for it."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +87,10 @@ class RigPdo:
 def rig_pdos(rig: Rig) -> tuple[RigPdo, ...]:
     """Return the PDOs of `rig`, whose EDS files have no `shortcomings`."""
     found = []
+    switch = deadman_object(rig.host.deadman, {node: rig.description(node) for node, _ in DEADMAN_PDO})
     for node, direction, number, objects in PDO_MAP:
+        if switch is not None and direction == "tpdo" and (node, number) == switch[:2]:
+            objects = (*objects, (*switch[2:], "deadman"))
         part = rig.motor if node == "motor" else rig.brake
         description = rig.description(node)
         deadline_ns = round(part.setpoint_fault_s * 1e9) if direction == "rpdo" else 0
@@ -102,6 +108,32 @@ def rig_pdos(rig: Rig) -> tuple[RigPdo, ...]:
         signals = tuple(_signal(rig, node, index, subindex, name) for index, subindex, name in objects)
         found.append(RigPdo(node, part.node_id, layout, signals))
     return tuple(found)
+
+
+def deadman_object(deadman: str, descriptions: Mapping[str, Description]) -> tuple[Node, int, int, int] | None:
+    """Return (node, number of the TPDO, index, sub-index) of the dead man's switch; None when it is no object.
+
+    Raises
+    ------
+    ValueError
+        no node has the object, or it cannot be mapped
+    """
+    if not deadman.startswith("object:"):
+        return None
+    index, subindex = (int(part, 16) for part in deadman.split(":")[1:])
+    for node, number in DEADMAN_PDO:
+        description = descriptions[node]
+        if not description.has(index, subindex):
+            continue
+        entry = _entry(description, index, subindex, "tpdo")
+        mapped = next(o for owner, way, n, o in PDO_MAP if (owner, way, n) == (node, "tpdo", number))
+        bits = sum(_entry(description, i, sub, "tpdo").bits for i, sub, _ in mapped)
+        if any((index, subindex) == (i, sub) for owner, _, _, o in PDO_MAP if owner == node for i, sub, _ in o):
+            raise ValueError(f"{index:04X}h:{subindex} of the {node} is mapped already; it is no switch")
+        if bits + entry.bits > 64:
+            raise ValueError(f"{index:04X}h:{subindex} of the {node} has {entry.bits} bits; {64 - bits} are left")
+        return node, number, index, subindex
+    raise ValueError(f"no EDS file describes {index:04X}h:{subindex}")
 
 
 def shortcomings(description: Description, node: str) -> Iterator[str]:
@@ -144,7 +176,7 @@ def _signal(rig: Rig, node: Node, index: int, subindex: int, name: str) -> Signa
         torque = rig.motor.rated_torque_Nm * 1e-3 * rig.mechanics.ratio * rig.mechanics.motor_polarity
         angle = rig.mechanics.encoder_polarity * 2 * math.pi / (rig.motor.encoder_counts_rev * rig.mechanics.ratio)
         scale = torque if unit == "Nm" else angle
-    elif node == "brake":
+    elif node == "brake" and unit:
         scale = _block_scale(rig.description(node), index, subindex, unit)
         if name == "handle_torque_Nm":
             scale *= rig.mechanics.transducer_polarity

@@ -34,6 +34,8 @@ IMAGE_OF_SIGNAL = {
     "motor.position_rad": Image.POSITION,
     "motor.torque_Nm": Image.TORQUE,
     "motor.velocity_rad_s": Image.VELOCITY,
+    "motor.deadman": Image.DEADMAN,
+    "brake.deadman": Image.DEADMAN,
     "brake.setpoint_Nm": Image.BRAKE_SETPOINT,
     "brake.handle_torque_Nm": Image.HANDLE_TORQUE,
     "brake.coil_current_A": Image.COIL_CURRENT,
@@ -183,7 +185,8 @@ class Controller:
         c["sign_hand_Nm"], c["sign_hand_cycles"] = SIGN_HAND_NM, _cycles(SIGN_HAND_S, T)
         c["settle_cycles"] = _cycles(SETTLE_S, T)
 
-        c["deadman_slot"] = -1
+        switch = any(signal.name.endswith(".deadman") for pdo in pdos for signal in pdo.signals)
+        c["deadman_slot"] = Image.DEADMAN if switch else -1
 
         c["safe_brake_Nm"] = limits.safe_brake_Nm
         c["safe_hold_cycles"] = _cycles(limits.safe_hold_s, T)

@@ -277,17 +277,17 @@ def _cycle(
         end = sync + c.window_ns
         messages = 0
         while messages < DRAIN_MESSAGES:
+            left = end - now_ns()
+            if left <= 0:
+                break
+            if ppoll_ns(poll.ctypes.data, 1, left) <= 0:  # the window is over, or a signal came
+                continue
             found = _take(fd, plane, ring, box, words, c, h, tpdos, 1)
             messages += 1
             if found == COMPLETE:
                 break
             if found == GONE:
                 return 1
-            left = end - now_ns()
-            if left <= 0:
-                break
-            if found == EMPTY:
-                ppoll_ns(poll.ctypes.data, 1, left)
         finish(c, h, rpdos, law_function, motion, law, state, now_ns(), queue, header)
         if _transmit(fd, plane, ring, tx, queue, header) != 0:
             return 1

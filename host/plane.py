@@ -9,7 +9,6 @@ One line of JSON on the standard output tells that it is ready, and which real-t
 from __future__ import annotations
 
 import json
-import os
 import signal
 import sys
 from pathlib import Path

@@ -53,6 +53,14 @@ class RunResult:
     simulated_s: float
     counters: dict[str, int]
     exit_status: int
+    bus: str | None = None
+    """Where the run was; None in virtual time, and with it everything that follows."""
+    sync_to_rpdo_us: dict[str, float] | None = None
+    real_time: list[dict[str, Any]] | None = None
+    """Each real-time right that the data plane asked for: name, granted, detail, remedy."""
+    deadman: str | None = None
+    stopped_by: str | None = None
+    """Who ended the run before its time without a trip: SIGINT, SIGTERM, "coulombus stop"."""
 
     def as_dict(self) -> dict[str, Any]:
         """Return the result as plain values for JSON."""

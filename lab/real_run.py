@@ -1,0 +1,424 @@
+"""One run of the rig against the wall clock, on a bus: the host alone. The nodes are where the bus says, simulated or not.
+
+The parent of the data plane (`host.data_plane`) lives here: it brings the nodes up over SDO, starts the cycle, writes what the data plane
+logs to the recording, watches everything, and ends the run safely - when the time is over, on a signal, on ``coulombus stop``, or on a trip.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import asdict
+from pathlib import Path
+from types import FrameType, TracebackType
+from typing import Any
+
+import can
+import numpy as np
+
+from eds.rig import Rig
+from host.bringup import bring_up, shut_down
+from host.control_plane import RealControlPlane
+from host.control_socket import HostSocket
+from host.controller import Controller
+from host.data_plane import PRIORITY, DataPlane, default_cpu
+from host.deadman import HeldKey, deadman_of
+from host.errors import HostError, SafetyTrip
+from host.plane_records import Status
+from host.records import Phase, Trip
+from lab.measures import Measures, measure
+from lab.recorder import Recorder
+from lab.simulate import RunResult, file_sha256
+from scope.recording import read
+from sim_bus.operator import Operator
+from wire.address import BusAddress, BusUnavailable, default_address
+from wire.pcapng import RecordingError
+
+__all__ = ["Interrupted", "Signals", "real_run"]
+
+POLL_S = 0.01
+HOLD_BACK_NS = 50_000_000  # frames come into the log a little out of order; younger ones wait for the next batch
+LISTEN_S = 1.0  # for another host
+LEAD_NS = 20_000_000
+SAFE_TIMEOUT_S = 10.0
+KEY_TIMEOUT_S = 30.0
+STUCK_S = 2.0  # a data plane that does not cycle for so long is dead
+
+
+class Interrupted(HostError):
+    """A signal came before anything was armed."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(f"{signal.Signals(number).name} before the run had begun")
+        self.exit_status = 128 + number
+
+
+class Signals:
+    """SIGINT and SIGTERM of a run, also where a shell's background job was started with SIGINT ignored.
+
+    Until `defer` they end what is being done by an exception; from then on they are only remembered in `number`.
+    """
+
+    def __init__(self) -> None:
+        self.number = 0
+        self._deferred = False
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> Signals:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            self._before[number] = signal.signal(number, self._handle)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _handle(self, number: int, frame: FrameType | None) -> None:
+        if self.number == 0:
+            self.number = number
+            if not self._deferred:
+                raise Interrupted(number)
+
+    def defer(self) -> None:
+        """From now on whoever runs the rig looks at `number` and ends it safely."""
+        self._deferred = True
+
+
+class _RealRun:
+    """The course of one run; `result` tells what came of it."""
+
+    def __init__(
+        self,
+        rig: Rig,
+        mode: str,
+        address: BusAddress,
+        *,
+        record: Path | None,
+        signals: Signals,
+        progress: Callable[[float], None] | None,
+        say: Callable[[str], None],
+        priority: int | None,
+        cpu: int | None,
+    ) -> None:
+        self.rig, self.address, self.record = rig, address, record
+        self.signals, self.progress, self.say = signals, progress, say
+        self.deadman = deadman_of(rig, mode, address)
+        self.zero_ns = time.monotonic_ns()
+        self.k = Controller(rig, mode)
+        self.operator = Operator(rig, mode)
+        self.failure: str | None = None
+        self.stopped_by: str | None = None
+        self.recorder: Recorder | None = None
+        self._waiting: np.ndarray[Any, Any] | None = None
+        self._marked = False
+        self._seen = (0, time.monotonic())
+        self._stack = ExitStack()
+        try:
+            self.door = HostSocket(address)
+            self._stack.callback(self._close_door)
+            self.plane = DataPlane(self.k, address, priority=priority, cpu=cpu)
+            self._stack.callback(self.plane.close)
+            self.control = RealControlPlane(rig, address)
+            self._stack.callback(self.control.close)
+            if record is not None:
+                self.recorder = Recorder(record, rig, mode)
+        except BaseException:
+            self._stack.close()
+            raise
+
+    def _close_door(self) -> None:
+        self.door.close(
+            {
+                "mode": self.k.mode,
+                "cycles": int(self.k.host["display_cycles"][0]),
+                "trip": self._trip(),
+                "exit_status": self._exit_status(),
+            }
+        )
+
+    # recording
+
+    def mark(self, t_ns: int, text: str) -> None:
+        """Mark the recording at CLOCK_MONOTONIC = `t_ns`."""
+        if self.recorder is not None:
+            self.recorder.mark(t_ns - self.zero_ns, text)
+
+    def drain(self, final: bool = False) -> None:
+        """Write what the data plane has logged, in the order of the stamps."""
+        found = self.plane.take()
+        if self.recorder is None or self.failure is not None:
+            return
+        found["t_ns"] -= self.zero_ns
+        if self._waiting is not None:
+            found = np.concatenate((self._waiting, found)).view(np.recarray)
+        found = found[np.argsort(found["t_ns"], kind="stable")]
+        now = time.monotonic_ns() - self.zero_ns
+        ready = len(found) if final else int(np.searchsorted(found["t_ns"], now - HOLD_BACK_NS))
+        self._waiting = found[ready:]
+        try:
+            if ready:
+                self.recorder.write(found[:ready])
+            if final:
+                self.recorder.close()
+        except RecordingError as error:
+            self.failure = str(error)
+            self.plane.stop(Trip.RECORDING)
+
+    # the course
+
+    @property
+    def enabled_ns(self) -> int | None:
+        """CLOCK_MONOTONIC at which the drive entered Operation Enabled."""
+        at = int(self.k.host["enabled_ns"][0])
+        return None if at < 0 else at
+
+    def prepare(self) -> None:
+        """Be alone on the bus, load the data plane, bring the nodes up."""
+        alone_at = time.monotonic() + LISTEN_S
+        self.plane.wait_ready()
+        self.control.check_alone(alone_at)
+        for right in self.plane.real_time:
+            if not right["granted"]:
+                self.say(f"{right['name']}: refused ({right['detail']}); to have it: {right['remedy']}")
+        if self.deadman == "none":
+            if self.address.kind == "socketcan":
+                self.say("no dead man's switch: host.deadman is none")
+        else:
+            self.say(f"dead man's switch: {self.deadman}")
+        bring_up(self.rig, self.control, int(self.k.control["motor_limit_pm"][0]))
+        now = time.monotonic_ns()
+        self.mark(now, f"run {self.k.mode}")
+        self.mark(now, f"deadman {self.deadman}")
+
+    def _hold_key(self) -> None:
+        """Wait until the dead man's key is held."""
+        self.k.control["deadman_key"] = 1
+        key = self._stack.enter_context(HeldKey(self.plane.hold_deadman))
+        self.say("hold the space bar; releasing it stops the rig")
+        deadline = time.monotonic() + KEY_TIMEOUT_S
+        while not key.held:
+            if time.monotonic() > deadline:
+                raise SafetyTrip(f"arming refused: the space bar was not held within {KEY_TIMEOUT_S:g} s")
+            time.sleep(POLL_S)
+
+    def course(self, seconds: float) -> None:
+        """Run from arming to the safe end."""
+        k = self.k
+        if self.deadman == "key":
+            self._hold_key()
+        self.signals.defer()
+        if self.signals.number:
+            raise Interrupted(self.signals.number)
+        period = int(k.control["period_ns"][0])
+        self.plane.start_cycle((time.monotonic_ns() + LEAD_NS) // period * period)
+        self._seen = (0, time.monotonic())
+        arming = time.monotonic() + 2 * (self.rig.limits.still_timeout_s + 1)
+        while self.enabled_ns is None and self._watch(seconds) and time.monotonic() < arming:
+            pass
+        while self._watch(seconds):
+            enabled = self.enabled_ns
+            if enabled is None or time.monotonic_ns() - enabled >= seconds * 1e9:
+                break
+        self.plane.stop()
+        deadline = time.monotonic() + SAFE_TIMEOUT_S
+        while self.plane.status is not Status.LOST and k.phase is not Phase.DONE and time.monotonic() < deadline:
+            if not self._supervise():
+                break
+        self._watch(seconds)
+        trip = k.trip
+        at = int(k.host["trip_ns"][0])
+        self.mark(at if trip and at else time.monotonic_ns(), f"trip {trip}" if trip else "safe")
+
+    def _watch(self, seconds: float) -> bool:
+        """Look after the run once; return False when it is to end."""
+        if not self._supervise() or self.k.phase >= Phase.SAFE or self.plane.status is Status.LOST:
+            return False
+        if self.signals.number:
+            self.stopped_by = signal.Signals(self.signals.number).name
+            return False
+        if self.door.stop_wanted():
+            self.stopped_by = "coulombus stop"
+            return False
+        return True
+
+    def _supervise(self) -> bool:
+        """Drain the log, mark phases, see whether the data plane is alive; return False when it is not."""
+        time.sleep(POLL_S)
+        self.drain()
+        cycles, now = self.plane.cycles, time.monotonic()
+        if cycles != self._seen[0]:
+            self._seen = cycles, now
+        enabled = self.enabled_ns
+        if enabled is not None:
+            if not self._marked:
+                self._mark_phases(enabled)
+                self._marked = True
+            if self.progress is not None:
+                self.progress((time.monotonic_ns() - enabled) * 1e-9)
+        stuck = now - self._seen[1] > STUCK_S and self.plane.status is not Status.LOST
+        if (stuck or not self.plane.alive) and self.plane.status not in (Status.LOST, Status.ENDED):
+            self._plane_died()
+            return False
+        return True
+
+    def _plane_died(self) -> None:
+        """The nodes' own watchdogs have made the rig safe, or are about to."""
+        h = self.k.host
+        if h["phase"][0] < Phase.SAFE:
+            h["trip"], h["trip_ns"] = Trip.DATA_PLANE, time.monotonic_ns()
+        h["phase"] = Phase.DONE
+
+    def _mark_phases(self, start_ns: int) -> None:
+        names = [phase.kind for phase in self.rig.phases] + ["end"]
+        for begin, name in zip(self.operator.starts_s, names, strict=True):
+            self.mark(start_ns + round(begin * 1e9), f"phase {name}")
+
+    def end(self) -> None:
+        """Leave the nodes in PRE-OPERATIONAL, end the data plane, close the recording."""
+        try:
+            if self.plane.status is Status.CYCLING and self.plane.alive:
+                self.control.network.nmt.send_command(0x80)  # first: a node that misses SYNC would call it a fault
+                self.plane.end_cycle()
+            shut_down(self.control)
+        except (can.CanError, OSError):
+            pass  # the bus is gone
+        self.drain(final=True)
+        self.plane.close()
+
+    def close(self) -> None:
+        """Give everything back."""
+        self._stack.close()
+
+    # the result
+
+    def _trip(self) -> str | None:
+        if self.failure is not None:
+            return f"RECORDING: {self.failure}"
+        trip = self.k.trip
+        if trip is not None and int(self.k.host["trip"][0]) == Trip.BUS_LOST:
+            trip += f" ({self.plane.lost_text})"
+        return trip
+
+    def _lost_share(self) -> float:
+        cycles = self.plane.cycles
+        lost = int(self.plane.shared.plane["missed_deadlines"][0]) + int(self.k.host["lost_pdos"][0])
+        return lost / cycles if cycles else 0.0
+
+    def _exit_status(self) -> int:
+        if self._trip() is not None:
+            return 7
+        if self.signals.number:
+            return 128 + self.signals.number
+        return 8 if self._lost_share() > self.rig.host.loss_limit else 0
+
+    def result(self) -> RunResult:
+        """Return what the run came to."""
+        k, plane = self.k, self.plane
+        h = k.host[0]
+        trip = self._trip()
+        figures = Measures()
+        if self.record is not None and self.failure is None and self.enabled_ns is not None:
+            figures = measure(read(self.record))
+        wakeup, latency = plane.wakeup(), plane.latency()
+        counters = {"late_cycles" if name == "missed_deadlines" else name: n for name, n in k.counters().items()}
+        counters |= plane.counters()
+        return RunResult(
+            mode=k.mode,
+            cycles=int(h["display_cycles"]),
+            period_ns=int(k.control["period_ns"][0]),
+            missed_deadlines=counters["missed_deadlines"],
+            lost_pdos=int(h["lost_pdos"]),
+            wakeup_us=wakeup.as_dict() if wakeup else None,
+            cpu_us_per_cycle=plane.cpu_us_per_cycle(),
+            recording=str(self.record) if self.record is not None else None,
+            recording_sha256=file_sha256(self.record) if self.record is not None else None,
+            trip=trip,
+            **asdict(figures),
+            sign_check=k.sign_result.name.lower(),
+            simulated_s=int(h["display_cycles"]) * int(k.control["period_ns"][0]) * 1e-9,
+            counters=counters,
+            exit_status=self._exit_status(),
+            bus=str(self.address),
+            sync_to_rpdo_us=latency.as_dict() if latency else None,
+            real_time=plane.real_time,
+            deadman=self.deadman,
+            stopped_by=self.stopped_by,
+        )
+
+    def histograms(self) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+        """Return copies of the histograms of wake-up and of SYNC to RPDO, in microseconds."""
+        return self.plane.shared.wakeup_bins.copy(), self.plane.shared.latency_bins.copy()
+
+
+def _say(text: str) -> None:
+    print(f"coulombus: {text}", file=sys.stderr, flush=True)
+
+
+def real_run(
+    rig: Rig,
+    mode: str,
+    seconds: float,
+    *,
+    bus: BusAddress | None = None,
+    record: Path | None = None,
+    histogram: Path | None = None,
+    signals: Signals | None = None,
+    progress: Callable[[float], None] | None = None,
+    say: Callable[[str], None] = _say,
+    priority: int | None = PRIORITY,
+    cpu: int | None = None,
+) -> RunResult:
+    """Run the host on a bus and return what came of it.
+
+    Parameters
+    ----------
+    mode : ``active``, ``passive`` or ``hybrid``
+    seconds : length of the display, from Operation Enabled on
+    bus : the bus; default is the virtual one of the rig's name
+    record : write a pcapng recording there; the display's figures are computed from it
+    histogram : write a picture of the wake-up and the SYNC-to-RPDO times there
+    signals : entered by the caller; a signal then ends the run safely
+    progress : called with the display's time in s
+    say : called with remarks for people
+    priority : of SCHED_FIFO for the data plane, None: ask for no real-time right
+    cpu : for the data plane; default is the last one that this process may use
+
+    Raises
+    ------
+    wire.address.BusUnavailable, host.errors.HostError
+        nothing was armed
+    wire.pcapng.RecordingError
+        the recording cannot be created
+    """
+    run = _RealRun(
+        rig,
+        mode,
+        bus or default_address(rig.rig.name),
+        record=record,
+        signals=signals or Signals(),
+        progress=progress,
+        say=say,
+        priority=priority,
+        cpu=default_cpu() if cpu is None else cpu,
+    )
+    try:
+        try:
+            run.prepare()
+            run.course(seconds)
+        except can.CanError as error:
+            raise BusUnavailable(f"bus {run.address}: {error}") from None
+        finally:
+            run.end()
+        result = run.result()
+        if histogram is not None:
+            from lab.histogram import draw_histograms
+
+            draw_histograms(*run.histograms(), histogram)
+        return result
+    finally:
+        run.close()
