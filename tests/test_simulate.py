@@ -20,7 +20,6 @@ from scope.recording import read
 from wire.bits import frame_bits
 from wire.frame import data_bytes
 
-
 ROOT = Path(__file__).resolve().parent.parent
 
 
