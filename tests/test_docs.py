@@ -1,0 +1,148 @@
+"""The documents say what the code does: links, commands, names and tables are held against it."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import click
+import pytest
+
+from coulombus import main
+from eds.cia402 import TRANSITIONS
+from eds.rig import load_rig
+from host.records import Trip
+from node.emcy import CAUSES
+from sim_bus.plant import TRUTH_COLUMNS
+
+ROOT = Path(__file__).resolve().parent.parent
+DOCS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+NAMES = [str(path.relative_to(ROOT)) for path in DOCS]
+LINK = re.compile(r"!?\[[^]]*\]\(([^)\s]+)\)")
+SPAN = re.compile(r"`([^`\n]+)`")
+
+
+def text_of(name):
+    return (ROOT / name).read_text()
+
+
+def anchors(text):
+    """Return the anchors of a document's headings, as GitHub makes them."""
+    heads = re.findall(r"^#+ (.*)$", text, re.M)
+    return {re.sub(r"[^\w\- ]", "", head.lower()).replace(" ", "-") for head in heads}
+
+
+def commands(text):
+    """Yield every command line of `coulombus` in a text: indented or fenced lines, and code spans."""
+    lines = re.sub(r"\\\n\s*", "", text).splitlines()
+    fenced = False
+    for line in lines:
+        if line.startswith("```"):
+            fenced = not fenced
+        elif fenced or line.startswith("    "):
+            if re.match(r"\s*(\w+=\S+ )*(\S*/)?coulombus ", line):
+                yield line
+        else:
+            yield from (span for span in SPAN.findall(line) if "coulombus " in span)
+
+
+def options(command):
+    return {name for parameter in command.params if isinstance(parameter, click.Option) for name in parameter.opts}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_relative_links_resolve(name):
+    text = text_of(name)
+    for target in LINK.findall(text):
+        if "://" in target:
+            continue
+        path, _, anchor = target.partition("#")
+        file = ((ROOT / name).parent / path).resolve() if path else ROOT / name
+        assert file.exists(), f"{name}: {target}"
+        assert not anchor or anchor in anchors(file.read_text()), f"{name}: {target}"
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_commands_exist(name):
+    for line in commands(text_of(name)):
+        after = re.search(r"(?:^|[\s/])coulombus ([a-z-][^|>#]*)", line)
+        if after is None:
+            continue
+        words = after[1].split()
+        verb = words[0]
+        if verb.startswith("-"):
+            assert verb in options(main) | {"--help"}, f"{name}: {line}"
+            continue
+        assert verb in main.commands, f"{name}: {line}"
+        known = options(main.commands[verb]) | {"--help"}
+        for word in words[1:]:
+            if word.startswith("--"):
+                assert word.partition("=")[0] in known, f"{name}: {line}"
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_options_named_alone_exist(name):
+    known = set().union(*(options(command) for command in main.commands.values())) | {"--help"}
+    for span in SPAN.findall(text_of(name)):
+        if span.startswith("--"):
+            assert span.split()[0].partition("=")[0] in known, f"{name}: {span}"
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_rig_keys_of_set_are_accepted(name):
+    """`--set KEY=VALUE` in a document loads; paths of laws are shortened to a law that exists."""
+    for line in commands(text_of(name)):
+        rig = re.search(r"--rig (bench|paper)\b", line)
+        if "my-rig.toml" in line:
+            continue
+        for override in re.findall(r"--set (\S+)", line):
+            value = re.sub(r"\S+\.py:\w+", "host.laws:karnopp", override)
+            if re.fullmatch(r"[a-z]\w*(\.\w+)+=\S+", value):
+                load_rig(rig[1] if rig else "bench", [value])
+
+
+def test_every_trip_is_explained():
+    text = text_of("docs/safety.md")
+    missing = [trip.name for trip in Trip if trip is not Trip.NONE and f"`{trip.name}`" not in text]
+    assert not missing
+
+
+def test_every_limit_is_in_the_safety_document():
+    text = text_of("docs/safety.md")
+    keys = type(load_rig("bench").limits).model_fields
+    assert not [key for key in keys if f"limits.{key}" not in text]
+
+
+def test_the_true_course_and_the_signals_are_named():
+    truth, recording = text_of("docs/simulation.md"), text_of("docs/recording.md")
+    assert not [column for column in TRUTH_COLUMNS if f"| `{column}` |" not in truth]
+    for pdo in load_rig("bench").pdos():
+        for signal in pdo.signals:
+            assert f"| `{signal.name}` | {signal.unit}".rstrip() in recording, signal.name
+
+
+def test_the_power_state_machine_is_the_table():
+    drawn = re.findall(r"^ +([A-Z_]+) --> ([A-Z_]+): (\d+) ([A-Z_]+)$", text_of("docs/devices.md"), re.M)
+    table = [(state.name, following.name, str(n), command.name) for n, state, command, following in TRANSITIONS]
+    assert drawn == table
+
+
+def test_devices_show_the_pdos_the_objects_and_the_emergencies():
+    text = text_of("docs/devices.md")
+    rig = load_rig("bench")
+    for pdo in rig.pdos():
+        assert pdo.layout.diagram() in text
+    for node in ("motor", "brake"):
+        objects = [f"{index:04X}h" for index in rig.description(node).objects]
+        ranges = {"1401h", "1402h", "1601h", "1602h", "1801h", "1802h", "1A01h", "1A02h"}  # named by their ends
+        assert not [name for name in objects if name not in text and name not in ranges]
+    for cause in CAUSES:
+        if cause.name:
+            register = f"{cause.register | 1:02X}h"
+            row = rf"\| {cause.code:04X}h \| [^|]+ \| {register} \| {'yes' if cause.fault else 'no'} \|"
+            assert re.search(row, text), cause.name
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_no_machine_path(name):
+    assert not re.search(r"(?<!\.)/(work|tmp|home|root)/", text_of(name))
