@@ -87,7 +87,7 @@ def test_a_bus_that_goes_away_ends_it_with_4():
         bus.close()
         _, err = process.communicate(timeout=20)
     assert process.returncode == 4
-    assert "coulombus:bench is gone" in err
+    assert err.startswith("coulombus: bus coulombus:bench is gone")
     assert "Traceback" not in err
 
 

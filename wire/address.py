@@ -44,6 +44,9 @@ class BusUnavailable(OSError):
 
     exit_status = 4
 
+    def __str__(self) -> str:
+        return str(self.args[-1]) if self.args else ""  # without OSError's "[Errno 104]": the text is for people
+
 
 @dataclass(frozen=True)
 class BusAddress:
