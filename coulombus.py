@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
+    from lab.demo import Demo
     from lab.simulate import RunResult, simulate
     from scope.recording import read
 
@@ -104,6 +105,9 @@ set_option = click.option(
     help="Set any key of the rig file, as in --set plant.inertia_kg_m2=3e-3. May be given several times.",
 )
 seed_option = click.option("--seed", default=0, show_default=True, help="Start of everything random.")
+bus_option = click.option(
+    "--bus", "bus_name", metavar="B", help="coulombus:NAME or socketcan:IF.  [default: coulombus:RIG]"
+)
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON to stdout.")
 
 
@@ -118,6 +122,7 @@ def main() -> None:
     \b
     Examples:
       coulombus demo
+      coulombus sim & coulombus run --mode hybrid --seconds 13
       coulombus simulate --mode hybrid --seconds 13 --record run.pcapng
       coulombus decode run.pcapng | less
       coulombus check --rig my-rig.toml
@@ -221,6 +226,9 @@ def simulate_command(
         sys.exit(result.exit_status)
 
 
+REAL_TIME_ROWS = ("stopped_by", "wakeup_us", "sync_to_rpdo_us", "cpu_us_per_cycle", "deadman")
+
+
 def _print_runs(results: dict[str, RunResult]) -> None:
     from rich.console import Console
     from rich.table import Table
@@ -237,7 +245,12 @@ def _print_runs(results: dict[str, RunResult]) -> None:
         ("dwells: velocity RMS", "stick_velocity_rms_rad_s", "rad/s"),
         ("sign check", "sign_check", ""),
         ("recording", "recording", ""),
+        ("stopped by", "stopped_by", ""),
         ("trip", "trip", ""),
+        ("wake-up p50 / p99 / max", "wakeup_us", "us"),
+        ("SYNC to RPDO p50 / p99 / max", "sync_to_rpdo_us", "us"),
+        ("CPU a cycle", "cpu_us_per_cycle", "us"),
+        ("dead man's switch", "deadman", ""),
     )
     table = Table(box=None, pad_edge=False)
     table.add_column("")
@@ -247,10 +260,120 @@ def _print_runs(results: dict[str, RunResult]) -> None:
         cells = []
         for result in results.values():
             value = getattr(result, field)
+            if isinstance(value, dict):
+                value = " / ".join(f"{part:.0f}" for part in value.values())
             text = "-" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
             cells.append(f"{text} {unit}".strip() if value is not None else text)
-        table.add_row(label, *cells)
+        if field not in REAL_TIME_ROWS or any(cell != "-" for cell in cells):
+            table.add_row(label, *cells)
     Console().print(table)
+
+
+@main.command("run", epilog=EXIT_STATUS)
+@rig_option
+@bus_option
+@click.option(
+    "--mode", type=click.Choice(MODES), default="hybrid", show_default=True, help="Who displays the friction."
+)
+@click.option(
+    "--seconds",
+    type=click.FloatRange(0, min_open=True),
+    default=None,
+    help="Length of the display.  [default: the rig's schedule]",
+)
+@click.option(
+    "--record", type=click.Path(dir_okay=False, path_type=Path), metavar="F.pcapng", help="Record every frame there."
+)
+@click.option(
+    "--histogram",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="F.png",
+    help="Draw wake-up and SYNC-to-RPDO times there.",
+)
+@set_option
+@click.option("--cpu", type=int, default=None, help="CPU for the cycle's process.  [default: the last one]")
+@json_option
+def run_command(
+    rig_name: str,
+    bus_name: str | None,
+    mode: str,
+    seconds: float | None,
+    record: Path | None,
+    histogram: Path | None,
+    overrides: tuple[str, ...],
+    cpu: int | None,
+    as_json: bool,
+) -> None:
+    """Run the host alone, in real time, on a bus where the nodes are: simulated ones (`coulombus sim`) or a rig.
+
+    Ends safely when the time is over, on Ctrl-C (exit status 130), SIGTERM (143), `coulombus stop` (0), or a trip (7). After a trip nothing
+    re-arms by itself. Real-time rights are asked for; what is refused is told with the command that grants it.
+
+    \b
+    Examples:
+      coulombus sim &
+      coulombus run --mode hybrid --seconds 13 --record run.pcapng
+      coulombus run --bus socketcan:can0 --rig my-rig.toml --mode active --json
+    """
+    with _errors():
+        from eds.rig import load_rig
+        from lab.demo import schedule_s
+        from lab.real_run import Signals, real_run
+        from wire.address import default_address, parse_address
+
+        rig = load_rig(rig_name, overrides)
+        if mode not in rig.mode:
+            raise click.BadParameter(f"{mode!r}: rig {rig_name!r} has {', '.join(rig.mode)}", param_hint="--mode")
+        total = schedule_s(rig) if seconds is None else seconds
+        for path in (record, histogram):
+            if path is not None and not path.absolute().parent.is_dir():
+                raise click.BadParameter(
+                    f"{path}: there is no directory {path.absolute().parent}", param_hint="--record / --histogram"
+                )
+        address = default_address(rig.rig.name) if bus_name is None else parse_address(bus_name)
+        with Signals() as signals, _progress(not as_json) as report:
+            result = real_run(
+                rig,
+                mode,
+                total,
+                bus=address,
+                record=record,
+                histogram=histogram,
+                signals=signals,
+                progress=lambda t: report(mode, t, total),
+                cpu=cpu,
+            )
+        if as_json:
+            _json(result.as_dict())
+        else:
+            _print_runs({mode: result})
+        sys.exit(result.exit_status)
+
+
+@main.command(epilog=EXIT_STATUS)
+@rig_option
+@bus_option
+def stop(rig_name: str, bus_name: str | None) -> None:
+    """Stop the host that runs on a bus safely: motor torque 0, brake ramped off, drive disabled. Waits for its end.
+
+    \b
+    Examples:
+      coulombus stop
+      coulombus stop --bus socketcan:can0
+    """
+    with _errors():
+        from eds.rig import load_rig
+        from host.control_socket import stop_host
+        from wire.address import default_address, parse_address
+
+        address = default_address(load_rig(rig_name).rig.name) if bus_name is None else parse_address(bus_name)
+        result = stop_host(address)
+        if not result:
+            click.echo(f"the host on {address} ended without a word")
+        elif result["trip"]:
+            click.echo(f"the host on {address} had tripped: {result['trip']}")
+        else:
+            click.echo(f"the host on {address} stopped safely after {result['cycles']} cycles in mode {result['mode']}")
 
 
 @main.command(epilog=EXIT_STATUS)
@@ -264,16 +387,19 @@ def _print_runs(results: dict[str, RunResult]) -> None:
     show_default=True,
     help="Directory for the results.",
 )
+@click.option("--virtual", is_flag=True, help="In virtual time: some seconds instead of half a minute, same bytes.")
 @json_option
-def demo(rig_name: str, overrides: tuple[str, ...], seed: int, out: Path, as_json: bool) -> None:
+def demo(rig_name: str, overrides: tuple[str, ...], seed: int, out: Path, virtual: bool, as_json: bool) -> None:
     """Show the paper's experiment: active force feedback chatters, hybrid force feedback holds still.
 
-    Runs both modes through the rig's schedule, each with the hold and the stroke, and writes active.pcapng, hybrid.pcapng, demo.json and the
-    figure demo.png. Exits with 1 unless active oscillates and hybrid holds still.
+    Runs both modes through the rig's schedule, each with the hold and the stroke, in real time: the simulated rig in one process, the host in
+    others, PDOs at 1 kHz between them. Writes active.pcapng, hybrid.pcapng, demo.json and the figure demo.png. Exits with 1 unless
+    active oscillates and hybrid holds still.
 
     \b
     Examples:
       coulombus demo
+      coulombus demo --virtual
       coulombus demo --seed 3 --out out/third
     """
     with _errors():
@@ -287,8 +413,11 @@ def demo(rig_name: str, overrides: tuple[str, ...], seed: int, out: Path, as_jso
         if missing:
             raise click.BadParameter(f"rig {rig_name!r} has no mode {missing[0]!r}", param_hint="--rig")
         total = schedule_s(rig)
-        with _progress(not as_json) as report:
-            result = run_demo(rig, out, seed=seed, progress=lambda mode, t: report(mode, t, total))
+        if virtual:
+            with _progress(not as_json) as report:
+                result = run_demo(rig, out, seed=seed, progress=lambda mode, t: report(mode, t, total))
+        else:
+            result = _real_demo(rig_name, overrides, seed, out, total, as_json)
         figure_14({mode: read(out / f"{mode}.pcapng") for mode in DEMO_MODES}, out / "demo.png")
         if as_json:
             _json(as_dict(result))
@@ -300,6 +429,25 @@ def demo(rig_name: str, overrides: tuple[str, ...], seed: int, out: Path, as_jso
                 click.echo(f"{mark} {criterion.text}: {criterion.found}")
             click.echo(f"\nfigure and recordings: {out}/ (demo.png, active.pcapng, hybrid.pcapng, demo.json)")
         sys.exit(0 if result.passed else 1)
+
+
+def _real_demo(rig_name: str, overrides: tuple[str, ...], seed: int, out: Path, total: float, as_json: bool) -> Demo:
+    from eds.rig import load_rig
+    from lab.real_demo import SHARED_MACHINE, run_real_demo
+    from lab.real_run import Signals
+
+    both = (*SHARED_MACHINE, *overrides)
+    click.echo("for a machine shared with others: " + " ".join(f"--set {text}" for text in SHARED_MACHINE), err=True)
+    with Signals() as signals, _progress(not as_json) as report:
+        return run_real_demo(
+            load_rig(rig_name, both),
+            rig_name,
+            out,
+            seed=seed,
+            overrides=both,
+            signals=signals,
+            progress=lambda mode, t: report(mode, t, total),
+        )
 
 
 @main.command(epilog=EXIT_STATUS)
