@@ -8,7 +8,7 @@ import selectors
 import socket
 import struct
 import threading
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 MAGIC = 0x53424C43
 
@@ -51,7 +51,8 @@ class TinyBus:
                     )
                 )
                 if kept:
-                    client.send(kept)
+                    with suppress(OSError):  # it has just gone, or does not read
+                        client.send(kept, socket.MSG_DONTWAIT)
 
     def close(self):
         if not self._thread.is_alive():
