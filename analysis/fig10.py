@@ -93,7 +93,7 @@ def active_run(parameters: Parameters, force: HarmonicForce = PAPER_FORCE) -> Ru
     linear = sample(parameters)
     steps = round(parameters.window_s / parameters.period_s)
     path, _, psi = forced(linear, parameters, work(linear, parameters, force, steps))
-    t = np.arange(steps) * parameters.period_s
+    t: Floats = np.arange(steps, dtype=np.float64) * parameters.period_s
     still = np.flatnonzero(np.diff(np.concatenate(([0], (path[:, 1] == 0.0).astype(int), [0]))))
     sticks = tuple((float(t[a]), float(t[b - 1])) for a, b in still.reshape(-1, 2) if b - a > 1)
     return _run(t, path[:, 0], path[:, 1], psi, sticks, parameters)

@@ -1,7 +1,6 @@
 r"""The operator's muscle force :math:`f_h(t)` as the output of oscillators, so that it is integrated without error.
 
-.. math:: f_h(t) = \sum_i \alpha_i\sin\omega_i t + \beta_i\cos\omega_i t, \qquad
-          \frac{d}{dt}\begin{pmatrix}\sin\\\cos\end{pmatrix} = \begin{pmatrix}0&\omega_i\\-\omega_i&0\end{pmatrix}\begin{pmatrix}\sin\\\cos\end{pmatrix}
+.. math:: f_h(t) = \sum_i \alpha_i s_i + \beta_i c_i, \qquad \dot s_i = \omega_i c_i,\quad \dot c_i = -\omega_i s_i,\quad s_i(0) = 0,\ c_i(0) = 1
 
 Plant and oscillators together are one autonomous linear system; its matrix exponential holds the plant's particular solution in closed form.
 """
@@ -12,9 +11,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import expm
 
-from analysis.linear import SampledPlant, continuous_model
+from analysis.linear import SampledPlant, continuous_model, exponential
 from analysis.operators import Floats
 from analysis.parameters import ParameterError, Parameters
 
@@ -85,6 +83,7 @@ def work(linear: SampledPlant, parameters: Parameters, force: HarmonicForce, ste
     """Return what f_h adds to the state in each of `steps` periods (steps, states): exact, the oscillators' phases do not drift."""
     slip, _ = augmented(parameters, force)
     n, m = len(linear.phi), 2 * len(force.terms)
-    over = expm(slip * parameters.period_s)[:n, n : n + m]
-    added: Floats = force.oscillators(np.arange(steps) * parameters.period_s) @ over.T
+    over = exponential(slip * parameters.period_s)[:n, n : n + m]
+    t: Floats = np.arange(steps, dtype=np.float64) * parameters.period_s
+    added: Floats = force.oscillators(t) @ over.T
     return added

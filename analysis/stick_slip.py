@@ -17,9 +17,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import expm
 
-from analysis.linear import continuous_model
+from analysis.linear import continuous_model, exponential
 from analysis.operator_force import HarmonicForce, augmented
 from analysis.operators import Floats
 from analysis.parameters import Parameters
@@ -130,7 +129,8 @@ def _run(
                         rise_end += toward_end * load[i] * _dot(A[i], at)
             else:
                 g_end = -sense * at[1]
-                rise = -sense * _dot(A[1], Y)
+                # at breakaway dv/dt is 0 to rounding, of either sign: no maximum of g is looked for there
+                rise = -sense * _dot(A[1], Y) if Y[1] != 0.0 else 0.0
                 rise_end = -sense * _dot(A[1], at)
             high = rest
             over = g_end > 0.0
@@ -222,7 +222,7 @@ def passive_motion(parameters: Parameters, force: HarmonicForce) -> StickSlip:
     """Return the motion from rest under `force` for the parameters' window, sampled with their period."""
     slip, stick = augmented(parameters, force)
     _, B, load_row = continuous_model(parameters)
-    n, m = len(B), 2 * len(force.terms)
+    n = len(B)
     load = np.concatenate((-load_row, force.row, [0.0]))
     T = parameters.period_s
     fastest = max(float(np.max(np.abs(np.linalg.eigvals(slip)))), float(np.linalg.norm(slip[:n, :n], 2)) / 4, 1e-9)
@@ -233,8 +233,8 @@ def passive_motion(parameters: Parameters, force: HarmonicForce) -> StickSlip:
     count = _run(
         slip,
         stick,
-        np.ascontiguousarray(expm(slip * (T / finer))[:n]),
-        np.ascontiguousarray(expm(stick * (T / finer))[:n]),
+        np.ascontiguousarray(exponential(slip * (T / finer))[:n]),
+        np.ascontiguousarray(exponential(stick * (T / finer))[:n]),
         np.array([w for _, _, w in force.terms]),
         load,
         n,
@@ -246,4 +246,5 @@ def passive_motion(parameters: Parameters, force: HarmonicForce) -> StickSlip:
         intervals,
     )
     pairs = tuple((float(begin), float(end)) for begin, end in intervals[:count])
-    return StickSlip(np.arange(samples) * T, path[:, 0], path[:, 1], psi, pairs)
+    t: Floats = np.arange(samples, dtype=np.float64) * T
+    return StickSlip(t, path[:, 0], path[:, 1], psi, pairs)
