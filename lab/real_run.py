@@ -117,10 +117,11 @@ class _RealRun:
         self._waiting: np.ndarray[Any, Any] | None = None
         self._marked = False
         self._seen = (0, time.monotonic())
+        self._outcome: dict[str, Any] | None = None  # what is told to those who asked for a stop
         self._stack = ExitStack()
         try:
             self.door = HostSocket(address)
-            self._stack.callback(self._close_door)
+            self._stack.callback(lambda: self.door.close(self._outcome))
             self.plane = DataPlane(self.k, address, priority=priority, cpu=cpu)
             self._stack.callback(self.plane.close)
             self.control = RealControlPlane(rig, address)
@@ -130,16 +131,6 @@ class _RealRun:
         except BaseException:
             self._stack.close()
             raise
-
-    def _close_door(self) -> None:
-        self.door.close(
-            {
-                "mode": self.k.mode,
-                "cycles": int(self.k.host["display_cycles"][0]),
-                "trip": self._trip(),
-                "exit_status": self._exit_status(),
-            }
-        )
 
     # recording
 
@@ -327,9 +318,11 @@ class _RealRun:
         wakeup, latency = plane.wakeup(), plane.latency()
         counters = {"late_cycles" if name == "missed_deadlines" else name: n for name, n in k.counters().items()}
         counters |= plane.counters()
+        cycles, exit_status = int(h["display_cycles"]), self._exit_status()
+        self._outcome = {"mode": k.mode, "cycles": cycles, "trip": trip, "exit_status": exit_status}
         return RunResult(
             mode=k.mode,
-            cycles=int(h["display_cycles"]),
+            cycles=cycles,
             period_ns=int(k.control["period_ns"][0]),
             missed_deadlines=counters["missed_deadlines"],
             lost_pdos=int(h["lost_pdos"]),
@@ -340,9 +333,9 @@ class _RealRun:
             trip=trip,
             **asdict(figures),
             sign_check=k.sign_result.name.lower(),
-            simulated_s=int(h["display_cycles"]) * int(k.control["period_ns"][0]) * 1e-9,
+            simulated_s=cycles * int(k.control["period_ns"][0]) * 1e-9,
             counters=counters,
-            exit_status=self._exit_status(),
+            exit_status=exit_status,
             bus=str(self.address),
             sync_to_rpdo_us=latency.as_dict() if latency else None,
             real_time=plane.real_time,
