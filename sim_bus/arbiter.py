@@ -23,7 +23,7 @@ INTER_FRAME_BITS = 3
 
 BUS = np.dtype(
     [
-        ("bit_rate", np.int64),  # bit/s
+        ("bit_rate", np.int64),  # bit/s; 0: a frame takes no time here (another bus carries it)
         ("busy", np.int64),
         ("end_ns", np.int64),
         ("free_ns", np.int64),
@@ -90,8 +90,10 @@ def start_frame(bus: Any, queue: Any, header: Any, now_ns: int) -> None:
     bus.word = frame.word
     bus.source = frame.source
     bus.t_ns = now_ns
-    bus.end_ns = now_ns + (bits - INTER_FRAME_BITS) * 1_000_000_000 // bus.bit_rate
-    bus.free_ns = now_ns + bits * 1_000_000_000 // bus.bit_rate
+    bus.end_ns = bus.free_ns = now_ns
+    if bus.bit_rate > 0:
+        bus.end_ns = now_ns + (bits - INTER_FRAME_BITS) * 1_000_000_000 // bus.bit_rate
+        bus.free_ns = now_ns + bits * 1_000_000_000 // bus.bit_rate
     bus.busy = 1
     bus.frames += 1
     bus.bits += bits

@@ -12,12 +12,13 @@ import socket
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from eds.compiled import kernel
 from wire.frame import Records, new_records
 from wire.libc import MSG_TRUNC, recvmsg
 
-__all__ = ["MAILBOX", "SO_RXQ_OVFL", "SO_TIMESTAMPNS", "ask_for_stamps", "new_mailbox", "receive"]
+__all__ = ["MAILBOX", "SO_RXQ_OVFL", "SO_TIMESTAMPNS", "ask_for_stamps", "new_mailbox", "receive", "set_up"]
 
 SO_TIMESTAMPNS, SO_RXQ_OVFL = 35, 40
 SOL_SOCKET = 1
@@ -50,18 +51,22 @@ MAILBOX = np.dtype(
 )
 
 
-def new_mailbox(frames: int) -> tuple[Records, np.ndarray[Any, np.dtype[np.int64]]]:
+def new_mailbox(frames: int) -> tuple[Records, npt.NDArray[np.int64]]:
     """Return a mailbox and its data words: room for a message of `frames` frames. Both must be kept alive and in place."""
+    box, data = new_records(MAILBOX), np.zeros(2 * frames, np.int64)
+    set_up(box, data)
+    return box, data
+
+
+def set_up(box: Records, data: npt.NDArray[np.int64]) -> None:
+    """Let the mailbox `box` (an array of one record) put its messages into `data`."""
     if ctypes.sizeof(ctypes.c_void_p) != 8:
         raise ImportError("compiled sockets need a 64-bit system")
-    data = np.zeros(2 * frames, np.int64)
-    box = new_records(MAILBOX)
     start, at = box.ctypes.data, MAILBOX.fields
     assert at is not None
     box["iov"], box["iov_length"] = start + at["buffer"][1], 1
     box["control"] = start + at["room"][1]
     box["buffer"], box["buffer_bytes"] = data.ctypes.data, data.nbytes
-    return box, data
 
 
 def ask_for_stamps(target: socket.socket) -> None:

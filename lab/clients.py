@@ -1,0 +1,261 @@
+"""The clients of a bus in real time, compiled: their messages in, what the bus has carried out.
+
+A client is a row of `SLOT` with its mailbox, its filters and its batch. It is a station with one FIFO: only its first frame takes part in the
+arbitration, and its next message is read when the last frame of this one has gone; one that sends faster than the bus carries finds its own
+socket full (EAGAIN). What the bus has carried goes out in batches; a client that does not read loses frames, counted, and holds up nobody.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+
+from eds.compiled import inlined, kernel
+from wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, QUEUE_CAPACITY, push
+from wire.libc import (
+    EAGAIN,
+    ECONNRESET,
+    EINTR,
+    ENETDOWN,
+    ENOBUFS,
+    ENODEV,
+    ENXIO,
+    MSG_DONTWAIT,
+    MSG_NOSIGNAL,
+    errno,
+    send,
+)
+from wire.mailbox import receive
+
+__all__ = ["BATCH", "MESSAGE_FRAMES", "SLOT", "SLOTS", "STATION", "Need", "State", "flush", "hand_out", "take"]
+
+SLOTS = 32
+"""Clients at a time."""
+STATION = 16
+"""Station number of the client in slot 0."""
+MESSAGE_FRAMES = 1024
+"""The longest message that a client may send."""
+BATCH = 64
+"""The longest message that it is sent."""
+CLOCK_STEP_NS = 1_000_000
+
+
+class Need(IntEnum):
+    """What a client needs Python for; the numbers begin after those of `lab.kernel.Exit`."""
+
+    MESSAGE = 20  # it sent a message that is no frames
+    CLOSED = 21  # it has gone
+    GONE = 22  # the SocketCAN interface does not exist any more
+
+
+class State(IntEnum):
+    """Of a slot."""
+
+    FREE = 0
+    GREETING = 1  # connected, has not greeted yet
+    OPEN = 2
+    SOCKETCAN = 3  # an AF_CAN socket: the world's nodes are its stations
+
+
+FREE, GREETING, OPEN, SOCKETCAN = int(State.FREE), int(State.GREETING), int(State.OPEN), int(State.SOCKETCAN)
+MESSAGE, CLOSED, GONE = int(Need.MESSAGE), int(Need.CLOSED), int(Need.GONE)
+OWN, LISTEN_ONLY, ERRORS = 1, 2, 4  # wire.hello.Flags
+INVERTED = 0x20000000  # CAN_INV_FILTER
+
+SLOT = np.dtype(
+    [
+        ("fd", np.int64),
+        ("state", np.int64),
+        ("flags", np.int64),
+        ("filters", np.int64),  # how many; 0: everything
+        ("staged", np.int64),  # frames of its message that is being sent
+        ("next", np.int64),  # the first of them that is not on the bus yet
+        ("ready_ns", np.int64),  # world time at which the message was sent
+        ("dry", np.int64),  # nothing was left to read since the last ppoll
+        ("out", np.int64),  # frames that wait in its batch
+        # counters
+        ("sent", np.int64),  # frames on the bus from it
+        ("delivered", np.int64),  # frames that it was given
+        ("lost", np.int64),  # frames that it did not get because it did not read
+        ("malformed", np.int64),  # messages or frames that were dropped
+        ("overflow", np.int64),  # SocketCAN: frames that this process did not read in time (SO_RXQ_OVFL)
+        ("no_buffer", np.int64),  # SocketCAN: frames of the nodes that the interface did not take (ENOBUFS)
+        ("net_down", np.int64),  # SocketCAN: times that the interface was found down (ENETDOWN)
+        ("error_frames", np.int64),  # SocketCAN: error frames that came
+    ],
+    align=True,
+)
+
+
+@inlined
+def _passes(slot: Any, filters: Any, can_id: int) -> bool:
+    """Tell whether SocketCAN's filters let a frame through."""
+    if can_id & CAN_ERR_FLAG:
+        return slot.flags & ERRORS != 0
+    if slot.filters == 0:
+        return True
+    for k in range(slot.filters):
+        wanted, mask = filters[k, 0], filters[k, 1] & ~INVERTED
+        equal = can_id & mask == wanted & ~INVERTED & mask
+        if equal != (wanted & INVERTED != 0):
+            return True
+    return False
+
+
+@kernel
+def flush(slot: Any, batch: Any) -> None:
+    """Give a client its batch; what it has no room for is lost to it."""
+    if slot.out == 0:
+        return
+    while send(slot.fd, batch.ctypes.data, 16 * slot.out, MSG_DONTWAIT | MSG_NOSIGNAL) < 0:
+        number = errno()
+        if number != EINTR:
+            if number in (EAGAIN, ENOBUFS):  # anything else: it has gone, and its end will be read
+                slot.lost += slot.out
+            slot.out = 0
+            return
+    slot.delivered += slot.out
+    slot.out = 0
+
+
+@kernel
+def _to_interface(slot: Any, batch: Any) -> int:
+    """Write the frame in `batch` to a SocketCAN interface, which takes one at a time; return 0, or GONE."""
+    while send(slot.fd, batch.ctypes.data, 16, MSG_DONTWAIT) < 0:
+        number = errno()
+        if number == EINTR:
+            continue
+        if number in (ENODEV, ENXIO):
+            return GONE
+        if number == ENETDOWN:
+            slot.net_down += 1
+        elif number in (ENOBUFS, EAGAIN):
+            slot.no_buffer += 1
+        slot.lost += 1
+        return 0
+    slot.delivered += 1
+    return 0
+
+
+@kernel
+def hand_out(w: Any, p: Any, log: Any, slots: Any, filters: Any, batches: Any) -> int:
+    """Put what the bus has carried into the batches of all who want it."""
+    for row in range(p.handed_out, w.log_count):
+        f = log[row]
+        head = f.can_id | f.length << 32
+        for i in range(slots.shape[0]):
+            s = slots[i]
+            if s.state == SOCKETCAN:
+                if f.source < STATION:
+                    batches[i, 0], batches[i, 1] = head, f.word
+                    if _to_interface(s, batches[i]) != 0:
+                        p.slot = i
+                        return GONE
+            elif s.state == OPEN:
+                own = f.source == STATION + i
+                if own and s.flags & OWN == 0:
+                    continue
+                if not _passes(s, filters[i], f.can_id):
+                    continue
+                batches[i, 2 * s.out], batches[i, 2 * s.out + 1] = head, f.word
+                s.out += 1
+                if s.out == BATCH:
+                    flush(s, batches[i])
+    p.handed_out = w.log_count
+    return 0
+
+
+@kernel
+def _read(p: Any, slots: Any, boxes: Any, i: int, offset_ns: int, t_ns: int) -> int:
+    """Read one message of the client in slot `i`; return 0, or why Python is needed.
+
+    `offset_ns` is world time minus CLOCK_REALTIME, `t_ns` the present.
+    """
+    s = slots[i]
+    n = receive(s.fd, boxes[i : i + 1], MSG_DONTWAIT)
+    if n < 0:
+        number = errno()
+        if number in (EINTR, ECONNRESET):  # it went without reading all; what it sent is still here, and then its end
+            return 0
+        s.dry = 1
+        if number == EAGAIN:
+            return 0
+        p.slot = i
+        if s.state == SOCKETCAN:
+            if number == ENETDOWN:
+                s.net_down += 1
+            return GONE if number in (ENODEV, ENXIO) else 0
+        return CLOSED
+    box = boxes[i]
+    if n == 0 and s.state != SOCKETCAN:
+        s.dry = 1
+        p.slot = i
+        return CLOSED
+    if s.state == SOCKETCAN:
+        s.overflow = box.overflow
+    if box.truncated or n == 0:
+        s.malformed += 1
+        return 0
+    if s.state == GREETING or n % 16 == 8:
+        p.slot = i
+        p.message_bytes = n
+        return MESSAGE
+    if n % 16 != 0:
+        s.malformed += 1
+        return 0
+    s.staged = n // 16
+    s.next = 0
+    s.ready_ns = t_ns
+    if box.stamp_ns != 0 and box.stamp_ns + offset_ns < t_ns + CLOCK_STEP_NS:
+        s.ready_ns = box.stamp_ns + offset_ns
+    return 0
+
+
+@kernel
+def _offer(w: Any, s: Any, words: Any, station: int, queue: Any, header: Any) -> None:
+    """Let a client's first waiting frame take part in the arbitration, unless one of its does already."""
+    for k in range(header[0].count):
+        if queue[k].source == station:
+            return
+    if header[0].count >= QUEUE_CAPACITY:
+        return
+    while s.next < s.staged:
+        head, word = words[2 * s.next], words[2 * s.next + 1]
+        s.next += 1
+        length = head >> 32 & 0xFF
+        can_id = head & 0xFFFFFFFF
+        if can_id & CAN_ERR_FLAG:
+            if s.state == SOCKETCAN:
+                s.error_frames += 1
+            else:
+                s.malformed += 1
+            continue
+        if length > 8 or s.flags & LISTEN_ONLY:
+            s.malformed += 1
+            continue
+        can_id &= (0x1FFFFFFF | CAN_EFF_FLAG | CAN_RTR_FLAG) if can_id & CAN_EFF_FLAG else 0x7FF | CAN_RTR_FLAG
+        if can_id & CAN_RTR_FLAG:
+            word = 0
+        elif length < 8:
+            word &= (1 << (8 * length)) - 1
+        s.sent += 1
+        push(queue, header, station, max(s.ready_ns, w.t_ns), can_id, length, word)
+        return
+
+
+@kernel
+def take(w: Any, p: Any, slots: Any, boxes: Any, words: Any, queue: Any, header: Any, offset_ns: int, t_ns: int) -> int:
+    """Offer the bus each client's next frame, reading its next message when the last one has gone; return 0, or why Python is needed."""
+    for i in range(slots.shape[0]):
+        s = slots[i]
+        if s.state == FREE:
+            continue
+        while s.next >= s.staged and not s.dry:
+            why = _read(p, slots, boxes, i, offset_ns, t_ns)
+            if why != 0:
+                return why
+        if s.next < s.staged:
+            _offer(w, s, words[i], STATION + i, queue, header)
+    return 0
