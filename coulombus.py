@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
+    from eds.rig import Rig
     from lab.demo import Demo
     from lab.simulate import RunResult, simulate
     from scope.recording import read
@@ -83,6 +84,16 @@ def _errors() -> Iterator[None]:
         if status is None:
             raise
         _fail(str(error), status)
+
+
+def _load(rig_name: str, overrides: tuple[str, ...]) -> Rig:
+    """Load a rig and say on stderr what is allowed in it and yet may not be meant."""
+    from eds.rig import load_rig
+
+    rig = load_rig(rig_name, overrides)
+    for warning in rig.warnings:
+        click.echo(f"warning: {warning}", err=True)
+    return rig
 
 
 def _json(value: Any) -> None:
@@ -202,11 +213,10 @@ def simulate_command(
       coulombus simulate --truth truth.npz --record run.pcapng --seed 7
     """
     with _errors():
-        from eds.rig import load_rig
         from lab.demo import schedule_s
         from lab.simulate import simulate
 
-        rig = load_rig(rig_name, overrides)
+        rig = _load(rig_name, overrides)
         if mode not in rig.mode:
             raise click.BadParameter(f"{mode!r}: rig {rig_name!r} has {', '.join(rig.mode)}", param_hint="--mode")
         total = schedule_s(rig) if seconds is None else seconds
@@ -316,12 +326,11 @@ def run_command(
       coulombus run --bus socketcan:can0 --rig my-rig.toml --mode active --json
     """
     with _errors():
-        from eds.rig import load_rig
         from lab.demo import schedule_s
         from lab.real_run import Signals, real_run
         from wire.address import default_address, parse_address
 
-        rig = load_rig(rig_name, overrides)
+        rig = _load(rig_name, overrides)
         if mode not in rig.mode:
             raise click.BadParameter(f"{mode!r}: rig {rig_name!r} has {', '.join(rig.mode)}", param_hint="--mode")
         total = schedule_s(rig) if seconds is None else seconds
@@ -403,12 +412,11 @@ def demo(rig_name: str, overrides: tuple[str, ...], seed: int, out: Path, virtua
       coulombus demo --seed 3 --out out/third
     """
     with _errors():
-        from eds.rig import load_rig
         from lab.demo import DEMO_MODES, as_dict, run_demo, schedule_s
         from lab.figures import figure_14
         from scope.recording import read
 
-        rig = load_rig(rig_name, overrides)
+        rig = _load(rig_name, overrides)
         missing = [mode for mode in DEMO_MODES if mode not in rig.mode]
         if missing:
             raise click.BadParameter(f"rig {rig_name!r} has no mode {missing[0]!r}", param_hint="--rig")
@@ -487,11 +495,10 @@ def check(rig_name: str, overrides: tuple[str, ...], as_json: bool) -> None:
       coulombus check --rig bench --set bus.bitrate_bit_s=500000
     """
     with _errors():
-        from eds.rig import load_rig
         from host.controller import Controller
         from wire.load import cycle_load
 
-        rig = load_rig(rig_name, overrides)
+        rig = _load(rig_name, overrides)
         diagnoses = [str(d) for node in ("motor", "brake") for d in rig.description(node).diagnoses]
         load = cycle_load(rig)
         limits = {
@@ -574,11 +581,10 @@ def watch(
       coulombus watch --json --seconds 5 | jq .signals
     """
     with _errors():
-        from eds.rig import load_rig
         from scope.watch import watch as run
         from wire.address import default_address, parse_address
 
-        rig = load_rig(rig_name, overrides)
+        rig = _load(rig_name, overrides)
         address = default_address(rig.rig.name) if bus_name is None else parse_address(bus_name)
         run(rig, address, seconds=seconds, as_json=as_json, interval_s=interval)
 

@@ -8,7 +8,7 @@ from itertools import combinations, pairwise
 from typing import Any
 
 from eds.rig_errors import Source, dotted, shown
-from eds.rig_model import CIA_301_BIT_RATES, MODES, to_ns
+from eds.rig_model import CIA_301_BIT_RATES, MODES, WORK_WINDOW_CYCLES, to_ns
 from eds.toml_lines import Key
 
 __all__ = ["check", "remarks"]
@@ -86,6 +86,12 @@ RULES = (
     ),
     _rule("mode.passive.motor_limit_Nm", _zero, "0: the motor has no part in this mode"),
     _rule("mode.passive.compensation", _zero, "0: the motor has no part in this mode"),
+    _rule("limits.brake_torque_Nm brake.rated_torque_Nm", _at_most, "at most brake.rated_torque_Nm, which is {1}"),
+    _rule(
+        "limits.net_work_window_s bus.period_s",
+        lambda window, period: window <= WORK_WINDOW_CYCLES * period,
+        f"at most {WORK_WINDOW_CYCLES} x bus.period_s, which is {{1}}",
+    ),
     _rule("plant.brake_off_state_Nm plant.brake_max_Nm", _at_most, "at most plant.brake_max_Nm, which is {1}"),
     _rule(
         "limits.sign_check_travel_rad limits.travel_rad",
@@ -122,7 +128,6 @@ REMARKS = (
               "at least compensation x mechanics.friction_Nm ({1} x {2}), else it is cut off")
         for mode in MODES
     ),
-    _rule("limits.brake_torque_Nm brake.rated_torque_Nm", _at_most, "at most brake.rated_torque_Nm ({1})"),
 )  # fmt: skip
 
 

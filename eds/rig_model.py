@@ -32,6 +32,8 @@ __all__ = [
 ]
 
 MODES = ("active", "passive", "hybrid")
+WORK_WINDOW_CYCLES = 4096
+"""Cycles that the host's net-work watch can look back."""
 CIA_301_BIT_RATES = (10_000, 20_000, 50_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
 DEADMAN = r"^(|none|key|object:[0-9A-Fa-f]{4}:[0-9A-Fa-f]{1,2})$"
 LAW = r"^\s*(([A-Za-z_]\w*)(\.[A-Za-z_]\w*)*|[^:]+\.py):[A-Za-z_]\w*\s*$"

@@ -247,6 +247,6 @@ def bring_up(rig: Rig, plane: ControlPlane, motor_limit_pm: int) -> None:
 
 
 def shut_down(plane: ControlPlane) -> None:
-    """Leave the nodes in PRE-OPERATIONAL, where no PDO acts and no watchdog runs."""
+    """Leave the nodes in PRE-OPERATIONAL, where no PDO acts; only the heartbeat is still watched there."""
     plane.network.nmt.send_command(0x80)
     plane.wait_ns(SETTLE_NS)

@@ -14,7 +14,7 @@ from eds.pdo import fill
 from eds.rig import Rig
 from eds.signals import RigPdo, Signal
 from host.laws import LAW, LAW_STATE, MOTION, load_law
-from host.records import CONTROL, DRIVE_PDOS, HOST, WORK_WINDOW, Image, Phase, SignResult, Trip
+from host.records import CONTROL, DRIVE_PDOS, HOST, Image, Phase, SignResult, Trip
 from wire.frame import Records, new_records
 
 __all__ = ["TRIP_TEXT", "Controller"]
@@ -59,6 +59,7 @@ TRIP_TEXT = {
     Trip.NMT_STATE: "a node left NMT state OPERATIONAL",
     Trip.TRANSMIT: "the bus did not take a frame",
     Trip.RECORDING: "the recording could not be written",
+    Trip.LAW: "the friction law returned no number (law.function)",
     Trip.BUS_LOST: "the bus is gone: its process ended, or its interface went down",
     Trip.SECOND_HOST: "another host sends SYNC or this host's heartbeat on the same bus",
     Trip.DEADMAN: "the dead man's switch was not held",
@@ -157,7 +158,7 @@ class Controller:
 
         c["friction_Nm"] = rig.mechanics.friction_Nm
         c["compensation_Nm"] = mode.compensation * rig.mechanics.friction_Nm
-        c["inertia"], c["viscous"] = rig.mechanics.inertia_kg_m2, rig.mechanics.viscous_Nms_rad
+        c["viscous"] = rig.mechanics.viscous_Nms_rad
         c["velocity_band_counts"] = rig.law.velocity_band_counts
         c["gain_step"] = T / rig.law.gain_ramp_s if rig.law.gain_ramp_s > 0 else 1.0
 
@@ -166,7 +167,7 @@ class Controller:
         c["brake_limit_Nm"] = limits.brake_torque_Nm
         c["speed_limit"], c["jump_counts"] = limits.speed_rad_s, limits.encoder_jump_counts
         c["net_work_J"] = limits.net_work_J
-        c["net_work_cycles"] = min(_cycles(limits.net_work_window_s, T), WORK_WINDOW)
+        c["net_work_cycles"] = _cycles(limits.net_work_window_s, T)
         c["travel_rad"] = math.inf if limits.travel_rad == "unlimited" else float(limits.travel_rad)
         c["mismatch_Nm"] = limits.handle_mismatch_Nm
         c["mismatch_cycles"] = _cycles(limits.handle_mismatch_s, T)

@@ -137,8 +137,17 @@ def compile_law(function: Callable[..., Any]) -> Any:
     return numba.core.types.CompileResultWAP(dispatcher.overloads[dispatcher.signatures[0]])
 
 
+def _find(place: str, directory: Path | None) -> Path:
+    """Return the law's file: beside the rig file, else in the current folder, as EDS files are looked for."""
+    tried = [folder / place for folder in (directory, Path()) if folder is not None]
+    found = next((path for path in tried if path.is_file()), None)
+    if found is None:
+        raise LawError(f"there is no file {place}; looked for {', '.join(map(str, tried))}")
+    return found
+
+
 def load_law(name: str, directory: Path | None = None) -> Any:
-    """Return the compiled law called `name`: ``module:function``, or ``file.py:function`` beside `directory`.
+    """Return the compiled law called `name`: ``module:function``, or ``file.py:function`` in `directory` or the current folder.
 
     Raises
     ------
@@ -150,7 +159,7 @@ def load_law(name: str, directory: Path | None = None) -> Any:
         raise LawError(f"law {name!r}: expected 'module:function' or 'file.py:function', as in 'host.laws:karnopp'")
     try:
         if place.endswith(".py"):
-            path = Path(place) if directory is None else directory / place
+            path = _find(place, directory)
             spec = importlib.util.spec_from_file_location(f"coulombus_law_{path.stem}", path)
             if spec is None or spec.loader is None:
                 raise LawError(f"law {name!r}: {path} is not a Python file")
@@ -159,8 +168,8 @@ def load_law(name: str, directory: Path | None = None) -> Any:
             spec.loader.exec_module(module)
         else:
             module = importlib.import_module(place)
-    except LawError:
-        raise
+    except LawError as error:
+        raise LawError(f"law {name!r}: {error}") from None
     except Exception as error:
         raise LawError(f"law {name!r}: {place} cannot be imported: {error}") from error
     function = getattr(module, attribute, None)

@@ -9,7 +9,9 @@ from enum import IntEnum
 
 import numpy as np
 
-__all__ = ["CONTROL", "DRIVE_PDOS", "HOST", "WORK_WINDOW", "Image", "Phase", "SignResult", "Trip"]
+from eds.rig_model import WORK_WINDOW_CYCLES
+
+__all__ = ["CONTROL", "DRIVE_PDOS", "HOST", "Image", "Phase", "SignResult", "Trip"]
 
 
 class Phase(IntEnum):
@@ -50,6 +52,7 @@ class Trip(IntEnum):
     SECOND_HOST = 18
     DEADMAN = 19
     DATA_PLANE = 20
+    LAW = 21
     NOT_STILL = 32  # from here on: arming was refused
     HANDLE_LOADED = 33
     ENABLE_TIMEOUT = 34
@@ -86,9 +89,6 @@ class Image(IntEnum):
 DRIVE_PDOS = 8
 """PDOs that the host's tables have room for, each way."""
 
-WORK_WINDOW = 4096
-"""Cycles that the net-work watch can look back."""
-
 CONTROL = np.dtype(
     [
         ("period_ns", np.int64),
@@ -114,7 +114,6 @@ CONTROL = np.dtype(
         # compensation of the inherent friction
         ("friction_Nm", np.float64),
         ("compensation_Nm", np.float64),
-        ("inertia", np.float64),
         ("viscous", np.float64),
         ("velocity_band_counts", np.float64),
         ("gain_step", np.float64),  # a cycle
@@ -209,7 +208,7 @@ HOST = np.dtype(
         ("coil_A2", np.float64),
         ("work_sum", np.float64),
         ("work_row", np.int64),
-        ("work", np.float64, (WORK_WINDOW,)),
+        ("work", np.float64, (WORK_WINDOW_CYCLES,)),
         # counters
         ("display_cycles", np.int64),  # cycles since Operation Enabled, until SAFE
         ("lost_pdos", np.int64),

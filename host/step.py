@@ -27,7 +27,7 @@ __all__ = ["SOURCE_HOST", "begin", "finish", "on_frame", "on_time"]
 SOURCE_HOST = -1
 """Station number of the host in a queue and in a log."""
 
-NONE = int(Trip.NONE)
+NONE, LAW = int(Trip.NONE), int(Trip.LAW)
 OFF, STILL, ENABLE, SIGN = int(Phase.OFF), int(Phase.STILL), int(Phase.ENABLE), int(Phase.SIGN)
 SETTLE, RUN, SAFE, DISABLE, DONE = (
     int(Phase.SETTLE),
@@ -331,8 +331,11 @@ def finish(
         motion.v_rad_s = h.v_counts * c.rad_count * 1e9 / c.period_ns
         motion.handle_Nm = h.handle_Nm
         psi = law_function(motion, law, state)
-        state.psi_Nm = psi
-        wanted = _phase_run(c, h, psi, state)
+        if psi == psi and state.brake_Nm == state.brake_Nm:
+            state.psi_Nm = psi
+            wanted = _phase_run(c, h, psi, state)
+        else:  # not a number
+            _trip(c, h, LAW, t_ns)
 
     if h.enabled_ns >= 0 and h.phase < SAFE:
         h.display_cycles += 1

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -64,7 +64,7 @@ def traces(recording: Recording, mode: str) -> Traces:
         inside = (times >= start) & (times <= end)
         return times[inside] - start, values[inside]
 
-    moved = tuple(PhaseSpan(span.kind, span.begin_s - start, span.end_s - start) for span in spans)
+    moved = tuple(replace(span, begin_s=span.begin_s - start, end_s=span.end_s - start) for span in spans)
     return Traces(*cut(t, v), *cut(handle.t_s, handle.values), *cut(command.t_s, command.values), label, moved)
 
 

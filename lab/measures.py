@@ -18,6 +18,7 @@ from scope.recording import Recording
 __all__ = ["HOLD_LEAD_S", "HOLD_TAIL_S", "STICK_WINDOW_S", "Measures", "PhaseSpan", "measure", "phases", "velocity"]
 
 Floats: TypeAlias = npt.NDArray[np.float64]
+Window: TypeAlias = tuple[float, float]
 
 HOLD_LEAD_S, HOLD_TAIL_S = 0.8, 0.02
 STICK_WINDOW_S = (0.35, 0.95)
@@ -27,8 +28,9 @@ SPECTRUM_SAMPLES = 512
 
 @dataclass(frozen=True)
 class PhaseSpan:
-    """One phase of the operator's schedule, as the recording's markers tell it."""
+    """One phase of the operator's schedule, as the recording's markers tell it; `index` is its place in the rig file."""
 
+    index: int
     kind: str
     begin_s: float
     end_s: float
@@ -55,7 +57,8 @@ def phases(recording: Recording) -> list[PhaseSpan]:
         return []
     end = float(recording["motor.position_rad"].t_s[-1])
     ends = [t for t, _ in begins[1:]] + [end]
-    return [PhaseSpan(kind, t, min(after, end)) for (t, kind), after in zip(begins, ends, strict=True) if kind != "end"]
+    spans = zip(range(len(begins)), begins, ends, strict=True)
+    return [PhaseSpan(i, kind, t, min(after, end)) for i, (t, kind), after in spans if kind != "end"]
 
 
 def velocity(t_s: Floats, angle_rad: Floats, period_s: float) -> tuple[Floats, Floats]:
@@ -68,55 +71,53 @@ def _rms(values: Floats) -> float | None:
     return float(np.sqrt(np.mean(values**2))) if len(values) else None
 
 
-def _within(t: Floats, begin: float, end: float) -> npt.NDArray[np.bool_]:
-    inside: npt.NDArray[np.bool_] = (t >= begin) & (t < end)
+def _peak_to_peak(counts: Floats) -> int:
+    return int(np.ptp(counts)) if len(counts) else 0
+
+
+def _windows(recording: Recording, spans: list[PhaseSpan]) -> tuple[list[Window], list[Window]]:
+    """Return the hold windows and the stick windows [s]; a stick window ends with its dwell at the latest."""
+    holds = [(s.begin_s + HOLD_LEAD_S, s.end_s - HOLD_TAIL_S) for s in spans if s.kind == "hold"]
+    sticks = []
+    for span in spans:
+        if span.kind == "stroke":
+            stroke = recording.rig.phases[span.index]
+            dwell = span.begin_s + stroke.move_s
+            while dwell < span.end_s:
+                last = min(dwell + min(STICK_WINDOW_S[1], stroke.dwell_s), span.end_s)
+                sticks.append((dwell + STICK_WINDOW_S[0], last))
+                dwell += stroke.move_s + stroke.dwell_s
+    return holds, sticks
+
+
+def _inside(t: Floats, windows: list[Window]) -> npt.NDArray[np.bool_]:
+    inside = np.zeros(len(t), bool)
+    for begin, end in windows:
+        inside |= (t >= begin) & (t < end)
     return inside
 
 
 def measure(recording: Recording) -> Measures:
     """Return the figures of `recording`: all holds and all dwells together, were there several."""
-    spans = phases(recording)
+    holds, sticks = _windows(recording, phases(recording))
     period = recording.rig.bus.period_s
-    angle = recording["motor.position_rad"]
+    angle, target = recording["motor.position_rad"], recording["motor.target_torque_Nm"]
+    handle = recording["brake.handle_torque_Nm"]
     t, v = velocity(angle.t_s, angle.values, period)
-    hold = np.zeros(len(t), bool)
-    for span in spans:
-        if span.kind == "hold":
-            hold |= _within(t, span.begin_s + HOLD_LEAD_S, span.end_s - HOLD_TAIL_S)
-    stick = np.zeros(len(t), bool)
-    for span in spans:
-        if span.kind != "stroke":
-            continue
-        stroke = next(phase for phase in recording.rig.phases if phase.kind == "stroke")
-        dwell = span.begin_s + stroke.move_s
-        while dwell < span.end_s:
-            stick |= _within(t, dwell + STICK_WINDOW_S[0], min(dwell + STICK_WINDOW_S[1], span.end_s))
-            dwell += stroke.move_s + stroke.dwell_s
+    hold, stick = _inside(t, holds), _inside(t, sticks)
     figures: dict[str, float | int | None] = {}
     if hold.any():
-        seconds = float(hold.sum()) * period
-        counts = np.rint(angle.values[1:][hold] / abs(recording.scale("motor.position_rad")))
+        counts = np.rint(angle.values / abs(recording.scale("motor.position_rad")))
         figures["hold_velocity_rms_rad_s"] = _rms(v[hold])
-        figures["hold_counts_p2p"] = int(np.ptp(counts))
-        target = recording["motor.target_torque_Nm"]
-        figures["torque_flips_per_s"] = _flips(target.values[_like(target.t_s, t, hold)]) / seconds
-        handle = recording["brake.handle_torque_Nm"]
-        figures["hold_push_Nm"] = float(np.max(np.abs(handle.values[_like(handle.t_s, t, hold)]), initial=0.0))
+        figures["hold_counts_p2p"] = max(_peak_to_peak(counts[_inside(angle.t_s, [w])]) for w in holds)
+        figures["torque_flips_per_s"] = _flips(target.values[_inside(target.t_s, holds)]) / (float(hold.sum()) * period)
+        figures["hold_push_Nm"] = float(np.max(np.abs(handle.values[_inside(handle.t_s, holds)]), initial=0.0))
         if np.any(v[hold]):
             frequency, power = welch(v[hold], 1 / period, nperseg=min(SPECTRUM_SAMPLES, int(hold.sum())))
             figures["hold_peak_Hz"] = float(frequency[np.argmax(power)])
     if stick.any():
         figures["stick_velocity_rms_rad_s"] = _rms(v[stick])
     return Measures(**figures)  # type: ignore[arg-type]
-
-
-def _like(t_other: Floats, t: Floats, mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """Return the samples at `t_other` within the span that `mask` marks on `t` (one span, or several that join)."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.view(np.int8), [0]))))
-    inside = np.zeros(len(t_other), bool)
-    for first, after in edges.reshape(-1, 2):
-        inside |= (t_other >= t[first]) & (t_other <= t[after - 1])
-    return inside
 
 
 def _flips(torque: Floats) -> int:

@@ -207,7 +207,7 @@ def simulate(
     eds.rig.RigError, host.laws.LawError, wire.pcapng.RecordingError
         the rig file, the law or the recording's path is wrong
     """
-    chosen = rig if isinstance(rig, Rig) else load_rig(rig, overrides)
+    chosen = rig.variant(*overrides) if isinstance(rig, Rig) else load_rig(rig, overrides)
     if mode not in chosen.mode:
         raise ValueError(f"mode {mode!r}: the rig has {', '.join(chosen.mode)}")
     run = _Run(chosen, mode, seed, Path(record) if record is not None else None, truth is not None, progress)

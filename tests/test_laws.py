@@ -110,7 +110,7 @@ def test_a_law_of_ones_own_is_one_function_in_a_file(tmp_path):
         ("karnopp", "expected 'module:function'"),
         ("host.laws:karnop", "no function 'karnop'; it has"),
         ("no.such.module:f", "cannot be imported"),
-        ("missing.py:f", "cannot be imported"),
+        ("missing.py:f", "there is no file missing.py"),
         ("broken.py:f", "cannot be imported"),
         ("wrong.py:f", "does not compile as law"),
     ],
