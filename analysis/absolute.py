@@ -109,7 +109,8 @@ def passive_set_slope(parameters: Parameters) -> float:
 
 def circle_slope(parameters: Parameters) -> float | None:
     """Return the slope that the circle criterion certifies for the brake, eq. (15): None (all), as Re P(jw) >= 0 for a passive hand."""
-    s: Complexes = 1j * np.geomspace(1e-3, 1e6, 4000)
+    s = np.zeros(4000, dtype=np.complex128)
+    s.imag = np.geomspace(1e-3, 1e6, len(s))
     lowest = float(np.min(plant(s, parameters).real))
     return None if lowest >= -1e-15 else -1.0 / lowest
 
