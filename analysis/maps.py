@@ -68,8 +68,8 @@ class LoopParameters:
     """Scales F_s and F_d."""
     velocity_band_counts: float = 2.0
     compensation_Nm: float = 0.97 * 0.14
-    tap_Nms: float = 6e-3
-    """Impulse that starts it: 0.6 Nm for 10 ms."""
+    tap_rad_s: float = 2.0
+    """Speed right after the tap that starts it: what 0.6 Nm for 10 ms give a light hand. Below the velocity band nothing starts."""
     settle_s: float = 1.0
     window_s: float = 0.5
 
@@ -130,7 +130,7 @@ class OscillationMap:
 
     axes: dict[str, Floats]
     base: LoopParameters
-    taps_Nms: tuple[float, ...]
+    taps_rad_s: tuple[float, ...]
     share: Floats
     """Share of the taps after which it oscillates: 0 quiet after every one, 1 oscillating after every one."""
     velocity_rms_rad_s: Floats
@@ -157,7 +157,7 @@ class OscillationMap:
         return {
             "axes": {name: values.tolist() for name, values in self.axes.items()},
             "base": {f.name: getattr(self.base, f.name) for f in fields(self.base)},
-            "taps_Nms": list(self.taps_Nms),
+            "taps_rad_s": list(self.taps_rad_s),
             "share": self.share.tolist(),
             "velocity_rms_rad_s": self.velocity_rms_rad_s.tolist(),
             "frequency_Hz": frequency.tolist(),
@@ -167,14 +167,14 @@ class OscillationMap:
 
 
 DEFAULT_AXES: dict[str, Floats] = {
-    "operator_inertia_kg_m2": np.geomspace(1e-4, 0.3, 16),
+    "operator_inertia_kg_m2": np.geomspace(1e-4, 0.1, 16),
     "operator_damping_Nms_rad": np.geomspace(0.01, 10.0, 16),
     "operator_stiffness_Nm_rad": np.array([5.0, 50.0]),
-    "rate_Hz": np.array([500.0, 1000.0, 2000.0, 4000.0]),
+    "rate_Hz": np.array([500.0, 1000.0, 2000.0]),
     "delay_s": np.array([0.0, 0.5e-3, 1e-3, 2e-3]),
     "friction_level": np.array([0.3, 1.0]),
 }
-DEFAULT_TAPS_NMS = (6e-4, 6e-3)
+DEFAULT_TAPS_RAD_S = (1.0, 3.0)
 
 LOOP_OF_PARAMETER = {  # field of LOOP -> parameter, where it is only copied
     "friction": "coulomb_Nm",
@@ -191,7 +191,7 @@ LOOP_OF_PARAMETER = {  # field of LOOP -> parameter, where it is only copied
     "window": "window_s",
 }
 POSITIVE = ("inertia_kg_m2", "rate_Hz", "count_rad", "K_p_Nm_rad", "window_s")
-BOOLEAN_OR_SIGNED = ("relay", "tap_Nms")
+BOOLEAN_OR_SIGNED = ("relay", "tap_rad_s")
 
 
 def _loops(values: Mapping[str, Any], shape: tuple[int, ...]) -> Array:
@@ -221,7 +221,7 @@ def _loops(values: Mapping[str, Any], shape: tuple[int, ...]) -> Array:
     loops["period"] = 1.0 / flat["rate_Hz"]
     loops["F_s"] = flat["F_s_Nm"] * flat["friction_level"]
     loops["F_d"] = flat["F_d_Nm"] * flat["friction_level"]
-    loops["v0"] = flat["tap_Nms"] / loops["inertia"]
+    loops["v0"] = flat["tap_rad_s"]
     return loops
 
 
@@ -290,7 +290,7 @@ def oscillation_map(
     axes: Mapping[str, Any] | None = None,
     *,
     base: LoopParameters | Rig | str | None = None,
-    taps_Nms: Sequence[float] = DEFAULT_TAPS_NMS,
+    taps_rad_s: Sequence[float] = DEFAULT_TAPS_RAD_S,
     dask: str | None = None,
     workers: int | None = None,
     progress: Callable[[float], None] | None = None,
@@ -300,11 +300,11 @@ def oscillation_map(
     Parameters
     ----------
     axes
-        Name of a field of `LoopParameters` -> its values; every combination is a point. Default: `DEFAULT_AXES`, 4,096 points a friction level.
+        Name of a field of `LoopParameters` -> its values; every combination is a point. Default: `DEFAULT_AXES`, 12,288 points.
     base
         What the other parameters are: a `LoopParameters`, or a rig (its mode active). Default: the bench rig.
-    taps_Nms
-        Impulses that start the runs; each point runs once for each.
+    taps_rad_s
+        Speeds after a tap that start the runs; each point runs once for each.
     dask
         Address of a dask.distributed scheduler, as in "tcp://127.0.0.1:8786"; its workers need this package. Default: threads here.
     workers
@@ -326,17 +326,17 @@ def oscillation_map(
     grid = {name: np.atleast_1d(np.asarray(v, np.float64)) for name, v in (DEFAULT_AXES if axes is None else axes).items()}
     known = [f.name for f in fields(LoopParameters)]
     for name, values in grid.items():
-        if name not in known or name == "tap_Nms":
-            raise ValueError(f"no axis {name!r}; there is {', '.join(n for n in known if n != 'tap_Nms')}")
+        if name not in known or name == "tap_rad_s":
+            raise ValueError(f"no axis {name!r}; there is {', '.join(n for n in known if n != 'tap_rad_s')}")
         if values.ndim != 1 or not len(values):
             raise ValueError(f"axis {name}: expected one or more values in a row")
-    if not len(taps_Nms):
-        raise ValueError("taps_Nms: expected one or more impulses; without a tap the display stays stuck")
-    shape = (*(len(v) for v in grid.values()), len(taps_Nms))
+    if not len(taps_rad_s):
+        raise ValueError("taps_rad_s: expected one or more speeds; without a tap the display stays stuck")
+    shape = (*(len(v) for v in grid.values()), len(taps_rad_s))
     values: dict[str, Any] = {f.name: getattr(base, f.name) for f in fields(base)}
     for axis, (name, column) in enumerate(grid.items()):
         values[name] = column.reshape([-1 if i == axis else 1 for i in range(len(shape))])
-    values["tap_Nms"] = np.asarray(taps_Nms, np.float64)
+    values["tap_rad_s"] = np.asarray(taps_rad_s, np.float64)
     loops = _loops(values, shape)
 
     run_chunk(loops[:0])  # compiled, or loaded, before the clock runs
@@ -357,7 +357,7 @@ def oscillation_map(
     return OscillationMap(
         axes=dict(grid),
         base=base,
-        taps_Nms=tuple(float(t) for t in taps_Nms),
+        taps_rad_s=tuple(float(t) for t in taps_rad_s),
         share=np.mean(moving, axis=-1),
         velocity_rms_rad_s=np.max(rms, axis=-1),
         frequency_Hz=np.take_along_axis(frequency, loudest, -1)[..., 0],

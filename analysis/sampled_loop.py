@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from eds.compiled import kernel
+from eds.compiled import borrowed, kernel
 from host import laws
 
 __all__ = ["LOOP", "RELAY", "STATS", "run_loops"]
@@ -67,7 +67,10 @@ STATS = np.dtype(
 )
 
 TERMS = 14
-DELAY_CYCLES = 64
+RECIPROCAL = 1.0 / np.arange(1, TERMS)
+DELAY_CYCLES = 64  # a power of two
+NOTHING = 1e-30  # a lag's rest below this is 0: numbers that small are slow to compute with
+SCRATCH = 148
 STEP_RATE = 1.25  # with friction, a step times the plant's fastest rate is at most this
 
 _karnopp = kernel(laws.karnopp)
@@ -125,11 +128,18 @@ def _series(p: Any, y: Any, target: float, sign: float, cx: Any, cv: Any, cw: An
     """Fill the Taylor coefficients of x, v and w = u - u* about the state `y` while v has the sign `sign`."""
     cx[0], cv[0], cw[0] = y[0], y[1], y[2]
     push = target - sign * p.friction
+    per_inertia = 1.0 / p.inertia
+    decay = -1.0 / p.lag if p.lag > 0.0 else 0.0
+    damping, stiffness = p.damping, p.stiffness
+    x, v, w = y[0], y[1], y[2]
     for n in range(TERMS - 1):
-        force = cw[n] - p.damping * cv[n] - p.stiffness * cx[n] + (push if n == 0 else 0.0)
-        cx[n + 1] = cv[n] / (n + 1)
-        cv[n + 1] = force / (p.inertia * (n + 1))
-        cw[n + 1] = -cw[n] / (p.lag * (n + 1)) if p.lag > 0.0 else 0.0
+        part = RECIPROCAL[n]
+        force = w - damping * v - stiffness * x + push
+        push = 0.0
+        x = v * part
+        v = force * per_inertia * part
+        w *= decay * part
+        cx[n + 1], cv[n + 1], cw[n + 1] = x, v, w
 
 
 @kernel
@@ -211,9 +221,12 @@ def _advance(p: Any, y: Any, target: float, phi: Any, h: float, steps: int, cx: 
         v = y[1]
         if p.friction > 0.0 and v == 0.0:
             hold = target - p.stiffness * y[0]
-            rest = y[2] * phi[2, 2] ** (steps - k)
+            rest = y[2]
+            if rest != 0.0:
+                for _ in range(k, steps):
+                    rest *= phi[2, 2]
             if abs(hold + y[2]) <= p.friction and abs(hold + rest) <= p.friction:  # the load goes from one to the other: stuck
-                y[2] = rest
+                y[2] = rest if abs(rest) > NOTHING else 0.0
                 return
             _events(p, y, target, h, cx, cv, cw)
             continue
@@ -243,21 +256,23 @@ def _steps(p: Any, h: float) -> int:
 
 
 @kernel
-def _run(p: Any, motion: Any, law: Any, state: Any, out: Any, trace: Any) -> None:
-    """Run one loop; `trace` (samples x 3: x, v, set-point) is filled as far as it goes."""
+def _run(p: Any, motion: Any, law: Any, state: Any, out: Any, work: Any, trace: Any) -> None:
+    """Run one loop; `trace` (samples x 3: x, v, set-point) is filled as far as it goes. `work` is SCRATCH numbers."""
     T = p.period
     whole = int(math.floor(p.delay / T + 1e-9))
     early = min(max(p.delay - whole * T, 0.0), T)
     if early < 1e-9 * T:
         early = 0.0
     late = T - early
-    phi_early, phi_late = np.zeros((4, 4)), np.zeros((4, 4))
+    # a borrowed array costs no reference count at each of a sample's calls
+    phi_early, phi_late = borrowed(work[:16].reshape(4, 4)), borrowed(work[16:32].reshape(4, 4))
+    cx, cv, cw = borrowed(work[32:48]), borrowed(work[48:64]), borrowed(work[64:80])
+    y, held = borrowed(work[80:84]), borrowed(work[84:148])
     steps_early, steps_late = _steps(p, early), _steps(p, late)
     _transition(p, early / steps_early, phi_early)
     _transition(p, late / steps_late, phi_late)
-    cx, cv, cw = np.zeros(TERMS), np.zeros(TERMS), np.zeros(TERMS)
-    y = np.array([p.x0, p.v0, 0.0])
-    held = np.zeros(DELAY_CYCLES)
+    y[0], y[1], y[2] = p.x0, p.v0, 0.0
+    held[:] = 0.0
 
     law.K_p, law.F_s, law.F_d = p.K_p, p.F_s, p.F_d
     law.velocity_band_counts = p.band_counts
@@ -306,8 +321,8 @@ def _run(p: Any, motion: Any, law: Any, state: Any, out: Any, trace: Any) -> Non
             last_sign = v_counts
         if torque != 0.0:
             last_torque = torque
-        held[k % DELAY_CYCLES] = torque
-        after = held[(k - whole) % DELAY_CYCLES] if k >= whole else 0.0
+        held[k & (DELAY_CYCLES - 1)] = torque
+        after = held[(k - whole) & (DELAY_CYCLES - 1)] if k >= whole else 0.0
         if early > 0.0:
             _advance(p, y, before, phi_early, early / steps_early, steps_early, cx, cv, cw)
         y[2] = y[2] + before - after if p.lag > 0.0 else 0.0
@@ -329,5 +344,6 @@ def run_loops(loops: Any, motion: Any, law: Any, state: Any, out: Any, trace: An
     motion, law, state : one record each of the law's MOTION, LAW, LAW_STATE
     trace : float64 (samples, 3), x [rad], v [rad/s] and set-point [Nm] at the samples; length 0: none
     """
+    work = np.zeros(SCRATCH)
     for i in range(loops.shape[0]):
-        _run(loops[i], motion[0], law[0], state[0], out[i], trace)
+        _run(loops[i], motion[0], law[0], state[0], out[i], work, trace)

@@ -49,7 +49,7 @@ SETTLE_S, WINDOW_S = 2.5, 2.0
 """The first seconds (gain ramp, transient) are left out; the window after them is measured."""
 SYNC = 0x80
 COULOMB = "host.laws:coulomb"
-TAP_NMS = 0.05
+TAP_M_S = 0.05
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ def reversal_frequency_Hz(t_s: Floats, values: Floats) -> float:
 def loop_frequency_Hz(rig: Rig, delay_s: float) -> float:
     """Return the frequency of the same loop without a bus, under the delay that the bus was found to add."""
     base = LoopParameters.of_rig(rig, "active", relay=rig.law.function == COULOMB)
-    point = replace(base, delay_s=delay_s, tap_Nms=TAP_NMS, settle_s=SETTLE_S, window_s=WINDOW_S)
+    point = replace(base, delay_s=delay_s, tap_rad_s=TAP_M_S, settle_s=SETTLE_S, window_s=WINDOW_S)
     return simulate_point(point).frequency_Hz
 
 
