@@ -1,0 +1,354 @@
+"""The data plane's loop and its surroundings, without a simulated rig: allocation, the ring, sockets that misbehave, the door, the switch."""
+
+from __future__ import annotations
+
+import os
+import pty
+import re
+import socket
+import struct
+import threading
+import time
+from contextlib import contextmanager, suppress
+
+import numpy as np
+import pytest
+from host_bench import HostBench
+
+from eds.compiled import JIT_DISABLED, kernel
+from eds.rig import RigError, load_rig
+from host.control_socket import HostSocket, NoHost, control_path, stop_host
+from host.controller import Controller
+from host.data_plane import SHARED_SECTIONS, DataPlane, Spread, rig_filters
+from host.deadman import HeldKey, deadman_of
+from host.errors import SafetyTrip
+from host.loop import run_plane, take_log
+from host.plane import loop_arguments
+from host.plane_records import BINS, RING_FRAMES, Command, SharedPlane, Status
+from host.records import Phase, Trip
+from lab.histogram import coarse
+from wire.address import parse_address
+from wire.frame import frames
+from wire.hello import Hello
+
+FRAME = struct.Struct("=IB3xq")
+
+
+@pytest.fixture(autouse=True)
+def private_sockets(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+
+
+class Plane:
+    """The loop in a thread, on one end of a socket pair; `other` is the bus."""
+
+    def __init__(self, *overrides):
+        self.k = Controller(load_rig("bench", overrides), "hybrid")
+        self.shared = SharedPlane.create()
+        for name in SHARED_SECTIONS:
+            getattr(self.shared, name)[:] = getattr(self.k, name)
+            setattr(self.k, name, getattr(self.shared, name))
+        self.plane = self.shared.plane
+        self.plane["packed"] = 1
+        self.mine, self.other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self.other.setblocking(False)
+        self.sent = []
+        arguments = loop_arguments(self.mine.fileno(), self.shared, self.k.law_function)
+        self.status = None
+        self.thread = threading.Thread(target=lambda: setattr(self, "status", run_plane(*arguments)))
+
+    def cycle(self):
+        at = time.monotonic_ns() + 5_000_000
+        self.k.start(at)
+        self.plane["start_ns"] = at
+        self.plane["command"] = Command.CYCLE
+
+    def read(self):
+        """Take all messages that wait at the bus."""
+        with suppress(BlockingIOError):
+            while True:
+                self.sent += list(FRAME.iter_unpack(self.other.recv(1 << 16)))
+
+    def wait(self, condition, seconds=10, read=True):
+        deadline = time.monotonic() + seconds
+        while not condition():
+            assert time.monotonic() < deadline
+            time.sleep(1e-3)
+            if read:
+                self.read()
+
+
+@contextmanager
+def running(*overrides):
+    plane = Plane(*overrides)
+    plane.thread.start()
+    try:
+        yield plane
+    finally:
+        plane.plane["command"] = Command.QUIT
+        plane.thread.join()
+        plane.mine.close()
+        plane.other.close()
+        plane.shared.close()
+
+
+@pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
+def test_the_loop_allocates_nothing():
+    def allocations(function):
+        """Names of numba's run-time in the machine code, callees included: the disk cache keeps no LLVM text."""
+        (signature,) = function.signatures
+        code = function.overloads[signature].library._get_compiled_object()
+        return code, set(re.findall(rb"NRT_Allocate\w*|NRT_MemInfo_(?:alloc|new)\w*", code))
+
+    with running():
+        pass
+    code, found = allocations(run_plane)
+    for callee in (b"host4step6finish", b"host4loop9_transmit", b"recvmsg", b"clock_nanosleep"):
+        assert callee in code
+    assert not found
+
+    @kernel
+    def allocates(n):
+        return np.zeros(n).sum()
+
+    allocates(3)
+    assert allocations(allocates)[1]
+
+
+def test_it_listens_and_logs():
+    with running() as plane:
+        plane.other.send(FRAME.pack(0x701, 1, 5) + FRAME.pack(0x181, 8, -1))
+        plane.other.send(b"no frame")
+        plane.other.send(FRAME.pack(0x581, 9, 0))
+        plane.other.send(FRAME.pack(0x702, 1, 0x1234567F))
+        plane.wait(lambda: plane.plane["log_head"][0] == 3)
+        out = frames(8)
+        assert take_log(plane.plane, plane.shared.ring, out) == 3
+        assert list(out["can_id"][:3]) == [0x701, 0x181, 0x702]
+        assert list(out["word"][:3]) == [5, -1, 0x7F]  # nothing beyond the length
+        assert plane.plane["rx_malformed"][0] == 2
+        assert take_log(plane.plane, plane.shared.ring, out) == 0
+    assert plane.status == Status.ENDED
+
+
+def test_a_ring_that_nobody_empties_keeps_the_oldest_frames():
+    with running() as plane:
+        plane.plane["log_tail"] = 10 * RING_FRAMES - 2  # it has been around
+        plane.plane["log_head"] = 11 * RING_FRAMES - 3
+        for can_id in (0x701, 0x702):
+            plane.other.send(FRAME.pack(can_id, 1, 5))
+        plane.wait(lambda: plane.plane["log_dropped"][0] == 1)
+        assert plane.shared.ring[RING_FRAMES - 3]["can_id"] == 0x701
+
+
+def test_without_nodes_it_trips_and_its_last_set_points_are_zero():
+    with running() as plane:
+        plane.cycle()
+        plane.wait(lambda: plane.k.phase is Phase.DONE)
+        assert plane.k.trip.startswith("TPDO_LOST")
+        plane.plane["command"] = Command.LISTEN
+        plane.wait(lambda: plane.plane["status"][0] == Status.LISTENING)
+        plane.read()
+        sent = plane.sent
+        assert sent[0][:2] == (0x080, 0)
+        assert [can_id for can_id, _, _ in sent[-3:]] == [0x201, 0x202, 0x080]
+        assert [word for _, _, word in sent[-3:]] == [0, 0, 0]
+        assert plane.plane["cycles"][0] >= 3
+        assert plane.shared.wakeup_bins.sum() >= plane.plane["cycles"][0]
+        assert plane.plane["cpu_ns"][0] > 0
+
+
+def test_the_bus_goes_away():
+    with running() as plane:
+        plane.cycle()
+        plane.wait(lambda: plane.plane["cycles"][0] > 0)
+        plane.other.close()
+        plane.thread.join(10)
+        assert plane.status == Status.LOST
+        assert plane.k.trip.startswith(("BUS_LOST", "TPDO_LOST"))
+        assert plane.k.phase is Phase.DONE
+
+
+def test_a_bus_that_does_not_read_blocks_nothing():
+    with running("limits.missed_tpdo_cycles=1000") as plane:
+        plane.shared.control["missed_cycles"] = 20
+        plane.mine.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
+        plane.cycle()
+        plane.wait(lambda: plane.plane["tx_full"][0] > 20, read=False)
+        plane.wait(lambda: plane.k.phase >= Phase.SAFE, read=False)
+        plane.plane["command"] = Command.LISTEN
+        plane.wait(lambda: plane.plane["status"][0] == Status.LISTENING, read=False)
+    assert plane.k.trip.startswith(("TRANSMIT", "TPDO_LOST"))
+
+
+def test_another_host_in_mid_run_is_noticed():
+    with running("limits.missed_tpdo_cycles=1000") as plane:
+        plane.cycle()
+        plane.wait(lambda: plane.plane["cycles"][0] > 0)
+        plane.other.send(FRAME.pack(0x080, 0, 0))
+        plane.wait(lambda: plane.k.trip is not None)
+        assert plane.k.trip.startswith("SECOND_HOST")
+
+
+@pytest.mark.parametrize("trip", [Trip.NONE, Trip.RECORDING])
+def test_the_parent_stops_it(trip):
+    with running("limits.missed_tpdo_cycles=1000") as plane:
+        plane.cycle()
+        plane.wait(lambda: plane.plane["cycles"][0] > 0)
+        plane.plane["stop"] = max(1, int(trip))
+        plane.wait(lambda: plane.k.phase is Phase.DONE)
+        assert (plane.k.trip or "NONE").startswith(trip.name)
+
+
+def test_the_filters_pass_the_rig_and_nothing_else():
+    k = Controller(load_rig("bench"), "hybrid")
+    wanted = {can_id for can_id, _ in rig_filters(k)}
+    assert {0x000, 0x080, 0x181, 0x281, 0x182, 0x201, 0x202, 0x581, 0x602, 0x701, 0x702, 0x77F, 0x081} <= wanted
+    for _, mask in rig_filters(k):
+        assert mask & 0x7FF == 0x7FF
+        assert mask & 0xC0000000 == 0xC0000000
+    Hello(filters=rig_filters(k)).pack()
+
+
+def test_no_bus_no_process():
+    with pytest.raises(OSError, match="coulombus sim") as caught:
+        DataPlane(Controller(load_rig("bench"), "hybrid"), parse_address("coulombus:nowhere"))
+    assert caught.value.exit_status == 4
+
+
+# Figures.
+
+
+def test_spread_of_a_histogram():
+    bins = np.zeros(BINS, np.int64)
+    assert Spread.of(bins, 0) is None
+    bins[9], bins[499], bins[BINS - 1] = 98, 1, 1
+    assert Spread.of(bins, 70_000_000).as_dict() == {"p50": 10.0, "p99": 500.0, "max": 70_000.0}
+    bins[499] = 0
+    bins[BINS - 1] = 2
+    assert Spread.of(bins, 70_000_000).p99 == 70_000.0
+
+
+def test_the_picture_counts_every_cycle():
+    bins = np.random.default_rng(1).integers(0, 5, BINS)
+    edges, counts = coarse(bins)
+    assert counts.sum() == bins.sum()
+    assert len(edges) == len(counts) + 1
+    assert np.all(np.diff(edges) > 0)
+
+
+# The door.
+
+
+def test_one_host_a_bus_and_a_dead_one_does_not_count():
+    address = parse_address("coulombus:x")
+    door = HostSocket(address)
+    with pytest.raises(SafetyTrip, match="another host runs"):
+        HostSocket(address)
+    HostSocket(parse_address("socketcan:x")).close()  # another bus
+    door._listener.close()  # as a killed process leaves it
+    assert control_path(address).exists()
+    again = HostSocket(address)
+    again.close()
+    assert not control_path(address).exists()
+    again.close()
+
+
+def test_who_asks_for_a_stop_hears_what_came_of_it():
+    address = parse_address("coulombus:x")
+    door = HostSocket(address)
+    assert not door.stop_wanted()
+    answers = []
+    asker = threading.Thread(target=lambda: answers.append(stop_host(address)))
+    asker.start()
+    while not door.stop_wanted():
+        time.sleep(1e-3)
+    door.close({"trip": None, "cycles": 7})
+    asker.join()
+    assert answers == [{"trip": None, "cycles": 7}]
+    with pytest.raises(NoHost) as caught:
+        stop_host(address)
+    assert caught.value.exit_status == 4
+
+
+def test_nonsense_at_the_door_stops_nothing():
+    address = parse_address("coulombus:x")
+    door = HostSocket(address)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as asker:
+        asker.connect(str(control_path(address)))
+        asker.send(b"go faster")
+        for _ in range(3):
+            assert not door.stop_wanted()
+    door.close()
+
+
+# The dead man's switch.
+
+
+def test_where_a_switch_is_needed():
+    bench = load_rig("bench")
+    can, virtual = parse_address("socketcan:can0"), parse_address("coulombus:bench")
+    assert deadman_of(bench, "active", virtual) == "none"
+    assert deadman_of(bench, "passive", can) == "none"  # no motor torque
+    for mode in ("active", "hybrid"):
+        with pytest.raises(SafetyTrip, match=r"host\.deadman"):
+            deadman_of(bench, mode, can)
+        assert deadman_of(bench.variant("host.deadman=none"), mode, can) == "none"
+    assert deadman_of(bench.variant("host.deadman=key"), "active", virtual) == "key"
+
+
+def test_the_key_counts_while_it_repeats(monkeypatch):
+    ours, theirs = pty.openpty()
+    until = []
+    with os.fdopen(theirs, "r") as terminal:
+        monkeypatch.setattr("sys.stdin", terminal)
+        with HeldKey(until.append) as key:
+            os.write(ours, b" ")
+            time.sleep(0.02)
+            assert not key.held  # one stroke is nothing
+            while not key.held:
+                os.write(ours, b" ")
+                time.sleep(0.02)
+            count = len(until)
+            os.write(ours, b"x")
+            assert 0 < until[-1] - time.monotonic_ns() <= 300_000_000
+            deadline = time.monotonic() + 5
+            while key.held:
+                assert time.monotonic() < deadline
+                time.sleep(0.02)
+            assert len(until) == count
+    os.close(ours)
+
+
+def test_without_a_terminal_there_is_no_key(monkeypatch):
+    with open(os.devnull) as nothing:
+        monkeypatch.setattr("sys.stdin", nothing)
+        with pytest.raises(SafetyTrip, match="terminal"):
+            HeldKey(print)
+
+
+def test_the_step_stops_when_the_switch_is_let_go():
+    bench = HostBench("hybrid")
+    bench.arm()
+    bench.cycles(50)
+    assert bench.phase is Phase.RUN
+    bench.h.deadman_ok = 0
+    bench.cycle()
+    assert bench.phase is Phase.SAFE
+    assert bench.motor_pm == 0
+    assert bench.k.trip.startswith("DEADMAN")
+
+
+def test_nothing_is_armed_without_the_switch():
+    bench = HostBench("hybrid", "limits.still_timeout_s=0.5")
+    bench.h.deadman_ok = 0
+    bench.cycles(2000, lambda: bench.phase is not Phase.STILL)
+    assert bench.phase is Phase.SAFE
+    assert bench.k.trip.startswith("DEADMAN")
+    assert bench.h.enabled_ns == -1
+
+
+def test_an_object_as_switch_must_be_one():
+    for wrong in ("object:7130:1", "object:60FF:0", "object:123456:0", "yes", "object:1018:1"):
+        with pytest.raises(RigError, match=r"host\.deadman"):
+            load_rig("bench", [f"host.deadman={wrong}"])
