@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from analysis.command import analyse_group
+
 if TYPE_CHECKING:
     from eds.rig import Rig
     from lab.demo import Demo
@@ -626,6 +628,8 @@ def dbc(rig_name: str, overrides: tuple[str, ...], out: Path | None) -> None:
 def _scale(rig: Any, name: str) -> float:
     return next(float(signal.scale) for pdo in rig.pdos() for signal in pdo.signals if signal.name == name)
 
+
+main.add_command(analyse_group(_errors, EXIT_STATUS))
 
 if __name__ == "__main__":
     main()

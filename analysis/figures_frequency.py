@@ -124,7 +124,7 @@ def draw_sampled_disks(axes: Axes, data: Loci) -> None:
             x, y = _circle(complex(center), float(radius))
             axes.plot(x, y, color=shade, lw=0.9)
             axes.plot(center.real, center.imag, ".", color=shade)
-            away = complex(center) * 2.06 if abs(center) else complex(radius, 0)
+            away = complex(center) * (2.06 - 0.16j) if abs(center) else complex(radius, 0)
             axes.annotate(
                 f"{f:.4g} Hz",
                 (away.real, away.imag),
@@ -146,7 +146,7 @@ def draw_sampled_disks(axes: Axes, data: Loci) -> None:
         "imaginary part [m/(Ns)]",
         r"Fig. 7  Active: $\mathbf{R}_{H^*}(\omega)$ for any passive operator",
     )
-    axes.legend(loc="lower right")
+    axes.legend(loc="upper right")
 
 
 def draw_zoom(axes: Axes, data: Loci, found: Crossings) -> None:
@@ -191,7 +191,7 @@ def draw_certificate(axes: Axes, data: Loci, absolute: AbsoluteStability, period
     axes.set_ylim(-1, 3)
     title = f"Slope {k:.5g} Ns/m; Tsypkin alone {absolute.tsypkin:.5g}, Nyquist's limit {absolute.nyquist:.5g}"
     label(axes, "frequency [Hz]", r"Re$\{M\,(1 + k\,H^*)\}$ [1]", title)
-    axes.legend(loc="upper left")
+    axes.legend(loc="upper right")
 
 
 def write_frequency_figures(

@@ -26,7 +26,9 @@ __all__ = [
     "draw_orbit",
     "draw_velocity",
     "orbit_samples",
-    "write_time_figures",
+    "write_delay_figure",
+    "write_fig10",
+    "write_orbit_figure",
 ]
 
 MARKERS = "os^Dv"
@@ -126,38 +128,48 @@ def draw_delay(frequency: Axes, amplitude: Axes, rows: Sequence[DelayRow]) -> No
         )
     for axes, quantity in ((frequency, "limit cycle's frequency [Hz]"), (amplitude, r"amplitude of $\hat v$ [mm/s]")):
         axes.set_yscale("log")
+        low, high = axes.get_ylim()
+        ticks = [digit * 10.0**power for power in range(-3, 6) for digit in (1, 2, 5)]
+        axes.set_yticks([tick for tick in ticks if low <= tick <= high], minor=False)
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_formatter("")
         label(axes, "delay from sampling to actuation [ms]", quantity)
     frequency.set_title("Lines: describing function. Markers: simulated, median of 21 starts")
     amplitude.legend(title="sampling rate", loc="lower right", ncols=2)
 
 
-def write_time_figures(
-    directory: Path, parameters: Parameters, fig10: Fig10, orbits: Orbits, rows: Sequence[DelayRow]
-) -> list[Path]:
-    """Write fig10, limit_cycle and delay as PNG and SVG; return their paths."""
-    paths: list[Path] = []
+def write_fig10(directory: Path, runs: Fig10) -> list[Path]:
+    """Write fig10_active_passive as PNG and SVG; return the paths."""
     with figure(10.4, 7.6, 3, 2, sharey="row") as (made, axes):
-        for column, (run, title) in enumerate(
-            ((fig10.active, "(a) active force feedback"), (fig10.passive, "(b) passive force feedback"))
-        ):
+        pairs = ((runs.active, "(a) active force feedback"), (runs.passive, "(b) passive force feedback"))
+        for column, (run, title) in enumerate(pairs):
             draw_velocity(axes[0, column], run, f"Fig. 10 {title}; stick shaded")
-            draw_force(axes[1, column], run, fig10.f_h_N)
-            begin = fig10.passive.stick_intervals_s[1][0] if len(fig10.passive.stick_intervals_s) > 1 else 0.0
+            draw_force(axes[1, column], run, runs.f_h_N)
+            begin = runs.passive.stick_intervals_s[1][0] if len(runs.passive.stick_intervals_s) > 1 else 0.01
             draw_detail(axes[2, column], run, begin - 0.01, f"{DETAIL_S:g} s around a stop, sample by sample")
-        paths += save(made, directory, "fig10_active_passive")
-    if orbits.found:
-        shown = orbits.found[:SHOWN_ORBITS]
-        with figure(10.4, 2.2 * ((len(shown) + 1) // 2) + 0.4, (len(shown) + 1) // 2, 2, squeeze=False) as (made, axes):
-            for place, orbit in zip(axes.flat, shown, strict=False):
-                draw_orbit(place, orbit, parameters)
-            for place in list(axes.flat)[len(shown) :]:
-                place.set_visible(False)
-            made.suptitle(
-                r"Exact periodic motions of the sampled relay loop: $\hat v_k$ (stems) and the force's sign (dashed)",
-                fontsize=10,
-            )
-            paths += save(made, directory, "limit_cycle")
+        return list(save(made, directory, "fig10_active_passive"))
+
+
+def write_orbit_figure(directory: Path, parameters: Parameters, motions: Orbits) -> list[Path]:
+    """Write limit_cycle as PNG and SVG; return the paths: none without an orbit."""
+    shown = motions.found[:SHOWN_ORBITS]
+    if not shown:
+        return []
+    rows = (len(shown) + 1) // 2
+    with figure(10.4, 2.2 * rows + 0.4, rows, 2, squeeze=False) as (made, axes):
+        for place, orbit in zip(axes.flat, shown, strict=False):
+            draw_orbit(place, orbit, parameters)
+        for place in list(axes.flat)[len(shown) :]:
+            place.set_visible(False)
+        made.suptitle(
+            r"Exact periodic motions of the sampled relay loop: $\hat v_k$ (stems) and the force's sign (dashed)",
+            fontsize=10,
+        )
+        return list(save(made, directory, "limit_cycle"))
+
+
+def write_delay_figure(directory: Path, rows: Sequence[DelayRow]) -> list[Path]:
+    """Write delay as PNG and SVG; return the paths."""
     with figure(10.4, 4.2, 1, 2) as (made, axes):
         draw_delay(axes[0], axes[1], rows)
-        paths += save(made, directory, "delay")
-    return paths
+        return list(save(made, directory, "delay"))
