@@ -36,6 +36,7 @@ Floats: TypeAlias = npt.NDArray[np.float64]
 STICK_VARIANTS = (("continuous", "hold"), ("continuous", "spring"), ("paper", "spring"))
 SLOW_S, FAST_S = 1.0, 0.05
 PUSH_F_S = 1.15
+CREEP_F_S = 0.9
 SLIDING_CYCLES = 5
 
 
@@ -45,10 +46,10 @@ class Breakaway:
 
     ramp_s: float
     torque_Nm: float | None
-    """Hand's torque on the handle when it began to slide; None: it never did."""
+    """Hand's torque on the handle just before it slid; None: it never did."""
     share_of_F_s: float | None
     crept_rad: float
-    """How far it had moved when the push reached half of F_s; stuck it should be 0."""
+    """How far it had moved when the push reached 0.9 F_s; stuck it should be 0."""
     t_s: Floats
     """From the ramp's start."""
     angle_rad: Floats
@@ -131,13 +132,13 @@ def breakaway(recording: Recording, F_s_Nm: float, ramp_s: float) -> Breakaway:
     slides = np.abs(v) > recording.rig.law.velocity_band_counts * count / period
     lasting = np.convolve(slides[inside], np.ones(SLIDING_CYCLES), "valid") == SLIDING_CYCLES
     begins = int(np.argmax(lasting)) if np.any(lasting) else None
-    broke = None if begins is None else float(np.max(torque[inside][max(begins - 2, 0) : begins + 2]))
-    half = np.argmax(t[inside] - ramp.begin_s >= 0.5 / PUSH_F_S * ramp_s)
+    broke = None if begins is None else float(torque[inside][max(begins - 1, 0)])
+    near = np.argmax(t[inside] - ramp.begin_s >= CREEP_F_S / PUSH_F_S * ramp_s)
     return Breakaway(
         ramp_s=ramp_s,
         torque_Nm=broke,
         share_of_F_s=None if broke is None else broke / F_s_Nm,
-        crept_rad=float(np.max(np.abs(x[inside][: half + 1] - start))),
+        crept_rad=float(np.max(np.abs(x[inside][: near + 1] - start))),
         t_s=t[inside] - ramp.begin_s,
         angle_rad=x[inside] - start,
         handle_Nm=torque[inside],
