@@ -629,6 +629,72 @@ def _scale(rig: Any, name: str) -> float:
     return next(float(signal.scale) for pdo in rig.pdos() for signal in pdo.signals if signal.name == name)
 
 
+@main.command(epilog=EXIT_STATUS)
+@rig_option
+@click.option(
+    "--bus", metavar="B", help="coulombus:NAME (built in) or socketcan:IF.  [default: coulombus:<rig's name>]"
+)
+@click.option(
+    "--mode", type=click.Choice(MODES), default=None, help="Whose F_s sizes the operator's pushes.  [default: the last]"
+)
+@click.option(
+    "--seconds", type=click.FloatRange(0, min_open=True), default=None, help="End after so long.  [default: never]"
+)
+@click.option(
+    "--script",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    metavar="F.toml",
+    help="Switch nodes off, on, or reset them at given times (docs: lab/sim_script.py).",
+)
+@click.option("--unpaced", is_flag=True, help="Frames take no time: for measurements.")
+@click.option("--priority", type=click.IntRange(0, 99), default=79, show_default=True, help="SCHED_FIFO; 0: ordinary.")
+@click.option("--cpu", type=click.IntRange(0), default=None, help="Keep the bus on this CPU.")
+@set_option
+@seed_option
+@json_option
+def sim(
+    rig_name: str,
+    bus: str | None,
+    mode: str | None,
+    seconds: float | None,
+    script: Path | None,
+    unpaced: bool,
+    priority: int,
+    cpu: int | None,
+    overrides: tuple[str, ...],
+    seed: int,
+    as_json: bool,
+) -> None:
+    """Serve a bus with the simulated nodes and the rig on it, in real time.
+
+    One process is bus, motor drive, MR brake, mechanics and the operator's hand. Clients attach with --bus (coulombus run, watch), as
+    python-can interface "coulombus" (can_logger -i coulombus -c bench), or on the SocketCAN interface. Prints one line when the bus is
+    ready; ends with 0 on SIGINT and SIGTERM.
+
+    \b
+    Examples:
+      coulombus sim
+      coulombus sim --rig my-rig.toml --bus socketcan:vcan0
+      coulombus sim --bus coulombus:test --seconds 60 --script faults.toml --json
+    """
+    with _errors():
+        from eds.rig import load_rig
+        from lab.sim_command import run_sim
+        from lab.sim_script import read_script
+        from lab.sim_server import SimServer
+        from wire.address import default_address, parse_address
+
+        rig = load_rig(rig_name, overrides)
+        address = default_address(rig.rig.name) if bus is None else parse_address(bus)
+        entries = () if script is None else read_script(script)
+        chosen = mode or list(rig.mode)[-1]
+
+        def make() -> SimServer:
+            return SimServer(rig, address, mode=chosen, seed=seed, script=entries, unpaced=unpaced)
+
+        sys.exit(run_sim(make, seconds, priority=priority or None, cpu=cpu, as_json=as_json))
+
+
 main.add_command(analyse_group(_errors, EXIT_STATUS))
 
 if __name__ == "__main__":

@@ -147,6 +147,7 @@ class SimServer:
         unpaced: bool = False,
     ) -> None:
         self.address = address
+        self.real_time = RealTime()
         self.result = SimResult(str(address))
         on_can = address.kind == "socketcan"
         self.bit_rate = 0 if unpaced or on_can else rig.bus.bitrate_bit_s
@@ -197,14 +198,24 @@ class SimServer:
         self._pace["stop"] = 1
         os.eventfd_write(self._wake, 1)
 
-    def run(self, seconds: float | None = None, *, priority: int | None = None, cpu: int | None = None) -> SimResult:
+    def run(
+        self,
+        seconds: float | None = None,
+        *,
+        priority: int | None = None,
+        cpu: int | None = None,
+        ready: Callable[[], None] | None = None,
+    ) -> SimResult:
         """Serve for `seconds` (None: until `stop`) and return what came of it.
 
-        `priority` of SCHED_FIFO and `cpu` are asked for on behalf of the calling thread; `real_time` tells what was granted.
+        `priority` of SCHED_FIFO and `cpu` are asked for on behalf of the calling thread; `real_time` tells what was granted. `ready` is
+        called just before the nodes are switched on; clients may connect from the constructor's end on.
         """
         world, pace = self.world, self._pace
-        self.real_time: RealTime = ask_for_real_time(priority, cpu)
+        self.real_time = ask_for_real_time(priority, cpu)
         world.plan(self._script)
+        if ready is not None:
+            ready()
         begin, cpu_begin = time.monotonic_ns(), time.thread_time_ns()
         pace["start_ns"] = begin
         if seconds is not None:
