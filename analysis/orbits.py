@@ -28,7 +28,7 @@ __all__ = ["LONGEST", "Orbit", "Orbits", "orbits", "pattern_of", "patterns"]
 LONGEST = 16
 ROUNDING = 1e-9
 """A margin below this share of the largest response is rounding: "+" with a spring moves nothing."""
-SETTLE_S, KEPT_SAMPLES = 10.0, 480
+SETTLE_S, KEPT_SAMPLES = 20.0, 480
 PLUS, MINUS = "+", "-"
 
 
