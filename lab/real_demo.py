@@ -52,6 +52,9 @@ class SimProcess:
         path = os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH"))))
         sets = [part for override in overrides for part in ("--set", override)]
         arguments = ["--rig", rig, "--bus", str(address), "--mode", mode, "--seed", str(seed), "--json", *sets]
+        cpus = sorted(os.sched_getaffinity(0))
+        if len(cpus) > 1:  # the host's cycle has the last one
+            arguments += ["--cpu", str(cpus[0])]
         self.process = subprocess.Popen(
             [sys.executable, "-P", "-m", "coulombus", "sim", *arguments],
             stdin=subprocess.DEVNULL,

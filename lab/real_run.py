@@ -110,12 +110,13 @@ class _RealRun:
         self.deadman = deadman_of(rig, mode, address)
         self.zero_ns = time.monotonic_ns()
         self.k = Controller(rig, mode)
-        self.operator = Operator(rig, mode)
         self.failure: str | None = None
         self.stopped_by: str | None = None
         self.recorder: Recorder | None = None
         self._waiting: np.ndarray[Any, Any] | None = None
-        self._marked = False
+        names = [phase.kind for phase in rig.phases] + ["end"]
+        self._phases = list(zip(Operator(rig, mode).starts_s, names, strict=True))
+        self._touched = False  # whether this host has sent anything
         self._seen = (0, time.monotonic())
         self._outcome: dict[str, Any] | None = None  # what is told to those who asked for a stop
         self._stack = ExitStack()
@@ -181,6 +182,7 @@ class _RealRun:
                 self.say("no dead man's switch: host.deadman is none")
         else:
             self.say(f"dead man's switch: {self.deadman}")
+        self._touched = True
         bring_up(self.rig, self.control, int(self.k.control["motor_limit_pm"][0]))
         now = time.monotonic_ns()
         self.mark(now, f"run {self.k.mode}")
@@ -216,6 +218,9 @@ class _RealRun:
             if enabled is None or time.monotonic_ns() - enabled >= seconds * 1e9:
                 break
         self.plane.stop()
+        if self.enabled_ns is not None and self._phases:
+            self._phases.clear()
+            self.mark(time.monotonic_ns(), "phase end")
         deadline = time.monotonic() + SAFE_TIMEOUT_S
         while self.plane.status is not Status.LOST and k.phase is not Phase.DONE and time.monotonic() < deadline:
             if not self._supervise():
@@ -246,9 +251,7 @@ class _RealRun:
             self._seen = cycles, now
         enabled = self.enabled_ns
         if enabled is not None:
-            if not self._marked:
-                self._mark_phases(enabled)
-                self._marked = True
+            self._mark_phases(enabled)
             if self.progress is not None:
                 self.progress((time.monotonic_ns() - enabled) * 1e-9)
         stuck = now - self._seen[1] > STUCK_S and self.plane.status is not Status.LOST
@@ -265,9 +268,13 @@ class _RealRun:
         h["phase"] = Phase.DONE
 
     def _mark_phases(self, start_ns: int) -> None:
-        names = [phase.kind for phase in self.rig.phases] + ["end"]
-        for begin, name in zip(self.operator.starts_s, names, strict=True):
-            self.mark(start_ns + round(begin * 1e9), f"phase {name}")
+        """Mark the phases of the schedule that have begun."""
+        while self._phases:
+            begin_ns, name = start_ns + round(self._phases[0][0] * 1e9), self._phases[0][1]
+            if begin_ns > time.monotonic_ns():
+                return
+            self.mark(begin_ns, f"phase {name}")
+            self._phases.pop(0)
 
     def end(self) -> None:
         """Leave the nodes in PRE-OPERATIONAL, end the data plane, close the recording."""
@@ -275,7 +282,8 @@ class _RealRun:
             if self.plane.status is Status.CYCLING and self.plane.alive:
                 self.control.network.nmt.send_command(0x80)  # first: a node that misses SYNC would call it a fault
                 self.plane.end_cycle()
-            shut_down(self.control)
+            if self._touched:
+                shut_down(self.control)
         except (can.CanError, OSError):
             pass  # the bus is gone
         self.drain(final=True)
