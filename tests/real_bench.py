@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import select
 import struct
 import subprocess
@@ -19,8 +18,10 @@ from wire.hello import Hello
 
 ROOT = Path(__file__).resolve().parent.parent
 PATIENCE_S = 60  # never reached where all is well; the first start compiles
-SHORT = '[{kind = "rest", duration_s = 1.0}, {kind = "stroke", duration_s = 20.0, speed_rad_s = 2.0, move_s = 1.0, dwell_s = 1.0}]'
-HOLD = '[{kind = "rest", duration_s = 1.0}, {kind = "hold", duration_s = 20.0, push_F_s = 0.6, frequency_Hz = 0.5, taps_s = [0.2, 0.5], tap_Nm = 0.6, tap_s = 0.01}]'
+REST = '{kind = "rest", duration_s = 1.0}'
+HOLD = f"""[{REST}, {{kind = "hold", duration_s = 20.0, push_F_s = 0.6, frequency_Hz = 0.5, \
+taps_s = [0.2, 0.5], tap_Nm = 0.6, tap_s = 0.01}}]"""
+STROKE = f"""[{REST}, {{kind = "stroke", duration_s = 20.0, speed_rad_s = 2.0, move_s = 1.0, dwell_s = 1.0}}]"""
 
 
 def command(verb, *arguments, overrides=()):
@@ -167,8 +168,3 @@ class Observer:
             (stamp, struct.unpack_from("<H", data)[0]) for stamp, can_id, data in self.log if can_id == 0x80 + node
         ]
         return [(stamp, code) for stamp, code in found if code]
-
-
-def environment(directory):
-    """The environment with sockets in `directory`."""
-    return {**os.environ, "XDG_RUNTIME_DIR": str(directory)}

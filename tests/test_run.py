@@ -16,6 +16,7 @@ from real_bench import HOLD, PATIENCE_S, Observer, command, host, result, simula
 from eds.compiled import JIT_DISABLED
 from lab.real_demo import SHARED_MACHINE
 from scope.recording import read
+from wire.client import pack_frame
 
 pytestmark = pytest.mark.skipif(JIT_DISABLED, reason="plain Python is no real-time loop")
 BUS = "coulombus:r"
@@ -85,56 +86,61 @@ def stop_by_command(run, observer):
 )
 def test_it_is_stopped_safely(how, status, by):
     """Also as a shell's background job, which is started with SIGINT ignored."""
-    with simulation(BUS, mode="passive"), Observer(BUS) as observer:
-        with host(BUS, mode="passive", preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN)) as run:
-            observer.until_enabled()
-            observer.watch(0.2)
-            how(run, observer)
-            got, data, err = result(run)
-            observer.watch(0.1)
+    with (
+        simulation(BUS, mode="passive"),
+        Observer(BUS) as observer,
+        host(BUS, mode="passive", preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN)) as run,
+    ):
+        observer.until_enabled()
+        observer.watch(0.2)
+        how(run, observer)
+        got, data, err = result(run)
+        observer.watch(0.1)
     assert got == status, err
     assert data["stopped_by"] == by
     assert data["trip"] is None
     rpdos = [d for _, can_id, d in observer.log if can_id == 0x201]
     assert rpdos[-1] == b"\0\0\0\0"  # disabled, without torque
     assert [d for _, can_id, d in observer.log if can_id == 0x202][-1] == b"\0\0"
-    assert not observer.emcys(1)  # who leaves in order is not called lost
-    assert not observer.emcys(2)
+    codes = {code for node in (1, 2) for _, code in observer.emcys(node)}
+    assert codes <= {0x8130}  # neither SYNC nor set-points are missed, the heartbeat may be
 
 
 def test_one_host_at_a_time():
-    """The second hears of the first at its door; one of another machine would be heard on the bus."""
-    with simulation(BUS, mode="passive"), Observer(BUS) as observer, host(BUS, mode="passive") as first:
+    """The second hears of the first at its door."""
+    with (
+        simulation(BUS, mode="passive"),
+        Observer(BUS) as observer,
+        host(BUS, mode="passive") as first,
+    ):
         observer.until_cycling()
-        for arguments in (
-            {},
-            {"env": {**os.environ, "PYTHONDEVMODE": "", "TMPDIR": os.environ["XDG_RUNTIME_DIR"]}},
-        ):
-            with host(BUS, mode="passive", **arguments) as second:
-                status, data, err = result(second)
-            assert status == 7
-            assert data is None
-            assert "another host" in err
+        with host(BUS, mode="passive") as second:
+            status, data, err = result(second)
+        assert status == 7, err
+        assert data is None
+        assert "another host runs" in err
         assert first.poll() is None
-    with simulation(BUS, mode="passive") as sim, Observer(BUS) as observer:
-        over = threading.Event()
 
-        def send_sync():
-            from wire.client import pack_frame
 
+def test_a_host_elsewhere_is_heard():
+    """By its heartbeat (or its SYNC), which need not come from this machine; its nodes are left alone."""
+    over = threading.Event()
+    with simulation(BUS, mode="passive"), Observer(BUS) as observer, host(BUS, mode="passive") as second:
+
+        def beat():
             while not over.is_set():
                 observer.client.send(pack_frame(0x77F, b"\x05"))
                 time.sleep(0.05)
 
-        thread = threading.Thread(target=send_sync)
+        thread = threading.Thread(target=beat)
         thread.start()
-        with host(BUS, mode="passive") as second:
-            status, _, err = result(second)
+        status, _, err = result(second)
         over.set()
         thread.join()
-        assert sim.poll() is None
-    assert status == 7
-    assert "heartbeat of node 127" in err
+        observer.look()
+    assert status == 7, err
+    assert "the heartbeat of node 127 was heard" in err
+    assert 0x000 not in {can_id for _, can_id, _ in observer.log}
 
 
 def test_without_a_bus_and_without_nodes(tmp_path):
@@ -174,16 +180,19 @@ def test_the_space_bar_as_dead_mans_switch():
             os.write(ours, b" ")
 
     thread = threading.Thread(target=hold)
-    with simulation(BUS, mode="passive"), Observer(BUS) as observer:
-        with host(BUS, mode="passive", overrides=("host.deadman=key",), stdin=theirs) as run:
-            observer.until(lambda can_id, data: can_id == 0x000 and data[0] == 1)
-            observer.watch(0.5)
-            assert 0x080 not in {can_id for _, can_id, _ in observer.log}  # not held: no cycle
-            thread.start()
-            observer.until_enabled()
-            observer.watch(0.5)
-            over.set()
-            status, data, err = result(run)
+    with (
+        simulation(BUS, mode="passive"),
+        Observer(BUS) as observer,
+        host(BUS, mode="passive", overrides=("host.deadman=key",), stdin=theirs) as run,
+    ):
+        observer.until(lambda can_id, data: can_id == 0x000 and data[0] == 1)
+        observer.watch(0.5)
+        assert 0x080 not in {can_id for _, can_id, _ in observer.log}  # not held: no cycle
+        thread.start()
+        observer.until_enabled()
+        observer.watch(0.5)
+        over.set()
+        status, data, err = result(run)
     thread.join()
     os.close(ours)
     os.close(theirs)
