@@ -312,7 +312,7 @@ def _all(options: dict[str, Any]) -> None:
     from analysis.report import as_json, lines, study
 
     parameters, rig = _parameters(options), _rig(options)
-    with _steps(7) as step:
+    with _steps(9) as step:
         found = study(parameters, rig, seed=options["seed"], step=step)
     _tell(options["as_json"], lambda: as_json(found), lambda: lines(found))
     if options["figures"]:
@@ -322,13 +322,21 @@ def _all(options: dict[str, Any]) -> None:
 
 
 def _hold(rig: Rig, figures: Path | None, as_json: bool) -> None:
-    raise click.ClickException("the hold study is not built yet")
+    from analysis.hold import hold_study
+    from analysis.report import hold_lines
+
+    with _bar("hold") as report:
+        found = hold_study(rig, progress=report)
+    _tell(as_json, lambda: found, lambda: hold_lines(found))
+    if figures:
+        from analysis.figures_rig import write_fig12, write_fig14, write_stick_figure
+
+        _tell_paths(write_fig12(figures) + write_fig14(figures, found) + write_stick_figure(figures, found))
 
 
 def _map(rig: Rig, options: dict[str, Any]) -> None:
-    import numpy as np
-
     from analysis.maps import oscillation_map
+    from analysis.report import map_lines
 
     axes: dict[str, Any] = {}
     for given in options["axes"]:
@@ -345,9 +353,11 @@ def _map(rig: Rig, options: dict[str, Any]) -> None:
     except (ValueError, ImportError) as error:
         raise click.UsageError(str(error)) from error
 
-    def text() -> Iterator[str]:
-        share = np.asarray(found.share)
-        yield f"{share.size} points, {float(np.mean(share > 0)):.0%} oscillate"
-        yield f"{found.simulated_s:.4g} s simulated in {found.elapsed_s:.3g} s: {found.simulated_s / found.elapsed_s:.3g} s a second"
+    _tell(options["as_json"], lambda: found, lambda: map_lines(found))
+    if options["figures"]:
+        from analysis.figures_rig import write_map
 
-    _tell(options["as_json"], lambda: found, text)
+        try:
+            _tell_paths(write_map(options["figures"], found))
+        except ValueError as error:
+            raise click.UsageError(str(error)) from error

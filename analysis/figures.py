@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from analysis.figures_frequency import write_frequency_figures
+from analysis.figures_rig import write_bus_figure, write_fig12, write_fig13, write_fig14, write_map, write_stick_figure
 from analysis.figures_time import write_delay_figure, write_fig10, write_orbit_figure
 from analysis.report import Study
 
@@ -17,4 +18,10 @@ def write_all(directory: Path, found: Study) -> list[Path]:
     paths += write_fig10(directory, found.fig10)
     paths += write_orbit_figure(directory, found.parameters, found.orbits)
     paths += write_delay_figure(directory, found.delays)
+    paths += write_fig12(directory)
+    paths += write_fig13(directory, found.friction)
+    paths += write_fig14(directory, found.hold)
+    paths += write_stick_figure(directory, found.hold)
+    paths += write_bus_figure(directory, found.through_bus)
+    paths += write_map(directory, found.map)
     return paths

@@ -139,7 +139,7 @@ def draw_delay(frequency: Axes, amplitude: Axes, rows: Sequence[DelayRow]) -> No
 
 
 def write_fig10(directory: Path, runs: Fig10) -> list[Path]:
-    """Write fig10_active_passive as PNG and SVG; return the paths."""
+    """Write fig10-active-passive as PNG and SVG; return the paths."""
     with figure(10.4, 7.6, 3, 2, sharey="row") as (made, axes):
         pairs = ((runs.active, "(a) active force feedback"), (runs.passive, "(b) passive force feedback"))
         for column, (run, title) in enumerate(pairs):
@@ -147,11 +147,11 @@ def write_fig10(directory: Path, runs: Fig10) -> list[Path]:
             draw_force(axes[1, column], run, runs.f_h_N)
             begin = runs.passive.stick_intervals_s[1][0] if len(runs.passive.stick_intervals_s) > 1 else 0.01
             draw_detail(axes[2, column], run, begin - 0.01, f"{DETAIL_S:g} s around a stop, sample by sample")
-        return list(save(made, directory, "fig10_active_passive"))
+        return list(save(made, directory, "fig10-active-passive"))
 
 
 def write_orbit_figure(directory: Path, parameters: Parameters, motions: Orbits) -> list[Path]:
-    """Write limit_cycle as PNG and SVG; return the paths: none without an orbit."""
+    """Write limit-cycle as PNG and SVG; return the paths: none without an orbit."""
     shown = motions.found[:SHOWN_ORBITS]
     if not shown:
         return []
@@ -165,7 +165,7 @@ def write_orbit_figure(directory: Path, parameters: Parameters, motions: Orbits)
             r"Exact periodic motions of the sampled relay loop: $\hat v_k$ (stems) and the force's sign (dashed)",
             fontsize=10,
         )
-        return list(save(made, directory, "limit_cycle"))
+        return list(save(made, directory, "limit-cycle"))
 
 
 def write_delay_figure(directory: Path, rows: Sequence[DelayRow]) -> list[Path]:

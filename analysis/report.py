@@ -15,14 +15,27 @@ from analysis.absolute import AbsoluteStability, absolute_stability
 from analysis.crossings import Crossings, crossings
 from analysis.delay import DelayRow, delay_table
 from analysis.fig10 import Fig10, Run, figure_10
+from analysis.hold import HoldStudy, hold_study
 from analysis.identify import FrictionStudy, friction_study
 from analysis.linear import Disk, passive_disk
+from analysis.maps import OscillationMap, oscillation_map
 from analysis.orbits import Orbits, orbits
 from analysis.parameters import Parameters
 from analysis.through_bus import BusCycle, through_bus
 from eds.rig import Rig
 
-__all__ = ["Study", "as_json", "fig10_json", "lines", "nyquist_json", "orbits_json", "plain", "study"]
+__all__ = [
+    "Study",
+    "as_json",
+    "delay_lines",
+    "disk_of",
+    "fig10_json",
+    "lines",
+    "nyquist_json",
+    "orbits_json",
+    "plain",
+    "study",
+]
 
 STARTS = 200
 DISK_POINTS = 101
@@ -44,6 +57,8 @@ class Study:
     delays: tuple[DelayRow, ...]
     friction: FrictionStudy
     through_bus: tuple[BusCycle, ...]
+    hold: HoldStudy
+    map: OscillationMap
 
 
 def disk_of(parameters: Parameters) -> Disk | None:
@@ -56,7 +71,8 @@ def disk_of(parameters: Parameters) -> Disk | None:
 def study(parameters: Parameters, rig: Rig, *, seed: int = 0, step: Step = lambda name: None) -> Study:
     """Compute everything; `step` is called with the name of what comes next.
 
-    `parameters` are the loop's on paper, `rig` is the one whose friction is identified. What goes through the bus is the rig "paper".
+    `parameters` are the loop's on paper; `rig` is the one whose friction is identified, that holds and strokes, and that the map is about. The
+    limit cycle through the bus is that of the rig "paper".
     """
     step("describing function")
     found = crossings(parameters)
@@ -72,7 +88,13 @@ def study(parameters: Parameters, rig: Rig, *, seed: int = 0, step: Step = lambd
     friction = friction_study(rig, seed=seed)
     step("through the bus")
     bus = through_bus()
-    return Study(parameters, rig, found, motions, disk_of(parameters), absolute, runs, rows, friction, bus)
+    step("hold and stroke")
+    held = hold_study(rig, seed=seed)
+    step("map")
+    oscillating = oscillation_map(base=rig)
+    return Study(
+        parameters, rig, found, motions, disk_of(parameters), absolute, runs, rows, friction, bus, held, oscillating
+    )
 
 
 def plain(value: Any) -> Any:
@@ -160,6 +182,12 @@ def as_json(found: Study) -> dict[str, Any]:
             {f.name: plain(getattr(row, f.name)) for f in fields(row) if f.name not in traces}
             for row in found.through_bus
         ],
+        "hold": plain(found.hold),
+        "map": {
+            "points": found.map.share.size,
+            "oscillating": float(np.mean(found.map.oscillates)),
+            "simulated_s": found.map.simulated_s,
+        },
     }
 
 
@@ -209,6 +237,35 @@ def delay_lines(rows: Iterable[DelayRow]) -> Iterable[str]:
         )
 
 
+def hold_lines(found: HoldStudy) -> Iterable[str]:
+    """Yield the hold and stroke tests for people."""
+    yield f"rig {found.rig}; velocity RMS in rad/s while it should be still; breakaway under a push within 1 s and 50 ms, as a share of F_s"
+    yield "mode     stick entry  brake   K_p      hold      dwells    slow    fast    hold's peak"
+    for row in found.rows:
+        still = [
+            f"{v:8.2g}" if v is not None else f"{'-':>8}"
+            for v in (row.hold_velocity_rms_rad_s, row.stick_velocity_rms_rad_s)
+        ]
+        away = [
+            f"{'-' if push is None else 'never' if push.share_of_F_s is None else format(push.share_of_F_s, '.0%'):>6}"
+            for push in (row.slow, row.fast)
+        ]
+        peak = "-" if row.hold_peak_Hz is None else f"{row.hold_peak_Hz:.3g} Hz"
+        yield (
+            f"{row.mode:<8} {row.stick_entry:<12} {row.brake_stick:<7} {row.K_p_Nm_rad:<7g} {still[0]}  {still[1]}  {away[0]}  {away[1]}  {peak}"
+        )
+
+
+def map_lines(found: OscillationMap) -> Iterable[str]:
+    """Yield a map's figures for people."""
+    axes = " x ".join(f"{name} ({len(values)})" for name, values in found.axes.items())
+    yield f"map of {found.share.size} points: {axes}"
+    yield (
+        f"{np.mean(found.oscillates):.0%} of them oscillate; {found.simulated_s:.3g} s simulated in {found.elapsed_s:.3g} s, "
+        f"{found.speed:.3g} s a second"
+    )
+
+
 def lines(found: Study) -> Iterable[str]:
     """Yield all results for people."""
     yield from nyquist_lines(found.crossings, found.absolute)
@@ -219,6 +276,8 @@ def lines(found: Study) -> Iterable[str]:
     yield ""
     for row in found.through_bus:
         yield f"through the bus       {row.hardware}, {row.actuation}: {row.frequency_Hz:.1f} Hz with {row.delay_s * 1e3:.3f} ms of delay"
+    yield from hold_lines(found.hold)
+    yield from map_lines(found.map)
     f = found.friction
     yield (
         f"friction ({found.rig.rig.name})      {f.coulomb_before_Nm:.4f} Nm identified, {f.coulomb_after_Nm:.4f} Nm after compensation, "
