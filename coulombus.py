@@ -37,6 +37,7 @@ Exit status:
   6  a node aborted an SDO transfer
   7  safety: arming refused, or a trip led to the safe state
   8  deadlines or frames lost beyond the limit
+130  interrupted (143: terminated)
 """
 
 MODES = ("active", "passive", "hybrid")
@@ -72,17 +73,12 @@ def _errors() -> Iterator[None]:
     except BrokenPipeError:  # the reader of a pipe went away, as `head` does
         sys.stderr.close()
         sys.exit(0)
+    except KeyboardInterrupt:
+        _fail("interrupted", 130)
     except Exception as error:
-        module, name = type(error).__module__, type(error).__name__
-        if (module, name) == ("host.laws", "LawError"):
-            _fail(str(error), 3)
-        if (module, name) in (
-            ("wire.pcapng", "RecordingError"),
-            ("wire.pcapng_blocks", "PcapngError"),
-            ("wire.pcapng", "PcapngError"),
-        ):
-            _fail(str(error), 2)
         status = getattr(error, "exit_status", None)
+        if status is None and isinstance(error, OSError):  # a file that cannot be read or written
+            status = 2
         if status is None:
             raise
         _fail(str(error), status)
@@ -101,6 +97,24 @@ def _load(rig_name: str, overrides: tuple[str, ...]) -> Rig:
 def _json(value: Any) -> None:
     click.echo(json.dumps(value, indent=2, allow_nan=False))
 
+
+class _Seconds(click.ParamType):  # type: ignore[type-arg]  # generic to some versions' types only
+    """A length of time in s: a number above 0, at most a year."""
+
+    name = "seconds"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        try:
+            seconds = float(value)
+        except ValueError:
+            seconds = float("nan")
+        if not 0 < seconds <= YEAR_S:
+            self.fail(f"{value!r}: expected a number above 0, at most {YEAR_S} (a year), in s", param, ctx)
+        return seconds
+
+
+YEAR_S = 31_557_600
+SECONDS = _Seconds()
 
 rig_option = click.option(
     "--rig",
@@ -176,7 +190,7 @@ def _progress(enabled: bool) -> Iterator[Callable[[str, float, float], None]]:
 )
 @click.option(
     "--seconds",
-    type=click.FloatRange(0, min_open=True),
+    type=SECONDS,
     default=None,
     help="Length of the display.  [default: the rig's schedule]",
 )
@@ -289,7 +303,7 @@ def _print_runs(results: dict[str, RunResult]) -> None:
 )
 @click.option(
     "--seconds",
-    type=click.FloatRange(0, min_open=True),
+    type=SECONDS,
     default=None,
     help="Length of the display.  [default: the rig's schedule]",
 )
@@ -556,7 +570,7 @@ def check(rig_name: str, overrides: tuple[str, ...], as_json: bool) -> None:
 @rig_option
 @set_option
 @click.option("--bus", "bus_name", metavar="B", help="coulombus:NAME or socketcan:IF.  [default: coulombus:RIG]")
-@click.option("--seconds", type=click.FloatRange(0, min_open=True), default=None, help="End after this time.")
+@click.option("--seconds", type=SECONDS, default=None, help="End after this time.")
 @click.option(
     "--interval",
     type=click.FloatRange(0.02),
@@ -637,9 +651,7 @@ def _scale(rig: Any, name: str) -> float:
 @click.option(
     "--mode", type=click.Choice(MODES), default=None, help="Whose F_s sizes the operator's pushes.  [default: the last]"
 )
-@click.option(
-    "--seconds", type=click.FloatRange(0, min_open=True), default=None, help="End after so long.  [default: never]"
-)
+@click.option("--seconds", type=SECONDS, default=None, help="End after so long.  [default: never]")
 @click.option(
     "--script",
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
@@ -693,6 +705,41 @@ def sim(
             return SimServer(rig, address, mode=chosen, seed=seed, script=entries, unpaced=unpaced)
 
         sys.exit(run_sim(make, seconds, priority=priority or None, cpu=cpu, as_json=as_json))
+
+
+@main.command("identify", epilog=EXIT_STATUS)
+@click.argument("file", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.option("--rig", "rig_name", metavar="R", help="Decode with this rig instead of the attached one.")
+@click.option(
+    "--figure", type=click.Path(dir_okay=False, path_type=Path), metavar="F", help="Write the plot there (.png, .svg)."
+)
+@json_option
+def identify_command(file: Path, rig_name: str | None, figure: Path | None, as_json: bool) -> None:
+    """Identify friction from a recording by least squares: Coulomb, viscous, and Stribeck where the data carry it.
+
+    What is felt at the handle comes first, the device's own friction (the motor's torque added) second, each with its 95 % confidence
+    interval. The recording needs strokes, to and fro, best at several speeds and with the coil off.
+
+    \b
+    Examples:
+      coulombus simulate --mode active --record active.pcapng && coulombus identify active.pcapng
+      coulombus identify strokes.pcapng --json
+      coulombus identify strokes.pcapng --figure friction.png
+    """
+    with _errors():
+        from analysis.identify import identify, lines
+        from eds.rig import load_rig
+        from scope.recording import read
+
+        found = identify(read(file, rig=None if rig_name is None else load_rig(rig_name)))
+        if figure is not None:
+            from analysis.figures_rig import write_identification
+
+            write_identification(figure, found)
+        if as_json:
+            _json(found.as_dict())
+        else:
+            click.echo("\n".join(lines(found)))
 
 
 main.add_command(analyse_group(_errors, EXIT_STATUS))

@@ -60,8 +60,12 @@ def _prepare_cache() -> Path:
             pass
         os.utime(directory)
     except OSError:
-        directory = Path(tempfile.gettempdir()) / f"coulombus-{os.getuid()}" / key
-        directory.mkdir(parents=True, exist_ok=True, mode=0o700)
+        mine = Path(tempfile.gettempdir()) / f"coulombus-{os.getuid()}"
+        mine.mkdir(exist_ok=True, mode=0o700)
+        if mine.is_symlink() or mine.stat().st_uid != os.getuid() or mine.stat().st_mode & 0o077:
+            mine = Path(tempfile.mkdtemp(prefix="coulombus-"))  # somebody else's: what is cached is run
+        directory = mine / key
+        directory.mkdir(exist_ok=True)
     others = (p for p in directory.parent.iterdir() if p != directory and len(p.name) == 16 and p.is_dir())
     for stale in sorted(others, key=lambda p: p.stat().st_mtime, reverse=True)[KEPT_CACHES - 1 :]:
         shutil.rmtree(stale, ignore_errors=True)

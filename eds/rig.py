@@ -16,7 +16,7 @@ from pydantic import Field, PrivateAttr, ValidationError
 
 from eds.reader import Description
 from eds.rig_checks import check, remarks
-from eds.rig_errors import RigError, Source, nearest
+from eds.rig_errors import RigError, Source, nearest, shown
 from eds.rig_files import read_descriptions, read_schedules
 from eds.rig_model import About, Brake, Bus, Host, Law, Limits, Mechanics, Modes, Motor, Section
 from eds.rig_plant import Operator, Phase, Plant
@@ -128,6 +128,18 @@ class Rig(RigFile):
     def variant(self, *overrides: str) -> Rig:
         """Return the rig with further overrides, as ``--set`` takes them."""
         return load_rig_text(self.effective(), self.path, self.eds_texts, overrides)
+
+    def mistake(self, key: str, expected: str) -> RigError:
+        """Return the error that says where `key` stands, what stands there, and what was `expected`, for later checks."""
+        path = tuple(key.split("."))
+        given = next(
+            (f"--set {text}" for text in reversed(self._overrides) if text.partition("=")[0].strip() == key), None
+        )
+        place = given or f"{self._path}:{read_toml(self._text).line(path)}"
+        value: Any = self.model_dump(by_alias=True)
+        for part in path:
+            value = value[part]
+        return RigError([f"{place}: {key}: '{shown(value)}' stands there; expected {expected}"])
 
     def _identity(self) -> tuple[str, tuple[tuple[str, str], ...]]:
         return self.effective(), tuple(sorted(self.eds_texts.items()))

@@ -13,7 +13,7 @@ from eds.codec import PDO
 from eds.pdo import fill
 from eds.rig import Rig
 from eds.signals import RigPdo, Signal
-from host.laws import LAW, LAW_STATE, MOTION, load_law
+from host.laws import LAW, LAW_STATE, MOTION, LawError, load_law
 from host.records import CONTROL, DRIVE_PDOS, HOST, Image, Phase, SignResult, Trip
 from wire.frame import Records, new_records
 
@@ -25,6 +25,7 @@ SIGN_HAND_S = 0.12
 """A little more than the period of a hand's tremor (8-12 Hz), over which the sign check averages it out."""
 SIGN_HAND_NM = 0.008
 SETTLE_S = 0.05
+INT16_MAX = 32767
 ENABLE_TIMEOUT_S = 1.0
 
 IMAGE_OF_SIGNAL = {
@@ -67,7 +68,8 @@ TRIP_TEXT = {
     Trip.NOT_STILL: "arming refused: the handle was not still for limits.still_s within limits.still_timeout_s",
     Trip.HANDLE_LOADED: "arming refused: more than limits.still_handle_torque_Nm on the handle; let go of it, or check the transducer",
     Trip.ENABLE_TIMEOUT: "arming refused: the drive did not reach Operation Enabled",
-    Trip.SIGN_NO_MOTION: "arming refused: the sign check's torque did not move the handle: is it held, or the motor not connected?",
+    Trip.SIGN_NO_MOTION: "arming refused: the sign check's torque did not move the handle: is it held, is the motor not connected, "
+    "or is there more friction than mechanics.friction_Nm?",
     Trip.SIGN_ENCODER: "arming refused: motor and encoder disagree on the sign (mechanics.motor_polarity, mechanics.encoder_polarity)",
     Trip.SIGN_TRANSDUCER: "arming refused: the torque transducer's sign is wrong (mechanics.transducer_polarity)",
     Trip.SIGN_TRAVEL: "arming refused: the handle moved too far in the sign check",
@@ -96,7 +98,10 @@ class Controller:
     def __init__(self, rig: Rig, mode: str) -> None:
         self.rig = rig
         self.mode = mode
-        self.law_function: Any = load_law(rig.law.function, Path(rig.path).parent)
+        try:
+            self.law_function: Any = load_law(rig.law.function, Path(rig.path).parent)
+        except LawError as error:
+            raise rig.mistake("law.function", f"a friction law; {error}") from error
         self.motion = new_records(MOTION)
         self.motion["dt_s"] = rig.bus.period_s
         self.law = self._new_law()
@@ -165,6 +170,8 @@ class Controller:
         c["motor_limit_pm"] = self.motor_limit_pm(float(c["Nm_pm"]))
         c["motor_rate_Nm"] = limits.torque_rate_Nm_s * T
         c["brake_limit_Nm"] = limits.brake_torque_Nm
+        setpoint = rig.description("brake").variable(0x7300, 1)
+        c["brake_limit_raw"] = min(setpoint.high if setpoint.high is not None else INT16_MAX, INT16_MAX)
         c["speed_limit"], c["jump_counts"] = limits.speed_rad_s, limits.encoder_jump_counts
         c["net_work_J"] = limits.net_work_J
         c["net_work_cycles"] = _cycles(limits.net_work_window_s, T)
@@ -197,7 +204,13 @@ class Controller:
     def motor_limit_pm(self, Nm_pm: float) -> int:
         """Return the motor's torque limit in per mille, rounded down: what the drive's 6072h is set to."""
         limit = math.floor(self.rig.motor_limit_Nm(self.mode) / abs(Nm_pm) + 1e-9)
-        return min(limit, 32767)
+        high = self.rig.description("motor").variable(0x6072, 0).high
+        if high is not None and limit > high:
+            most = high * abs(Nm_pm)
+            raise self.rig.mistake(
+                f"mode.{self.mode}.motor_limit_Nm", f"at most {most:.4g}: the drive's 6072h ends at {high} per mille"
+            )
+        return limit
 
     def start(self, t_ns: int) -> None:
         """Begin with the first cycle at `t_ns`; both nodes were heard just now."""

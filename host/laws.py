@@ -22,8 +22,10 @@ host's kernels are not compiled again for it.
 
 from __future__ import annotations
 
+import difflib
 import importlib
 import importlib.util
+import math
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -75,6 +77,8 @@ LAW_STATE = np.dtype(
 
 class LawError(Exception):
     """A law cannot be loaded; the text names it, the reason and what a law looks like."""
+
+    exit_status = 3
 
 
 def karnopp(motion: Any, law: Any, state: Any) -> float:
@@ -129,11 +133,27 @@ def _signature() -> Any:
     return numba.float64(*records)
 
 
-def compile_law(function: Callable[..., Any]) -> Any:
-    """Compile `function` for the one signature of a law; what is returned is passed to kernels as a function pointer."""
+def compile_law(function: Callable[..., Any], cache: bool = False) -> Any:
+    """Compile `function` for the one signature of a law; what is returned is passed to kernels as a function pointer.
+
+    A law that raises returns NaN, which trips. Only the project's own laws are cached: the cache would not notice an edit of what a law imports.
+    """
+
+    def guarded(motion: Any, law: Any, state: Any) -> float:
+        try:
+            return inner(motion, law, state)
+        except Exception:
+            return math.nan
+
     if JIT_DISABLED:
-        return function
-    dispatcher = numba.njit(_signature(), nogil=True, cache=True, error_model="numpy")(function)
+        inner = function
+        return guarded
+    options = {"nogil": True, "error_model": "numpy"}
+    if cache:
+        dispatcher = numba.njit(_signature(), cache=True, **options)(function)
+    else:
+        inner = numba.njit(**options)(function)
+        dispatcher = numba.njit(_signature(), **options)(guarded)
     return numba.core.types.CompileResultWAP(dispatcher.overloads[dispatcher.signatures[0]])
 
 
@@ -172,14 +192,20 @@ def load_law(name: str, directory: Path | None = None) -> Any:
         raise LawError(f"law {name!r}: {error}") from None
     except Exception as error:
         raise LawError(f"law {name!r}: {place} cannot be imported: {error}") from error
-    function = getattr(module, attribute, None)
+    own = {n: f for n, f in vars(module).items() if callable(f) and getattr(f, "__module__", "") == module.__name__}
+    function = own.get(attribute, getattr(module, attribute, None))
     if not callable(function):
-        known = ", ".join(sorted(n for n in vars(module) if not n.startswith("_") and callable(vars(module)[n]))[:8])
-        raise LawError(f"law {name!r}: {place} has no function {attribute!r}; it has {known or 'none'}")
+        known = [n for n, f in own.items() if not n.startswith("_") and not isinstance(f, type)]
+        near = difflib.get_close_matches(attribute, known, 1)
+        hint = f"; did you mean '{near[0]}'?" if near else ""
+        raise LawError(
+            f"law {name!r}: {place} has no function {attribute!r}; it has {', '.join(known) or 'none'}{hint}"
+        )
     try:
-        return compile_law(getattr(function, "py_func", function))
+        return compile_law(getattr(function, "py_func", function), cache=place == "host.laws")
     except Exception as error:  # numba raises many kinds
-        text = next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)
+        lines = [line.strip() for line in str(error).splitlines() if line.strip() and "pipeline" not in line]
+        text = "; ".join(lines[:2]) or type(error).__name__
         raise LawError(
             f"law {name!r} does not compile as law(motion, law, state) -> float: {text}; see host/laws.py for the records' fields"
         ) from error

@@ -67,6 +67,7 @@ class SignResult(IntEnum):
 
     NOT_RUN = 0
     AGREED = 1  # motor, encoder and transducer agree
+    REFUSED = 3  # motor, encoder or transducer disagreed, or nothing moved
     NO_HAND = 2  # motor and encoder agree; nothing held the handle, so the transducer could not be judged
 
 
@@ -121,6 +122,7 @@ CONTROL = np.dtype(
         ("motor_limit_pm", np.int64),  # the same number as the drive's 6072h
         ("motor_rate_Nm", np.float64),  # a cycle
         ("brake_limit_Nm", np.float64),
+        ("brake_limit_raw", np.int64),  # what 7300h takes at most
         ("speed_limit", np.float64),
         ("jump_counts", np.int64),
         ("net_work_J", np.float64),

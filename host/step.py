@@ -46,7 +46,7 @@ NOT_STILL, HANDLE_LOADED, ENABLE_TIMEOUT = int(Trip.NOT_STILL), int(Trip.HANDLE_
 SIGN_NO_MOTION, SIGN_ENCODER = int(Trip.SIGN_NO_MOTION), int(Trip.SIGN_ENCODER)
 DEADMAN = int(Trip.DEADMAN)
 SIGN_TRANSDUCER, SIGN_TRAVEL, DRIVE_STATE = int(Trip.SIGN_TRANSDUCER), int(Trip.SIGN_TRAVEL), int(Trip.DRIVE_STATE)
-AGREED, NO_HAND = int(SignResult.AGREED), int(SignResult.NO_HAND)
+AGREED, NO_HAND, REFUSED = int(SignResult.AGREED), int(SignResult.NO_HAND), int(SignResult.REFUSED)
 
 SWITCH_ON_WORD = 0x07
 ENABLE_WORD = 0x0F
@@ -69,6 +69,8 @@ def _trip(c: Any, h: Any, trip: int, t_ns: int) -> None:
     """Go to the safe state; only the first reason counts."""
     if h.phase >= SAFE:
         return
+    if h.phase == SIGN:
+        h.sign_result = REFUSED
     h.trip = trip
     h.trip_ns = t_ns
     h.safe_from_Nm = min(h.brake_Nm, c.safe_brake_Nm)
@@ -216,10 +218,8 @@ def _limit_motor(c: Any, h: Any, wanted: float) -> float:
 @kernel
 def begin(c: Any, h: Any, t_ns: int, queue: Any, header: Any) -> None:
     """Begin the cycle that is due at `t_ns`: count what the last one lost, send SYNC (and the host's heartbeat when due)."""
-    if h.cycle > 0 and h.phase < DONE:
-        for i in range(c.tpdos):
-            if (h.arrived >> i) & 1 == 0:
-                h.lost_pdos += 1
+    if h.cycle > 0 and h.phase < SAFE and h.arrived != (1 << c.tpdos) - 1:
+        h.lost_pdos += 1
     h.arrived = 0
     h.waiting = 1
     h.sync_ns = t_ns
@@ -356,7 +356,9 @@ def finish(
 
     h.image[CONTROLWORD] = controlword
     h.image[TARGET_TORQUE] = round(h.motor_Nm / c.Nm_pm)
-    h.image[BRAKE_SETPOINT] = round(h.brake_Nm / c.brake_Nm_raw)
+    h.image[BRAKE_SETPOINT] = min(
+        max(round(h.brake_Nm / c.brake_Nm_raw), 0), c.brake_limit_raw
+    )  # unsigned, and no wrap
     for i in range(c.rpdos):
         push(queue, header, SOURCE_HOST, t_ns, rpdos[i].cob_id, rpdos[i].length, pack(rpdos[i], h.image))
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -13,19 +14,20 @@ import numpy as np
 
 from eds.rig import Rig, load_rig
 from host.bringup import shut_down
-from host.errors import HostError
 from host.records import Phase, Trip
 from lab.measures import Measures, measure
 from lab.recorder import Recorder
 from lab.world import VirtualRig
 from scope.recording import read
+from sim_bus.plant import TRUTH_COLUMNS
 from wire.frame import Records
 from wire.pcapng import RecordingError
 
-__all__ = ["RunResult", "simulate"]
+__all__ = ["RunResult", "TruthError", "simulate"]
 
 PROGRESS_NS = 250_000_000
 SAFE_TIMEOUT_NS = 5_000_000_000
+TRUTH_BYTES = 8e9
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,12 @@ def file_sha256(path: Path) -> str:
     """Return the SHA-256 of a file, read in blocks."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+class TruthError(Exception):
+    """The plant's true course cannot be saved."""
+
+    exit_status = 2
 
 
 class _Run:
@@ -152,7 +160,8 @@ class _Run:
         if self.failure is not None:
             trip = f"RECORDING: {self.failure}"
         figures = Measures()
-        if self.record is not None and self.failure is None:
+        regular = self.record is not None and self.record.is_file()
+        if regular and self.record is not None and self.failure is None:
             figures = measure(read(self.record))
         enabled = self.world.enabled_ns
         return RunResult(
@@ -164,7 +173,7 @@ class _Run:
             wakeup_us=None,
             cpu_us_per_cycle=None,
             recording=str(self.record) if self.record is not None else None,
-            recording_sha256=file_sha256(self.record) if self.record is not None else None,
+            recording_sha256=file_sha256(self.record) if regular and self.record is not None else None,
             trip=trip,
             **asdict(figures),
             sign_check=k.sign_result.name.lower(),
@@ -210,15 +219,35 @@ def simulate(
     chosen = rig.variant(*overrides) if isinstance(rig, Rig) else load_rig(rig, overrides)
     if mode not in chosen.mode:
         raise ValueError(f"mode {mode!r}: the rig has {', '.join(chosen.mode)}")
+    if not (math.isfinite(seconds) and seconds > 0):
+        raise ValueError(f"seconds {seconds!r}: expected a number above 0")
+    if truth is not None:
+        size = seconds / chosen.plant.step_s * 8 * len(TRUTH_COLUMNS)
+        if size > TRUTH_BYTES:
+            raise TruthError(
+                f"{truth}: {size / 1e9:.0f} GB of truth; show less than {seconds:g} s, or raise plant.step_s"
+            )
+        _save(Path(truth))  # whether it can be written is better known before the run
     run = _Run(chosen, mode, seed, Path(record) if record is not None else None, truth is not None, progress)
     try:
         if script is not None:
             script(run.world)
         run.course(seconds)
-    except HostError:
+    except BaseException:  # refused, or interrupted: what was recorded stays readable
         run.close()
         raise
     run.close()
     if truth is not None:
-        np.savez(Path(truth), **run.world.truth())
+        _save(Path(truth), run.world.truth())
     return run.result()
+
+
+def _save(path: Path, arrays: Mapping[str, Any] | None = None) -> None:
+    try:
+        with path.open("ab" if arrays is None else "wb") as file:  # given a name, numpy would append .npz to it
+            if arrays is not None:
+                np.savez(file, **arrays)
+    except OSError as error:
+        raise TruthError(
+            f"{path}: the truth cannot be written ({error.strerror or error}); name a file with room for it"
+        ) from error

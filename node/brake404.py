@@ -41,6 +41,7 @@ def new_setpoint(n: Any, t_ns: int) -> None:
         raw = n.setpoint_high
     n.values[slots.SETPOINT] = raw
     n.setpoint_ns = t_ns
+    n.setpoint_armed = 1  # also when it came by SDO: a brake that nobody looks after lets go
     if n.causes & emcy.DEVICE_MASK == 0:
         n.ramping = 0
 

@@ -154,6 +154,7 @@ def _lowest(n: Any) -> int:
 def new_setpoint(n: Any, t_ns: int) -> None:
     """Take the set-point in 6071h that was received at `t_ns`."""
     n.setpoint_ns = t_ns
+    n.setpoint_armed = 1
     n.setpoint_stale = 0
     target = n.values[slots.TARGET_TORQUE]
     if target > _highest(n) or target < _lowest(n):

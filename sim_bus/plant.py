@@ -96,7 +96,8 @@ TRUTH_COLUMNS = (
     "viscous_loss_J",
     "kinetic_energy_J",
 )
-"""Columns of the true course at the plant's step; torques are those on the handle, mean over the step that ends at t."""
+"""Columns of the true course at the plant's step; torques are those on the handle at the end of the step that ends
+at t (after the stop, where the speed crosses zero within it); the works are exact."""
 
 
 def _decay(step_s: float, lag_s: float) -> float:

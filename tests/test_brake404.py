@@ -52,9 +52,9 @@ def test_output_is_never_negative_and_negatives_are_counted(raws):
     bench = brake()
     for raw in raws:
         command(bench, raw)
-        assert bench.node.out_brake_Nm == pytest.approx(max(raw, 0) / 1000)
+        assert bench.node.out_brake_Nm == pytest.approx(min(max(raw, 0), 5000) / 1000)
     assert bench.node.negative_setpoints == sum(raw < 0 for raw in raws)
-    assert bench.number(0x7300, 1) == max(raws[-1], 0)
+    assert bench.number(0x7300, 1) == min(max(raws[-1], 0), 5000)
 
 
 def test_setpoint_above_the_high_limit_is_clipped_and_counted():

@@ -120,3 +120,16 @@ def test_a_law_that_cannot_be_had_says_why(tmp_path, name, text):
     (tmp_path / "wrong.py").write_text("def f(motion, law, state):\n    return motion.no_such_field\n")
     with pytest.raises(LawError, match=text):
         load_law(name, tmp_path)
+
+
+def test_a_law_that_raises_gives_no_number_and_one_is_not_cached(tmp_path):
+    """What a law imports may change without the law's file changing: it is compiled anew in each process."""
+    (tmp_path / "own.py").write_text(
+        "def f(motion, law, state):\n    if motion.x_rad > 1.0:\n        raise ValueError('far')\n    return 0.5\n"
+    )
+    own = load_law("own.py:f", tmp_path)
+    motion, law, state = records()
+    assert own(motion, law, state) == 0.5
+    motion.x_rad = 2.0
+    assert math.isnan(own(motion, law, state))
+    assert own.__class__.__name__ != "CompileResultWAP" or not list(tmp_path.glob("**/*.nb?"))
