@@ -4,8 +4,8 @@ Karnopp's friction is such a spring whenever it sticks (K = K_p). The bounds kno
 :math:`\Delta`, and make no assumption on the hand but that it is passive. All are about a spring; none of them certifies the *slip* phase, whose
 relay is of infinite slope. They stand next to a map of what the loop does, not in its place.
 
-Where they come from: a held spring force lags the true one by T/2 on average, and a quantised one is off by at most :math:`\Delta/2`, so the most that
-the spring gives back too much at speed v is the power
+Where they come from: a held spring force lags the true one by T/2 on average, and a quantised one is off by at most
+:math:`\Delta/2`, so the most that the spring gives back too much at speed v is the power
 
 .. math:: K\,(T/2 + \tau)\,v^2 + \tfrac12 K \Delta\,|v|, \qquad \text{and the device burns}\quad b\,v^2 + c\,|v|.
 

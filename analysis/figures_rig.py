@@ -50,10 +50,12 @@ def write_fig12(directory: Path, data: KarnoppStudy | None = None) -> list[Path]
         label(slip, "velocity [rad/s]", "friction [Nm]", "(a) slip, and the band of stick")
         stick.plot(data.load_Nm, data.corrected_Nm, color=BLUE, label="saturation (as it must be)")
         stick.plot(data.load_Nm, data.printed_Nm, color=VERMILION, ls="--", label=r"$\max(F_s, F_a)$ (as printed)")
-        stick.legend(loc="lower right")
+        stick.legend(loc="upper left")
         label(stick, "load $F_a$ [Nm]", "friction [Nm]", "(b) stick")
         rest.plot(data.t_s, data.corrected_rad * 1e3, color=BLUE, label="saturation: stays")
-        rest.plot(data.t_s, data.printed_rad * 1e3, color=VERMILION, ls="--", label="as printed: does not")
+        rest.plot(
+            data.t_s, data.printed_rad * 1e3, color=VERMILION, ls="--", label="as printed: kicked again and again"
+        )
         rest.legend(loc="best")
         label(rest, "time [s]", "angle [mrad]", "(c) a handle at rest, nobody near it")
         return [*save(made, directory, "fig12-karnopp")]
@@ -112,7 +114,16 @@ def _draw_trace(torque: Axes, speed: Axes, detail: Axes, data: Traces, title: st
         for span in data.phases:
             axes.axvline(span.begin_s, color="0.5", lw=0.7, ls=":")
     for span in data.phases:
-        torque.annotate(span.kind, (0.5 * (span.begin_s + span.end_s), 1.0), (0, -2), ("data", "axes fraction"), "offset points", ha="center", va="top", fontsize=8)
+        torque.annotate(
+            span.kind,
+            (0.5 * (span.begin_s + span.end_s), 1.0),
+            (0, -2),
+            ("data", "axes fraction"),
+            "offset points",
+            ha="center",
+            va="top",
+            fontsize=8,
+        )
     hold = next((span for span in data.phases if span.kind == "hold"), None)
     begin = DETAIL_FROM_S + (hold.begin_s if hold is not None else 0.0)
     inside = (data.t_s >= begin) & (data.t_s < begin + DETAIL_S)
@@ -127,7 +138,7 @@ def write_fig14(directory: Path, data: HoldStudy) -> list[Path]:
         for column, (mode, name) in enumerate((("active", "(a) active"), ("hybrid", "(b) hybrid"))):
             row = data.row(mode)
             title = f"{name}: $K_p$ = {row.K_p_Nm_rad:g} Nm/rad, $F_s$ = {row.F_s_Nm:g} Nm, $F_d$ = {row.F_d_Nm:g} Nm"
-            _draw_trace(*axes[:, column], data.traces[mode], title)
+            _draw_trace(axes[0, column], axes[1, column], axes[2, column], data.traces[mode], title)
         return [*save(made, directory, "fig14-hold-and-stroke")]
 
 
@@ -141,9 +152,8 @@ def write_stick_figure(directory: Path, data: HoldStudy) -> list[Path]:
                 ramp: Any = getattr(row, name)
                 share = "never" if ramp.share_of_F_s is None else f"{ramp.share_of_F_s:.0%} of $F_s$"
                 ways = f"{row.stick_entry}, {row.brake_stick}: slides at {share}"
-                scale = 1e3 if name == "slow" else 1e3
-                angle.plot(ramp.t_s * scale, ramp.angle_rad * 1e3, color=COLOURS[i], ls=DASHES[i], label=ways)
-                torque.plot(ramp.t_s * scale, ramp.setpoint_Nm, color=COLOURS[i], ls=DASHES[i])
+                angle.plot(ramp.t_s * 1e3, ramp.angle_rad * 1e3, color=COLOURS[i], ls=DASHES[i], label=ways)
+                torque.plot(ramp.t_s * 1e3, ramp.setpoint_Nm, color=COLOURS[i], ls=DASHES[i])
             first: Any = getattr(rows[0], name)
             push = 1.15 * rows[0].F_s_Nm * np.minimum(first.t_s / first.ramp_s, 1.0)
             torque.plot(first.t_s * 1e3, push, color=BLACK, lw=0.9, label="push")
@@ -160,7 +170,9 @@ def draw_bus_cycle(axes: Axes, cycle: BusCycle, colour: str, dash: Any, show_s: 
     """Draw v^ of one limit cycle, sample by sample, from the window's start."""
     inside = cycle.t_s < show_s
     text = f"{cycle.actuation}: {cycle.delay_s * 1e3:.3f} ms, {cycle.frequency_Hz:.1f} Hz"
-    axes.plot(cycle.t_s[inside] * 1e3, cycle.v_m_s[inside] * 1e3, color=colour, ls=dash, marker=".", ms=4, lw=0.9, label=text)
+    axes.plot(
+        cycle.t_s[inside] * 1e3, cycle.v_m_s[inside] * 1e3, color=colour, ls=dash, marker=".", ms=4, lw=0.9, label=text
+    )
 
 
 def write_bus_figure(directory: Path, cycles: Sequence[BusCycle]) -> list[Path]:
@@ -180,9 +192,23 @@ def write_bus_figure(directory: Path, cycles: Sequence[BusCycle]) -> list[Path]:
         for i, name in enumerate(names):
             chosen = [c for c in cycles if c.hardware == name]
             delay = [c.delay_s * 1e3 for c in chosen]
-            last.plot(delay, [c.frequency_Hz for c in chosen], "o^"[i % 2], color=COLOURS[i], ms=7, label=f"{name}, from TPDOs")
-            last.plot(delay, [c.loop_frequency_Hz for c in chosen], "+x"[i % 2], color=BLACK, ms=9, label="the loop without a bus" if i == 0 else None)
-        last.set_ylim(0, 320)
+            last.plot(
+                delay,
+                [c.frequency_Hz for c in chosen],
+                "o^"[i % 2],
+                color=COLOURS[i],
+                ms=7,
+                label=f"{name}, from TPDOs",
+            )
+            last.plot(
+                delay,
+                [c.loop_frequency_Hz for c in chosen],
+                "+x"[i % 2],
+                color=BLACK,
+                ms=9,
+                label="the loop without a bus" if i == 0 else None,
+            )
+        last.set_ylim(0, 420)
         last.legend(loc="upper right")
         label(last, "delay from sampling to actuation [ms]", "frequency [Hz]", "limit cycle's frequency")
         return [*save(made, directory, "through-the-bus")]
@@ -227,28 +253,57 @@ def write_map(directory: Path, found: OscillationMap) -> list[Path]:
         for name, values in found.axes.items()
         if name not in (*plane, "rate_Hz", "delay_s")
     }
-    with figure(2.7 * len(delays) + 1.2, 2.5 * len(rates) + 0.8, len(rates), len(delays), sharex=True, sharey=True, squeeze=False) as (made, axes):
-        mesh = None
+    with figure(
+        2.7 * len(delays) + 1.2,
+        2.5 * len(rates) + 0.8,
+        len(rates),
+        len(delays),
+        sharex=True,
+        sharey=True,
+        squeeze=False,
+    ) as (made, axes):
+        mesh: Any = None
+        named: set[str] = set()
         for i, rate in enumerate(rates):
             for j, delay in enumerate(delays):
-                part = at(found, **others, **{n: v for n, v in (("rate_Hz", rate), ("delay_s", delay)) if n in found.axes})
+                part = at(
+                    found, **others, **{n: v for n, v in (("rate_Hz", rate), ("delay_s", delay)) if n in found.axes}
+                )
                 place = axes[i, j]
                 mesh = draw_map(place, part, f"{rate:g} Hz, delay {delay * 1e3:g} ms")
                 base = part.base
                 T, K = 1.0 / rate, base.K_p_Nm_rad
-                lines = ((K * T / 2, "-", "Colgate: $b = K_pT/2$"), (K * (T / 2 + delay + base.motor_lag_s), "--", r"with delay, lag (Diolaiti): $b = K_p(T/2+\tau)$"))
+                quantised = 2 * base.coulomb_Nm / base.count_rad
+                band = base.velocity_band_counts * base.count_rad * rate
+                leave = base.F_d_Nm * base.friction_level / band if band else np.inf
+                lines = (
+                    (
+                        K * T / 2,
+                        "-",
+                        f"Colgate; Abbott-Okamura ($2c/\\Delta$ = {quantised:.3g} Nm/rad > $K_p$): $b = K_pT/2$",
+                    ),
+                    (
+                        K * (T / 2 + delay + base.motor_lag_s),
+                        "--",
+                        r"with delay and lag (Diolaiti): $b = K_p(T/2+\tau)$",
+                    ),
+                    (leave, ":", r"$b = F_d/\Delta v$: no torque can leave the stick band above it"),
+                )
                 for total, dash, text in lines:
                     y = found.axes[plane[1]]
                     hand = total - base.viscous_Nms_rad
                     if y[0] <= hand <= y[-1]:
-                        place.axhline(hand, color=VERMILION, ls=dash, lw=1.2, label=text if i == j == 0 else None)
+                        place.axhline(hand, color=VERMILION, ls=dash, lw=1.2, label=text if text not in named else None)
+                        named.add(text)
                 if i < len(rates) - 1:
                     place.set_xlabel("")
                 if j:
                     place.set_ylabel("")
         bar = made.colorbar(mesh, ax=axes, shrink=0.6, ticks=[0, 0.5, 1], boundaries=np.linspace(0, 1, 101))
         bar.set_label("share of taps after which it oscillates")
-        made.legend(loc="outside lower center", ncols=2)
+        made.legend(loc="outside lower center", ncols=3)
         rest = ", ".join(f"{_name(name)} {value:g}" for name, value in others.items())
-        made.suptitle(f"Oscillating (blue) against quiet (white){'; ' + rest if rest else ''}", fontsize=10, x=0.01, ha="left")
+        made.suptitle(
+            f"Oscillating (blue) against quiet (white){'; ' + rest if rest else ''}", fontsize=10, x=0.01, ha="left"
+        )
         return [*save(made, directory, "map")]

@@ -7,10 +7,11 @@ While the handle slides, the hand's torque on it (the transducer's) is
 which is what the hand *feels*: the device's own friction, less what the motor compensates of it, plus whatever is displayed. With the motor's torque
 (6077h) added to the left it is the *device's* friction, compensated or not. Both are fitted.
 
-Samples. Only those slide that have :math:`|\hat v| > \Delta v` over a whole window, in one direction, and, where there are enough, with the coil off. Speed and
-acceleration come from a quadratic through the window's positions (Savitzky-Golay), the torques go through the same filter: an encoder's quantisation
-is averaged, not differentiated, and both sides of the equation are delayed alike. :math:`f_0` (the transducer's bias) is fitted when
-both directions are there. :math:`v_S` is found on a grid (variable projection), and Stribeck's term stays only if it lowers Schwarz's criterion clearly.
+Samples. Only those slide that have :math:`|\hat v| > \Delta v` over a whole window, in one direction, and, where there are enough, with the
+coil off. Speed and acceleration come from a quadratic through the window's positions (Savitzky-Golay), the torques go through the same filter: an
+encoder's quantisation is averaged, not differentiated, and both sides of the equation are delayed alike. :math:`f_0` (the transducer's
+bias) is fitted when both directions are there. :math:`v_S` is found on a grid (variable projection), and Stribeck's term stays only if it
+lowers Schwarz's criterion clearly.
 
 Confidence. Filtered residuals resemble their neighbours, so the covariance is Newey and West's, which counts that; the intervals are 95 %.
 
@@ -33,7 +34,17 @@ from eds.rig import Rig, load_rig
 from lab.simulate import simulate
 from scope.recording import Recording, Series, read
 
-__all__ = ["Estimate", "Fit", "FrictionStudy", "Identification", "IdentifyError", "fit_friction", "friction_study", "identify"]
+__all__ = [
+    "Estimate",
+    "Fit",
+    "FrictionStudy",
+    "Identification",
+    "IdentifyError",
+    "fit_friction",
+    "friction_study",
+    "identify",
+    "lines",
+]
 
 Floats: TypeAlias = npt.NDArray[np.float64]
 Flags: TypeAlias = npt.NDArray[np.bool_]
@@ -64,7 +75,7 @@ class Estimate:
     high: float
 
     def __str__(self) -> str:
-        return f"{self.value:.4g} [{self.low:.4g}, {self.high:.4g}]"
+        return f"{self.value:#.4g} [{self.low:#.4g}, {self.high:#.4g}]"
 
 
 @dataclass(frozen=True)
@@ -175,7 +186,9 @@ def fit_friction(v: Floats, a: Floats, torque: Floats, *, lags: int = 0, remarks
     if min(np.mean(sign > 0), np.mean(sign < 0)) > 0.1:
         columns["offset"] = np.ones_like(v)
     else:
-        notes.append("one direction only: a bias of the transducer cannot be told from Coulomb friction and is counted to it")
+        notes.append(
+            "one direction only: a bias of the transducer cannot be told from Coulomb friction and is counted to it"
+        )
     X = np.column_stack(list(columns.values()))
     beta, error, rss = _solve(X, torque, lags)
     independent = max(len(v) / (1 + lags), 2.0)
@@ -315,6 +328,27 @@ def identify(recording: Recording | str | Path, *, window_s: float = WINDOW_S) -
     )
 
 
+def lines(found: Identification) -> list[str]:
+    """Return an identification as text: each parameter with its 95 % confidence interval."""
+    names = (
+        ("Coulomb", "coulomb_Nm", "Nm"),
+        ("viscous", "viscous_Nms_rad", "Nm s/rad"),
+        ("Stribeck, F_s - c", "stribeck_Nm", "Nm"),
+        ("inertia", "inertia_kg_m2", "kg m2"),
+        ("transducer's bias", "offset_Nm", "Nm"),
+    )
+    text = [f"{found.samples} samples slide, {'coil off' if found.coil_off else 'brake on'}; 95 % confidence intervals"]
+    for title, fit in (("felt at the handle", found.felt), ("the device's own (motor's torque added)", found.device)):
+        text.append(f"\n{title}:")
+        for name, attribute, unit in names:
+            estimate = getattr(fit, attribute)
+            if estimate is not None:
+                speed = f" at {fit.stribeck_rad_s:.3g} rad/s" if attribute == "stribeck_Nm" else ""
+                text.append(f"  {name:<18} {estimate} {unit}{speed}")
+        text.append(f"  {'residual, RMS':<18} {fit.residual_rms_Nm:.3g} Nm")
+    return text + [f"\nnote: {remark}" for remark in found.remarks]
+
+
 @dataclass(frozen=True)
 class FrictionStudy:
     """Fig. 13: friction at the handle, identified, compensated from what was identified, identified again."""
@@ -352,10 +386,17 @@ class FrictionStudy:
         }
 
 
-STROKES = ((0.5, 1.2), (1.5, 0.8), (3.0, 0.6))  # speed [rad/s], length of a move [s]: slow ones tell Coulomb, fast ones the slope
-EXPERIMENT = "phase=[{kind='rest', duration_s=1.0}, %s]" % ", ".join(
-    f"{{kind='stroke', duration_s={4 * (move + 0.1):g}, speed_rad_s={speed}, move_s={move}, dwell_s=0.1}}"
-    for speed, move in STROKES
+STROKES = (
+    (0.5, 1.2),
+    (1.5, 0.8),
+    (3.0, 0.6),
+)  # speed [rad/s], length of a move [s]: slow ones tell Coulomb, fast ones the slope
+EXPERIMENT = ", ".join(
+    ["{kind='rest', duration_s=1.0}"]
+    + [
+        f"{{kind='stroke', duration_s={4 * (move + 0.1):g}, speed_rad_s={speed}, move_s={move}, dwell_s=0.1}}"
+        for speed, move in STROKES
+    ]
 )
 
 
@@ -379,7 +420,7 @@ def friction_study(rig: Rig | None = None, *, seed: int = 0) -> FrictionStudy:
     rig : default is the bench rig; its own schedule is not used
     """
     rig = (load_rig("bench") if rig is None else rig).variant(
-        EXPERIMENT, "mode.hybrid.F_s_Nm=0.0", "mode.hybrid.F_d_Nm=0.0", "mode.hybrid.compensation=0.0"
+        f"phase=[{EXPERIMENT}]", "mode.hybrid.F_s_Nm=0.0", "mode.hybrid.F_d_Nm=0.0", "mode.hybrid.compensation=0.0"
     )
     with tempfile.TemporaryDirectory(prefix="coulombus-") as directory:
         before = _stroked(rig, Path(directory), "before", seed)

@@ -1,8 +1,8 @@
 r"""Fig. 12: Karnopp's model as the host runs it, beside eq. (20) as printed.
 
 In stick the paper prints max(F_s, F_a). It must be a saturation, sgn(F_a) min(|F_a|, F_s): friction holds what is applied, up to F_s. The literal
-maximum never is below F_s, so a handle at rest is pushed by F_s where nothing pushes at it, and it oscillates from rest. `karnopp_study`
-shows both on a free handle, sampled and held, through `host.laws.karnopp` itself.
+maximum never is below F_s, so a handle at rest is pushed by F_s where nothing pushes at it: it is kicked, slips, stops and is kicked again,
+an oscillation from rest that walks away. `karnopp_study` shows both on a free handle, sampled and held, through `host.laws.karnopp` itself.
 """
 
 from __future__ import annotations
@@ -52,7 +52,9 @@ def literal_karnopp(motion: Any, law: Any, state: Any) -> float:
     return float(max(law.F_s, law.K_p * (motion.x_rad - state.x_stuck)))
 
 
-def _from_rest(law_function: Any, law: Any, count: float, period: float, inertia: float, viscous: float, cycles: int) -> Floats:
+def _from_rest(
+    law_function: Any, law: Any, count: float, period: float, inertia: float, viscous: float, cycles: int
+) -> Floats:
     """Return the angle at each sample of a handle at rest: J v' + b v = -psi, held over a period and solved exactly."""
     motion, state = (np.zeros(1, dtype).view(np.recarray)[0] for dtype in (laws.MOTION, laws.LAW_STATE))
     state.stuck = 1
@@ -113,7 +115,7 @@ def karnopp_study(
         load_Nm=load,
         corrected_Nm=corrected,
         printed_Nm=printed,
-        t_s=np.arange(cycles) * period_s,
+        t_s=np.arange(cycles, dtype=np.float64) * period_s,
         corrected_rad=_from_rest(laws.karnopp, law, *rest),
         printed_rad=_from_rest(literal_karnopp, law, *rest),
     )

@@ -1,8 +1,8 @@
 r"""Maps: where the displayed friction oscillates and where it is quiet, over operator, rate, delay and friction level.
 
 Each point is a full simulation of the sampled loop (`analysis.sampled_loop`) after a tap. It is *quiet* when, at the end, the encoder stays
-within two counts, or moves on without turning back: the figure by which the hold test calls a display still. Otherwise a limit
-cycle was shown. Beside it stand the bounds of `analysis.bounds`, which certify or do not.
+within two counts (by which the hold test calls a display still), or moves on without turning back, or still swings but dies out. Otherwise a
+limit cycle was shown. Beside it stand the bounds of `analysis.bounds`, which certify or do not.
 
 ::
 
@@ -15,6 +15,7 @@ of the work change nothing: the numbers are the same bit for bit (on processors 
 
 from __future__ import annotations
 
+import importlib
 import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -27,7 +28,7 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.bounds import Bounds, bounds
-from analysis.sampled_loop import LOOP, RELAY, STATS, run_loops
+from analysis.sampled_loop import LOOP, STATS, run_loops
 from eds.rig import Rig, load_rig
 from host.laws import LAW, LAW_STATE, MOTION
 from wire.frame import new_records
@@ -38,6 +39,7 @@ Array: TypeAlias = npt.NDArray[Any]
 Floats: TypeAlias = npt.NDArray[np.float64]
 
 QUIET_COUNTS = 2
+DYING_OUT = 0.9  # the velocity's RMS in the window's second half, against the whole: a hand's own swing that decays
 MOST_DELAY_CYCLES = 60
 CHUNK = 96  # runs for one task: some 20 ms
 
@@ -70,8 +72,8 @@ class LoopParameters:
     compensation_Nm: float = 0.97 * 0.14
     tap_rad_s: float = 2.0
     """Speed right after the tap that starts it: what 0.6 Nm for 10 ms give a light hand. Below the velocity band nothing starts."""
-    settle_s: float = 1.0
-    window_s: float = 0.5
+    settle_s: float = 1.5
+    window_s: float = 0.75
 
     @classmethod
     def of_rig(cls, rig: Rig, mode: str = "active", **changes: Any) -> LoopParameters:
@@ -211,7 +213,9 @@ def _loops(values: Mapping[str, Any], shape: tuple[int, ...]) -> Array:
             f"delay_s = {flat['delay_s'][np.argmax(cycles)]:g}: {np.max(cycles):.0f} cycles; expected at most {MOST_DELAY_CYCLES}"
         )
     if np.any(flat["delay_s"] >= flat["window_s"]):
-        raise ValueError(f"delay_s = {np.max(flat['delay_s']):g} is longer than the window of {np.min(flat['window_s']):g} s")
+        raise ValueError(
+            f"delay_s = {np.max(flat['delay_s']):g} is longer than the window of {np.min(flat['window_s']):g} s"
+        )
     loops = np.zeros(len(cycles), LOOP)
     for name, parameter in LOOP_OF_PARAMETER.items():
         loops[name] = flat[parameter]
@@ -240,7 +244,9 @@ def run_chunk(loops: Array) -> Array:
 
 
 def _quiet(stats: Array) -> npt.NDArray[np.bool_]:
-    found: npt.NDArray[np.bool_] = (stats["counts_p2p"] <= QUIET_COUNTS) | (stats["reversals"] < 2)
+    """Return where nothing oscillates: still, or moving on without turning back, or dying out."""
+    still = (stats["counts_p2p"] <= QUIET_COUNTS) | (stats["reversals"] < 2)
+    found: npt.NDArray[np.bool_] = still | (stats["late_rms"] < DYING_OUT * stats["velocity_rms"])
     return found
 
 
@@ -276,13 +282,12 @@ def _in_threads(chunks: Sequence[Array], workers: int) -> Iterator[tuple[int, Ar
 
 def _on_cluster(chunks: Sequence[Array], address: str) -> Iterator[tuple[int, Array]]:
     try:
-        from distributed import Client
-        from distributed import as_completed as completed
+        cluster: Any = importlib.import_module("distributed")
     except ImportError as error:
         raise ImportError("a dask cluster needs dask and distributed: pip install 'coulombus[cluster]'") from error
-    with Client(address, timeout=10) as client:
+    with cluster.Client(address, timeout=10) as client:
         tasks = {task: i for i, task in enumerate(client.map(run_chunk, chunks, pure=False))}
-        for task, result in completed(list(tasks), with_results=True):
+        for task, result in cluster.as_completed(list(tasks), with_results=True):
             yield tasks[task], result
 
 
@@ -323,12 +328,14 @@ def oscillation_map(
         base = load_rig(base or "bench")
     if isinstance(base, Rig):
         base = LoopParameters.of_rig(base)
-    grid = {name: np.atleast_1d(np.asarray(v, np.float64)) for name, v in (DEFAULT_AXES if axes is None else axes).items()}
+    grid = {
+        name: np.atleast_1d(np.asarray(v, np.float64)) for name, v in (DEFAULT_AXES if axes is None else axes).items()
+    }
     known = [f.name for f in fields(LoopParameters)]
-    for name, values in grid.items():
+    for name, column in grid.items():
         if name not in known or name == "tap_rad_s":
             raise ValueError(f"no axis {name!r}; there is {', '.join(n for n in known if n != 'tap_rad_s')}")
-        if values.ndim != 1 or not len(values):
+        if column.ndim != 1 or not len(column):
             raise ValueError(f"axis {name}: expected one or more values in a row")
     if not len(taps_rad_s):
         raise ValueError("taps_rad_s: expected one or more speeds; without a tap the display stays stuck")
@@ -370,7 +377,7 @@ def at(found: OscillationMap, **values: float) -> OscillationMap:
     """Return the map's slice at the points nearest to `values` (axis=value); the other axes stay."""
     index: list[Any] = []
     axes = {}
-    changed = {}
+    changed: dict[str, Any] = {}
     for name, points in found.axes.items():
         if name in values:
             i = int(np.argmin(np.abs(points - values[name])))

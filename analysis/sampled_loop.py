@@ -8,8 +8,8 @@ A sample at :math:`kT` gives :math:`n_k = \lfloor x/q + 1/2 \rfloor` counts. The
 torque :math:`u^*_k` acts from :math:`kT + \tau` on, with whole cycles and a fraction of one.
 
 Between events the plant is linear, so it is stepped by its transition matrix, exactly and whatever the step. Where the inherent friction
-changes sides (v = 0), the crossing is found on the Taylor series of the solution: steps are short against the plant's rates, and what the series leaves out is
-less than 1e-9 of the step's motion. From there it sticks if the friction bears the load, and breaks away at the instant
+changes sides (v = 0), the crossing is found on the Taylor series of the solution: steps are short against the plant's rates, and what the series
+leaves out is less than 1e-9 of the step's motion. From there it sticks if the friction bears the load, and breaks away at the instant
 at which a lagging motor exceeds it. Without inherent friction there is no such event and nothing is approximated.
 Two crossings within one step are not seen; a step is at most a sample.
 """
@@ -57,6 +57,7 @@ RELAY = 1
 STATS = np.dtype(
     [
         ("velocity_rms", np.float64),  # of v^ in the window [rad/s]
+        ("late_rms", np.float64),  # of v^ in the window's second half
         ("counts_p2p", np.int64),
         ("reversals", np.int64),  # sign changes of the non-zero v^
         ("frequency", np.float64),  # half of these a second, from the first to the last [Hz]
@@ -144,7 +145,7 @@ def _series(p: Any, y: Any, target: float, sign: float, cx: Any, cv: Any, cw: An
 
 @kernel
 def _value(c: Any, t: float) -> float:
-    total = c[TERMS - 1]
+    total: float = c[TERMS - 1]
     for n in range(TERMS - 2, -1, -1):
         total = total * t + c[n]
     return total
@@ -225,7 +226,9 @@ def _advance(p: Any, y: Any, target: float, phi: Any, h: float, steps: int, cx: 
             if rest != 0.0:
                 for _ in range(k, steps):
                     rest *= phi[2, 2]
-            if abs(hold + y[2]) <= p.friction and abs(hold + rest) <= p.friction:  # the load goes from one to the other: stuck
+            if (
+                abs(hold + y[2]) <= p.friction and abs(hold + rest) <= p.friction
+            ):  # the load goes from one to the other: stuck
                 y[2] = rest if abs(rest) > NOTHING else 0.0
                 return
             _events(p, y, target, h, cx, cv, cw)
@@ -252,14 +255,15 @@ def _steps(p: Any, h: float) -> int:
     rate = p.damping / p.inertia + math.sqrt(p.stiffness / p.inertia)
     if p.lag > 0.0:
         rate += 1.0 / p.lag
-    return max(1, int(math.ceil(h * rate / STEP_RATE)))
+    steps: int = math.ceil(h * rate / STEP_RATE)
+    return max(1, steps)
 
 
 @kernel
 def _run(p: Any, motion: Any, law: Any, state: Any, out: Any, work: Any, trace: Any) -> None:
     """Run one loop; `trace` (samples x 3: x, v, set-point) is filled as far as it goes. `work` is SCRATCH numbers."""
     T = p.period
-    whole = int(math.floor(p.delay / T + 1e-9))
+    whole = math.floor(p.delay / T + 1e-9)
     early = min(max(p.delay - whole * T, 0.0), T)
     if early < 1e-9 * T:
         early = 0.0
@@ -282,9 +286,10 @@ def _run(p: Any, motion: Any, law: Any, state: Any, out: Any, work: Any, trace: 
     state.stuck, state.x_stuck, state.psi_Nm, state.brake_Nm = 1, counts * p.count, 0.0, 0.0
     motion.dt_s, motion.handle_Nm = T, 0.0
 
-    first = int(round(p.settle / T))
-    samples = first + int(round(p.window / T))
-    square, low, high = 0.0, counts, counts
+    first = round(p.settle / T)
+    samples = first + round(p.window / T)
+    half = (first + samples) // 2
+    square, second, low, high = 0.0, 0.0, counts, counts
     last_sign, last_torque = 0.0, 0.0
     reversals, flips, began, ended = 0, 0, 0, 0
     before = 0.0  # what acts until the set-point comes
@@ -309,6 +314,8 @@ def _run(p: Any, motion: Any, law: Any, state: Any, out: Any, work: Any, trace: 
             if k == first:
                 low, high = counts, counts
             square += motion.v_rad_s * motion.v_rad_s
+            if k >= half:
+                second += motion.v_rad_s * motion.v_rad_s
             low, high = min(low, counts), max(high, counts)
             if v_counts * last_sign < 0.0:
                 reversals += 1
@@ -330,6 +337,7 @@ def _run(p: Any, motion: Any, law: Any, state: Any, out: Any, work: Any, trace: 
         before = after
 
     out.velocity_rms = math.sqrt(square / max(samples - first, 1))
+    out.late_rms = math.sqrt(second / max(samples - half, 1))
     out.counts_p2p = int(high - low)
     out.reversals, out.torque_flips, out.samples = reversals, flips, samples
     out.frequency = 0.5 * (reversals - 1) / ((ended - began) * T) if ended > began else 0.0
