@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from host_bench import HostBench
 
-from eds.compiled import JIT_DISABLED, kernel
+from eds.compiled import CACHE_DIR, JIT_DISABLED, kernel
 from eds.rig import RigError, load_rig
 from host.control_socket import HostSocket, NoHost, control_path, stop_host
 from host.controller import Controller
