@@ -102,6 +102,9 @@ class DataPlane:
         no such bus
     """
 
+    MODULE = "host.plane"
+    """What the process runs."""
+
     def __init__(
         self, controller: Controller, address: BusAddress, *, priority: int | None = PRIORITY, cpu: int | None = None
     ) -> None:
@@ -131,7 +134,7 @@ class DataPlane:
         root = str(Path(__file__).resolve().parent.parent)
         path = os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH"))))
         return subprocess.Popen(
-            [sys.executable, "-P", "-m", "host.plane", json.dumps(settings)],
+            [sys.executable, "-P", "-m", self.MODULE, json.dumps(settings)],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             text=True,

@@ -1,0 +1,40 @@
+"""The data plane's process (`host.plane`) with the threads of `benchmarks.load` in it, which begin when the loop does."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import threading
+import time
+from typing import Any
+
+from benchmarks.load import start_load
+from host import plane
+from host.data_plane import DataPlane
+from host.plane_records import SharedPlane, Status
+
+
+class LoadedPlane(DataPlane):
+    """A `DataPlane` whose process has a busy and a garbage-making Python thread besides the loop."""
+
+    MODULE = "benchmarks.loaded_plane"
+
+    def wait_loaded(self) -> None:
+        """Wait until both threads run."""
+        assert self._process.stdout is not None
+        self._process.stdout.readline()
+
+
+def _load_later(settings: dict[str, Any]) -> None:
+    shared = SharedPlane(settings["memory_fd"])
+    while shared.plane["status"][0] != Status.LISTENING:  # what comes before would take minutes beside a busy thread
+        time.sleep(0.02)
+    start_load()
+    os.write(1, b"loaded\n")
+
+
+if __name__ == "__main__":
+    settings = json.loads(sys.argv[1])
+    threading.Thread(target=_load_later, args=(settings,), daemon=True).start()
+    sys.exit(plane.main(settings))
