@@ -137,7 +137,7 @@ def _why_not_passive(n: Floats, d: Floats) -> str:
     """Return why n/d is not positive real, or an empty text.
 
     Positive real: no pole in Re s > 0, poles on the imaginary axis and at infinity simple with a positive residue, Re Z(jw) >= 0.
-    Source: M. E. Van Valkenburg, Introduction to Modern Network Synthesis, 1960, chapter 3.
+    Source: M. E. Van Valkenburg, Introduction to Modern Network Synthesis, 1960.
     """
     excess = len(n) - len(d)
     if excess > 1:

@@ -8,8 +8,8 @@ For an odd friction with slopes in [0, k] the loop is stable if there is an
 For a given k this is linear in :math:`h`, so a linear program finds the largest :math:`\varepsilon` on a grid, and k is bisected. What is
 reported is checked afterwards on a grid many times finer; the slope is lowered until it holds there.
 
-Source: J. C. Willems, R. W. Brockett, IEEE T-AC 13(4), 1968, doi:10.1109/TAC.1968.1098941; J. Carrasco, W. P. Heath et al., Automatica 112, 2020
-(FIR multipliers by convex search).
+Source: J. C. Willems, R. W. Brockett, Some new rearrangement inequalities having application in stability analysis, IEEE T-AC 13, 1968;
+J. Carrasco et al., Convex searches for discrete-time Zames-Falb multipliers, IEEE T-AC 65, 2020.
 """
 
 from __future__ import annotations
