@@ -17,7 +17,7 @@ from wire.client import BusUnavailable, Client, pack_frame
 from wire.hello import Hello
 
 ROOT = Path(__file__).resolve().parent.parent
-PATIENCE_S = 60  # never reached where all is well; the first start compiles
+PATIENCE_S = 240  # never reached where all is well; the first start compiles
 REST = '{kind = "rest", duration_s = 1.0}'
 HOLD = f"""[{REST}, {{kind = "hold", duration_s = 20.0, push_F_s = 0.6, frequency_Hz = 0.5, \
 taps_s = [0.2, 0.5], tap_Nm = 0.6, tap_s = 0.01}}]"""

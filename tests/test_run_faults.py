@@ -28,10 +28,13 @@ def private_sockets(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
 
 
-@pytest.mark.parametrize("victim", ["host", "data plane"])
-@pytest.mark.parametrize(("mode", "phase"), [("hybrid", STROKE), ("active", HOLD)], ids=["stroke", "active hold"])
+@pytest.mark.parametrize(
+    ("mode", "phase", "victim"),
+    [("hybrid", STROKE, "host"), ("active", HOLD, "host"), ("active", HOLD, "data plane")],
+    ids=["stroke", "active hold", "active hold, data plane alone"],
+)
 def test_the_host_is_killed(mode, phase, victim):
-    """SIGKILL to the host takes the data plane with it; SIGKILL to the data plane is noticed by the host. Both nodes save themselves."""
+    """SIGKILL to the host takes the data plane with it, and both nodes save themselves; when the data plane dies alone, the host saves them."""
     overrides = (f"phase={phase}",)
     with (
         simulation(BUS, mode=mode, overrides=overrides),
@@ -59,10 +62,13 @@ def test_the_host_is_killed(mode, phase, victim):
         assert observer.last(0x080) == last_sync  # no orphan sends SYNC
     for node in (1, 2):
         first = min(stamp for stamp, _ in observer.emcys(node) if stamp > last_sync)
-        assert first - last_sync <= EMCY_S
         assert {code for _, code in observer.emcys(node)} <= {0x8130, 0x8250, 0x8700}
-    fault_s = min(stamp for stamp, _ in observer.emcys(1) if stamp > last_sync)
-    torque = [pm for stamp, pm, _, _ in samples if stamp > fault_s]
+        if victim == "host":
+            assert first - last_sync <= EMCY_S
+    if victim == "data plane":  # the host has sent both nodes to PRE-OPERATIONAL
+        stopped = [stamp for stamp, can_id, data in observer.log if can_id == 0x000 and data == b"\x80\x00"]
+        assert stopped[-1] > last_sync
+    torque = [pm for stamp, pm, _, _ in samples if stamp > last_sync + EMCY_S]
     assert torque
     assert max(map(abs, torque)) <= ZERO_PM
     coil = [
@@ -83,7 +89,7 @@ def test_the_bus_is_killed_and_comes_back():
         sim.kill()
         status, data, err = result(run)
     assert status == 7, err
-    assert data["trip"].startswith("BUS_LOST")
+    assert data["trip"].startswith(("BUS_LOST", "TPDO_LOST"))  # a large process takes a while to die
     with simulation(BUS), host(BUS, seconds=1.2) as run:
         status, data, err = result(run)
     assert status == 0, err
@@ -138,6 +144,7 @@ def test_a_flood_of_unknown_identifiers():
 
 
 def test_a_reader_that_does_not_read_harms_nobody():
+    """The observer looks at nothing."""
     with simulation(BUS, mode="passive"), Observer(BUS), host(BUS, mode="passive", seconds=1.5) as run:
         status, data, err = result(run)
     assert status == 0, (err, data and data["trip"])
