@@ -1,0 +1,135 @@
+"""``coulombus sim`` on SocketCAN: the nodes as stations of a bus that Linux carries."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import struct
+import subprocess
+import sys
+import threading
+import time
+
+import canopen
+import pytest
+from vm_interfaces import INTERFACES, ROOT
+
+FRAME = struct.Struct("=IB3x8s")
+TIMEOUT_S = 60.0
+
+
+@pytest.fixture(scope="module")
+def sim(start_sim):
+    """One sim for all tests here: under emulation its start takes half a minute."""
+    return start_sim()
+
+
+@pytest.fixture
+def raw(interface):
+    with can_socket(interface) as opened:
+        yield opened
+
+
+def can_socket(interface):
+    opened = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+    opened.bind((interface,))
+    opened.settimeout(TIMEOUT_S)
+    return opened
+
+
+def ip(*arguments):
+    subprocess.run(["ip", "link", *arguments], check=True)
+
+
+def upload(raw, node, index, subindex):
+    """Read an object by SDO, again and again while the interface is not quite up."""
+    deadline = time.monotonic() + TIMEOUT_S
+    raw.settimeout(1.0)
+    while time.monotonic() < deadline:
+        with contextlib.suppress(TimeoutError, OSError):
+            raw.send(FRAME.pack(0x600 + node, 8, struct.pack("<BHB4x", 0x40, index, subindex)))
+            while True:
+                can_id, _, data = FRAME.unpack(raw.recv(16))
+                if can_id == 0x580 + node:
+                    return data[4:]
+    raise TimeoutError(f"no answer of node {node}")
+
+
+def test_nodes_answer(sim, raw):
+    assert sim.ready["bus"] == f"socketcan:{INTERFACES[-1]}"
+    assert upload(raw, 1, 0x1000, 0) == struct.pack("<I", 0x00020192)
+    assert upload(raw, 2, 0x1000, 0) == struct.pack("<I", 0x000A0194)
+
+
+def test_canopen_brings_a_node_to_operational_and_sync_makes_pdos(sim, raw, interface):
+    network = canopen.Network()
+    network.connect(interface="socketcan", channel=interface)
+    try:
+        node = network.add_node(1, str(ROOT / "eds" / "motor.eds"))
+        node.sdo.RESPONSE_TIMEOUT = 5.0
+        assert node.sdo[0x1000].raw == 0x00020192
+        node.sdo[0x1017].raw = 50
+        node.nmt.state = "OPERATIONAL"
+        node.nmt.wait_for_heartbeat(TIMEOUT_S)
+        network.sync.transmit()
+        raw.settimeout(TIMEOUT_S)
+        while FRAME.unpack(raw.recv(16))[0] != 0x181:
+            pass
+    finally:
+        network.disconnect()
+
+
+def test_a_flood_of_unknown_identifiers(sim, interface):
+    over = threading.Event()
+
+    def flood():
+        with can_socket(interface) as sender:
+            k = 0
+            while not over.is_set():
+                with contextlib.suppress(OSError):  # ENOBUFS: the interface is full
+                    sender.send(FRAME.pack(0x7F0 - k % 16, 8, bytes(8)))
+                k += 1
+
+    thread = threading.Thread(target=flood)
+    thread.start()
+    try:
+        with can_socket(interface) as raw:
+            accept = struct.pack("=II", 0x581, 0x7FF)
+            raw.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, accept)
+            assert upload(raw, 1, 0x1000, 0) == struct.pack("<I", 0x00020192)
+    finally:
+        over.set()
+        thread.join()
+
+
+def test_an_interface_that_goes_goes_down_is_used_again_and_told_of(sim, raw):
+    upload(raw, 1, 0x1000, 0)
+    for name in set(INTERFACES):
+        ip("set", name, "down")
+    time.sleep(0.5)
+    assert sim.process.poll() is None
+    for name in set(INTERFACES):
+        ip("set", name, "up")
+    assert upload(raw, 1, 0x1000, 0) == struct.pack("<I", 0x00020192)
+    end, status = sim.end()
+    assert status == 0
+    assert end["socketcan"]["net_down"] >= 1
+    assert min(end["socketcan"][name] for name in ("sent", "delivered")) >= 4
+
+
+def test_an_interface_that_is_removed_ends_the_sim():
+    ip("add", "vcan9", "type", "vcan")
+    try:
+        command = [sys.executable, "-m", "coulombus", "sim", "--bus", "socketcan:vcan9", "--json"]
+        refused = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+        assert refused.returncode == 4
+        assert "ip link set vcan9 up" in refused.stderr
+        ip("set", "vcan9", "up")
+        process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        assert process.stdout is not None
+        assert "ready" in process.stdout.readline()
+    finally:
+        ip("delete", "vcan9")
+    _, told = process.communicate(timeout=TIMEOUT_S)
+    assert process.returncode == 4, told
+    assert "does not exist any more" in told
