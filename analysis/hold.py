@@ -37,7 +37,7 @@ Floats: TypeAlias = npt.NDArray[np.float64]
 STICK_VARIANTS = (("continuous", "hold"), ("continuous", "spring"), ("paper", "spring"))
 SLOW_S, FAST_S = 1.0, 0.05
 PUSH_F_S = 1.15
-CREEP_F_S = 0.9
+CREEP_F_S = 0.95
 SLIDING_CYCLES = 5
 
 
@@ -50,7 +50,7 @@ class Breakaway:
     """Hand's torque on the handle just before it slid; None: it never did."""
     share_of_F_s: float | None
     crept_rad: float
-    """How far it had moved when the push reached 0.9 F_s; stuck it should be 0."""
+    """How far it had moved when the push reached 0.95 F_s; stuck it should be 0."""
     t_s: Floats
     """From the ramp's start."""
     angle_rad: Floats

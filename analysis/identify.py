@@ -22,12 +22,14 @@ from __future__ import annotations
 
 import math
 import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import minimize_scalar
 from scipy.signal import savgol_filter
 
 from eds.rig import Rig, load_rig
@@ -155,6 +157,14 @@ def _solve(X: Floats, y: Floats, lags: int) -> tuple[Floats, Floats, float]:
     return beta / scale, np.sqrt(np.maximum(np.diag(covariance), 0.0)) / scale, float(residual @ residual)
 
 
+def _refined(design: Callable[[float], Floats], torque: Floats, start: float) -> float:
+    """Return the best v_S between half and twice the grid's."""
+    found = minimize_scalar(
+        lambda v_s: _solve(design(v_s), torque, 0)[2], bounds=(0.5 * start, 2 * start), method="bounded"
+    )
+    return float(found.x)
+
+
 def fit_friction(v: Floats, a: Floats, torque: Floats, *, lags: int = 0, remarks: list[str] | None = None) -> Fit:
     """Fit friction to samples that slide.
 
@@ -206,10 +216,15 @@ def fit_friction(v: Floats, a: Floats, torque: Floats, *, lags: int = 0, remarks
                 trials.append((_solve(np.column_stack([X, shape]), torque, 0)[2], v_s))
         best = min(trials, default=None)
         if best is not None and criterion(best[0], X.shape[1] + 2) < criterion(rss, X.shape[1]) - STRIBECK_GAIN:
-            wide = np.column_stack([X, sign * np.exp(-((v / best[1]) ** 2))])
-            with_it = _solve(wide, torque, lags)
-            if abs(with_it[0][-1]) > Z95 * with_it[1][-1]:
-                (beta, error, rss), stribeck = with_it, (float(with_it[0][-1]), float(best[1]))
+            v_s = _refined(lambda v_s: np.column_stack([X, sign * np.exp(-((v / v_s) ** 2))]), torque, best[1])
+            wide = np.column_stack([X, sign * np.exp(-((v / v_s) ** 2))])
+            with_it, _, rss_with = _solve(wide, torque, lags)
+            # v_S is fitted as well: its tangent belongs to what the covariance knows
+            tangent = with_it[-1] * wide[:, -1] * 2 * v**2 / v_s**3
+            _, error_with, _ = _solve(np.column_stack([wide, tangent]), torque, lags)
+            if abs(with_it[-1]) > Z95 * error_with[-2]:
+                beta, error, rss = with_it, error_with, rss_with
+                stribeck = float(with_it[-1]), v_s
     if stribeck is None:
         notes.append("the data do not carry Stribeck's term")
 
