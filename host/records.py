@@ -167,6 +167,7 @@ HOST = np.dtype(
         ("trip_ns", np.int64),
         ("emcy_code", np.int64),  # error code of the EMCY that tripped
         ("sign_result", np.int64),
+        ("sign_direction", np.int64),  # sense that the sign check tries: 1, then -1
         ("deadman_ok", np.int64),  # 1: a hand is on the switch, or none is asked for
         # the cycle
         ("cycle", np.int64),

@@ -122,12 +122,17 @@ def _arm(c: Any, h: Any, law: Any, t_ns: int) -> None:
 
 @kernel
 def _phase_sign(c: Any, h: Any, t_ns: int) -> float:
-    """Ramp a small motor torque up until the handle moves: the encoder must count up, the hand must resist.
+    """Ramp a small motor torque until the handle moves: the encoder must count with it, the hand must resist.
 
     Returns the motor's torque [Nm]. The encoder's verdict falls at `sign_counts`; the ramp goes on to a few times that, so that the hand's
-    mean torque over `sign_hand_cycles` (a tremor's period) tells the transducer's sign.
+    mean torque over `sign_hand_cycles` (a tremor's period) tells the transducer's sign. The positive sense is tried first. A hand that rests
+    on the handle may hold it by friction against that; then the negative sense is tried, and nothing that moves before the torque has
+    turned its sign is evidence.
     """
-    moved = h.counts - h.reference_counts
+    u = h.motor_Nm * h.sign_direction  # torque in the sense that is tried
+    if u < 0.0:
+        h.reference_counts = h.counts
+    moved = (h.counts - h.reference_counts) * h.sign_direction
     if c.rad_count < 0.0:
         moved = -moved
     if abs(moved) > c.sign_travel_counts:
@@ -136,30 +141,33 @@ def _phase_sign(c: Any, h: Any, t_ns: int) -> float:
     if moved <= -c.sign_counts:
         _trip(c, h, SIGN_ENCODER, t_ns)
         return 0.0
-    torque = h.motor_Nm
     limit = min(c.sign_torque_Nm, c.motor_limit_pm * abs(c.Nm_pm))
-    if moved < SIGN_TRAVEL_FACTOR * c.sign_counts and torque < limit:
-        torque = min(torque + c.sign_step_Nm, limit)
+    if moved < SIGN_TRAVEL_FACTOR * c.sign_counts and u < limit:
+        u = min(u + c.sign_step_Nm, limit)
     if moved < c.sign_counts:
         h.handle_during_Nm = 0.0
         h.handle_samples = 0
-        if torque >= limit:
+        if u >= limit:
             h.still += 1
             if h.still > c.sign_hand_cycles:
-                _trip(c, h, SIGN_NO_MOTION, t_ns)
-                return 0.0
-        return torque
+                if h.sign_direction < 0:
+                    _trip(c, h, SIGN_NO_MOTION, t_ns)
+                    return 0.0
+                h.sign_direction = -1
+                h.still = 0
+                return u
+        return u * h.sign_direction
     h.handle_during_Nm += h.handle_Nm
     h.handle_samples += 1
     if h.handle_samples < c.sign_hand_cycles:
-        return torque
-    change = h.handle_during_Nm / h.handle_samples - h.handle_before_Nm
+        return u * h.sign_direction
+    change = (h.handle_during_Nm / h.handle_samples - h.handle_before_Nm) * h.sign_direction
     if change > c.sign_hand_Nm:
         _trip(c, h, SIGN_TRANSDUCER, t_ns)
         return 0.0
     h.sign_result = AGREED if change < -c.sign_hand_Nm else NO_HAND
     _enter(h, SETTLE)
-    return torque
+    return u * h.sign_direction
 
 
 @kernel
@@ -311,6 +319,7 @@ def finish(
             h.enabled_ns = t_ns
             h.motor_Nm = 0.0
             if c.sign_check:
+                h.sign_direction = 1
                 _enter(h, SIGN)
             else:
                 _arm(c, h, state, t_ns)
@@ -320,7 +329,7 @@ def finish(
         wanted = _phase_sign(c, h, t_ns)
     elif h.phase == SETTLE:
         _count_still(h)
-        wanted = max(h.motor_Nm - 5.0 * c.sign_step_Nm, 0.0)
+        wanted = max(abs(h.motor_Nm) - 5.0 * c.sign_step_Nm, 0.0) * h.sign_direction
         if wanted == 0.0 and h.still >= c.settle_cycles:
             _arm(c, h, state, t_ns)
         elif h.phase_cycle > c.still_timeout_cycles:

@@ -60,6 +60,33 @@ def test_a_wrong_sign_refuses(direction, hand, text):
     assert abs(bench.counts * bench.c.rad_count) < 0.2
 
 
+@pytest.mark.parametrize("preload_Nm", [-0.1, 0.1])
+@pytest.mark.parametrize(
+    ("encoder", "transducer", "text"), [(1, 1, None), (-1, 1, "SIGN_ENCODER"), (1, -1, "SIGN_TRANSDUCER")]
+)
+def test_a_hand_that_rests_on_the_handle(preload_Nm, encoder, transducer, text):
+    """Its pull and the friction hold the handle against a torque in one sense; in the other one it moves, and every sign is told."""
+    bench = HostBench()
+    angle = 0.0
+    for _ in range(3000):
+        if bench.phase >= Phase.RUN:
+            break
+        torque = bench.motor_pm * bench.c.Nm_pm
+        net = torque + preload_Nm
+        if abs(net) > 0.14:
+            angle = (abs(net) - 0.14) / 5.0 * (1 if net > 0 else -1)
+        bench.counts = encoder * angle / abs(bench.c.rad_count)
+        bench.handle_Nm = transducer * (preload_Nm - 5.0 * angle)
+        bench.cycle()
+    if text is None:
+        assert bench.phase is Phase.RUN
+        assert bench.k.sign_result is SignResult.AGREED
+        assert bench.h.sign_direction == (1 if preload_Nm > 0 else -1)
+    else:
+        assert bench.k.trip.startswith(text)
+    assert abs(bench.motor_pm * bench.c.Nm_pm) <= 0.168
+
+
 def test_no_torque_before_operation_enabled_and_little_in_the_sign_check():
     bench = HostBench("active")
     largest = 0.0
