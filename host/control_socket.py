@@ -1,4 +1,4 @@
-"""The running host's door: a socket beside the bus', by which ``coulombus stop`` asks for a safe stop. It also keeps a second host of this machine out."""
+"""The running host's door: a socket beside the bus', by which ``coulombus stop`` asks for a safe stop, and by which a second host knows of it."""
 
 from __future__ import annotations
 
