@@ -1,11 +1,14 @@
 """`make bench`: the project's figures of speed, each with what it is measured against.
 
+``python -m benchmarks [virtual|realtime]``; real time is `benchmarks.realtime`.
+
 This machine's clock is not yours: every figure is a ratio (simulated to real time, or to a reference that ran in between in the same process).
 Each is the median of several rounds; the references are interleaved with what they are held against.
 """
 
 from __future__ import annotations
 
+import argparse
 import os
 import statistics
 import subprocess
@@ -125,10 +128,27 @@ def frame_lengths() -> None:
     show("frame length: compiled tables (call from Python included) against bit by bit", f"{slow / fast:.1f} x")
 
 
-def main() -> None:
-    """Run all benchmarks."""
+def virtual() -> None:
+    """Run the benchmarks in virtual time."""
     for benchmark in (simulation, start_up, frame_lengths):
         benchmark()
+
+
+def main() -> None:
+    """Run what the arguments ask for."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description="Figures of speed, as ratios.")
+    parser.add_argument("what", nargs="?", choices=("all", "virtual", "realtime"), default="all")
+    parser.add_argument("--seconds", type=float, default=5.0, help="of each contestant in each round, in real time")
+    parser.add_argument("--rounds", type=int, default=3, help="in real time")
+    parser.add_argument("--minutes", type=float, default=0.5, help="of the run that looks for lost PDOs")
+    parser.add_argument("--figure", type=Path, help="draw the histograms of the wake-ups there")
+    options = parser.parse_args()
+    if options.what != "realtime":
+        virtual()
+    if options.what != "virtual":
+        from benchmarks.realtime import realtime
+
+        realtime(seconds=options.seconds, rounds=options.rounds, minutes=options.minutes, figure=options.figure)
 
 
 if __name__ == "__main__":
