@@ -7,11 +7,11 @@ While the handle slides, the hand's torque on it (the transducer's) is
 which is what the hand *feels*: the device's own friction, less what the motor compensates of it, plus whatever is displayed. With the motor's torque
 (6077h) added to the left it is the *device's* friction, compensated or not. Both are fitted.
 
-Samples. Only those slide that have :math:`|\hat v| > \Delta v` over a whole window, in one direction, and, where there are enough, with the
-coil off. Speed and acceleration come from a quadratic through the window's positions (Savitzky-Golay), the torques go through the same filter: an
-encoder's quantisation is averaged, not differentiated, and both sides of the equation are delayed alike. :math:`f_0` (the transducer's
-bias) is fitted when both directions are there. :math:`v_S` is found on a grid (variable projection), and Stribeck's term stays only if it
-lowers Schwarz's criterion clearly.
+Samples. Only those slide that have :math:`|\hat v| > \Delta v` over a whole window, in one direction, during the display, and, where there are
+enough, with the coil off. Speed and acceleration come from a quadratic through the window's positions (Savitzky-Golay), the torques go through the
+same filter: an encoder's quantisation is averaged, not differentiated, and both sides of the equation are delayed alike. :math:`f_0` (the
+transducer's bias) is fitted when both directions are there. :math:`v_S` is found on a grid, then refined (variable projection), and
+Stribeck's term stays only if it lowers Schwarz's criterion clearly.
 
 Confidence. Filtered residuals resemble their neighbours, so the covariance is Newey and West's, which counts that; the intervals are 95 %.
 
@@ -33,6 +33,7 @@ from scipy.optimize import minimize_scalar
 from scipy.signal import savgol_filter
 
 from eds.rig import Rig, load_rig
+from lab.measures import phases
 from lab.simulate import simulate
 from scope.recording import Recording, Series, read
 
@@ -302,6 +303,9 @@ def identify(recording: Recording | str | Path, *, window_s: float = WINDOW_S) -
     even = np.abs(np.diff(t, prepend=t[0] - period) - period) < 0.5 * period
     band = recording.rig.law.velocity_band_counts
     usable = even & np.isfinite(handle) & np.isfinite(motor)
+    spans = phases(recording)
+    if spans:  # not what comes before or after the display
+        usable &= (t >= spans[0].begin_s) & (t < spans[-1].end_s)
     sliding = _lasting(usable & (counts > band), half, half) | _lasting(usable & (counts < -band), half, half)
     off = _lasting(_held(recording["brake.setpoint_Nm"], t) == 0.0, round(COIL_OFF_S / period), half)
     coil_off = int(np.sum(sliding & off)) >= LEAST_SAMPLES

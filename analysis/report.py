@@ -21,7 +21,7 @@ from analysis.linear import Disk, passive_disk
 from analysis.maps import OscillationMap, oscillation_map
 from analysis.orbits import Orbits, orbits
 from analysis.parameters import Parameters
-from analysis.through_bus import BusCycle, through_bus
+from analysis.through_bus import BENCH_HARDWARE, BusCycle, through_bus
 from eds.rig import Rig
 
 __all__ = [
@@ -178,10 +178,14 @@ def as_json(found: Study) -> dict[str, Any]:
             "coulomb_after_Nm": plain(friction.coulomb_after_Nm),
             "viscous_Nms_rad": plain(friction.viscous_Nms_rad),
         },
-        "through_bus": [
-            {f.name: plain(getattr(row, f.name)) for f in fields(row) if f.name not in traces}
-            for row in found.through_bus
-        ],
+        **{
+            key: [
+                {f.name: plain(getattr(row, f.name)) for f in fields(row) if f.name not in traces}
+                for row in found.through_bus
+                if (row.hardware == BENCH_HARDWARE) == bench
+            ]
+            for key, bench in (("through_bus", False), ("through_bus_bench_hardware", True))
+        },
         "hold": plain(found.hold),
         "map": {
             "points": found.map.share.size,

@@ -168,6 +168,7 @@ def test_identify_on_the_command_line(tmp_path):
     assert found["device"]["coulomb_Nm"] == pytest.approx(
         0.14, abs=0.01
     )  # the motor's torque is known, so its chatter is too
+    assert found["coulomb_Nm"] == pytest.approx(1.0, abs=0.1)  # what is displayed
     assert found["coulomb_Nm_ci95"][0] < found["coulomb_Nm"] < found["coulomb_Nm_ci95"][1]
     assert plot.read_bytes().startswith(PNG)
     text = runner.invoke(main, ["identify", str(moved)])
