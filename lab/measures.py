@@ -80,8 +80,8 @@ def _windows(recording: Recording, spans: list[PhaseSpan]) -> tuple[list[Window]
     holds = [(s.begin_s + HOLD_LEAD_S, s.end_s - HOLD_TAIL_S) for s in spans if s.kind == "hold"]
     sticks = []
     for span in spans:
-        if span.kind == "stroke":
-            stroke = recording.rig.phases[span.index]
+        stroke = recording.rig.phases[span.index]
+        if stroke.kind == "stroke":
             dwell = span.begin_s + stroke.move_s
             while dwell < span.end_s:
                 last = min(dwell + min(STICK_WINDOW_S[1], stroke.dwell_s), span.end_s)
