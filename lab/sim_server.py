@@ -150,6 +150,11 @@ class SimServer:
         self.real_time = RealTime()
         self.result = SimResult(str(address))
         on_can = address.kind == "socketcan"
+        raw = None
+        if on_can:  # first what can be refused at once: compiling takes half a minute the first time
+            raw = can_socket(address.name)
+        else:
+            _refuse_live(socket_path(address.name), address)
         self.bit_rate = 0 if unpaced or on_can else rig.bus.bitrate_bit_s
         self.world = PacedRig(rig, mode, seed, self.bit_rate)
         self._script = tuple(script)
@@ -173,8 +178,8 @@ class SimServer:
         self._pace["wake"], self._pace["listener"], self._pace["end_ns"] = self._wake, -1, FOREVER_NS
         self._load()
         try:
-            if on_can:
-                self._open_interface(address.name)
+            if raw is not None:
+                self._open_interface(raw)
             else:
                 self._listen(address)
         except BaseException:
@@ -274,7 +279,8 @@ class SimServer:
         listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
         try:
             with _locked(path.parent):
-                _remove_dead(path, address)
+                if _refuse_live(path, address):
+                    path.unlink()
                 listener.bind(str(path))
                 listener.listen(16)
             self._inode = path.stat().st_ino
@@ -350,8 +356,7 @@ class SimServer:
 
     # SocketCAN
 
-    def _open_interface(self, name: str) -> None:
-        raw = can_socket(name)
+    def _open_interface(self, raw: socket.socket) -> None:
         raw.setblocking(False)
         raw.setsockopt(SOL_CAN_RAW, CAN_RAW_ERR_FILTER, CAN_ERR_MASK)
         ask_for_stamps(raw)
@@ -382,16 +387,15 @@ def _locked(directory: Path) -> Iterator[None]:
         os.close(fd)
 
 
-def _remove_dead(path: Path, address: BusAddress) -> None:
-    """Remove a socket's file whose process is dead; refuse when it lives."""
+def _refuse_live(path: Path, address: BusAddress) -> bool:
+    """Refuse a socket's file whose process lives; return whether there is the file of a dead one."""
     with closing(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)) as probe:
         try:
             probe.connect(str(path))
         except FileNotFoundError:
-            return
+            return False
         except ConnectionRefusedError:
-            path.unlink()
-            return
+            return True
         except BlockingIOError:  # its queue is full: it lives
             pass
     raise BusUnavailable(

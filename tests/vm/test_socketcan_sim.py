@@ -92,6 +92,7 @@ def test_a_flood_of_unknown_identifiers(sim, interface):
 
     thread = threading.Thread(target=flood)
     thread.start()
+    time.sleep(1.0)
     try:
         with can_socket(interface) as raw:
             accept = struct.pack("=II", 0x581, 0x7FF)
@@ -102,7 +103,7 @@ def test_a_flood_of_unknown_identifiers(sim, interface):
         thread.join()
 
 
-def test_an_interface_that_goes_goes_down_is_used_again_and_told_of(sim, raw):
+def test_an_interface_that_goes_down_is_used_again_and_what_is_told_at_the_end(sim, raw):
     upload(raw, 1, 0x1000, 0)
     for name in set(INTERFACES):
         ip("set", name, "down")

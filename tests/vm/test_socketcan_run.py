@@ -1,0 +1,167 @@
+"""``coulombus run`` on SocketCAN: the host's data plane and control plane on Linux's own CAN. Slowed down fifty times, as an emulated machine is."""
+
+from __future__ import annotations
+
+import json
+import signal
+import struct
+import subprocess
+import sys
+import threading
+import time
+from contextlib import contextmanager
+
+import pytest
+from vm_interfaces import INTERFACES, ROOT
+
+from scope.recording import read
+from wire.address import parse_address
+from wire.client import BusFull, BusUnavailable, Client, pack_frame
+from wire.hello import Hello
+
+PATIENCE_S = 300
+SLOW = (
+    *(
+        "bus.period_s=0.05",
+        "bus.tpdo_window_s=0.04",
+        "host.heartbeat_s=0.2",
+        "host.sdo_timeout_s=10",
+        "host.loss_limit=1",
+    ),
+    *(f"{node}.heartbeat_s=0.2" for node in ("motor", "brake")),
+    *(f"{node}.heartbeat_timeout_s=5" for node in ("motor", "brake")),
+    *(f"{node}.setpoint_fault_s=1" for node in ("motor", "brake")),
+    *(f"{node}.sync_timeout_s=1" for node in ("motor", "brake")),
+    *("limits.missed_tpdo_cycles=40", "limits.still_timeout_s=60", "limits.handle_mismatch_Nm=100"),
+)
+SETS = [part for text in SLOW for part in ("--set", text)]
+
+
+@pytest.fixture(scope="module")
+def sim(start_sim):
+    return start_sim("--mode", "passive", *SETS)
+
+
+@contextmanager
+def host(interface, *arguments, mode="passive", seconds=2.0):
+    process = subprocess.Popen(
+        [
+            *(sys.executable, "-m", "coulombus", "run", "--bus", f"socketcan:{interface}", "--mode", mode, "--json"),
+            *("--seconds", str(seconds), *SETS, *map(str, arguments)),
+        ],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+def result(process):
+    out, err = process.communicate(timeout=PATIENCE_S)
+    return process.returncode, json.loads(out) if out.strip() else None, err
+
+
+@contextmanager
+def observer(interface):
+    with Client(parse_address(f"socketcan:{interface}"), Hello()) as client:
+        yield client
+
+
+def until(client, condition):
+    """Read until `condition(can_id, data)` holds for a frame; return its stamp [s]."""
+    deadline = time.monotonic() + PATIENCE_S
+    while time.monotonic() < deadline:
+        client.wait(0.1)
+        for stamp, can_id, length, data in client.receive():
+            if condition(can_id, data[:length]):
+                return stamp * 1e-9
+    raise AssertionError("it did not come")
+
+
+def enabled(can_id, data):
+    return can_id == 0x181 and data[0] & 0x6F == 0x27
+
+
+def test_a_run(sim, interface, tmp_path):
+    record = tmp_path / "r.pcapng"
+    with host(interface, "--record", record) as run:
+        status, data, err = result(run)
+    assert status == 0, (err, data and data["trip"])
+    assert data["bus"] == f"socketcan:{interface}"
+    assert data["cycles"] > 10
+    found = list(read(record).frames["can_id"])
+    assert {0x000, 0x080, 0x181, 0x182, 0x201, 0x202, 0x581, 0x601, 0x701} <= set(found)
+
+
+def test_no_torque_without_a_switch_or_a_word(sim, interface):
+    with host(interface, mode="active") as run:
+        status, _, err = result(run)
+    assert status == 7
+    assert "host.deadman" in err
+
+
+def test_the_interface_goes_down_in_mid_run(sim, interface):
+    with observer(interface) as client, host(interface, seconds=60) as run:
+        until(client, enabled)
+        try:
+            subprocess.run(["ip", "link", "set", interface, "down"], check=True)
+            status, data, err = result(run)
+        finally:
+            subprocess.run(["ip", "link", "set", interface, "up"], check=True)
+    assert status == 7, err
+    assert data["trip"].startswith("BUS_LOST")
+    assert "down" in data["trip"]
+
+
+def test_the_host_is_killed_under_a_flood(sim, interface):
+    """While it lives it bears a flood of unknown identifiers; when it dies the nodes say so, and nobody sends SYNC."""
+    over = threading.Event()
+    with observer(interface) as client, observer(interface) as flooder, host(interface, seconds=60) as run:
+
+        def flood():
+            while not over.is_set():
+                for _ in range(20):
+                    try:
+                        flooder.send(pack_frame(0x7F0, b"\xaa" * 8))
+                    except (BusFull, BusUnavailable):
+                        break
+                time.sleep(0.01)
+
+        until(client, enabled)
+        thread = threading.Thread(target=flood)
+        thread.start()
+        end = time.monotonic() + 3
+        until(client, lambda can_id, data: can_id == 0x201 and time.monotonic() > end)
+        over.set()
+        thread.join()
+        assert run.poll() is None, result(run)
+        run.send_signal(signal.SIGKILL)
+        run.wait()
+        told = {}
+
+        def emergency(can_id, data):
+            if can_id in (0x81, 0x82) and struct.unpack_from("<H", data)[0]:
+                told[can_id] = struct.unpack_from("<H", data)[0]
+            return len(told) == 2
+
+        until(client, emergency)
+        syncs = []
+        end = time.monotonic() + 1
+        while time.monotonic() < end:
+            client.wait(0.1)
+            syncs += [can_id for _, can_id, _, _ in client.receive() if can_id == 0x080]
+    assert set(told.values()) <= {0x8130, 0x8250, 0x8700}
+    assert not syncs
+
+
+def test_it_runs_again_after_all_that(sim, interface):
+    with host(interface, seconds=0.5) as run:
+        status, data, err = result(run)
+    assert status == 0, (err, data and data["trip"])
+    assert INTERFACES
