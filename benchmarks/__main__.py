@@ -1,6 +1,6 @@
 """`make bench`: the project's figures of speed, each with what it is measured against.
 
-``python -m benchmarks [virtual|realtime]``; real time is `benchmarks.realtime`.
+``python -m benchmarks [virtual|realtime|lost]``; real time is `benchmarks.realtime`.
 
 This machine's clock is not yours: every figure is a ratio (simulated to real time, or to a reference that ran in between in the same process).
 Each is the median of several rounds; the references are interleaved with what they are held against.
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
 import statistics
 import subprocess
 import sys
@@ -137,15 +138,20 @@ def virtual() -> None:
 def main() -> None:
     """Run what the arguments ask for."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description="Figures of speed, as ratios.")
-    parser.add_argument("what", nargs="?", choices=("all", "virtual", "realtime"), default="all")
+    parser.add_argument("what", nargs="?", choices=("all", "virtual", "realtime", "lost"), default="all")
     parser.add_argument("--seconds", type=float, default=5.0, help="of each contestant in each round, in real time")
     parser.add_argument("--rounds", type=int, default=3, help="in real time")
     parser.add_argument("--minutes", type=float, default=0.5, help="of the run that looks for lost PDOs")
     parser.add_argument("--figure", type=Path, help="draw the histograms of the wake-ups there")
     options = parser.parse_args()
-    if options.what != "realtime":
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # by way of the context managers that end the bus
+    if options.what in ("all", "virtual"):
         virtual()
-    if options.what != "virtual":
+    if options.what == "lost":
+        from benchmarks.realtime import lost
+
+        lost(options.minutes)
+    if options.what in ("all", "realtime"):
         from benchmarks.realtime import realtime
 
         realtime(seconds=options.seconds, rounds=options.rounds, minutes=options.minutes, figure=options.figure)

@@ -288,7 +288,7 @@ def has_cyclictest() -> str | None:
     if shutil.which("cyclictest") is None:
         return "no cyclictest (Debian: apt install rt-tests)"
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(1))
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     except PermissionError:
         return "SCHED_FIFO is not granted (docs/realtime.md)"

@@ -26,10 +26,11 @@ RATES = (
 CROWD_ROUNDS = 2000
 CYCLICTEST, TWIN, PLANE, CLASSIC = "cyclictest", "the loop's twin in C", "the compiled loop", "canopen, Notifier"
 LOADED = ", disturbed"
+COLOURS = {CYCLICTEST: "0.7", TWIN: "C2", PLANE: "C0", "canopen": "C1"}
 
 
 def show(what: str, figure: str, target: str = "") -> None:
-    print(f"{what:<78} {figure:>14}   {target}", flush=True)
+    print(f"{what:<84} {figure:>14}   {target}", flush=True)
 
 
 def skipped(what: str, reason: str) -> None:
@@ -74,7 +75,8 @@ def table(runs: dict[str, list[Run]]) -> None:
         all_of = together(some)
         row = f"{name:<32}"
         for share, width in ((0.5, 12), (0.99, 8)):
-            row += f"{median(r.p(share) / u for r, u in zip(some, unit, strict=True)) if unit else 0:>{width}.2f}"
+            ratios = [r.p(share) / u for r, u in zip(some, unit or (), strict=unit is not None)]
+            row += f"{median(ratios):>{width}.2f}" if ratios else f"{'-':>{width}}"
         known = cpu is not None and all_of.cpu_us is not None
         row += (
             f"{median((r.cpu_us or 0) / t for r, t in zip(some, cpu or (), strict=True)):>8.2f}"
@@ -223,10 +225,10 @@ def draw(runs: dict[str, list[Run]], path: Path) -> None:
             if ("disturb" in name) != disturbed:
                 continue
             edges, counts = coarse(together(some).wakeup)
-            style = {"color": "0.6", "fill": True} if plain == CYCLICTEST else {"linewidth": 1.6}
+            style = {"color": COLOURS[plain], "fill": plain == CYCLICTEST, "linewidth": 1.6}
             ax.stairs(np.maximum(counts / counts.sum(), 1e-9), edges / unit, label=plain, **style)
         ax.set(xscale="log", yscale="log", ylim=(1e-6, 1), ylabel="share of cycles", title=title)
-        ax.legend(loc="upper right", fontsize=8)
+        ax.legend(loc="upper left", fontsize=8)
     text = (
         "woke after its deadline, in units of cyclictest's p99"
         if CYCLICTEST in runs
@@ -234,6 +236,12 @@ def draw(runs: dict[str, list[Run]], path: Path) -> None:
     )
     panels[1].set_xlabel(text + "; the last bin holds all that is later")
     figure.savefig(path, dpi=110)
+
+
+def lost(minutes: float) -> None:
+    """Only look for lost PDOs, for so many minutes."""
+    with Bus() as bus:
+        long_run(bus, minutes)
 
 
 def realtime(*, seconds: float = 5.0, rounds: int = 3, minutes: float = 0.5, figure: Path | None = None) -> None:
