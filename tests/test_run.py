@@ -70,9 +70,14 @@ def stop_by_signal(number):
 
 
 def stop_by_command(run, observer):
-    done = subprocess.run(command("stop", "--bus", BUS), capture_output=True, text=True, timeout=PATIENCE_S)
-    assert done.returncode == 0, done.stderr
-    assert "stopped safely after" in done.stdout
+    with subprocess.Popen(
+        command("stop", "--bus", BUS), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as done:
+        while done.poll() is None:  # who does not read for more than a second loses frames
+            observer.watch(0.05)
+        out, err = done.communicate()
+    assert done.returncode == 0, err
+    assert "stopped safely after" in out
 
 
 @pytest.mark.parametrize(
