@@ -399,6 +399,8 @@ def test_killed_and_started_anew(rig):
 
 def test_the_world_stands_still_while_nobody_can_run():
     process, _ = start_command()
+    with connect(BusAddress("coulombus", "t")):  # answered: its loop runs
+        time.sleep(0.05)
     try:
         process.send_signal(signal.SIGSTOP)
         time.sleep(0.3)
