@@ -21,7 +21,6 @@ from eds.cia402 import PowerState
 from eds.compiled import kernel
 from lab.clients import FREE, GONE, flush, hand_out, take
 from lab.kernel import MOTOR, Exit, next_event, run
-from sim_bus.arbiter import FAR_NS
 from wire.libc import CLOCK_REALTIME, POLLIN, clock_ns, load_acquire, now_ns, ppoll_ns
 
 __all__ = ["PACE", "Serve", "serve"]
@@ -53,6 +52,10 @@ PACE = np.dtype(
         ("slot", np.int64),
         ("message_bytes", np.int64),
         ("handed_out", np.int64),  # rows of the log that the clients have
+        (
+            "planned_ns",
+            np.int64,
+        ),  # world time at which the loop meant to be awake, or was when it last called for Python
         ("wakeups", np.int64),
         ("stalls", np.int64),
         ("stalled_ns", np.int64),
@@ -133,15 +136,13 @@ def serve(
     """Serve until Python is needed; return an `Exit` or a `Serve` that says why."""
     p, w, b, h = pace[0], world[0], bus[0], host[0]
     flag = pace.ctypes.data
-    planned_ns = FAR_NS
-    why = 0
     while True:
         t_ns = now_ns() - p.start_ns
         offset_ns = t_ns - clock_ns(CLOCK_REALTIME)
         taken = take(w, p, slots, boxes, words, queue, header, offset_ns, t_ns)
-        if t_ns > planned_ns + STALL_NS:
-            t_ns -= _forgive(p, slots, planned_ns, t_ns)
-        planned_ns = FAR_NS
+        if t_ns > p.planned_ns + STALL_NS:
+            t_ns -= _forgive(p, slots, p.planned_ns, t_ns)
+        p.planned_ns = t_ns
         if taken != 0:
             return taken
         # the world up to the present, event by event: each start of a frame makes room for its sender's next
@@ -195,8 +196,8 @@ def serve(
         t_ns = now_ns() - p.start_ns
         if t_ns >= p.end_ns:
             return TIME
-        planned_ns = min(min(t_event, p.end_ns), t_ns + LONGEST_SLEEP_NS)
-        why = _wait(p, slots, pollfds, max(planned_ns - t_ns, 0))
-        planned_ns = max(planned_ns, t_ns)
+        p.planned_ns = min(min(t_event, p.end_ns), t_ns + LONGEST_SLEEP_NS)
+        why = _wait(p, slots, pollfds, max(p.planned_ns - t_ns, 0))
+        p.planned_ns = max(p.planned_ns, t_ns)
         if why != 0:
             return why

@@ -222,7 +222,7 @@ class SimServer:
         if ready is not None:
             ready()
         begin, cpu_begin = time.monotonic_ns(), time.thread_time_ns()
-        pace["start_ns"] = begin
+        pace["start_ns"], pace["planned_ns"] = begin, 0
         if seconds is not None:
             pace["end_ns"] = round(seconds * 1e9)
         world.power_on()
