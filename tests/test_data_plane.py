@@ -10,13 +10,14 @@ import struct
 import threading
 import time
 from contextlib import contextmanager, suppress
+from pathlib import Path
 
 import numpy as np
 import pytest
 from host_bench import HostBench
 
 from eds.compiled import CACHE_DIR, JIT_DISABLED, kernel
-from eds.rig import RigError, load_rig
+from eds.rig import RigError, load_rig, load_rig_text
 from host.control_socket import HostSocket, NoHost, control_path, stop_host
 from host.controller import Controller
 from host.data_plane import SHARED_SECTIONS, DataPlane, Spread, rig_filters
@@ -27,6 +28,7 @@ from host.plane import loop_arguments
 from host.plane_records import BINS, RING_FRAMES, Command, SharedPlane, Status
 from host.records import Phase, Trip
 from lab.histogram import coarse
+from lab.simulate import simulate
 from wire.address import parse_address
 from wire.frame import frames
 from wire.hello import Hello
@@ -356,3 +358,36 @@ def test_an_object_as_switch_must_be_one():
     for wrong in ("object:7130:1", "object:60FF:0", "object:123456:0", "yes", "object:1018:1"):
         with pytest.raises(RigError, match=r"host\.deadman"):
             load_rig("bench", [f"host.deadman={wrong}"])
+
+
+def test_an_input_of_the_drive_as_switch():
+    """60FD is mapped beside the velocity; the bench arms while it is not 0, and stops in the cycle in which it is."""
+    folder = Path(__file__).resolve().parent.parent / "eds"
+    motor = (folder / "motor.eds").read_text()
+    count = int(re.search(r"\[OptionalObjects\]\nSupportedObjects=(\d+)", motor).group(1))
+    motor = motor.replace(
+        f"[OptionalObjects]\nSupportedObjects={count}\n",
+        f"[OptionalObjects]\nSupportedObjects={count + 1}\n{count + 1}=0x60FD\n",
+    )
+    motor += "\n[60FD]\nParameterName=Digital inputs\nObjectType=0x7\nDataType=0x0007\nAccessType=ro\nDefaultValue=0\nPDOMapping=1\n"
+    texts = {"motor.eds": motor, "mr_brake.eds": (folder / "mr_brake.eds").read_text()}
+    bench = load_rig("bench")
+    rig = load_rig_text(bench.text, bench.path, texts, ["host.deadman=object:60FD:0"])
+    assert [s.name for pdo in rig.pdos() if pdo.node == "motor" for s in pdo.signals][-1] == "motor.deadman"
+    seen = {}
+
+    def let_go(world):
+        world.motor[0x60FD, 0] = 0
+        seen["t_ns"] = world.t_ns
+
+    def press(world):
+        seen["world"] = world
+        world.motor[0x60FD, 0] = 1
+        world.at(world.t_ns + 2_500_000_000, let_go)
+
+    result = simulate(rig, "hybrid", 5.0, script=lambda world: world.at(500_000_000, press))
+    host = seen["world"].controller.host
+    assert result.trip.startswith("DEADMAN")
+    assert host["enabled_ns"][0] > 500_000_000  # not before it was pressed
+    assert 0 < host["trip_ns"][0] - seen["t_ns"] <= 2_000_000
+    assert simulate(rig, "hybrid", 1.0).trip.startswith("DEADMAN")  # never pressed
