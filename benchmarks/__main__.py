@@ -1,6 +1,6 @@
 """`make bench`: the project's figures of speed, each with what it is measured against.
 
-``python -m benchmarks [virtual|realtime|lost]``; real time is `benchmarks.realtime`.
+``python -m benchmarks [virtual|realtime|lost|disturbed]``; real time is `benchmarks.realtime`.
 
 This machine's clock is not yours: every figure is a ratio (simulated to real time, or to a reference that ran in between in the same process).
 Each is the median of several rounds; the references are interleaved with what they are held against.
@@ -138,7 +138,7 @@ def virtual() -> None:
 def main() -> None:
     """Run what the arguments ask for."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description="Figures of speed, as ratios.")
-    parser.add_argument("what", nargs="?", choices=("all", "virtual", "realtime", "lost"), default="all")
+    parser.add_argument("what", nargs="?", choices=("all", "virtual", "realtime", "lost", "disturbed"), default="all")
     parser.add_argument("--seconds", type=float, default=5.0, help="of each contestant in each round, in real time")
     parser.add_argument("--rounds", type=int, default=3, help="in real time")
     parser.add_argument("--minutes", type=float, default=0.5, help="of the run that looks for lost PDOs")
@@ -151,6 +151,10 @@ def main() -> None:
         from benchmarks.realtime import lost
 
         lost(options.minutes)
+    if options.what == "disturbed":
+        from benchmarks.realtime import disturbed
+
+        disturbed(options.seconds, options.rounds)
     if options.what in ("all", "realtime"):
         from benchmarks.realtime import realtime
 

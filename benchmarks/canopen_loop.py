@@ -108,7 +108,7 @@ class Loop:
         """Cycle for so long and return the figures."""
         period = round(self.rig.bus.period_s * 1e9)
         wakeup, latency = [0] * BINS, [0] * BINS
-        cycles = missed = incomplete = heartbeat = 0
+        cycles = missed = lates = incomplete = heartbeat = 0
         self.priority = priority
         self.network.subscribe(0x180 + self.rig.motor.node_id, self._promote)
         ask_for_real_time(priority, cpu)
@@ -122,6 +122,7 @@ class Loop:
             wake = time.monotonic_ns()
             wakeup[min(max(wake - t, 0) // 1000, BINS - 1)] += 1
             late = (wake - t) // period
+            was_late = late > 0
             if late > 0:
                 t += late * period
                 missed += late
@@ -136,6 +137,8 @@ class Loop:
             if late > 0:
                 t += late * period
                 missed += late
+                was_late = True
+            lates += was_late
             cycles += 1
         used = time.process_time_ns() - used
         for one in (self.motor_rx, self.brake_rx):  # no torque, no brake
@@ -146,6 +149,7 @@ class Loop:
         return {
             "cycles": cycles,
             "missed": missed,
+            "late": lates,
             "cpu_us": used / 1e3 / cycles,
             "incomplete": incomplete,
             "wakeup": [(i, n) for i, n in enumerate(wakeup) if n],

@@ -64,7 +64,9 @@ class Run:
     latency: np.ndarray[Any, Any] = field(default_factory=no_bins)
     cycles: int = 0
     missed: int = 0
-    """Periods at whose end the cycle was not done."""
+    """Periods at whose end the cycle was not done: a long standstill is many."""
+    late_cycles: int = 0
+    """Cycles that were not done at their period's end, or woke after it: a standstill is one."""
     incomplete: int = 0
     """Cycles in whose window not all TPDOs came."""
     never: int = 0
@@ -75,7 +77,12 @@ class Run:
 
     @property
     def late(self) -> float:
-        """Share of the periods."""
+        """Late cycles as a share of all cycles."""
+        return self.late_cycles / max(1, self.cycles)
+
+    @property
+    def gone(self) -> float:
+        """Missed periods as a share of all periods."""
         return self.missed / max(1, self.cycles + self.missed)
 
     @property
@@ -112,6 +119,7 @@ def together(runs: Sequence[Run]) -> Run:
         sum((r.latency for r in runs), no_bins()),
         sum(r.cycles for r in runs),
         sum(r.missed for r in runs),
+        sum(r.late_cycles for r in runs),
         sum(r.incomplete for r in runs),
         sum(r.never for r in runs),
         float(np.median(cpu)) if cpu else None,
@@ -214,6 +222,7 @@ def data_plane(bus: Bus, seconds: float, *, loaded: bool = False) -> Run:
             shared = plane.shared
             wakeup, latency = shared.wakeup_bins.copy(), shared.latency_bins.copy()
             missed, incomplete = int(shared.plane["missed_deadlines"][0]), int(k.host["lost_pdos"][0])
+            late = int(k.host["missed_deadlines"][0]) + int(wakeup[period // 1000 :].sum())
             trip = k.trip
             plane.end_cycle()
             while plane.status is Status.CYCLING:
@@ -224,7 +233,7 @@ def data_plane(bus: Bus, seconds: float, *, loaded: bool = False) -> Run:
         # SYNC is sent once more at the end, with the safe set-points, and answered
         never = sum(seen[0x80] - n for one, n in seen.items() if one != 0x80)
         refused = tuple(right["name"] for right in plane.real_time if not right["granted"])
-        return Run(wakeup, latency, cycles, missed, incomplete, never, plane.cpu_us_per_cycle(), refused, trip)
+        return Run(wakeup, latency, cycles, missed, late, incomplete, never, plane.cpu_us_per_cycle(), refused, trip)
     finally:
         plane.close()
 
@@ -278,6 +287,7 @@ def _told(line: str) -> Run:
         dense(found["latency"]),
         found["cycles"],
         found["missed"],
+        found["late"],
         found["incomplete"],
         cpu_us=found["cpu_us"],
     )
@@ -320,6 +330,7 @@ def cyclictest(
         elif line.startswith("# Histogram Overflows:"):
             run.wakeup[BINS - 1] += int(words[-1])
     run.cycles = int(run.wakeup.sum())
+    run.late_cycles = int(run.wakeup[period_us:].sum())
     run.missed = int((run.wakeup * (np.arange(BINS) // period_us)).sum())
     return run
 

@@ -208,7 +208,7 @@ static int controlword(int statusword)
 static int loop(char **a)
 {
     int fd = atoi(a[0]), cycles = 0;
-    int64_t period = atoll(a[1]), window = atoll(a[2]), missed = 0, heartbeat = 0, over = 0;
+    int64_t period = atoll(a[1]), window = atoll(a[2]), missed = 0, heartbeat = 0, lates = 0;
     struct pollfd wait = {.fd = fd, .events = POLLIN};
     real_time(atoi(a[4]), atoi(a[5]));
     int64_t t = (now() + 20000000) / period * period, end = t + (int64_t)(atof(a[3]) * SECOND);
@@ -219,7 +219,7 @@ static int loop(char **a)
             continue;
         int64_t wake = now(), late = (wake - t) / period;
         count(wakeup, wake - t);
-        over += wake - t > 1000000;
+        int was_late = late > 0;
         if (late > 0)
             t += late * period, missed += late;
         int found = TOOK;
@@ -253,13 +253,14 @@ static int loop(char **a)
         t += period;
         late = (done - t + period - 1) / period;
         if (late > 0)
-            t += late * period, missed += late;
+            t += late * period, missed += late, was_late = 1;
+        lates += was_late;
         cycles++;
     }
     cpu = clock_of(CLOCK_THREAD_CPUTIME_ID) - cpu;
     frame_t safe[3] = {{.id = 0x201, .length = 4}, {.id = 0x202, .length = 2}, {.id = 0x80}};
     transmit(fd, safe, 3);
-    printf("{\"cycles\": %d, \"missed\": %ld, \"cpu_us\": %.3f, \"incomplete\": %ld, \"full\": %ld", cycles, (long)missed,
+    printf("{\"cycles\": %d, \"missed\": %ld, \"late\": %ld, \"cpu_us\": %.3f, \"incomplete\": %ld, \"full\": %ld", cycles, (long)missed, (long)lates,
            cpu / 1e3 / cycles, (long)host.lost, (long)host.full);
     histogram("wakeup", wakeup);
     histogram("latency", latency);
