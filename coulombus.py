@@ -116,6 +116,18 @@ class _Seconds(click.ParamType):  # type: ignore[type-arg]  # generic to some ve
 YEAR_S = 31_557_600
 SECONDS = _Seconds()
 
+mode_option = click.option(
+    "--mode", type=click.Choice(MODES), default="hybrid", show_default=True, help="Who displays the friction."
+)
+seconds_option = click.option(
+    "--seconds",
+    type=SECONDS,
+    default=None,
+    help="Length of the display.  [default: the rig's schedule]",
+)
+record_option = click.option(
+    "--record", type=click.Path(dir_okay=False, path_type=Path), metavar="F.pcapng", help="Record every frame there."
+)
 rig_option = click.option(
     "--rig",
     "rig_name",
@@ -185,18 +197,9 @@ def _progress(enabled: bool) -> Iterator[Callable[[str, float, float], None]]:
 
 @main.command("simulate", epilog=EXIT_STATUS)
 @rig_option
-@click.option(
-    "--mode", type=click.Choice(MODES), default="hybrid", show_default=True, help="Who displays the friction."
-)
-@click.option(
-    "--seconds",
-    type=SECONDS,
-    default=None,
-    help="Length of the display.  [default: the rig's schedule]",
-)
-@click.option(
-    "--record", type=click.Path(dir_okay=False, path_type=Path), metavar="F.pcapng", help="Record every frame there."
-)
+@mode_option
+@seconds_option
+@record_option
 @seed_option
 @set_option
 @click.option(
@@ -298,18 +301,9 @@ def _print_runs(results: dict[str, RunResult]) -> None:
 @main.command("run", epilog=EXIT_STATUS)
 @rig_option
 @bus_option
-@click.option(
-    "--mode", type=click.Choice(MODES), default="hybrid", show_default=True, help="Who displays the friction."
-)
-@click.option(
-    "--seconds",
-    type=SECONDS,
-    default=None,
-    help="Length of the display.  [default: the rig's schedule]",
-)
-@click.option(
-    "--record", type=click.Path(dir_okay=False, path_type=Path), metavar="F.pcapng", help="Record every frame there."
-)
+@mode_option
+@seconds_option
+@record_option
 @click.option(
     "--histogram",
     type=click.Path(dir_okay=False, path_type=Path),

@@ -25,7 +25,6 @@ __all__ = ["ControlPlane", "bring_up", "shut_down"]
 
 INVALID = 1 << 31
 SETTLE_NS = 50_000_000
-BOOT_TIMEOUT_NS = 2_000_000_000
 
 
 class ControlPlane(Protocol):

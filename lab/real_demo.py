@@ -33,7 +33,6 @@ SHARED_MACHINE = (
 )
 """Overrides for a machine that is shared with others and may stand still for tens of milliseconds; the rig's PC needs none of them."""
 
-READY_TIMEOUT_S = 180.0
 END_TIMEOUT_S = 10.0
 
 

@@ -69,7 +69,6 @@ CRC_OF = _crc_tables()
 STUFF_8 = _stuff_table(8)
 STUFF_7 = _stuff_table(7)
 STUFF_3 = _stuff_table(3)[:8].copy()  # the first three bits of a base frame: only from "nothing sent yet"
-STATE = 0xF00
 
 
 @kernel
