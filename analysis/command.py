@@ -2,19 +2,31 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from eds.command_line import (
+    EXIT_STATUS,
+    PICTURE,
+    OutputDirectory,
+    errors,
+    json_option,
+    print_json,
+    remark,
+    rig_option,
+    seed_option,
+    set_option,
+)
+
 if TYPE_CHECKING:
     from analysis.parameters import Parameters
     from eds.rig import Rig
 
-__all__ = ["analyse_group"]
+__all__ = ["analyse", "identify_command"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -53,17 +65,9 @@ LOOP_NAMES = (
     "window",
 )
 
-rig_option = click.option(
-    "--rig", "rig_name", default="bench", show_default=True, metavar="R", help="A packaged rig or a rig file."
-)
-set_option = click.option(
-    "--set", "overrides", multiple=True, metavar="SECTION.KEY=V", help="Set any key of the rig file."
-)
-seed_option = click.option("--seed", default=0, show_default=True, help="Start of everything random.")
-json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON to stdout.")
 figures_option = click.option(
     "--figures",
-    type=click.Path(file_okay=False, path_type=Path),
+    type=OutputDirectory(),
     metavar="DIR",
     help="Draw the figures there, as PNG and SVG.",
 )
@@ -92,14 +96,14 @@ def _parameters(options: dict[str, Any]) -> Parameters:
 def _rig(options: dict[str, Any]) -> Rig:
     from eds.rig import load_rig
 
-    return load_rig(options.pop("rig_name"), options.pop("overrides"))
+    return load_rig(options.pop("rig_name"), options.pop("overrides")).one_axis()
 
 
 def _tell(as_json: bool, value: Callable[[], Any], lines: Callable[[], Any]) -> None:
     from analysis.report import plain
 
     if as_json:
-        click.echo(json.dumps(plain(value()), allow_nan=False))
+        print_json(plain(value()))
         return
     for line in lines():
         click.echo(line)
@@ -135,177 +139,171 @@ def _steps(count: int) -> Iterator[Callable[[str], None]]:
         yield lambda name: bars.update(task, description=name, completed=next(done, count))
 
 
-def analyse_group(errors: Callable[[], AbstractContextManager[None]], exit_status: str) -> click.Group:
-    """Return the command; `errors` turns an error that a user can cause into its text and exit status."""
+@click.group("analyse", invoke_without_command=True, epilog=EXIT_STATUS)
+@loop_options
+@rig_option
+@set_option
+@seed_option
+@figures_option
+@json_option
+@click.pass_context
+def analyse(ctx: click.Context, /, **options: Any) -> None:
+    """Compute the paper, equation by equation and figure by figure, and past it.
 
-    @click.group("analyse", invoke_without_command=True, epilog=exit_status)
-    @loop_options
-    @rig_option
-    @set_option
-    @seed_option
-    @figures_option
-    @json_option
-    @click.pass_context
-    def analyse(ctx: click.Context, /, **options: Any) -> None:
-        """Compute the paper, equation by equation and figure by figure, and past it.
+    Without a verb all of it, with the paper's parameters as defaults; each part is also a verb. The rig is the one whose friction is
+    identified and compensated; the limit cycle through the bus is that of the rig "paper".
 
-        Without a verb all of it, with the paper's parameters as defaults; each part is also a verb. The rig is the one whose friction is
-        identified and compensated; the limit cycle through the bus is that of the rig "paper".
+    \b
+    Examples:
+      coulombus analyse --figures out/figures
+      coulombus analyse --json > analysis.json
+      coulombus analyse nyquist --delay 1e-3
+      coulombus analyse limit-cycle --operator 0.05 2 178
+      coulombus analyse fig10 --encoder 1e-5 --json
+    """
+    if ctx.invoked_subcommand is not None:
+        given = [n for n in options if ctx.get_parameter_source(n) is click.core.ParameterSource.COMMANDLINE]
+        if given:
+            raise click.UsageError(f"put --{given[0].replace('_', '-')} behind the verb {ctx.invoked_subcommand!r}")
+        return
+    with errors():
+        _all(options)
 
-        \b
-        Examples:
-          coulombus analyse --figures out/figures
-          coulombus analyse --json > analysis.json
-          coulombus analyse nyquist --delay 1e-3
-          coulombus analyse limit-cycle --operator 0.05 2 178
-          coulombus analyse fig10 --encoder 1e-5 --json
-        """
-        if ctx.invoked_subcommand is not None:
-            given = [n for n in options if ctx.get_parameter_source(n) is click.core.ParameterSource.COMMANDLINE]
-            if given:
-                raise click.UsageError(f"put --{given[0].replace('_', '-')} behind the verb {ctx.invoked_subcommand!r}")
-            return
-        with errors():
-            _all(options)
 
-    @analyse.command(epilog=exit_status)
-    @loop_options
-    @figures_option
-    @json_option
-    def nyquist(**options: Any) -> None:
-        """Describing function, disks of the passive set, absolute stability (Figs. 2, 6, 7)."""
-        with errors():
-            from analysis.absolute import absolute_stability
-            from analysis.crossings import crossings
-            from analysis.report import disk_of, nyquist_json, nyquist_lines
+@analyse.command(epilog=EXIT_STATUS)
+@loop_options
+@figures_option
+@json_option
+def nyquist(**options: Any) -> None:
+    """Describing function, disks of the passive set, absolute stability (Figs. 2, 6, 7)."""
+    with errors():
+        from analysis.absolute import absolute_stability
+        from analysis.crossings import crossings
+        from analysis.report import disk_of, nyquist_json, nyquist_lines
 
-            parameters = _parameters(options)
-            found, absolute = crossings(parameters), absolute_stability(parameters)
-            disk = disk_of(parameters)
-            _tell(
-                options["as_json"], lambda: nyquist_json(found, disk, absolute), lambda: nyquist_lines(found, absolute)
-            )
-            if options["figures"]:
-                from analysis.figures_frequency import write_frequency_figures
+        parameters = _parameters(options)
+        found, absolute = crossings(parameters), absolute_stability(parameters)
+        disk = disk_of(parameters)
+        _tell(options["as_json"], lambda: nyquist_json(found, disk, absolute), lambda: nyquist_lines(found, absolute))
+        if options["figures"]:
+            from analysis.figures_frequency import write_frequency_figures
 
-                _tell_paths(write_frequency_figures(options["figures"], parameters, found, absolute))
+            _tell_paths(write_frequency_figures(options["figures"], parameters, found, absolute))
 
-    @analyse.command("limit-cycle", epilog=exit_status)
-    @loop_options
-    @seed_option
-    @click.option(
-        "--starts", type=click.IntRange(0), default=200, show_default=True, help="Random starts, for the shares."
-    )
-    @click.option(
-        "--longest", type=click.IntRange(1, 20), default=16, show_default=True, help="Longest period in samples."
-    )
-    @click.option("--no-table", is_flag=True, help="Without the table over rates and delays.")
-    @figures_option
-    @json_option
-    def limit_cycle(**options: Any) -> None:
-        """Exact periodic motions of the sampled loop, and the limit cycle over rate and delay."""
-        with errors():
-            from analysis.crossings import crossings
-            from analysis.delay import delay_table
-            from analysis.orbits import orbits
-            from analysis.report import delay_lines, orbits_json, plain
 
-            parameters = _parameters(options)
-            found = crossings(parameters)
-            motions = orbits(parameters, longest=options["longest"], starts=options["starts"], seed=options["seed"])
-            rows = () if options["no_table"] else delay_table(parameters, seed=options["seed"])
+@analyse.command("limit-cycle", epilog=EXIT_STATUS)
+@loop_options
+@seed_option
+@click.option("--starts", type=click.IntRange(0), default=200, show_default=True, help="Random starts, for the shares.")
+@click.option("--longest", type=click.IntRange(1, 20), default=16, show_default=True, help="Longest period in samples.")
+@click.option("--no-table", is_flag=True, help="Without the table over rates and delays.")
+@figures_option
+@json_option
+def limit_cycle(**options: Any) -> None:
+    """Exact periodic motions of the sampled loop, and the limit cycle over rate and delay."""
+    with errors():
+        from analysis.crossings import crossings
+        from analysis.delay import delay_table
+        from analysis.orbits import orbits
+        from analysis.report import delay_lines, orbits_json, plain
 
-            def text() -> Iterator[str]:
-                yield f"describing function   {found.text}"
-                for orbit in motions.found:
-                    share = "" if orbit.share is None else f"  {orbit.share:4.0%} of the starts"
-                    yield (
-                        f"{orbit.pattern:<17} {orbit.frequency_Hz:8.4g} Hz  peak {orbit.velocity_peak_m_s:.4g} m/s  "
-                        f"margin {orbit.margin_m_s:.3g} m/s  {'stable' if orbit.stable else 'unstable'}{share}"
-                    )
-                if not motions.found:
-                    yield motions.text
-                if motions.elsewhere:
-                    yield f"{motions.elsewhere:.0%} of the starts ended in none of these: a longer period, or none"
-                if rows:
-                    yield ""
-                    yield from delay_lines(rows)
+        parameters = _parameters(options)
+        found = crossings(parameters)
+        motions = orbits(parameters, longest=options["longest"], starts=options["starts"], seed=options["seed"])
+        rows = () if options["no_table"] else delay_table(parameters, seed=options["seed"])
 
-            _tell(
-                options["as_json"],
-                lambda: {"crossings": plain(found.found), **orbits_json(motions), "delay_table": plain(rows)},
-                text,
-            )
-            if options["figures"]:
-                from analysis.figures_time import write_delay_figure, write_orbit_figure
+        def text() -> Iterator[str]:
+            yield f"describing function   {found.text}"
+            for orbit in motions.found:
+                share = "" if orbit.share is None else f"  {orbit.share:4.0%} of the starts"
+                yield (
+                    f"{orbit.pattern:<17} {orbit.frequency_Hz:8.4g} Hz  peak {orbit.velocity_peak_m_s:.4g} m/s  "
+                    f"margin {orbit.margin_m_s:.3g} m/s  {'stable' if orbit.stable else 'unstable'}{share}"
+                )
+            if not motions.found:
+                yield motions.text
+            if motions.elsewhere:
+                yield f"{motions.elsewhere:.0%} of the starts ended in none of these: a longer period, or none"
+            if rows:
+                yield ""
+                yield from delay_lines(rows)
 
-                paths = write_orbit_figure(options["figures"], parameters, motions)
-                _tell_paths(paths + (write_delay_figure(options["figures"], rows) if rows else []))
+        _tell(
+            options["as_json"],
+            lambda: {"crossings": plain(found.found), **orbits_json(motions), "delay_table": plain(rows)},
+            text,
+        )
+        if options["figures"]:
+            from analysis.figures_time import write_delay_figure, write_orbit_figure
 
-    @analyse.command(epilog=exit_status)
-    @loop_options
-    @figures_option
-    @json_option
-    def fig10(**options: Any) -> None:
-        """Fig. 10: the paper's force on active and passive friction, exact between samples and to the event."""
-        with errors():
-            from analysis.fig10 import figure_10
-            from analysis.report import fig10_json, fig10_lines
+            paths = write_orbit_figure(options["figures"], parameters, motions)
+            _tell_paths(paths + (write_delay_figure(options["figures"], rows) if rows else []))
 
-            runs = figure_10(_parameters(options))
 
-            def text() -> Iterator[str]:
-                yield from fig10_lines(runs)
-                for begin, end in runs.passive.stick_intervals_s:
-                    yield f"passive, stuck        {begin:9.5f} ... {end:9.5f} s"
+@analyse.command(epilog=EXIT_STATUS, short_help="Figure 10: active and passive friction under the paper's force.")
+@loop_options
+@figures_option
+@json_option
+def fig10(**options: Any) -> None:
+    """Fig. 10: the paper's force on active and passive friction, exact between samples and to the event."""
+    with errors():
+        from analysis.fig10 import figure_10
+        from analysis.report import fig10_json, fig10_lines
 
-            _tell(options["as_json"], lambda: fig10_json(runs), text)
-            if options["figures"]:
-                from analysis.figures_time import write_fig10
+        runs = figure_10(_parameters(options))
 
-                _tell_paths(write_fig10(options["figures"], runs))
+        def text() -> Iterator[str]:
+            yield from fig10_lines(runs)
+            for begin, end in runs.passive.stick_intervals_s:
+                yield f"passive, stuck        {begin:9.5f} ... {end:9.5f} s"
 
-    @analyse.command(epilog=exit_status)
-    @rig_option
-    @set_option
-    @figures_option
-    @json_option
-    def hold(**options: Any) -> None:
-        """Hold and stroke tests for active and hybrid display on the rig (Fig. 14), and hybrid's dependence on stick entry."""
-        with errors():
-            _hold(_rig(options), options["figures"], options["as_json"])
+        _tell(options["as_json"], lambda: fig10_json(runs), text)
+        if options["figures"]:
+            from analysis.figures_time import write_fig10
 
-    @analyse.command("map", epilog=exit_status)
-    @rig_option
-    @set_option
-    @click.option(
-        "--axis",
-        "axes",
-        multiple=True,
-        metavar="NAME=V1,V2,...",
-        help="An axis and its values; several give every combination.",
-    )
-    @click.option(
-        "--dask",
-        metavar="ADDRESS",
-        help="Compute on a dask.distributed cluster, as tcp://127.0.0.1:8786 (extra [cluster]).",
-    )
-    @click.option("--workers", type=click.IntRange(1), default=None, help="Threads.  [default: one for each processor]")
-    @figures_option
-    @json_option
-    def map_command(**options: Any) -> None:
-        """Map where the active display oscillates and where it is quiet, with the bounds from the literature beside it.
+            _tell_paths(write_fig10(options["figures"], runs))
 
-        \b
-        Examples:
-          coulombus analyse map
-          coulombus analyse map --axis rate_Hz=500,1000,2000 --axis friction_level=0.2,0.5,1
-          coulombus analyse map --dask tcp://127.0.0.1:8786 --json
-        """
-        with errors():
-            _map(_rig(options), options)
 
-    return analyse
+@analyse.command(epilog=EXIT_STATUS)
+@rig_option
+@set_option
+@figures_option
+@json_option
+def hold(**options: Any) -> None:
+    """Hold and stroke tests for active and hybrid display on the rig (Fig. 14), and hybrid's dependence on stick entry."""
+    with errors():
+        _hold(_rig(options), options["figures"], options["as_json"])
+
+
+@analyse.command("map", epilog=EXIT_STATUS)
+@rig_option
+@set_option
+@click.option(
+    "--axis",
+    "axes",
+    multiple=True,
+    metavar="NAME=V1,V2,...",
+    help="An axis and its values; several give every combination.",
+)
+@click.option(
+    "--dask",
+    metavar="ADDRESS",
+    help="Compute on a dask.distributed cluster, as tcp://127.0.0.1:8786 (extra [cluster]).",
+)
+@click.option("--workers", type=click.IntRange(1), default=None, help="Threads.  [default: one for each processor]")
+@figures_option
+@json_option
+def map_command(**options: Any) -> None:
+    """Map where the active display oscillates and where it is quiet, with the bounds from the literature beside it.
+
+    \b
+    Examples:
+      coulombus analyse map
+      coulombus analyse map --axis rate_Hz=500,1000,2000 --axis friction_level=0.2,0.5,1
+      coulombus analyse map --dask tcp://127.0.0.1:8786 --json
+    """
+    with errors():
+        _map(_rig(options), options)
 
 
 def _all(options: dict[str, Any]) -> None:
@@ -361,3 +359,43 @@ def _map(rig: Rig, options: dict[str, Any]) -> None:
             _tell_paths(write_map(options["figures"], found))
         except ValueError as error:
             raise click.UsageError(str(error)) from error
+
+
+@click.command("identify", epilog=EXIT_STATUS)
+@click.argument("file", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.option("--rig", "rig_name", metavar="R", help="Decode with this rig instead of the attached one.")
+@click.option("--figure", type=PICTURE, metavar="F", help="Write the plot there (.png, .svg, .pdf).")
+@click.option("--axis", metavar="A", help="Which axis of a rig that has several.")
+@json_option
+def identify_command(file: Path, rig_name: str | None, figure: Path | None, axis: str | None, as_json: bool) -> None:
+    """Identify friction from a recording by least squares: Coulomb, viscous, and Stribeck where the data carry it.
+
+    What is felt at the handle comes first, the device's own friction (the motor's torque added) second, each with its 95 % confidence
+    interval. The recording needs strokes, to and fro, best at several speeds and with the coil off.
+
+    \b
+    Examples:
+      coulombus simulate --mode active --record active.pcapng && coulombus identify active.pcapng
+      coulombus identify strokes.pcapng --json
+      coulombus identify strokes.pcapng --figure friction.png
+    """
+    with errors():
+        from analysis.identify import identify, lines
+        from eds.rig import load_rig
+        from scope.recording import blocks
+
+        recording = blocks(file, rig=None if rig_name is None else load_rig(rig_name))
+        seen = recording.one_axis(axis)
+        try:
+            found = identify(seen)
+        finally:
+            remark(seen.remarks)
+        if figure is not None:
+            from analysis.figures_rig import write_identification
+
+            write_identification(figure, found)
+            _tell_paths([figure])
+        if as_json:
+            print_json(found.as_dict())
+        else:
+            click.echo("\n".join(lines(found)))

@@ -35,7 +35,7 @@ from scipy.signal import savgol_filter
 from eds.rig import Rig, load_rig
 from lab.measures import phases
 from lab.simulate import simulate
-from scope.recording import Recording, Series, read
+from scope.recording import Series, Source, blocks, series
 
 __all__ = [
     "Estimate",
@@ -280,7 +280,7 @@ def _lasting(flags: Flags, before: int, after: int) -> Flags:
     return lasting
 
 
-def identify(recording: Recording | str | Path, *, window_s: float = WINDOW_S) -> Identification:
+def identify(recording: Source | str | Path, *, window_s: float = WINDOW_S) -> Identification:
     """Identify friction from a recording (or its path): any run in which the handle slides.
 
     Raises
@@ -288,17 +288,23 @@ def identify(recording: Recording | str | Path, *, window_s: float = WINDOW_S) -
     IdentifyError
         the handle hardly slides, or there is no transducer's signal
     """
-    if not isinstance(recording, Recording):
-        recording = read(recording)
+    if isinstance(recording, str | Path):
+        recording = blocks(recording)
     period = recording.rig.bus.period_s
     half = max(round(0.5 * (window_s / period - 1)), 2)
-    angle = recording["motor.position_rad"]
+    angle, transducer, drive_torque, setpoint = series(
+        recording, "motor.position_rad", "brake.handle_torque_Nm", "motor.torque_Nm", "brake.setpoint_Nm"
+    )
     if len(angle) < 4 * half:
         raise IdentifyError(f"{recording.path}: {len(angle)} samples of motor.position_rad; record a run with strokes")
     t = angle.t_s
+    if any(np.any(np.diff(one.t_s) < 0.0) for one in (angle, transducer, drive_torque, setpoint)):
+        raise IdentifyError(
+            f"{recording.path}: its stamps go back, as in a file joined from several; sort it with 'reordercap IN OUT', or take one run"
+        )
     count = abs(recording.scale("motor.position_rad"))
-    handle = _nearest(recording["brake.handle_torque_Nm"], t, 0.5 * period)
-    motor = _nearest(recording["motor.torque_Nm"], t, 0.5 * period)
+    handle = _nearest(transducer, t, 0.5 * period)
+    motor = _nearest(drive_torque, t, 0.5 * period)
     counts = np.rint(np.diff(angle.values, prepend=angle.values[0]) / count)
     even = np.abs(np.diff(t, prepend=t[0] - period) - period) < 0.5 * period
     band = recording.rig.law.velocity_band_counts
@@ -307,7 +313,7 @@ def identify(recording: Recording | str | Path, *, window_s: float = WINDOW_S) -
     if spans:  # not what comes before or after the display
         usable &= (t >= spans[0].begin_s) & (t < spans[-1].end_s)
     sliding = _lasting(usable & (counts > band), half, half) | _lasting(usable & (counts < -band), half, half)
-    off = _lasting(_held(recording["brake.setpoint_Nm"], t) == 0.0, round(COIL_OFF_S / period), half)
+    off = _lasting(_held(setpoint, t) == 0.0, round(COIL_OFF_S / period), half)
     coil_off = int(np.sum(sliding & off)) >= LEAST_SAMPLES
     notes: list[str] = []
     if coil_off:

@@ -1,6 +1,6 @@
 """`make bench`: the project's figures of speed, each with what it is measured against.
 
-``python -m benchmarks [virtual|realtime|lost|disturbed]``; real time is `benchmarks.realtime`.
+``python -m benchmarks [virtual|bus|nodes|network|bits|loss|realtime|lost|disturbed|faulty]``; real time is `benchmarks.realtime`.
 
 This machine's clock is not yours: every figure is a ratio (simulated to real time, or to a reference that ran in between in the same process).
 Each is the median of several rounds; the references are interleaved with what they are held against.
@@ -129,6 +129,32 @@ def frame_lengths() -> None:
     show("frame length: compiled tables (call from Python included) against bit by bit", f"{slow / fast:.1f} x")
 
 
+def million_frames(count: int = 1_000_000) -> None:
+    """Frame lengths against the oracle that sends bit by bit: standard, extended, remote and FD frames, a quarter each."""
+    import random
+
+    from benchmarks.bit_oracle import classical, fd_lengths
+    from wire.bits import FD_LENGTHS, fd_frame_bits, frame_bits
+
+    rng = random.Random(1)
+    different = 0
+    for i in range(count):
+        kind = i % 4
+        extended = kind == 1 or (kind >= 2 and rng.random() < 0.5)
+        can_id = rng.getrandbits(29 if extended else 11)
+        length = rng.choice(FD_LENGTHS) if kind == 3 else rng.randrange(9)
+        data = rng.randbytes(length) if rng.random() < 0.5 else bytes(rng.choices((0, 0xFF, 0xF8, 0x1F), k=length))
+        if kind == 3:
+            switch = rng.random() < 0.5
+            found: object = fd_frame_bits(can_id, data, extended=extended, bitrate_switch=switch)
+            expected: object = fd_lengths(can_id, data, extended, switch)
+        else:
+            found = frame_bits(can_id, data, extended=extended, remote=kind == 2)
+            expected = len(classical(can_id, data, extended, kind == 2).wire)
+        different += found != expected
+    show(f"frame lengths that differ from the oracle's, of {count:,}", f"{different}", "0")
+
+
 def virtual() -> None:
     """Run the benchmarks in virtual time."""
     for benchmark in (simulation, start_up, frame_lengths):
@@ -138,15 +164,51 @@ def virtual() -> None:
 def main() -> None:
     """Run what the arguments ask for."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description="Figures of speed, as ratios.")
-    parser.add_argument("what", nargs="?", choices=("all", "virtual", "realtime", "lost", "disturbed"), default="all")
+    parser.add_argument(
+        "what",
+        nargs="?",
+        choices=(
+            "all",
+            "virtual",
+            "bus",
+            "nodes",
+            "network",
+            "bits",
+            "loss",
+            "realtime",
+            "lost",
+            "disturbed",
+            "faulty",
+        ),
+        default="all",
+    )
     parser.add_argument("--seconds", type=float, default=5.0, help="of each contestant in each round, in real time")
     parser.add_argument("--rounds", type=int, default=3, help="in real time")
-    parser.add_argument("--minutes", type=float, default=0.5, help="of the run that looks for lost PDOs")
+    parser.add_argument("--minutes", type=float, default=0.5, help="of the runs that look for what is lost")
+    parser.add_argument("--hours", type=float, default=0.0, help="of bus time in one run, in virtual time")
     parser.add_argument("--figure", type=Path, help="draw the histograms of the wake-ups there")
     options = parser.parse_args()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # by way of the context managers that end the bus
     if options.what in ("all", "virtual"):
         virtual()
+    if options.what in ("all", "bus"):
+        from benchmarks.bus import bus
+
+        bus(show, options.hours)
+    if options.what in ("all", "nodes"):
+        from benchmarks.nodes import nodes
+
+        nodes(show)
+    if options.what == "bits":
+        million_frames()
+    if options.what == "loss":
+        from benchmarks.loss import loss
+
+        loss(show, options.minutes)
+    if options.what in ("all", "network"):
+        from benchmarks.network import network
+
+        network(show)
     if options.what == "lost":
         from benchmarks.realtime import lost
 
@@ -155,6 +217,10 @@ def main() -> None:
         from benchmarks.realtime import disturbed
 
         disturbed(options.seconds, options.rounds)
+    if options.what in ("all", "faulty"):
+        from benchmarks.faulty import faulty
+
+        faulty(options.seconds, options.rounds)
     if options.what in ("all", "realtime"):
         from benchmarks.realtime import realtime
 

@@ -22,7 +22,7 @@ from benchmarks.loaded_plane import LoadedPlane
 from eds.rig import Rig, load_rig
 from host.bringup import bring_up
 from host.control_plane import RealControlPlane
-from host.controller import Controller
+from host.controllers import Controllers
 from host.data_plane import DataPlane, rig_filters
 from host.errors import NodeMissing
 from host.plane_records import Status
@@ -134,7 +134,7 @@ def together(runs: Sequence[Run]) -> Run:
 class Bus:
     """A ``coulombus sim`` of its own on the first CPU."""
 
-    def __init__(self, overrides: Sequence[str] = (), *, unpaced: bool = False) -> None:
+    def __init__(self, overrides: Sequence[str] = (), *, unpaced: bool = False, faults: Path | None = None) -> None:
         self.overrides = [*PATIENT, *overrides]
         self.rig: Rig = load_rig("bench", self.overrides)
         self.address = BusAddress("coulombus", f"bench-{os.getpid()}-{time.monotonic_ns() % 1_000_000}")
@@ -142,7 +142,8 @@ class Bus:
         options = ["--cpu", str(BUS_CPU), "--priority", "0" if unpaced else str(BUS_PRIORITY), *sets]
         self.process = subprocess.Popen(
             [sys.executable, "-m", "coulombus", "sim", "--bus", str(self.address), "--mode", MODE, "--json", *options]
-            + ["--unpaced"] * unpaced,
+            + ["--unpaced"] * unpaced
+            + (["--faults", str(faults)] if faults is not None else []),
             cwd=ROOT,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
@@ -152,7 +153,7 @@ class Bus:
 
     def __enter__(self) -> Bus:
         assert self.process.stdout is not None
-        if not self.process.stdout.readline():
+        if json.loads(self.process.stdout.readline() or "{}").get("event") != "ready":
             raise RuntimeError(f"coulombus sim ended with status {self.process.wait()}")
         return self
 
@@ -170,10 +171,10 @@ class Bus:
 
 def bring_up_patiently(rig: Rig, control: RealControlPlane) -> None:
     """Bring the nodes up; on a busy machine a heartbeat may come too late, and is waited for once more."""
-    limit = int(Controller(rig, MODE).control["motor_limit_pm"][0])
+    controllers = Controllers(rig, MODE)
     for left in (4, 3, 2, 1, 0):
         try:
-            bring_up(rig, control, limit)
+            bring_up(controllers, control)
             return
         except NodeMissing:
             if left == 0:
@@ -198,7 +199,7 @@ def nodes_up(bus: Bus) -> Iterator[None]:
 
 def data_plane(bus: Bus, seconds: float, *, loaded: bool = False) -> Run:
     """The project's loop, as `coulombus run` starts it; `loaded`: with busy threads in its process."""
-    k = Controller(bus.rig, MODE)
+    k = Controllers(bus.rig, MODE)
     plane = (LoadedPlane if loaded else DataPlane)(k, bus.address, priority=HOST_PRIORITY, cpu=HOST_CPU)
     try:
         plane.wait_ready()
@@ -208,7 +209,7 @@ def data_plane(bus: Bus, seconds: float, *, loaded: bool = False) -> Run:
             plane.take()
             period = int(k.control["period_ns"][0])
             plane.start_cycle((time.monotonic_ns() + LEAD_NS) // period * period)
-            seen = {0x80: 0, **{int(pdo["cob_id"]): 0 for pdo in k.tpdos if pdo["cob_id"] >= 0}}
+            seen = {0x80: 0, **{int(pdo["cob_id"]): 0 for pdo in k.tpdos[0] if pdo["cob_id"] >= 0}}
             end = time.monotonic() + seconds
 
             def count() -> None:
@@ -240,7 +241,7 @@ def data_plane(bus: Bus, seconds: float, *, loaded: bool = False) -> Run:
 
 def twin(program: Path, bus: Bus, seconds: float) -> Run:
     """The same in C (twin.c)."""
-    k = Controller(bus.rig, MODE)
+    k = Controllers(bus.rig, MODE)
     with nodes_up(bus), Client(bus.address, Hello(Flags.ERRORS, rig_filters(k))) as client:
         c = k.control[0]
         numbers = (client.fileno(), c["period_ns"], c["window_ns"], seconds, HOST_PRIORITY, HOST_CPU)
@@ -338,22 +339,36 @@ def cyclictest(
 # the bus itself
 
 
-def delivery(program: Path, bus: Bus, seconds: float, *, frames: int = 4) -> np.ndarray[Any, Any]:
-    """When the bus handed frames out, as a histogram in us after their ends of frame."""
+PROBE_ID, PROBE_DATA, PROBE_FRAMES = 0x555, b"\x55" * 8, 4
+"""What `twin.c` sends to see when it is delivered, in bursts."""
+
+
+def delivery(
+    program: Path, bus: Bus, seconds: float, *, every: int = 0, extra_ns: int = 0
+) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+    """When the bus handed frames out, as a histogram in us after their ends of frame: all, and those that it had destroyed once.
+
+    With `every` each so manieth is destroyed once by the bus, which takes `extra_ns`.
+    """
     from wire.bits import frame_bits
 
-    bits, period_ns = frame_bits(0x555, b"\x55" * 8), 3_000_000
+    bits, period_ns = frame_bits(PROBE_ID, PROBE_DATA), 3_000_000
     bit_ns = 1e9 / bus.rig.bus.bitrate_bit_s
+    bursts = round(seconds * 1e9 / period_ns)
+    if every:
+        bursts = max(1, round(bursts / every)) * every  # the bus goes on counting where the next probe begins
     with Client(bus.address) as tx, Client(bus.address) as rx:
-        numbers = (tx.fileno(), rx.fileno(), round(seconds * 1e9 / period_ns), period_ns, HOST_PRIORITY, HOST_CPU)
+        numbers = (tx.fileno(), rx.fileno(), bursts, period_ns, HOST_PRIORITY, HOST_CPU)
+        frame = (round(bits * bit_ns), PROBE_FRAMES, round(3 * bit_ns), every, extra_ns)
         out = subprocess.run(
-            [str(program), "probe", *map(str, numbers), str(round(bits * bit_ns)), str(frames), str(round(3 * bit_ns))],
+            [str(program), "probe", *map(str, numbers), *map(str, frame)],
             check=True,
             stdout=subprocess.PIPE,
             text=True,
             pass_fds=(tx.fileno(), rx.fileno()),
         )
-    return dense(json.loads(out.stdout)["delivery"])
+    found = json.loads(out.stdout)
+    return dense(found["delivery"]), dense(found["destroyed"])
 
 
 def _throughput(program: Path, bus_ends: Sequence[int], rounds: int) -> float:

@@ -27,7 +27,7 @@ class LoadedPlane(DataPlane):
 
 
 def _load_later(settings: dict[str, Any]) -> None:
-    shared = SharedPlane(settings["memory_fd"])
+    shared = SharedPlane(settings["memory_fd"], settings["axes"])
     while shared.plane["status"][0] != Status.LISTENING:  # what comes before would take minutes beside a busy thread
         time.sleep(0.02)
     start_load()

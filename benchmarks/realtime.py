@@ -169,7 +169,7 @@ def bus_delivery(program: Path | str, bus: Bus, seconds: float, rounds: int) -> 
     assert isinstance(program, Path)
     found = take_turns(
         {
-            "bus": lambda: quantile(c.delivery(program, bus, seconds), 0.99),
+            "bus": lambda: quantile(c.delivery(program, bus, seconds)[0], 0.99),
             "reference": lambda: c.cyclictest(seconds, priority=c.BUS_PRIORITY, cpu=c.BUS_CPU).p(0.99),
         },
         rounds,

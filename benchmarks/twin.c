@@ -1,7 +1,7 @@
 /* What the compiled kernels are held against: the same system calls and the same work, in C.
  *
  *   twin loop FD PERIOD_NS WINDOW_NS SECONDS PRIORITY CPU     the data plane's cycle on a bus (host/loop.py)
- *   twin probe TX RX BURSTS PERIOD_NS PRIORITY CPU FRAME_NS FRAMES GAP_NS   frames sent, and when a bus delivers them
+ *   twin probe TX RX BURSTS PERIOD_NS PRIORITY CPU FRAME_NS FRAMES GAP_NS EVERY EXTRA_NS   frames sent, and when a bus delivers them
  *   twin serve CPU FD...                                      a bus without time: the fan-out of lab/paced.py
  *   twin crowd ROUNDS MESSAGE_FRAMES CPU FD...                clients that all send, and read what the others sent
  *
@@ -33,7 +33,7 @@ typedef struct { int64_t t, id, length, word, source; } row_t;
 
 static row_t ring[RING];
 static uint64_t head;
-static int64_t wakeup[BINS], latency[BINS];
+static int64_t wakeup[BINS], latency[BINS], destroyed[BINS];
 
 static int64_t clock_of(clockid_t which)
 {
@@ -271,11 +271,11 @@ static int loop(char **a)
 /* ---- when a bus delivers ----
  * A burst of FRAMES equal frames is sent at `before` at the earliest; the k-th of them ends FRAME_NS * k after that, less the inter-frame
  * space that the parent takes off. The kernel's stamp on what the receiver gets is when the bus handed it out. A burst that
- * met a frame of somebody else is left out. */
+ * met a frame of somebody else is left out. With EVERY > 0 the bus destroys each EVERYth of all these frames once, which takes EXTRA_NS. */
 static int probe(char **a)
 {
     int tx = atoi(a[0]), rx = atoi(a[1]), bursts = atoi(a[2]), frames = atoi(a[7]), used = 0;
-    int64_t period = atoll(a[3]), frame_ns = atoll(a[6]), gap_ns = atoll(a[8]), stamp;
+    int64_t period = atoll(a[3]), frame_ns = atoll(a[6]), gap_ns = atoll(a[8]), every = atoll(a[9]), extra_ns = atoll(a[10]), stamp, sent = 0;
     frame_t out[MESSAGE], in[MESSAGE];
     struct pollfd wait = {.fd = rx, .events = POLLIN};
     real_time(atoi(a[4]), atoi(a[5]));
@@ -284,8 +284,8 @@ static int probe(char **a)
     int64_t t = now() + 20000000;
     for (int burst = 0; burst < bursts; burst++, t += period) {
         struct timespec at = {t / SECOND, t % SECOND};
-        int64_t late[MESSAGE];
-        int got = 0, alone = 1;
+        int64_t late[MESSAGE], extra = 0;
+        int got = 0, alone = 1, hit[MESSAGE];
         while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &at, NULL))
             ;
         while (receive(rx, in, sizeof in, MSG_DONTWAIT, &stamp) > 0)
@@ -301,21 +301,27 @@ static int probe(char **a)
                 return 1;
             for (ssize_t i = 0; i < n / (ssize_t)sizeof *in; i++)
                 if (in[i].id == 0x555 && got < frames) {
-                    late[got] = stamp - before - (got + 1) * frame_ns + gap_ns;
+                    hit[got] = every > 0 && ++sent % every == 0;
+                    extra += hit[got] * extra_ns;
+                    late[got] = stamp - before - (got + 1) * frame_ns + gap_ns - extra;
                     got++;
                 } else
                     alone = 0;
         }
         if (alone) {
             used++;
-            for (int i = 0; i < frames; i++)
+            for (int i = 0; i < frames; i++) {
                 count(latency, late[i]);
+                if (hit[i])
+                    count(destroyed, late[i]);
+            }
         }
         while (t + period < now()) /* after a standstill of the machine */
             t += period;
     }
     printf("{\"bursts\": %d, \"used\": %d", bursts, used);
     histogram("delivery", latency);
+    histogram("destroyed", destroyed);
     puts("}");
     return 0;
 }
@@ -406,7 +412,7 @@ int main(int argc, char **argv)
     const char *what = argc > 1 ? argv[1] : "";
     if (!strcmp(what, "loop") && argc == 8)
         return loop(argv + 2);
-    if (!strcmp(what, "probe") && argc == 11)
+    if (!strcmp(what, "probe") && argc == 13)
         return probe(argv + 2);
     if (!strcmp(what, "serve") && argc > 4)
         return serve(argc - 2, argv + 2);

@@ -13,6 +13,8 @@ __all__ = [
     "ABORT_TEXT",
     "ARRAY",
     "DATA_TYPES",
+    "DEFSTRUCT",
+    "DEFTYPE",
     "DOMAIN",
     "DUMMY_TYPES",
     "EMCY_TEXT",
@@ -26,12 +28,14 @@ __all__ = [
     "NmtState",
     "abort_text",
     "emcy_text",
+    "predefined",
+    "restricted",
 ]
 
 Kind = Literal["bool", "int", "real", "text", "bytes", "unicode", "time", "domain", "record"]
 
-DOMAIN, VAR, ARRAY, RECORD = 0x02, 0x07, 0x08, 0x09
-"""Object codes, table 42. (0x05 DEFTYPE and 0x06 DEFSTRUCT describe types, not data.)"""
+DOMAIN, DEFTYPE, DEFSTRUCT, VAR, ARRAY, RECORD = 0x02, 0x05, 0x06, 0x07, 0x08, 0x09
+"""Object codes, table 42; DEFTYPE and DEFSTRUCT describe types, not data."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +64,8 @@ def _types() -> dict[int, DataType]:
         (0x0021, "PDO_MAPPING", 0, False, "record"),
         (0x0022, "SDO_PARAMETER", 0, False, "record"),
         (0x0023, "IDENTITY", 0, False, "record"),
+        (0x0024, "OS_DEBUG", 0, False, "record"),
+        (0x0025, "OS_COMMAND", 0, False, "record"),
     ]
     integers = {8: 0x0002, 16: 0x0003, 32: 0x0004, 24: 0x0010, 40: 0x0012, 48: 0x0013, 56: 0x0014, 64: 0x0015}
     unsigned = {8: 0x0005, 16: 0x0006, 32: 0x0007, 24: 0x0016, 40: 0x0018, 48: 0x0019, 56: 0x001A, 64: 0x001B}
@@ -114,6 +120,40 @@ class CobId(IntEnum):
     HEARTBEAT = 0x700
     LSS_TX = 0x7E4
     LSS_RX = 0x7E5
+
+
+_RESTRICTED = ((0x000, 0x07F), (0x101, 0x180), (0x581, 0x5FF), (0x601, 0x67F), (0x6E0, 0x6FF), (0x701, 0x7FF))
+
+
+def restricted(can_id: int) -> bool:
+    """Tell whether an identifier may not be configured (table 41)."""
+    return any(first <= can_id <= last for first, last in _RESTRICTED)
+
+
+_PREDEFINED_PDOS = 4
+_INVALID = 1 << 31
+
+
+def predefined(index: int, subindex: int, node_id: int) -> int | None:
+    """Return the default that CiA 301 gives a communication object of the node; None where it leaves it to the device.
+
+    Identifiers are those of the pre-defined connection set (section 7.3.5), with four PDOs of each direction; further PDOs are not
+    valid. A PDO's transmission type is 255.
+    """
+    fixed = {
+        (0x1005, 0): CobId.SYNC,
+        (0x1012, 0): CobId.TIME,
+        (0x1014, 0): CobId.EMCY + node_id,
+        (0x1200, 1): CobId.SDO_RX + node_id,
+        (0x1200, 2): CobId.SDO_TX + node_id,
+    }
+    for first, identifier in ((0x1400, CobId.RPDO1), (0x1800, CobId.TPDO1)):
+        if 0 <= index - first < 0x200 and subindex == 1:
+            known = index - first < _PREDEFINED_PDOS
+            return identifier + 0x100 * (index - first) + node_id if known else _INVALID
+        if 0 <= index - first < 0x200 and subindex == 2:
+            return 255
+    return fixed.get((index, subindex))
 
 
 class Abort(IntEnum):

@@ -10,6 +10,9 @@ Import this module before `numba`. ``NUMBA_CACHE_DIR`` set by the user wins (the
 Two ways make a call cheap for the few calls that every frame makes. A call that passes five arrays costs about 25 ns: an array is a structure of
 seven words, and its reference is counted atomically on the way in and out. `inlined` makes a kernel part of its caller; `borrowed` returns an
 array whose references are not counted.
+
+Kernels take their arrays one by one, however many they are. A named tuple of them would read better, but numba types it anew at each call (20 times
+the cost of a plain call) and never caches a kernel whose tuple holds a function, as the friction law: it would compile at every start.
 """
 
 from __future__ import annotations
@@ -23,7 +26,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
-__all__ = ["CACHE_DIR", "JIT_DISABLED", "borrowed", "inlined", "kernel", "source_key"]
+__all__ = ["CACHE_DIR", "JIT_DISABLED", "Entry", "borrowed", "inlined", "kernel", "on_compiling", "source_key"]
 
 KERNEL_PACKAGES = ("eds", "wire", "node", "sim_bus", "host", "lab", "analysis")
 KEPT_CACHES = 4
@@ -76,13 +79,33 @@ def _prepare_cache() -> Path:
 CACHE_DIR = _prepare_cache()
 
 import numba  # noqa: E402  (only now does numba read NUMBA_CACHE_DIR)
-from numba.core import cgutils, types  # noqa: E402
+from numba.core import cgutils, event, types  # noqa: E402
 from numba.core.imputils import impl_ret_untracked  # noqa: E402
 from numba.extending import intrinsic  # noqa: E402
 from numba.np.arrayobj import make_array  # noqa: E402
 
 numba.config.CACHE_DIR = str(CACHE_DIR)
 JIT_DISABLED = bool(numba.config.DISABLE_JIT)
+
+
+class _First(event.Listener):  # type: ignore[misc]
+    """Tells of the first compilation only."""
+
+    def __init__(self, tell: Callable[[], None]) -> None:
+        self.tell: Callable[[], None] | None = tell
+
+    def on_start(self, event: Any) -> None:
+        tell, self.tell = self.tell, None
+        if tell is not None:
+            tell()
+
+    def on_end(self, event: Any) -> None:
+        pass
+
+
+def on_compiling(tell: Callable[[], None]) -> None:
+    """Call `tell`, once, when a kernel is compiled that is not in the cache."""
+    event.register("numba:compile", _First(tell))
 
 
 def kernel(function: F) -> F:
@@ -120,3 +143,24 @@ else:
         if not isinstance(array, types.Array):
             return None
         return array(array), codegen
+
+
+class Entry:
+    """A kernel that Python calls often, always with arguments of the same types.
+
+    The dispatcher looks at the type of each argument at each call, which takes 40 us for a dozen arrays of records;
+    after the first call this goes past it.
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._function = function
+        self._entry: Callable[..., Any] | None = function if JIT_DISABLED else None
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Call the kernel."""
+        if self._entry is None:
+            dispatcher: Any = self._function
+            types_of = tuple(numba.typeof(argument) for argument in arguments)
+            dispatcher.compile(types_of)
+            self._entry = dispatcher.overloads[types_of].entry_point
+        return self._entry(*arguments)

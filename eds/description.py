@@ -17,6 +17,8 @@ Severity = Literal["error", "warning"]
 class EdsError(Exception):
     """An EDS file is refused; the text is ``file:line: what; what is expected or what to do``."""
 
+    exit_status = 3
+
 
 @dataclass(frozen=True)
 class Diagnosis:
@@ -39,7 +41,8 @@ class Diagnosis:
 class Variable:
     """One sub-index of the object dictionary.
 
-    `default` is None where the file gives none, and where it gives one that cannot be read: `unreadable` then says why.
+    `default` is what the device starts with: the ParameterValue of a DCF, else the DefaultValue.
+    It is None where the file gives none, and where it gives one that cannot be read: `unreadable` then says why.
     With `node_relative` the default is the constant that the node id is added to. `data_type` 0 means not known.
     Numbers are Python numbers: a hexadecimal default of a signed type is read as two's complement.
     """
@@ -56,6 +59,10 @@ class Variable:
     pdo_mappable: bool
     line: int
     unreadable: str = ""
+
+    def admits(self, value: float) -> bool:
+        """Tell whether a number keeps to the limits."""
+        return (self.low is None or self.low <= value) and (self.high is None or value <= self.high)
 
     @property
     def bits(self) -> int:
@@ -76,7 +83,10 @@ class Object:
 
 @dataclass(frozen=True)
 class Description:
-    """What an EDS file says of a device; `info` is [DeviceInfo], `dummies` the types that may fill a PDO's gaps."""
+    """What an EDS file says of a device; `info` is [DeviceInfo], `dummies` the types that may fill a PDO's gaps.
+
+    `node_id` and `bit_rate` [bit/s] are those of a DCF's [DeviceComissioning], 0 where there are none.
+    """
 
     path: str
     text: str
@@ -84,6 +94,8 @@ class Description:
     diagnoses: tuple[Diagnosis, ...]
     info: Mapping[str, str]
     dummies: frozenset[int] = frozenset()
+    node_id: int = 0
+    bit_rate: int = 0
 
     def has(self, index: int, subindex: int | None = None) -> bool:
         """Tell whether the object, or its sub-index, is described."""

@@ -13,6 +13,8 @@ from eds.description import Diagnosis, Severity
 __all__ = ["OBJECT_SECTION", "PDO_PARAMETERS", "Number", "Section", "SectionReader", "number_of"]
 
 PDO_PARAMETERS = range(0x1400, 0x1C00)
+MOST_DIGITS = 40
+"""A longer number is none: no data type is so wide."""
 
 
 @dataclass(frozen=True)
@@ -27,6 +29,8 @@ class Number:
 
 def number_of(text: str) -> Number | None:
     """Read ``0x1F``, ``31``, ``-31``; also ``1Fh``, ``1F``, ``031``. None where it is no number."""
+    if len(text) > MOST_DIGITS:
+        return None
     low = text.lower()
     sign, low = (-1, low[1:]) if low[:1] == "-" else (1, low.removeprefix("+"))
     if re.fullmatch(r"0x[0-9a-f]+", low):
@@ -40,12 +44,14 @@ def number_of(text: str) -> Number | None:
     if re.fullmatch(r"[0-9][0-9a-f]*h", low):
         return Number(sign * int(low[:-1], 16), "has an 'h' instead of 0x", hexadecimal=True)
     if re.fullmatch(r"[0-9a-f]+", low):
-        return Number(sign * int(low, 16), "has hexadecimal digits without 0x", hexadecimal=True)
+        otherwise = re.fullmatch(r"[0-9]+e[0-9]+|0b[01]+", low)  # a power of ten, a binary number
+        complaint = "has hexadecimal digits without 0x" + (", which may mean another number" if otherwise else "")
+        return Number(sign * int(low, 16), complaint, bool(otherwise), hexadecimal=True)
     return None
 
 
 def _same(first: str, second: str) -> bool:
-    a, b = number_of(_COMMENT.sub("", first)), number_of(_COMMENT.sub("", second))
+    a, b = number_of(_without_comment(first)), number_of(_without_comment(second))
     return a.value == b.value if a and b else first.lower() == second.lower()
 
 
@@ -72,15 +78,27 @@ class Section:
         """Return the key as a diagnosis names it."""
         return f"[{self.name}] {self.spelled.get(key, key)}"
 
+    def numbered(self) -> dict[int, str]:
+        """Return the keys that are numbers, by these: sub-indices of [1003Name], entries of a list."""
+        return {int(key): key for key in reversed(self.entries) if key.isdecimal() and len(key) <= MOST_DIGITS}
+
     @property
     def pdo_parameter(self) -> bool:
         """True for the sections of 1400h to 1BFFh, where nothing may be assumed."""
-        match = OBJECT_SECTION.fullmatch(self.name)
+        match = OBJECT_SECTION.fullmatch(re.sub("(?i)value$", "", self.name))
         return match is not None and int(match[1], 16) in PDO_PARAMETERS
 
 
-OBJECT_SECTION = re.compile(r"(?:0x)?([0-9a-f]{1,4})(?:\s*sub(?:index)?\s*([0-9a-f]{1,2}))?", re.IGNORECASE)
-_COMMENT = re.compile(r"\s*[;#].*$")
+OBJECT_SECTION = re.compile(
+    r"(?:0x)?0*([0-9a-f]{1,4})(?:[\s_]*sub(?:index)?[\s_]*(?:0x)?0*([0-9a-f]{1,2}))?", re.IGNORECASE
+)
+_STRICT = re.compile(r"[0-9a-f]{1,4}(sub[0-9a-f]{1,2})?", re.IGNORECASE)
+_LINE_END = re.compile(r"\r*\n|\r")
+
+
+def _without_comment(text: str) -> str:
+    comment = re.search(r";|(?<!\S)#", text)
+    return text[: comment.start()].rstrip() if comment else text
 
 
 class SectionReader:
@@ -98,23 +116,34 @@ class SectionReader:
         self.diagnoses.append(Diagnosis(self.path, line, severity, text, assumed))
 
     def decode(self, raw: bytes) -> str:
-        """Return the text: UTF-8, UTF-16 by its mark, or else Windows-1252."""
-        if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        """Return the text: UTF-8, UTF-16 by its mark or its zeros, or else Windows-1252."""
+        wide = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}.get(raw[:2], "")
+        if not wide and any(raw[:2]) and 3 * raw.count(0) > len(raw):  # ASCII in two bytes each
+            wide = "utf-16-be" if raw[0] == 0 else "utf-16-le"
+        if wide:
             self.say(1, "the file is UTF-16, not ASCII", "UTF-16")
-            return raw.decode("utf-16", "replace")
+            return self.replaced(raw, wide)
         try:
             return raw.decode("utf-8-sig")
         except UnicodeDecodeError as error:
-            line = raw[: error.start].count(b"\n") + 1
+            line = len(_LINE_END.findall(raw[: error.start].decode("latin-1"))) + 1
             self.say(line, "the file is neither ASCII nor UTF-8", "Windows-1252")
-            return raw.decode("cp1252", "replace")
+            return self.replaced(raw, "cp1252")
+
+    def replaced(self, raw: bytes, encoding: str) -> str:
+        """Decode; what stands for no character becomes U+FFFD, and that is said."""
+        text = raw.decode(encoding, "replace")
+        if "\ufffd" in text:
+            line = len(_LINE_END.findall(text[: text.index("\ufffd")])) + 1
+            self.say(line, "there are bytes that stand for no character", "the character U+FFFD")
+        return text
 
     # Lines to sections.
 
     def split(self) -> None:
         """Split the text into sections; what is neither head nor key is a comment."""
         section: Section | None = None
-        for number, raw in enumerate(re.split(r"\r*\n|\r", self.text), 1):
+        for number, raw in enumerate(_LINE_END.split(self.text), 1):
             line = raw.strip().strip("\x00\x1a\ufeff")
             if not line or line[0] in ";#":
                 continue
@@ -133,12 +162,15 @@ class SectionReader:
         name, bracket, rest = line[1:].partition("]")
         name = name.strip()
         if not bracket:
-            name = _COMMENT.sub("", name)
+            name = _without_comment(name)
             self.say(number, f"the section head '{line[:40]}' has no ']'", f"[{name}]")
         elif rest.strip() and rest.strip()[0] not in ";#":
             self.say(number, f"'{rest.strip()[:40]}' stands behind the section head [{name}]", "a comment")
         match = OBJECT_SECTION.fullmatch(name)
         key = name.lower()
+        if match and not _STRICT.fullmatch(name):
+            strict = f"{int(match[1], 16):04X}" + (f"sub{int(match[2], 16):X}" if match[2] else "")
+            self.say(number, f"the section head [{name}] is not spelled as CiA 306 has it", f"[{strict}]")
         if match:  # one key for [1018sub1], [1018Sub01] and [0x1018sub1]
             key = f"{int(match[1], 16):04x}" + (f"sub{int(match[2], 16):x}" if match[2] else "")
         known = self.sections.get(key)
@@ -162,16 +194,20 @@ class SectionReader:
             return
         if key != "parametername":
             section.conflicts.add(key)
-        severity: Severity = "error" if key == "defaultvalue" else "warning"
+        severity: Severity = "error" if key in ("defaultvalue", "parametervalue") else "warning"
         text = f"[{section.name}] {spelled}={value}, but line {line} says {first or 'nothing'}"
         self.say(number, text, f"the first, {first or 'nothing'}", severity)
 
     def bare(self, section: Section, key: str) -> str:
         """Return a value without the comment behind it."""
         text = section.get(key)
-        bare = _COMMENT.sub("", text).strip()
+        bare = _without_comment(text)
         if bare != text:
             self.say(section.at(key), f"{section.what(key)}={text} has a comment behind the value", bare or "no value")
+            section.entries[key] = (bare, section.at(key))
+        if len(bare) > 1 and bare[0] == bare[-1] == '"':
+            self.say(section.at(key), f"{section.what(key)}={bare} stands in quotes", bare[1:-1].strip() or "no value")
+            bare = bare[1:-1].strip()
             section.entries[key] = (bare, section.at(key))
         return bare
 

@@ -12,6 +12,9 @@ from eds.eds_sections import Section, SectionReader, number_of
 
 __all__ = ["ValueReader"]
 
+LARGEST_REAL32 = (2 - 2**-23) * 2.0**127
+MOST_NODE_ID = 127
+
 
 class ValueReader(SectionReader):
     """Reads a key's value as a data type."""
@@ -20,6 +23,16 @@ class ValueReader(SectionReader):
         """Return LowLimit and HighLimit as values of the data type `code`."""
         found: list[int | float | None] = []
         for key in ("lowlimit", "highlimit"):
+            number = number_of(self.bare(section, key))
+            kind = DATA_TYPES.get(code)
+            if key == "lowlimit" and number and number.value < 0 and kind and kind.kind == "int" and not kind.signed:
+                self.say(
+                    section.at(key),
+                    f"{section.what(key)}={section.get(key)}, but no {kind.name} is below 0",
+                    "no limit",
+                )
+                found.append(None)
+                continue
             value, relative, _ = self.value(section, key, code)
             if relative:
                 self.say(section.at(key), f"{section.what(key)} depends on the node id", "no limit")
@@ -33,15 +46,23 @@ class ValueReader(SectionReader):
 
     # Values by data type.
 
-    def value(self, section: Section, key: str, code: int) -> tuple[Value, bool, str]:
-        """Return a value, whether the node id is to be added, and why it could not be read."""
+    def value(self, section: Section, key: str, code: int, otherwise: str = "no value") -> tuple[Value, bool, str]:
+        """Return a value, whether the node id is to be added, and why it could not be read; `otherwise` is assumed then."""
         kind = DATA_TYPES[code].kind if code in DATA_TYPES else "unknown"
         if kind in ("text", "unicode"):
-            return (section.get(key) if key in section.entries else None), False, ""
-        if kind in ("domain", "record"):
-            return None, False, ""
+            text = section.get(key)
+            if len(text) > 1 and text[0] == text[-1] == '"':
+                self.say(
+                    section.at(key), f"{section.what(key)}={text} stands in quotes", "that they belong to the text"
+                )
+            return (text if key in section.entries else None), False, ""
         text = self.bare(section, key)
         if not text:
+            return None, False, ""
+        if kind in ("domain", "record"):
+            self.say(
+                section.at(key), f"{section.what(key)}={text}, but a {DATA_TYPES[code].name} has no value here", "none"
+            )
             return None, False, ""
         if kind == "bytes":
             return self.octets(section, key, text), False, ""
@@ -55,13 +76,13 @@ class ValueReader(SectionReader):
             return text, False, ""
         if why:
             why = f"{section.what(key)}={text} {why}"
-            self.say(section.at(key), why, "no value", "error")
+            self.say(section.at(key), why, otherwise, "error")
         return value, relative, why
 
     def octets(self, section: Section, key: str, text: str) -> bytes:
         """Return the bytes of an OCTET_STRING or DOMAIN."""
         try:
-            return bytes.fromhex(text.removeprefix("0x").removeprefix("0X"))
+            return bytes.fromhex(re.sub("(?i)0x|,", " ", text))
         except ValueError:
             self.say(section.at(key), f"{section.what(key)}={text} is no row of hexadecimal octets", "its characters")
             return text.encode("cp1252", "replace")
@@ -82,7 +103,11 @@ class ValueReader(SectionReader):
                 value = float(text.replace(",", "."))
             except ValueError:
                 return None, "is no number"
-        return (value, "") if math.isfinite(value) else (None, "is not finite")
+        if not math.isfinite(value):
+            return None, "is not finite"
+        if DATA_TYPES[code].bits == 32 and abs(value) > LARGEST_REAL32:
+            return None, "does not fit into REAL32"
+        return value, ""
 
     def whole(self, section: Section, key: str, text: str, code: int) -> tuple[int | None, bool, str]:
         """Read an integer, ``$NODEID+0x180`` or ``0x180+$NODEID``."""
@@ -109,6 +134,9 @@ class ValueReader(SectionReader):
             total += number.value
             hexadecimal |= number.hexadecimal
         value, why = self.fit(section, key, total, code, hexadecimal)
+        bits = DATA_TYPES[code].bits if code in DATA_TYPES else 0
+        if relative and value is not None and bits and (value + MOST_NODE_ID).bit_length() > bits:
+            return None, False, f"does not fit into {DATA_TYPES[code].name} with every node id"
         return value, relative, why
 
     def fit(self, section: Section, key: str, number: int, code: int, hexadecimal: bool) -> tuple[int | None, str]:
@@ -117,6 +145,12 @@ class ValueReader(SectionReader):
         if data_type is None or not data_type.bits:
             return number, ""
         half, full = 1 << data_type.bits - 1, 1 << data_type.bits
+        for wider in (16, 32, 64):  # a negative number, extended to the width of the tool's own integers
+            if hexadecimal and data_type.signed and full <= number and 0 <= number - (1 << wider) + half < half:
+                value = number - (1 << wider)
+                text = f"{section.what(key)}={section.get(key)} is longer than {data_type.name}"
+                self.say(section.at(key), text, f"{value}, sign-extended")
+                return value, ""
         if not -half <= number < full:
             return None, f"does not fit into {data_type.name}"
         value = number

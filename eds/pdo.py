@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from eds.cia301 import DATA_TYPES, DUMMY_TYPES
+from eds.cia301 import DATA_TYPES, DUMMY_TYPES, predefined
 from eds.codec import MAX_FIELDS
 from eds.reader import Description, EdsError, Variable
 
@@ -24,13 +24,9 @@ COB_ID_NO_RTR = 1 << 30
 COB_ID_EXTENDED = 1 << 29
 INHIBIT_UNIT_NS = 100_000
 EVENT_UNIT_NS = 1_000_000
-EVENT_DRIVEN = 255
 
 COMMUNICATION = {"rpdo": 0x1400, "tpdo": 0x1800}
 MAPPING = {"rpdo": 0x1600, "tpdo": 0x1A00}
-PREDEFINED = {"rpdo": 0x200, "tpdo": 0x180}
-"""Identifier of PDO 1 less the node id; PDO 2 to 4 follow at 0x100 each, further ones are invalid by default."""
-PREDEFINED_PDOS = 4
 PDO_COUNT = 512
 DIAGRAM_COLUMNS = 110
 NAME_COLUMNS = 34
@@ -111,15 +107,12 @@ def layouts(description: Description, node_id: int) -> tuple[PdoLayout, ...]:
 def read_layout(description: Description, node_id: int, direction: Direction, number: int) -> PdoLayout:
     """Return one PDO; EdsError as for `layouts`.
 
-    Where the EDS gives no default: the identifier of the pre-defined connection set (section 7.3.5), transmission type
-    255, no timers.
+    Where the EDS gives no default: what `eds.cia301.predefined` gives, no timers.
     """
     if not 1 <= node_id <= 127:
         raise ValueError(f"node id {node_id}; expected 1 to 127")
     index = COMMUNICATION[direction] + number - 1
-    predefined = PREDEFINED[direction] + 0x100 * (number - 1) + node_id
-    fallback = predefined if number <= PREDEFINED_PDOS else COB_ID_INVALID
-    cob_id = _number(description, index, 1, node_id, fallback) or 0
+    cob_id = _number(description, index, 1, node_id, predefined(index, 1, node_id)) or 0
     can_id = cob_id & 0x1FFFFFFF
     line = description.variable(index, 1).line if description.has(index, 1) else 1
     valid = not cob_id & COB_ID_INVALID and can_id != 0  # identifier 0 is NMT's: files write it for "not used"
@@ -130,7 +123,7 @@ def read_layout(description: Description, node_id: int, direction: Direction, nu
         number=number,
         direction=direction,
         cob_id=can_id if valid else -1,
-        transmission=_number(description, index, 2, node_id, EVENT_DRIVEN) or 0,
+        transmission=_number(description, index, 2, node_id, predefined(index, 2, node_id)) or 0,
         inhibit_ns=(_number(description, index, 3, node_id, 0) or 0) * INHIBIT_UNIT_NS,
         event_ns=(_number(description, index, 5, node_id, 0) or 0) * EVENT_UNIT_NS,
         sync_start=_number(description, index, 6, node_id, 0) or 0,

@@ -5,25 +5,41 @@ numbers. All of that is read, and each defect is told with its line and with wha
 never assumed: what a PDO parameter (1400h to 1BFFh) means. Where the file can be read in two ways there, the variable
 has no default, `Variable.unreadable` says why, and `eds.pdo` refuses the map.
 
-The file is read in two steps: lines to sections (`eds.eds_sections`), sections to objects (here, values by `eds.eds_values`).
+The file is read in two steps: lines to sections (`eds.eds_sections`), sections to objects (here; values by `eds.eds_values`,
+a DCF's by `eds.eds_dcf`, the file's other parts by `eds.eds_file`).
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
 
-from eds.cia301 import ARRAY, DATA_TYPES, DOMAIN, DUMMY_TYPES, RECORD, VAR
+from eds.cia301 import ARRAY, DATA_TYPES, DEFSTRUCT, DEFTYPE, DOMAIN, RECORD, VAR
 from eds.description import Description, Diagnosis, EdsError, Object, Severity, Value, Variable
+from eds.eds_file import FileReader
 from eds.eds_sections import OBJECT_SECTION, PDO_PARAMETERS, Section, number_of
-from eds.eds_values import ValueReader
 
 __all__ = ["Description", "Diagnosis", "EdsError", "Object", "Value", "Variable", "parse_eds", "read_eds"]
 
+TYPE_NAMES = {data_type.name: code for code, data_type in DATA_TYPES.items()}
+OBJECT_TYPES = (DOMAIN, DEFTYPE, DEFSTRUCT, VAR, ARRAY, RECORD)
 ACCESS_TYPES = ("ro", "wo", "rw", "rwr", "rww", "const")
-OBJECT_LISTS = ("MandatoryObjects", "OptionalObjects", "ManufacturerObjects")
+ACCESS_WORDS = {
+    "r": "ro",
+    "w": "wo",
+    "wr": "rw",
+    "read": "ro",
+    "write": "wo",
+    "readonly": "ro",
+    "writeonly": "wo",
+    "readwrite": "rw",
+}
+"""What some files write instead."""
+
+MOST_SUBINDICES = 0xFE
 
 
 def read_eds(path: str | Path) -> Description:
@@ -54,8 +70,9 @@ def parse_eds(raw: bytes, path: str) -> Description:
     return _Reader(path, raw).build()
 
 
-class _Reader(ValueReader):
+class _Reader(FileReader):
     def build(self) -> Description:
+        self.node_id, bit_rate = self.commissioning()
         heads: dict[int, Section] = {}
         subs: dict[int, dict[int, Section]] = {}
         for section in self.sections.values():
@@ -69,13 +86,9 @@ class _Reader(ValueReader):
         if not objects:
             raise EdsError(f"{self.path}:1: describes no object; expected sections such as [1000], is it an EDS file?")
         self.check_lists(objects, heads)
-        dummy = self.sections.get("dummyusage", Section("DummyUsage", 1))
-        dummies = frozenset(code for code in DUMMY_TYPES if self.integer(dummy, f"dummy{code:04x}", 0))
-        info = self.device_info()
-        values = [section.at("parametervalue") for section in self.sections.values() if section.get("parametervalue")]
-        if values:
-            text = f"{len(values)} objects have a ParameterValue (the file is a DCF)"
-            self.say(min(values), text, "the device's defaults; the values are not loaded")
+        info = self.device_info(objects)
+        dummies = self.dummies()
+        self.check_rest(objects)
         return Description(
             self.path,
             self.text,
@@ -83,35 +96,9 @@ class _Reader(ValueReader):
             tuple(sorted(self.diagnoses, key=lambda diagnosis: diagnosis.line)),
             MappingProxyType(info),
             dummies,
+            self.node_id,
+            bit_rate,
         )
-
-    def device_info(self) -> dict[str, str]:
-        device = self.sections.get("deviceinfo")
-        if device is None:
-            self.say(1, "[DeviceInfo] is missing", "a device without a name")
-            return {}
-        for key in ("vendornumber", "productnumber", "revisionnumber"):
-            self.integer(device, key, 0)
-        return {device.spelled[key]: value for key, (value, _) in device.entries.items()}
-
-    def check_lists(self, objects: Mapping[int, Object], heads: Mapping[int, Section]) -> None:
-        listed: set[int] = set()
-        for name in OBJECT_LISTS:
-            section = self.sections.get(name.lower())
-            if section is None:
-                self.say(1, f"[{name}] is missing", "an empty list")
-                continue
-            own = [self.integer(section, key, -1) for key in section.entries if key.isdecimal()]
-            if len(own) != self.integer(section, "supportedobjects", len(own)):
-                said = section.get("supportedobjects")
-                self.say(section.at("supportedobjects"), f"[{name}] lists {len(own)}, not {said}", str(len(own)))
-            for index in own:
-                if index not in objects:
-                    self.say(section.line, f"[{name}] lists {index:04X}h, which is not described", "no such object")
-            listed.update(own)
-        for index, head in heads.items():
-            if index not in listed and index >= 0x1000:
-                self.say(head.line, f"[{head.name}] stands in no list of objects", "an object like the others")
 
     def object(self, index: int, head: Section | None, subs: dict[int, Section]) -> Object:
         if head is None:
@@ -122,10 +109,16 @@ class _Reader(ValueReader):
         if head.entries.keys() != {"objecttype"} and not head.get("parametername"):
             self.say(head.line, f"[{head.name}] has no ParameterName", f"'{name}'")
         count = self.integer(head, "compactsubobj", 0)
-        if not 0 <= count <= 0xFE:
-            self.say(head.at("compactsubobj"), f"[{head.name}] CompactSubObj={count} is not 0 to 254", "0", "error")
-            count = 0
+        if not 0 <= count <= MOST_SUBINDICES:
+            most = MOST_SUBINDICES if count == MOST_SUBINDICES + 1 else 0
+            text = f"[{head.name}] CompactSubObj={count} is not 0 to {MOST_SUBINDICES}"
+            self.say(head.at("compactsubobj"), text, str(most), "warning" if most else "error")
+            count = most
         kind = self.object_type(head, subs, count)
+        if (subs or count) and head.get("parametervalue"):
+            text = f"{head.what('parametervalue')} belongs to no sub-index"
+            self.say(head.at("parametervalue"), text, "a comment")
+            del head.entries["parametervalue"]
         if kind not in (ARRAY, RECORD) and not subs:
             return Object(index, name, kind, MappingProxyType({0: self.variable(index, 0, head, name, kind)}))
         variables = self.compact(index, head, name, count) if count else {}
@@ -137,10 +130,35 @@ class _Reader(ValueReader):
             variables[subindex] = self.variable(index, subindex, section, own, kind)
         if not variables:
             self.say(head.line, f"[{head.name}] is an array or record without sub-indices", "an empty object", "error")
-        said = self.integer(head, "subnumber", 0)
-        if said and not count and said != len(subs):
-            self.say(head.at("subnumber"), f"[{head.name}] SubNumber={said}, {len(subs)} are described", str(len(subs)))
+        self.configure(index, variables)
+        self.check_subs(index, head, subs, variables, count)
         return Object(index, name, kind, MappingProxyType(dict(sorted(variables.items()))))
+
+    def check_subs(
+        self, index: int, head: Section, subs: Mapping[int, Section], variables: Mapping[int, Variable], compact: int
+    ) -> None:
+        """Hold SubNumber and the default of sub-index 0 against the sub-indices that are described."""
+        said = self.integer(head, "subnumber", 0)
+        if subs and not compact and said != len(subs):
+            number = f"SubNumber={said}" if head.get("subnumber") else "SubNumber is missing"
+            self.say(head.at("subnumber"), f"[{head.name}] {number}, {len(subs)} are described", str(len(subs)))
+        if compact and said not in (0, compact, compact + 1):
+            text = f"[{head.name}] SubNumber={said}, but CompactSubObj={compact}"
+            self.say(head.at("subnumber"), text, f"{compact} entries")
+        if 9 in subs and 0x10 in subs and not any(subindex in subs for subindex in range(0xA, 0x10)):
+            line = subs[0x10].line
+            self.say(
+                line, f"[{head.name}] has sub9 and sub10, but no subA: decimal numbers?", "hexadecimal ones", "error"
+            )
+        if not variables or index < 0x1000:
+            return
+        highest = variables.get(0)
+        last = max((subindex for subindex in variables if subindex != 0xFF), default=0)
+        if highest is None:
+            self.say(head.line, f"[{head.name}] has no sub-index 0", "that a client cannot read it")
+        elif highest.access in ("ro", "const") and highest.default not in (None, last) and index != 0x1003:
+            text = f"[{head.name}] has sub-indices up to {last}, but sub-index 0 says {highest.default!r}"
+            self.say(highest.line, text, "what is described")
 
     def object_type(self, head: Section, subs: dict[int, Section], compact: int) -> int:
         text = self.bare(head, "objecttype").upper()
@@ -150,6 +168,15 @@ class _Reader(ValueReader):
             self.say(head.at("objecttype"), f"[{head.name}] ObjectType={text} is no number", f"0x{names[text]:X}")
             return names[text]
         kind = self.integer(head, "objecttype", guess)
+        if kind not in OBJECT_TYPES:
+            text = f"[{head.name}] ObjectType=0x{kind:X} is none of CiA 301"
+            self.say(head.at("objecttype"), text, f"0x{guess:X}", "error")
+            return guess
+        if (subs or compact) and not text:
+            self.say(head.line, f"[{head.name}] has sub-indices, but no ObjectType", f"0x{guess:X}")
+        if kind in (ARRAY, RECORD) and not (subs or compact) and head.get("datatype"):
+            self.say(head.line, f"[{head.name}] is ObjectType 0x{kind:X} but has no sub-indices", f"0x{VAR:X}")
+            return VAR
         if kind in (VAR, DOMAIN) and (subs or compact):
             self.say(head.line, f"[{head.name}] is ObjectType 0x{kind:X} but has sub-indices", f"0x{guess:X}")
             return guess
@@ -158,11 +185,12 @@ class _Reader(ValueReader):
     def compact(self, index: int, head: Section, name: str, count: int) -> dict[int, Variable]:
         """Expand CompactSubObj: sub-index 0 is implied, the others share the head's type, access and default."""
         number = Variable(index, 0, "Highest sub-index", 5, "ro", count, False, None, None, False, head.line)
-        names = self.sections.get(f"{index:04x}name", Section("", head.line))
-        first = self.variable(index, 1, head, names.get("1") or f"{name} 1", ARRAY)
+        section = self.sections.get(f"{index:04x}name", Section("", head.line))
+        names = {subindex: section.get(key) for subindex, key in section.numbered().items()}
+        first = self.variable(index, 1, head, names.get(1) or f"{name} 1", ARRAY)
         variables = {0: number, 1: first}
         for subindex in range(2, count + 1):
-            own = names.get(str(subindex)) or f"{name} {subindex}"
+            own = names.get(subindex) or f"{name} {subindex}"
             variables[subindex] = Variable(**{**vars(first), "subindex": subindex, "name": own})
         return variables
 
@@ -171,22 +199,22 @@ class _Reader(ValueReader):
         access = self.bare(section, "accesstype").lower().replace("/", "")
         if access not in ACCESS_TYPES:
             said = f"AccessType={section.get('accesstype')} is unknown" if access else "AccessType is missing"
-            assumed = "const" if subindex == 0 and kind in (ARRAY, RECORD) else "rw"
+            usual = "const" if subindex == 0 and kind in (ARRAY, RECORD) else "rw"
+            assumed = ACCESS_WORDS.get(re.sub(r"\W", "", access), usual)
             self.say(section.at("accesstype"), f"[{section.name}] {said}", assumed)
             access = assumed
         default, relative, unreadable = self.value(section, "defaultvalue", code)
-        twice = section.conflicts & {"defaultvalue", "datatype"}
-        if section.pdo_parameter and twice:
-            default, unreadable = None, f"{section.what(min(twice))} stands twice with different values"
+        if twice := self.ambiguous(section, "defaultvalue"):
+            default, unreadable = None, twice
         low, high = self.limits(section, code)
-        number = default if isinstance(default, int | float) and not relative else None
-        if number is not None and not ((low is None or low <= number) and (high is None or number <= high)):
-            text = f"{section.what('defaultvalue')}={section.get('defaultvalue')} is outside its limits"
-            self.say(section.at("defaultvalue"), text, str(default))
         mappable = bool(self.integer(section, "pdomapping", 0))
-        return Variable(
+        variable = Variable(
             index, subindex, name, code, access, default, relative, low, high, mappable, section.line, unreadable
         )
+        if isinstance(default, int | float) and not (relative or variable.admits(default)):
+            text = f"{section.what('defaultvalue')}={section.get('defaultvalue')} is outside its limits"
+            self.say(section.at("defaultvalue"), text, str(default))
+        return self.configured(variable, section, "parametervalue")
 
     def data_type(self, index: int, subindex: int, section: Section, kind: int) -> int:
         guess = 0
@@ -196,6 +224,14 @@ class _Reader(ValueReader):
             guess = 0x0005
         elif index in PDO_PARAMETERS:
             guess = 0x0007 if index & 0x0200 else {1: 7, 2: 5, 3: 6, 5: 6, 6: 5}.get(subindex, 0)
+        named = TYPE_NAMES.get(self.bare(section, "datatype").upper())
+        if named is not None:
+            self.say(
+                section.at("datatype"),
+                f"{section.what('datatype')}={section.get('datatype')} is no number",
+                f"0x{named:04X}",
+            )
+            return named
         code = self.integer(section, "datatype", guess)
         number = number_of(section.get("datatype"))
         if "datatype" in section.conflicts or (number is not None and number.doubtful):

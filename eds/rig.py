@@ -1,13 +1,15 @@
 """The rig file: one TOML file says what hangs on the bus, what the controller believes, and what the simulation knows.
 
 ``load_rig("bench")`` finds a rig of the package, ``load_rig("lab/handle.toml")`` a file. The result is frozen and
-complete; `docs/rig-file.md` explains every key. Every mistake of a file is reported at once, each with ``file:line``,
-the key, what stands there, what is expected and the nearest known key.
+complete; `docs/rig-file.md` explains every key. A rig of several axes is a rig for each of them (`Rig.axes`). Every
+mistake of a file is reported at once, each with ``file:line``, the key, what stands there, what is expected and the
+nearest known key.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
@@ -15,17 +17,18 @@ from typing import Any, Literal
 from pydantic import Field, PrivateAttr, ValidationError
 
 from eds.reader import Description
+from eds.rig_axes import check_axes, split_axes
 from eds.rig_checks import check, remarks
-from eds.rig_errors import RigError, Source, nearest, shown
+from eds.rig_errors import RigError, Source, dotted, nearest, shown
 from eds.rig_files import read_descriptions, read_schedules
 from eds.rig_model import About, Brake, Bus, Host, Law, Limits, Mechanics, Modes, Motor, Section
 from eds.rig_plant import Operator, Phase, Plant
 from eds.rig_text import apply_override, emit
 from eds.rig_words import explain
 from eds.signals import RigPdo, rig_pdos
-from eds.toml_lines import read_toml
+from eds.toml_lines import Key, read_toml
 
-__all__ = ["Rig", "RigError", "known_rigs", "load_rig", "load_rig_text"]
+__all__ = ["Rig", "RigError", "RigNode", "known_rigs", "load_rig", "load_rig_text", "packaged_rig"]
 
 HYBRID_MARGIN = 1.2
 
@@ -53,6 +56,21 @@ class RigFile(Section):
     )
 
 
+@dataclass(frozen=True)
+class RigNode:
+    """One device of a rig: "motor" or "brake", with its axis before the name ("x.motor") where there are several."""
+
+    name: str
+    role: Literal["motor", "brake"]
+    part: Motor | Brake
+    description: Description
+
+    @property
+    def node_id(self) -> int:
+        """Its node id."""
+        return self.part.node_id
+
+
 class Rig(RigFile):
     """A rig: the file's sections, frozen, with the EDS files that it names.
 
@@ -74,6 +92,66 @@ class Rig(RigFile):
     _warnings: tuple[str, ...] = PrivateAttr(())
     _descriptions: dict[str, Description] = PrivateAttr(default_factory=dict)
     _pdos: tuple[RigPdo, ...] = PrivateAttr(())
+    _axis: str = PrivateAttr("")
+    _axes: tuple[Rig, ...] = PrivateAttr(())
+    _values: dict[str, Any] | None = PrivateAttr(None)
+
+    @property
+    def axes(self) -> tuple[Rig, ...]:
+        """The axes, each a rig of one motor and one brake; a rig of one axis is its own.
+
+        The sections of a rig of several axes, where it is taken for one, are those of its first axis.
+        """
+        return self._axes or (self,)
+
+    @property
+    def axis(self) -> str:
+        """The axis' name, "" where the rig has only one; its signals are then called NAME.motor.position_rad."""
+        return self._axis
+
+    @property
+    def prefix(self) -> str:
+        """What stands before the names of the axis' nodes and signals: "" or "NAME."."""
+        return f"{self._axis}." if self._axis else ""
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """The names of the buses on which the axes hang, in the file's order; ("",) for one bus without a name."""
+        return tuple(dict.fromkeys(axis.bus.channel for axis in self.axes))
+
+    def one_axis(self, name: str | None = None) -> Rig:
+        """Return the axis `name` as a rig of its own; without a name the rig itself, which must then have one axis only.
+
+        Raises
+        ------
+        RigError
+            the rig has several axes and none was named, or it has no such axis
+        """
+        names = [axis.axis for axis in self.axes if axis.axis]
+        if name is None:
+            if names:
+                raise RigError(
+                    [f"the rig {self.name} has the axes {', '.join(names)}; this is about one axis at a time"]
+                )
+            return self
+        if name not in names:
+            has = f"the axes {', '.join(names)}" if names else "one axis, without a name"
+            raise RigError([f"--axis {name}: the rig {self.name} has {has}"])
+        return self.axes[names.index(name)].alone
+
+    @property
+    def alone(self) -> Rig:
+        """The axis as a rig of its own, whose nodes and signals have no axis in their names."""
+        return load_rig_text(self.effective(), self.path, self.eds_texts) if self._axis else self
+
+    def on(self, channel: str) -> Rig:
+        """Return the rig as it is on the bus `channel`: the axes that hang there and no other."""
+        if self.channels == (channel,):
+            return self
+        there = [axis for axis in self.axes if axis.bus.channel == channel]
+        if not there or self._values is None:
+            raise KeyError(f"the rig has no bus '{channel}'; it has {', '.join(self.channels)}")
+        return _together(there, self._values | {"axis": {a.axis: self._values["axis"][a.axis] for a in there}})
 
     @property
     def name(self) -> str:
@@ -103,15 +181,25 @@ class Rig(RigFile):
     @property
     def eds_texts(self) -> Mapping[str, str]:
         """The EDS files' texts by the names that the rig file has for them; a recording attaches them."""
-        return {self.motor.eds: self.description("motor").text, self.brake.eds: self.description("brake").text}
+        return {node.part.eds: node.description.text for node in self.nodes}
 
     def description(self, node: Literal["motor", "brake"]) -> Description:
         """Return what the EDS file says of a node."""
         return self._descriptions[node]
 
+    @property
+    def nodes(self) -> tuple[RigNode, ...]:
+        """The devices of all axes: motor and brake of the first, of the second ..."""
+        roles: tuple[Literal["motor", "brake"], ...] = ("motor", "brake")
+        return tuple(
+            RigNode(axis.prefix + role, role, axis.motor if role == "motor" else axis.brake, axis.description(role))
+            for axis in self.axes
+            for role in roles
+        )
+
     def pdos(self) -> tuple[RigPdo, ...]:
-        """Return the PDOs that the host maps, always the same five, with their signals."""
-        return self._pdos
+        """Return the PDOs that the host maps, always the same five of each axis, with their signals."""
+        return tuple(pdo for axis in self._axes for pdo in axis.pdos()) if self._axes else self._pdos
 
     def motor_limit_Nm(self, mode: str) -> float:
         """Return the largest motor torque at the handle [Nm] in a mode, which the drive's own limit 6072h is set to.
@@ -123,26 +211,36 @@ class Rig(RigFile):
 
     def effective(self) -> str:
         """Return the configuration after overrides as TOML text; loading it gives an equal rig."""
-        return emit(self.model_dump(by_alias=True), f"The rig {self.name} as it was used, overrides included.")
+        values = self.model_dump(by_alias=True) if self._values is None else self._values
+        return emit(values, f"The rig {self.name} as it was used, overrides included.")
 
     def variant(self, *overrides: str) -> Rig:
         """Return the rig with further overrides, as ``--set`` takes them."""
-        return load_rig_text(self.effective(), self.path, self.eds_texts, overrides)
+        if not overrides:
+            return self
+        rig = _named(load_rig_text(self.effective(), self.path, self.eds_texts, overrides), self._axis)
+        for one in (rig, *rig._axes):  # `mistake` says where a value came from
+            one._text, one._overrides = self._text, (*self._overrides, *overrides)
+        return rig
 
     def mistake(self, key: str, expected: str) -> RigError:
         """Return the error that says where `key` stands, what stands there, and what was `expected`, for later checks."""
-        path = tuple(key.split("."))
-        given = next(
-            (f"--set {text}" for text in reversed(self._overrides) if text.partition("=")[0].strip() == key), None
-        )
-        place = given or f"{self._path}:{read_toml(self._text).line(path)}"
+        path: Key = tuple(key.split("."))
+        document = read_toml(self._text)
+        if self._axis:
+            path = Source(self._path, document, axis=("axis", self._axis)).full(path)
         value: Any = self.model_dump(by_alias=True)
-        for part in path:
+        given = next(
+            (f"--set {text}" for text in reversed(self._overrides) if text.partition("=")[0].strip() == dotted(path)),
+            None,
+        )
+        place = given or f"{self._path}:{document.line(path)}"
+        for part in path[2:] if path[0] == "axis" else path:
             value = value[part]
-        return RigError([f"{place}: {key}: '{shown(value)}' stands there; expected {expected}"])
+        return RigError([f"{place}: {dotted(path)}: '{shown(value)}' stands there; expected {expected}"])
 
-    def _identity(self) -> tuple[str, tuple[tuple[str, str], ...]]:
-        return self.effective(), tuple(sorted(self.eds_texts.items()))
+    def _identity(self) -> tuple[str, str, tuple[tuple[str, str], ...]]:
+        return self._axis, self.effective(), tuple(sorted(self.eds_texts.items()))
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Rig) and self._identity() == other._identity()
@@ -157,7 +255,24 @@ class Rig(RigFile):
         return self
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return load_rig_text, (self.effective(), self.path, dict(self.eds_texts))
+        return _reload, (self.effective(), self.path, dict(self.eds_texts), self._axis)
+
+
+def _named(rig: Rig, axis: str) -> Rig:
+    """Return a rig of one axis with the axis' name."""
+    if axis:
+        rig._axis = axis
+        rig._pdos = rig_pdos(rig)
+    return rig
+
+
+def _reload(text: str, path: str, eds_texts: Mapping[str, str], axis: str) -> Rig:
+    return _named(load_rig_text(text, path, eds_texts), axis)
+
+
+def packaged_rig(name: str) -> Path:
+    """Return the file of a rig of the package."""
+    return Path(str(resources.files("rigs") / f"{name}.toml"))
 
 
 def known_rigs() -> tuple[str, ...]:
@@ -187,7 +302,7 @@ def load_rig(name_or_path: str, overrides: Sequence[str] = ()) -> Rig:
             hint = nearest(name_or_path, known)
             wanted = f"expected one of {', '.join(known)}, or a path such as ./{name_or_path or 'my-rig'}.toml"
             raise RigError([f"--rig {name_or_path}: no rig of this name; {wanted}{hint}"])
-        path = Path(str(resources.files("rigs") / f"{name_or_path}.toml"))
+        path = packaged_rig(name_or_path)
     try:
         raw = path.read_bytes()
     except OSError as error:
@@ -232,8 +347,51 @@ def _load(
     source = Source(path, document, found=list(broken))
     source.found += [(line, f"{path}:{line}: {problem}") for line, problem in document.problems]
     values = document.values
+    axes_of_file = set(values["axis"]) if isinstance(values.get("axis"), dict) else set()
     for override in overrides:
         apply_override(values, override, source)
+    for name in set(values.get("axis", ())) - axes_of_file:
+        known = ", ".join(sorted(axes_of_file)) or "none: the file has no [axis.NAME]"
+        source.say(("axis", name), f"there is no such axis; the rig's axes are {known}")
+        if axes_of_file:
+            del values["axis"][name]
+    axes = split_axes(values, source)
+    if axes is None:
+        rig = _validated(values, source, eds_texts)
+        source.raise_all()
+        return _finished(rig, text, overrides, source, values)
+    sources = {name: source.of_axis(name) for name in axes}
+    rigs = [_validated(axes[name], sources[name], eds_texts) for name in axes]
+    check_axes(axes, sources)
+    for one in sources.values():
+        source.found += one.found
+    source.raise_all()
+    found = []
+    for rig, name in zip(rigs, axes, strict=True):
+        assert rig is not None
+        rig._axis = name
+        found.append(_finished(rig, text, overrides, sources[name], axes[name]))
+    whole = _finished(
+        _validated(axes[found[0].axis], sources[found[0].axis], eds_texts), text, overrides, source, values
+    )
+    whole._axes, whole._values = tuple(found), values
+    whole._warnings = tuple(dict.fromkeys(warning for rig in found for warning in rig.warnings))
+    return whole
+
+
+def _together(axes: Sequence[Rig], values: dict[str, Any]) -> Rig:
+    """Return the rig of several axes that `values` spells; its own sections are those of the first."""
+    first = axes[0]
+    whole = Rig.model_validate(first.model_dump(by_alias=True))
+    whole._path, whole._text, whole._overrides = first.path, first.text, first.overrides
+    whole._descriptions = first._descriptions
+    whole._axes, whole._values = tuple(axes), values
+    whole._warnings = tuple(dict.fromkeys(warning for axis in axes for warning in axis.warnings))
+    return whole
+
+
+def _validated(values: dict[str, Any], source: Source, eds_texts: Mapping[str, str] | None) -> Rig | None:
+    """Return the rig of one axis; None when it is refused. Mistakes are noted in `source`."""
     read_schedules(values, source)
     rig: Rig | None = None
     try:
@@ -242,11 +400,17 @@ def _load(
         explain(error, values, Rig, source)
     check(values, source)
     descriptions = read_descriptions(values, source, eds_texts)
-    if rig is None or source.found:
-        source.raise_all()
+    if rig is not None:
+        rig._descriptions = descriptions
+    elif not source.found:
         raise AssertionError("a rig that pydantic refuses has a mistake that is explained")
-    rig._path, rig._text, rig._overrides = path, text, tuple(overrides)
-    rig._descriptions = descriptions
+    return rig
+
+
+def _finished(rig: Rig | None, text: str, overrides: Sequence[str], source: Source, values: Mapping[str, Any]) -> Rig:
+    """Return the rig of one axis with all that is not in its sections."""
+    assert rig is not None
+    rig._path, rig._text, rig._overrides = source.path, text, tuple(overrides)
     rig._warnings = remarks(values, source)
     rig._pdos = rig_pdos(rig)
     return rig

@@ -179,7 +179,7 @@ def _check_columns(phase: Mapping[str, Any], key: Key, source: Source) -> None:
 def remarks(values: Mapping[str, Any], source: Source) -> tuple[str, ...]:
     """Return what is allowed and yet may not be meant, with file:line."""
     found = [
-        f"{source.where(key)[1]}: {dotted(key)}: '{shown(value)}' stands there; expected {wanted}"
+        f"{source.where(key)[1]}: {dotted(source.full(key))}: '{shown(value)}' stands there; expected {wanted}"
         for key, value, wanted in _broken_rules(REMARKS, values, source)
     ]
     for i, phase in enumerate(values.get("phase", ())):
@@ -187,5 +187,7 @@ def remarks(values: Mapping[str, Any], source: Source) -> tuple[str, ...]:
             if tap >= phase["duration_s"]:
                 key = ("phase", i, "taps_s")
                 text = f"the tap at {shown(tap)} comes after the phase's end ({shown(phase['duration_s'])} s)"
-                found.append(f"{source.where(key)[1]}: {dotted(key)}: {text}; expected a tap within the phase")
+                found.append(
+                    f"{source.where(key)[1]}: {dotted(source.full(key))}: {text}; expected a tap within the phase"
+                )
     return tuple(found)

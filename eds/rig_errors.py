@@ -18,6 +18,8 @@ LONGEST = 60
 class RigError(Exception):
     """A rig file is refused; `errors` holds one line for each mistake, all that were found."""
 
+    exit_status = 3
+
     def __init__(self, errors: Sequence[str]) -> None:
         self.errors = tuple(errors)
         super().__init__("\n".join(self.errors))
@@ -33,11 +35,24 @@ class Source:
     path: str
     document: Document
     overrides: dict[Key, str] = field(default_factory=dict)
+    axis: Key = ()
+    """("axis", NAME) while the values of one axis are looked at: what it has of its own stands below this."""
     found: list[tuple[float, str]] = field(default_factory=list)
     wrong: set[Key] = field(default_factory=set)
 
+    def of_axis(self, name: str) -> Source:
+        """Return a source of its own for the axis `name` of the same file."""
+        return Source(self.path, self.document, self.overrides, ("axis", name))
+
+    def full(self, key: Key) -> Key:
+        """Return `key` as the file has it: below the axis where the axis has it of its own."""
+        own = (*self.axis, *key)
+        depth = range(len(own), len(self.axis), -1)
+        return own if any(own[:n] in self.overrides or own[:n] in self.document.lines for n in depth) else key
+
     def where(self, key: Key) -> tuple[float, str]:
         """Return the place of `key` for sorting, and as text: ``file:line`` or ``--set KEY=VALUE``."""
+        key = self.full(key)
         for length in range(len(key), 0, -1):
             if key[:length] in self.overrides:
                 return float("inf"), f"--set {self.overrides[key[:length]]}"
@@ -53,7 +68,7 @@ class Source:
         """Note a mistake of `key`; `text` follows the key's name."""
         place, where = self.where(key)
         self.wrong.add(key)
-        self.found.append((place, f"{where}: {dotted(key)}: {text}"))
+        self.found.append((place, f"{where}: {dotted(self.full(key))}: {text}"))
 
     def stands(self, key: Key, value: Any, wanted: str, known: Iterable[str] = ()) -> None:
         """Note that `value` is not what is `wanted`."""
@@ -62,12 +77,15 @@ class Source:
 
     def is_wrong(self, key: Key) -> bool:
         """Tell whether the value of `key`, or one that holds it, is known to be wrong."""
-        return any(key[:length] in self.wrong for length in range(1, len(key) + 1)) or self.document.is_broken(key)
+        if any(key[:length] in self.wrong for length in range(1, len(key) + 1)):
+            return True
+        return self.document.is_broken(key) or (self.axis != () and self.document.is_broken((*self.axis, *key)))
 
     def raise_all(self) -> None:
         """Raise RigError with every mistake, in the file's order, if there is one."""
         if self.found:
-            raise RigError([text for _, text in sorted(self.found, key=lambda item: item[0])])
+            ordered = [text for _, text in sorted(self.found, key=lambda item: item[0])]
+            raise RigError(list(dict.fromkeys(ordered)))  # what several axes share is said once
 
 
 def dotted(key: Key) -> str:

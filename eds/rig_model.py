@@ -35,6 +35,7 @@ MODES = ("active", "passive", "hybrid")
 WORK_WINDOW_CYCLES = 4096
 """Cycles that the host's net-work watch can look back."""
 CIA_301_BIT_RATES = (10_000, 20_000, 50_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
+CHANNEL = r"^[a-z0-9_]{0,16}$"
 DEADMAN = r"^(|none|key|object:[0-9A-Fa-f]{4}:[0-9A-Fa-f]{1,2})$"
 LAW = r"^\s*(([A-Za-z_]\w*)(\.[A-Za-z_]\w*)*|[^:]+\.py):[A-Za-z_]\w*\s*$"
 
@@ -88,6 +89,12 @@ class About(Section):
 class Bus(Section):
     """[bus]: the CAN bus and the cycle."""
 
+    channel: str = Field(
+        "",
+        pattern=CHANNEL,
+        description="which bus, where the axes of a rig hang on several",
+        json_schema_extra={"expected": "a name of up to 16 small letters, digits and _"},
+    )
     bitrate_bit_s: int = Field(ge=10_000, le=20_000_000, description="bit rate of the CAN bus")
     period_s: Microseconds = Field(
         ge=1e-4, le=1.0, description="SYNC period, one cycle of the law", json_schema_extra=US
@@ -114,6 +121,9 @@ class Host(Section):
         ge=1e-3, le=65.535, description="period of the host's heartbeat", json_schema_extra=MS
     )
     sdo_timeout_s: float = Field(0.5, ge=0.01, le=60, description="how long the host waits for an SDO response")
+    compute_s: float = Field(
+        0.0, ge=0, le=1, description="longest time from the last TPDO to the RPDOs' sending; the planner counts it"
+    )
     deadman: str = Field(
         "",
         pattern=DEADMAN,

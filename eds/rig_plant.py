@@ -44,6 +44,18 @@ class Plant(Section):
         description="-1: the hand's torque in the positive sense reads negative", json_schema_extra=SAYS_POLARITY
     )
     temperature_degC: float = Field(22.0, ge=-40, le=200, description="the coil's temperature at the start")
+    ambient_degC: float = Field(22.0, ge=-40, le=200, description="temperature of what cools the coil")
+    coil_resistance_ohm: float = Field(4.0, ge=0, le=1e4, description="resistance of the brake's coil")
+    coil_thermal_K_W: float = Field(
+        0.0, ge=0, le=1e4, description="thermal resistance from the coil to the ambient; 0: the temperature is constant"
+    )
+    coil_thermal_s: float = Field(300.0, gt=0, le=1e6, description="thermal time constant of the coil")
+    brake_remanence: float = Field(
+        0.0,
+        ge=0,
+        le=0.9,
+        description="torque that the iron remembers, as a share of the largest since it was demagnetised",
+    )
 
     @property
     def step_ns(self) -> int:

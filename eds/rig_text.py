@@ -67,22 +67,28 @@ def emit(values: Mapping[str, Any], comment: str) -> str:
     """Return nested sections as TOML text; None is left out, arrays of tables are those that hold mappings."""
     lines = [f"# {line}" for line in comment.splitlines()]
     for name, section in values.items():
-        if isinstance(section, Mapping):
-            _section(lines, name, section)
-        else:
-            for table in section:
-                lines += ["", f"[[{name}]]"]
-                _keys(lines, table)
+        _section(lines, name, section)
     return "\n".join(lines) + "\n"
 
 
-def _section(lines: list[str], name: str, section: Mapping[str, Any]) -> None:
-    nested = {key: value for key, value in section.items() if isinstance(value, Mapping)}
-    if len(nested) < len(section) and any(value is not None for key, value in section.items() if key not in nested):
+def _section(lines: list[str], name: str, section: Any) -> None:
+    if not isinstance(section, Mapping):
+        for table in section:
+            lines += ["", f"[[{name}]]"]
+            _keys(lines, table)
+        return
+    nested = {key: value for key, value in section.items() if _is_section(value)}
+    own = {key: value for key, value in section.items() if key not in nested and value is not None}
+    if own or not section:
         lines += ["", f"[{name}]"]
-        _keys(lines, {key: value for key, value in section.items() if key not in nested})
+        _keys(lines, own)
     for key, value in nested.items():
         _section(lines, f"{name}.{key}", value)
+
+
+def _is_section(value: Any) -> bool:
+    tables = isinstance(value, list | tuple) and len(value) > 0 and all(isinstance(item, Mapping) for item in value)
+    return isinstance(value, Mapping) or tables
 
 
 def _keys(lines: list[str], section: Mapping[str, Any]) -> None:

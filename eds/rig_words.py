@@ -28,6 +28,8 @@ UNITS = {
     "_counts": "counts",
     "_cycles": "cycles",
     "_degC": "degC",
+    "_K_W": "K/W",
+    "_ohm": "ohm",
     "_rad": "rad",
     "_Nm": "Nm",
     "_Hz": "Hz",

@@ -65,6 +65,11 @@ class Signal:
     offset: float
     unit: str
 
+    @property
+    def key(self) -> str:
+        """The name without its axis: "motor.position_rad"."""
+        return ".".join(self.name.split(".")[-2:])
+
     def si(self, raw: float) -> float:
         """Return the SI value of a raw number."""
         return raw * self.scale + self.offset
@@ -76,12 +81,25 @@ class Signal:
 
 @dataclass(frozen=True)
 class RigPdo:
-    """One PDO that the host maps, with one signal for each entry of its layout."""
+    """One PDO that the host maps, with one signal for each entry of its layout.
 
-    node: Node
+    `node` is "motor" or "brake", with its axis before it ("x.motor") where the rig has several.
+    """
+
+    node: str
     node_id: int
     layout: PdoLayout
     signals: tuple[Signal, ...]
+
+    @property
+    def role(self) -> str:
+        """What the node is: "motor" or "brake"."""
+        return self.node.rpartition(".")[2]
+
+    @property
+    def name(self) -> str:
+        """Which PDO of the node it is, as "TPDO1"."""
+        return f"{self.layout.direction.upper()}{self.layout.number}"
 
 
 def rig_pdos(rig: Rig) -> tuple[RigPdo, ...]:
@@ -106,7 +124,7 @@ def rig_pdos(rig: Rig) -> tuple[RigPdo, ...]:
             entries=tuple(_entry(description, index, subindex, direction) for index, subindex, _ in objects),
         )
         signals = tuple(_signal(rig, node, index, subindex, name) for index, subindex, name in objects)
-        found.append(RigPdo(node, part.node_id, layout, signals))
+        found.append(RigPdo(rig.prefix + node, part.node_id, layout, signals))
     return tuple(found)
 
 
@@ -180,7 +198,7 @@ def _signal(rig: Rig, node: Node, index: int, subindex: int, name: str) -> Signa
         scale = _block_scale(rig.description(node), index, subindex, unit)
         if name == "handle_torque_Nm":
             scale *= rig.mechanics.transducer_polarity
-    return Signal(f"{node}.{name}", index, subindex, scale, 0.0, unit.replace("rad_s", "rad/s"))
+    return Signal(f"{rig.prefix}{node}.{name}", index, subindex, scale, 0.0, unit.replace("rad_s", "rad/s"))
 
 
 def _block_scale(description: Description, index: int, subindex: int, unit: str) -> float:

@@ -7,21 +7,26 @@ difference is collected and told at once; with any of them the host refuses to g
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import canopen
 from canopen.sdo import SdoAbortedError, SdoCommunicationError
 
 from eds.cia301 import NmtState, abort_text
-from eds.cia402 import OPERATION_MODE_CST
-from eds.reader import Description
+from eds.cia402 import OPERATION_MODE_CST, STATE_OF_STATUSWORD, PowerState
+from eds.reader import Description, Value
 from eds.rig import Rig
+from eds.rig_model import Brake, Motor
 from eds.signals import RigPdo
+from host.controller import Controller
+from host.controllers import Controllers
 from host.errors import DeviceMismatch, NodeMissing, SdoAborted
-from wire.load import cycle_load
+from host.records import Image
+from wire.plan_rig import plans
 
-__all__ = ["ControlPlane", "bring_up", "shut_down"]
+__all__ = ["ControlPlane", "bring_up", "check_plan", "release", "shut_down"]
 
 INVALID = 1 << 31
 SETTLE_NS = 50_000_000
@@ -145,7 +150,7 @@ def _unused_pdos(description: Description, pdos: tuple[RigPdo, ...]) -> Iterator
                     yield Setting(index, 1, default | INVALID)
 
 
-def _common_settings(rig: Rig, part: Any) -> Iterator[Setting]:
+def _common_settings(rig: Rig, part: Motor | Brake) -> Iterator[Setting]:
     """Heartbeats both ways and the loss of SYNC."""
     timeout_ms = round(part.heartbeat_timeout_s * 1000)
     yield Setting(0x1016, 1, rig.host.node_id << 16 | timeout_ms)
@@ -168,9 +173,9 @@ def _brake_settings(rig: Rig) -> Iterator[Setting]:
     yield Setting(0x2005, 0, round(rig.brake.ramp_s * 1e6), optional=True)
 
 
-def _identity(device: _Device, part: Any) -> list[str]:
+def _identity(device: _Device, part: Motor | Brake) -> list[str]:
     """Compare device type (1000) and identity (1018) with the EDS and the rig file."""
-    expected = {
+    expected: dict[tuple[int, int], tuple[str, Value]] = {
         (0x1000, 0): ("device type", device.description.default(0x1000, 0, device.node_id)),
         (0x1018, 1): ("vendor id", part.vendor_id),
         (0x1018, 2): ("product code", part.product_code),
@@ -178,71 +183,112 @@ def _identity(device: _Device, part: Any) -> list[str]:
     differences = []
     for (index, subindex), (what, value) in expected.items():
         there = device.read(index, subindex)
-        if value is not None and there != value:
+        if isinstance(value, int) and there != value:
             differences.append(
                 f"{device.name} (node {device.node_id}): {what} {index:04X}h:{subindex:02X} is {there:#010x}, the rig file says {value:#010x}"
             )
     return differences
 
 
-def bring_up(rig: Rig, plane: ControlPlane, motor_limit_pm: int) -> None:
-    """Make both nodes ready for the cycle: identified, configured, read back, OPERATIONAL.
+def check_plan(rig: Rig) -> None:
+    """Refuse a rig whose messages do not fit on their bus in the worst case.
+
+    Raises
+    ------
+    DeviceMismatch
+        Naming each late frame.
+    """
+    for planned in plans(rig).values():
+        if not planned.fits:
+            raise DeviceMismatch(planned.verdict())
+
+
+def bring_up(controllers: Controllers, plane: ControlPlane) -> None:
+    """Make all nodes ready for the cycle: identified, configured, read back, OPERATIONAL.
 
     Parameters
     ----------
+    controllers : whose rig it is; the drives' own torque limits 6072h are theirs
     plane : the control plane's network; the nodes are on the bus and powered
-    motor_limit_pm : the drive's own torque limit 6072h, per mille
 
     Raises
     ------
     NodeMissing, SdoAborted, DeviceMismatch
         nothing was armed; the nodes are left in PRE-OPERATIONAL
     """
-    load = cycle_load(rig)
-    if not load.fits:
-        raise DeviceMismatch(
-            f"the cycle does not fit on the bus: {load.busy_s * 1e6:.0f} us of frames in the worst case, every {load.period_s * 1e6:.0f} us, "
-            f"at {load.bitrate_bit_s} bit/s; raise bus.bitrate_bit_s or bus.period_s"
-        )
+    check_plan(controllers.rig)
     nmt = plane.network.nmt
     nmt.send_command(0x80)  # enter PRE-OPERATIONAL
     plane.wait_ns(SETTLE_NS)
-    pdos = rig.pdos()
-    devices = [
-        _Device(plane, "motor", rig.motor.node_id, rig.description("motor"), rig.host.sdo_timeout_s),
-        _Device(plane, "brake", rig.brake.node_id, rig.description("brake"), rig.host.sdo_timeout_s),
-    ]
-    parts: dict[str, Any] = {"motor": rig.motor, "brake": rig.brake}
-    own = {"motor": lambda: _motor_settings(rig, motor_limit_pm), "brake": lambda: _brake_settings(rig)}
-    differences = [text for device in devices for text in _identity(device, parts[device.name])]
+    axes = [_Axis(controller, plane) for controller in controllers]
+    differences = [text for axis in axes for text in axis.identity()]
     if differences:
         raise DeviceMismatch("; ".join(differences))
-    modes = devices[0].read(0x6502, 0) if devices[0].description.has(0x6502) else 1 << (OPERATION_MODE_CST - 1)
-    if not modes >> (OPERATION_MODE_CST - 1) & 1:
-        raise DeviceMismatch(
-            f"motor: supported drive modes 6502h = {modes:#010x} do not include cyclic synchronous torque"
-        )
-    for device in devices:
-        part = parts[device.name]
-        mine = tuple(pdo for pdo in pdos if pdo.node == device.name)
-
-        def settings(device: _Device = device, part: Any = part, mine: tuple[RigPdo, ...] = mine) -> Iterator[Setting]:
-            yield from _unused_pdos(device.description, mine)
-            yield from _common_settings(rig, part)
-            yield from own[device.name]()
-            for pdo in mine:
-                yield from _pdo_settings(pdo, round(part.setpoint_fault_s * 1000))
-
-        differences += device.configure(settings())
+    for axis in axes:
+        axis.check_modes()
+    differences = [text for axis in axes for text in axis.configure()]
     if differences:
         raise DeviceMismatch("; ".join(differences))
     nmt.send_command(0x01)  # start
-    plane.wait_ns(SETTLE_NS + round(2e9 * max(rig.motor.heartbeat_s, rig.brake.heartbeat_s)))
-    for device in devices:
+    slowest_s = max(part.heartbeat_s for axis in axes for _, part in axis.devices)
+    plane.wait_ns(SETTLE_NS + round(2e9 * slowest_s))
+    for device, _ in (pair for axis in axes for pair in axis.devices):
         state = plane.nmt_state(device.node_id)
         if state != NmtState.OPERATIONAL:
             heard = "was not heard" if state is None else f"says {NmtState(state).name}"
             raise NodeMissing(f"{device.name} (node {device.node_id}) {heard} after NMT start; OPERATIONAL is expected")
+
+
+class _Axis:
+    """Drive and brake of one axis, and what each is to be set to."""
+
+    def __init__(self, controller: Controller, plane: ControlPlane) -> None:
+        rig = controller.rig
+        self._rig, self._limit_pm = rig, int(controller.control["motor_limit_pm"][0])
+        timeout_s = rig.host.sdo_timeout_s
+        motor = _Device(plane, f"{rig.prefix}motor", rig.motor.node_id, rig.description("motor"), timeout_s)
+        brake = _Device(plane, f"{rig.prefix}brake", rig.brake.node_id, rig.description("brake"), timeout_s)
+        self._motor = motor
+        self.devices: tuple[tuple[_Device, Motor | Brake], ...] = ((motor, rig.motor), (brake, rig.brake))
+
+    def identity(self) -> list[str]:
+        return [text for device, part in self.devices for text in _identity(device, part)]
+
+    def check_modes(self) -> None:
+        device = self._motor
+        modes = device.read(0x6502, 0) if device.description.has(0x6502) else 1 << (OPERATION_MODE_CST - 1)
+        if not modes >> (OPERATION_MODE_CST - 1) & 1:
+            raise DeviceMismatch(
+                f"{device.name}: supported drive modes 6502h = {modes:#010x} do not include cyclic synchronous torque"
+            )
+
+    def configure(self) -> list[str]:
+        return [text for device, part in self.devices for text in device.configure(self._settings(device, part))]
+
+    def _settings(self, device: _Device, part: Motor | Brake) -> Iterator[Setting]:
+        pdos = tuple(pdo for pdo in self._rig.pdos() if pdo.node == device.name)
+        yield from _unused_pdos(device.description, pdos)
+        yield from _common_settings(self._rig, part)
+        yield from _motor_settings(self._rig, self._limit_pm) if device is self._motor else _brake_settings(self._rig)
+        for pdo in pdos:
+            yield from _pdo_settings(pdo, round(part.setpoint_fault_s * 1000))
+
+
+def release(controllers: Controllers, plane: ControlPlane) -> None:
+    """Put the nodes into PRE-OPERATIONAL and, at a normal end, take the watch over this host off them (1016h:01 = 0).
+
+    Else each of them would tell of a lost heartbeat (EMCY 8130h) as soon as this host has gone. After a trip, or where a drive is not known to be
+    disabled, the watch stays. To be called before the host's heartbeat is missed.
+    """
+    plane.network.nmt.send_command(0x80)
+    drives = [STATE_OF_STATUSWORD[int(k.host["image"][0, Image.STATUSWORD]) & 0x7F] for k in controllers]
+    disabled = all(drive == PowerState.SWITCH_ON_DISABLED for drive in drives)
+    if not (controllers.done and controllers.trip is None and disabled):
+        return
+    for controller in controllers:
+        for part in (controller.rig.motor, controller.rig.brake):
+            with suppress(SdoAbortedError, SdoCommunicationError):  # then it says so: nothing is lost by that
+                plane.network[part.node_id].sdo.download(0x1016, 1, bytes(4))
 
 
 def shut_down(plane: ControlPlane) -> None:

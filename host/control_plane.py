@@ -61,7 +61,7 @@ class RealControlPlane:
     def __init__(self, rig: Rig, address: BusAddress) -> None:
         self._address = address
         self._host_id = rig.host.node_id
-        nodes = (rig.motor.node_id, rig.brake.node_id)
+        nodes = [node.node_id for node in rig.nodes]
         self._own = {base + node for base in (0x080, 0x580, 0x700) for node in nodes}
         self._foreign = {SYNC: "SYNC", 0x700 + self._host_id: f"the heartbeat of node {self._host_id}"}
         self.heard: str | None = None

@@ -7,8 +7,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from eds.codec import PDO
 from eds.pdo import fill
 from eds.rig import Rig
@@ -51,7 +49,7 @@ TRIP_TEXT = {
     Trip.TRAVEL: "the handle left +- limits.travel_rad",
     Trip.VOLTAGE: "the drive lost its supply (statusword: voltage enabled is 0)",
     Trip.COIL_I2T: "the brake's coil would overheat (I2t above brake.coil_continuous_A)",
-    Trip.TPDO_LOST: "no complete set of TPDOs for limits.missed_tpdo_cycles cycles",
+    Trip.TPDO_LOST: "no complete set of TPDOs for {missed_cycles} cycles (limits.missed_tpdo_cycles)",
     Trip.EMCY_MOTOR: "the motor drive sent an EMCY",
     Trip.EMCY_BRAKE: "the brake sent an EMCY",
     Trip.HEARTBEAT_MOTOR: "the motor drive's heartbeat was lost",
@@ -60,6 +58,7 @@ TRIP_TEXT = {
     Trip.NMT_STATE: "a node left NMT state OPERATIONAL",
     Trip.TRANSMIT: "the bus did not take a frame",
     Trip.RECORDING: "the recording could not be written",
+    Trip.OTHER_AXIS: "another axis went to its safe state",
     Trip.LAW: "the friction law returned no number (law.function)",
     Trip.BUS_LOST: "the bus is gone: its process ended, or its interface went down",
     Trip.SECOND_HOST: "another host sends SYNC or this host's heartbeat on the same bus",
@@ -74,7 +73,7 @@ TRIP_TEXT = {
     Trip.SIGN_TRANSDUCER: "arming refused: the torque transducer's sign is wrong (mechanics.transducer_polarity)",
     Trip.SIGN_TRAVEL: "arming refused: the handle moved too far in the sign check",
 }
-"""Each trip in words, with the rig file's key that decides it."""
+"""Each trip in words, with the rig file's key that decides it; `{}` is a field of CONTROL."""
 
 
 def _cycles(seconds: float, period_s: float) -> int:
@@ -130,12 +129,12 @@ class Controller:
         records = new_records(PDO, DRIVE_PDOS)
         records["cob_id"] = -1
         for record, pdo in zip(records, pdos, strict=False):
-            slots = {(s.index, s.subindex): int(IMAGE_OF_SIGNAL[s.name]) for s in pdo.signals}
+            slots = {(s.index, s.subindex): int(IMAGE_OF_SIGNAL[s.key]) for s in pdo.signals}
             fill(record, pdo.layout, _slot_of(slots))
         return records
 
     def _signal(self, pdos: tuple[RigPdo, ...], name: str) -> Signal:
-        return next(signal for pdo in pdos for signal in pdo.signals if signal.name == name)
+        return next(signal for pdo in pdos for signal in pdo.signals if signal.key == name)
 
     def _new_control(self, pdos: tuple[RigPdo, ...]) -> Records:
         rig, mode, limits = self.rig, self.rig.mode[self.mode], self.rig.limits
@@ -151,7 +150,7 @@ class Controller:
         tpdos = [pdo for pdo in pdos if pdo.layout.direction == "tpdo"]
         c["rpdos"], c["tpdos"] = len(pdos) - len(tpdos), len(tpdos)
         for i, pdo in enumerate(tpdos):
-            if any(signal.name == "motor.position_rad" for signal in pdo.signals):
+            if any(signal.key == "motor.position_rad" for signal in pdo.signals):
                 c["position_mask"] = 1 << i
         c["motor_active"], c["brake_active"] = self.mode == "active", self.mode in ("passive", "hybrid")
 
@@ -212,6 +211,15 @@ class Controller:
             )
         return limit
 
+    def can_ids(self) -> set[int]:
+        """Return the identifiers of the CANopen objects of motor and brake."""
+        c = self.control[0]
+        nodes = (int(c["motor_id"]), int(c["brake_id"]))
+        services = {base + node for base in (0x080, 0x580, 0x600, 0x700) for node in nodes}
+        return services | {
+            int(pdo["cob_id"]) for pdos in (self.rpdos, self.tpdos) for pdo in pdos if pdo["cob_id"] >= 0
+        }
+
     def start(self, t_ns: int) -> None:
         """Begin with the first cycle at `t_ns`; both nodes were heard just now."""
         h = self.host[0]
@@ -235,10 +243,21 @@ class Controller:
         trip = Trip(int(self.host["trip"][0]))
         if trip is Trip.NONE:
             return None
-        text = f"{trip.name}: {TRIP_TEXT[trip]}"
+        text = f"{trip.name}: {TRIP_TEXT[trip].format(missed_cycles=int(self.control['missed_cycles'][0]))}"
+        if trip is Trip.NOT_STILL and self._starved:
+            text += (
+                f"; {int(self.host['lost_pdos'][0])} cycles lacked a TPDO within bus.tpdo_window_s, and a handle whose position does not "
+                "come does not count as still"
+            )
         if trip in (Trip.EMCY_MOTOR, Trip.EMCY_BRAKE):
             text += f" (error code {int(self.host['emcy_code'][0]):04X}h)"
         return text
+
+    @property
+    def _starved(self) -> bool:
+        """Whether so many TPDOs were lost that even a handle at rest could not count as still for long enough."""
+        c = self.control[0]
+        return bool(self.host["lost_pdos"][0] * c["still_cycles"] >= c["still_timeout_cycles"])
 
     @property
     def sign_result(self) -> SignResult:
@@ -256,9 +275,3 @@ class Controller:
             "negative_setpoints",
         )
         return {name: int(self.host[name][0]) for name in names}
-
-
-def arguments(controller: Controller) -> tuple[np.ndarray[Any, Any], ...]:
-    """Return the controller's arrays in the order of `host.step`'s and the event loops' arguments."""
-    k = controller
-    return (k.control, k.host, k.rpdos, k.tpdos, k.law_function, k.motion, k.law, k.state)

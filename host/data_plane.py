@@ -14,19 +14,19 @@ from typing import Any
 
 import numpy as np
 
-from host.controller import Controller
+from host.controllers import SECTIONS, Controllers
 from host.errors import HostError
-from host.loop import take_log
-from host.plane_records import BINS, Command, SharedPlane, Status
+from host.loop import take_log, take_trace
+from host.plane_records import BINS, TRACE_ROWS, Command, SharedPlane, Status
 from host.records import Trip
+from host.trace import TRACE
 from wire.address import BusAddress
 from wire.client import Client
-from wire.frame import Records, frames
+from wire.frame import Records, frames, new_records
 from wire.hello import Flags, Hello
 
 __all__ = ["DataPlane", "PlaneError", "Spread", "rig_filters"]
 
-SHARED_SECTIONS = ("control", "host", "rpdos", "tpdos", "motion", "law", "state")
 START_TIMEOUT_S = 180.0  # the first start ever compiles the loop
 BATCH_FRAMES = 1 << 14
 CAN_SFF_EXACT = 0x7FF | 0xC0000000  # the whole identifier, no extended and no remote frames
@@ -67,18 +67,15 @@ class Spread:
         return {"p50": self.p50, "p99": self.p99, "max": self.max}
 
 
-def rig_filters(controller: Controller) -> tuple[tuple[int, int], ...]:
-    """Return the receive filters of the data plane: the CANopen objects of host, motor and brake, and no other identifier.
+def rig_filters(controllers: Controllers) -> tuple[tuple[int, int], ...]:
+    """Return the receive filters of the data plane: the CANopen objects of host, motors and brakes, and no other identifier.
 
     So a flood of foreign frames ends at the bus (or in Linux's CAN core) and costs the cycle nothing.
     """
-    c = controller.control[0]
-    wanted = {0x000, int(c["sync_cob_id"])}
-    for node in (int(c["motor_id"]), int(c["brake_id"])):
-        wanted |= {0x080 + node, 0x580 + node, 0x600 + node, 0x700 + node}
-    wanted.add(0x700 + int(c["host_id"]))
-    for pdos in (controller.rpdos, controller.tpdos):
-        wanted |= {int(pdo["cob_id"]) for pdo in pdos if pdo["cob_id"] >= 0}
+    c = controllers.control[0]
+    wanted = {0x000, int(c["sync_cob_id"]), 0x700 + int(c["host_id"])}
+    for controller in controllers:
+        wanted |= controller.can_ids()
     return tuple((can_id, CAN_SFF_EXACT) for can_id in sorted(wanted))
 
 
@@ -89,7 +86,7 @@ def default_cpu() -> int | None:
 
 
 class DataPlane:
-    """The process that runs `controller`'s cycle on the bus at `address`. From now on `controller` works on the shared records.
+    """The process that runs the cycle of `controllers` on the bus at `address`. From now on they work on the shared records.
 
     Parameters
     ----------
@@ -106,26 +103,27 @@ class DataPlane:
     """What the process runs."""
 
     def __init__(
-        self, controller: Controller, address: BusAddress, *, priority: int | None = PRIORITY, cpu: int | None = None
+        self, controllers: Controllers, address: BusAddress, *, priority: int | None = PRIORITY, cpu: int | None = None
     ) -> None:
-        self._client = Client(address, Hello(Flags.ERRORS, rig_filters(controller)))
+        self._client = Client(address, Hello(Flags.ERRORS, rig_filters(controllers)))
         self.bitrate_bit_s = self._client.bitrate_bit_s
-        self.shared = SharedPlane.create()
-        for name in SHARED_SECTIONS:
-            getattr(self.shared, name)[:] = getattr(controller, name)
-            setattr(controller, name, getattr(self.shared, name))
+        self.shared = SharedPlane.create(len(controllers.each))
+        controllers.adopt({name: getattr(self.shared, name) for name in SECTIONS})
+        self.shared.owner[:] = controllers.owner
         self.shared.plane["packed"] = address.kind == "coulombus"
-        self._controller = controller
+        self._controllers = controllers
         self._batch = frames(BATCH_FRAMES)
+        self._rows = new_records(TRACE, TRACE_ROWS)
         self.real_time: list[dict[str, Any]] = []
         self._process = self._start(priority, cpu)
 
     def _start(self, priority: int | None, cpu: int | None) -> subprocess.Popen[str]:
-        rig = self._controller.rig
+        rig = self._controllers.rig
         settings = {
             "parent": os.getpid(),
             "bus_fd": self._client.fileno(),
             "memory_fd": self.shared.fd,
+            "axes": self.shared.axes,
             "law": rig.law.function,
             "law_directory": str(Path(rig.path).parent.absolute()),
             "priority": priority,
@@ -187,7 +185,7 @@ class DataPlane:
 
     def start_cycle(self, at_ns: int) -> None:
         """Begin the cycle at CLOCK_MONOTONIC = `at_ns`."""
-        self._controller.start(at_ns)
+        self._controllers.start(at_ns)
         self.shared.plane["start_ns"] = at_ns
         self.shared.plane["command"] = Command.CYCLE
 
@@ -208,6 +206,11 @@ class DataPlane:
         """Return copies of the frames that were logged since the last time; stamps of CLOCK_MONOTONIC."""
         count = take_log(self.shared.plane, self.shared.ring, self._batch)
         return self._batch[:count].copy()
+
+    def take_trace(self) -> Records:
+        """Return copies of the rows of the trace (`host.trace`) since the last time; stamps of CLOCK_MONOTONIC."""
+        count = take_trace(self.shared.plane, self.shared.trace, self._rows)
+        return self._rows[:count].copy()
 
     def close(self, timeout_s: float = 2.0) -> None:
         """End the process: as commanded if it obeys, else by force. May be called again."""

@@ -17,17 +17,21 @@ returns
     brake cannot push and is given ``state.brake_Nm`` instead.
 
 The function must be what Numba compiles; nothing may be imported in it. The compiled law is passed as a function pointer, so the
-host's kernels are not compiled again for it.
+host's kernels are not compiled again for it. A law of the user's own, and what it calls, is compiled with bounds checks: an index beyond
+an array raises as it does in Python, and a law that raises trips.
 """
 
 from __future__ import annotations
 
+import ast
 import difflib
 import importlib
 import importlib.util
+import inspect
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -133,10 +137,23 @@ def _signature() -> Any:
     return numba.float64(*records)
 
 
+@contextmanager
+def _bounds_checked() -> Iterator[None]:
+    """Let all that is compiled meanwhile check its indices, also functions that have a decorator of their own."""
+    with numba.core.compiler_lock.global_compiler_lock:
+        before = numba.config.BOUNDSCHECK
+        numba.config.BOUNDSCHECK = 1
+        try:
+            yield
+        finally:
+            numba.config.BOUNDSCHECK = before
+
+
 def compile_law(function: Callable[..., Any], cache: bool = False) -> Any:
     """Compile `function` for the one signature of a law; what is returned is passed to kernels as a function pointer.
 
-    A law that raises returns NaN, which trips. Only the project's own laws are cached: the cache would not notice an edit of what a law imports.
+    A law that raises returns NaN, which trips; an index beyond an array's ends raises. Only the project's own laws are cached, and without
+    these checks, which they do not need: the cache would not notice an edit of what a law imports.
     """
 
     def guarded(motion: Any, law: Any, state: Any) -> float:
@@ -152,9 +169,69 @@ def compile_law(function: Callable[..., Any], cache: bool = False) -> Any:
     if cache:
         dispatcher = numba.njit(_signature(), cache=True, **options)(function)
     else:
-        inner = numba.njit(**options)(function)
-        dispatcher = numba.njit(_signature(), **options)(guarded)
+        with _bounds_checked():
+            inner = numba.njit(**options)(function)
+            inner.compile(_signature().args)
+            returned = inner.nopython_signatures[0].return_type
+            if not isinstance(returned, numba.types.Float | numba.types.Integer | numba.types.Boolean):
+                kind = str(returned).partition("(")[0]
+                raise TypeError(f"a law returns a number, psi [Nm], on every path; what this one returns is {kind}")
+            dispatcher = numba.njit(_signature(), **options)(guarded)
     return numba.core.types.CompileResultWAP(dispatcher.overloads[dispatcher.signatures[0]])
+
+
+def _line(function: Any, line: int | None = None) -> str:
+    """Return the place of `function`, or of a line of its file, as ``file:line``."""
+    code = function.__code__
+    return f"{code.co_filename}:{line or code.co_firstlineno}"
+
+
+def _unknown_field(function: Any, name: str) -> str | None:
+    """Say where a law uses a field that its records do not have; None where that is not to be found."""
+    try:
+        tree = ast.parse(Path(function.__code__.co_filename).read_text(encoding="utf-8"))
+    except (OSError, ValueError, SyntaxError):
+        return None
+    arguments = dict(zip(inspect.signature(function).parameters, (MOTION, LAW, LAW_STATE), strict=False))
+    uses = [node for node in ast.walk(tree) if isinstance(node, ast.Attribute) and node.attr == name]
+    if not uses:
+        return None
+    first = function.__code__.co_firstlineno
+    use = min(uses, key=lambda node: (node.lineno < first, node.lineno))
+    record = ast.unparse(use.value)
+    fields = (arguments[record].names if record in arguments else None) or ()
+    near = difflib.get_close_matches(name, fields, 1)
+    has = f"; it has {', '.join(fields)}" if fields else ""
+    hint = f"; did you mean '{near[0]}'?" if near else ""
+    return f"{_line(function, use.lineno)}: {record} has no field '{name}'{has}{hint}"
+
+
+def _why_not(function: Any, error: Exception) -> str:
+    """Return why `function` does not compile: the user's ``file:line``, and one sentence."""
+    if (
+        isinstance(error, KeyError) and error.args and isinstance(error.args[0], str)
+    ):  # numba: no such field in a record
+        found = _unknown_field(function, error.args[0])
+        if found:
+            return found
+    text = str(error)
+    lines = [line.strip() for line in text.splitlines()]
+    first = next((i for i, line in enumerate(lines) if line and "pipeline" not in line), 0)
+    sentence: list[str] = []
+    for line in lines[first:]:
+        if line.startswith(("There are", "During:", "File ")) or (
+            sentence and not line and not sentence[-1].endswith(":")
+        ):
+            break
+        if line:
+            sentence.append(line.removeprefix(">>> "))
+    said = " ".join(sentence).partition(" Raised from ")[0].rstrip(".") or type(error).__name__
+    if "<class 'function'>" in said:
+        said += " (a function that a law calls needs numba.njit's decorator)"
+    place = getattr(error, "loc", None)
+    if place is not None and place.filename == function.__code__.co_filename:
+        return f"{_line(function, place.line)}: {said}"
+    return f"{place.filename}:{place.line}: {said}" if place is not None else f"{_line(function)}: {said}"
 
 
 def _find(place: str, directory: Path | None) -> Path:
@@ -177,6 +254,10 @@ def load_law(name: str, directory: Path | None = None) -> Any:
     place, _, attribute = name.rpartition(":")
     if not place or not attribute:
         raise LawError(f"law {name!r}: expected 'module:function' or 'file.py:function', as in 'host.laws:karnopp'")
+    own_law = place == __name__
+    checked = (
+        nullcontext() if own_law or JIT_DISABLED else _bounds_checked()
+    )  # a decorator with a signature compiles at once
     try:
         if place.endswith(".py"):
             path = _find(place, directory)
@@ -185,9 +266,11 @@ def load_law(name: str, directory: Path | None = None) -> Any:
                 raise LawError(f"law {name!r}: {path} is not a Python file")
             module = importlib.util.module_from_spec(spec)
             sys.modules[spec.name] = module
-            spec.loader.exec_module(module)
+            with checked:
+                spec.loader.exec_module(module)
         else:
-            module = importlib.import_module(place)
+            with checked:
+                module = importlib.import_module(place)
     except LawError as error:
         raise LawError(f"law {name!r}: {error}") from None
     except Exception as error:
@@ -201,11 +284,18 @@ def load_law(name: str, directory: Path | None = None) -> Any:
         raise LawError(
             f"law {name!r}: {place} has no function {attribute!r}; it has {', '.join(known) or 'none'}{hint}"
         )
+    plain = getattr(function, "py_func", function)
     try:
-        return compile_law(getattr(function, "py_func", function), cache=place == "host.laws")
-    except Exception as error:  # numba raises many kinds
-        lines = [line.strip() for line in str(error).splitlines() if line.strip() and "pipeline" not in line]
-        text = "; ".join(lines[:2]) or type(error).__name__
+        accepts = list(inspect.signature(plain).parameters.values())
+    except (TypeError, ValueError):
+        accepts = []
+    if len(accepts) != 3 or not hasattr(plain, "__code__"):
+        where = f"{_line(plain)}: " if hasattr(plain, "__code__") else ""
+        given = ", ".join(map(str, accepts))
         raise LawError(
-            f"law {name!r} does not compile as law(motion, law, state) -> float: {text}; see host/laws.py for the records' fields"
-        ) from error
+            f"law {name!r}: {where}a law takes three arguments, (motion, law, state); this one takes ({given})"
+        )
+    try:
+        return compile_law(plain, cache=own_law)
+    except Exception as error:  # numba raises many kinds
+        raise LawError(f"law {name!r} does not compile: {_why_not(plain, error)}; see docs/laws.md") from error

@@ -13,12 +13,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from eds.codec import pack
 from eds.compiled import kernel
+from host import axes
 from host.plane_records import BINS, PLANE, Command, Status
-from host.records import Image, Phase, Trip
-from host.step import SOURCE_HOST, begin, finish, on_frame
-from wire.frame import CAN_ERR_FLAG, push
+from host.records import Phase, Trip
+from host.step import SOURCE_HOST
+from host.trace import Moment
+from wire.frame import CAN_ERR_FLAG
 from wire.libc import (
     CLOCK_REALTIME,
     CLOCK_THREAD_CPUTIME_ID,
@@ -39,7 +40,7 @@ from wire.libc import (
 )
 from wire.mailbox import receive
 
-__all__ = ["MESSAGE_FRAMES", "run_plane", "take_log"]
+__all__ = ["MESSAGE_FRAMES", "run_plane", "take_log", "take_trace"]
 
 MESSAGE_FRAMES = 64
 """Frames that one message may bring."""
@@ -51,8 +52,8 @@ LISTEN, CYCLE = int(Command.LISTEN), int(Command.CYCLE)
 LISTENING, CYCLING, ENDED, LOST = int(Status.LISTENING), int(Status.CYCLING), int(Status.ENDED), int(Status.LOST)
 SAFE, DONE = int(Phase.SAFE), int(Phase.DONE)
 TRANSMIT, BUS_LOST, SECOND_HOST = int(Trip.TRANSMIT), int(Trip.BUS_LOST), int(Trip.SECOND_HOST)
-CONTROLWORD, TARGET_TORQUE = int(Image.CONTROLWORD), int(Image.TARGET_TORQUE)
-BRAKE_SETPOINT = int(Image.BRAKE_SETPOINT)
+START, BEGIN, END = int(Moment.START), int(Moment.BEGIN), int(Moment.END)
+ARRIVED, WINDOW = int(Moment.ARRIVED), int(Moment.WINDOW)
 
 
 def _offset(name: str) -> int:
@@ -63,6 +64,7 @@ def _offset(name: str) -> int:
 
 AT_COMMAND, AT_STATUS, AT_STOP = _offset("command"), _offset("status"), _offset("stop")
 AT_DEADMAN, AT_HEAD, AT_TAIL = _offset("deadman_ns"), _offset("log_head"), _offset("log_tail")
+AT_TRACE_HEAD, AT_TRACE_TAIL = _offset("trace_head"), _offset("trace_tail")
 AT_CYCLES = _offset("cycles")
 
 LISTEN_NS = 5_000_000  # how soon a command is seen while listening
@@ -93,6 +95,42 @@ def _log(plane: Any, ring: Any, t_ns: int, can_id: int, length: int, word: int, 
 
 
 @kernel
+def _trace(plane: Any, trace: Any, kind: int, t_ns: int, value: int) -> None:
+    """Append a row to the trace; without room it is left out, as are the frames of that time."""
+    p = plane[0]
+    head = p.trace_head
+    if head - load_acquire(plane.ctypes.data + AT_TRACE_TAIL) >= trace.shape[0]:
+        p.log_dropped += 1
+        return
+    r = trace[head & (trace.shape[0] - 1)]
+    r.t_ns = t_ns
+    r.received = p.rx_frames
+    r.kind = kind
+    r.value = value
+    r.refused = p.tx_full
+    r.dropped = p.log_dropped
+    store_release(plane.ctypes.data + AT_TRACE_HEAD, head + 1)
+
+
+@kernel
+def take_trace(plane: Any, trace: Any, out: Any) -> int:
+    """Move rows from the trace to `out`; return how many. For the parent."""
+    p = plane[0]
+    tail = p.trace_tail
+    count = min(load_acquire(plane.ctypes.data + AT_TRACE_HEAD) - tail, out.shape[0])
+    for i in range(count):
+        f, g = trace[(tail + i) & (trace.shape[0] - 1)], out[i]
+        g.t_ns = f.t_ns
+        g.received = f.received
+        g.kind = f.kind
+        g.value = f.value
+        g.refused = f.refused
+        g.dropped = f.dropped
+    store_release(plane.ctypes.data + AT_TRACE_TAIL, tail + count)
+    return count
+
+
+@kernel
 def take_log(plane: Any, ring: Any, out: Any) -> int:
     """Move frames from the ring to `out`; return how many. For the parent."""
     p = plane[0]
@@ -110,9 +148,37 @@ def take_log(plane: Any, ring: Any, out: Any) -> int:
 
 
 @kernel
-def _take(fd: int, plane: Any, ring: Any, box: Any, words: Any, c: Any, h: Any, tpdos: Any, live: int) -> int:
+def _stop(p: Any, host: Any, trip: int) -> None:
+    """Ask all axes for the safe state for the reason `trip`, or without one (1); the first reason counts."""
+    if p.asked < trip and p.asked <= 1:
+        p.asked = trip
+    for k in range(host.shape[0]):
+        if host[k].stop < trip and host[k].stop <= 1:
+            host[k].stop = trip
+
+
+@kernel
+def _late(host: Any, periods: int) -> None:
+    """Let every axis know that so many periods have passed without it: what it knows is as much older."""
+    for k in range(host.shape[0]):
+        host[k].position_age += periods
+
+
+@kernel
+def _take(
+    fd: int,
+    plane: Any,
+    ring: Any,
+    box: Any,
+    words: Any,
+    control: Any,
+    host: Any,
+    tpdos: Any,
+    owner: Any,
+    live: int,
+) -> int:
     """Receive one message if there is one; `live`: the cycle wants its frames."""
-    p = plane[0]
+    p, c = plane[0], control[0]
     n = receive(fd, box, MSG_DONTWAIT)
     if n <= 0:
         error = 0 if n == 0 else errno()
@@ -133,6 +199,8 @@ def _take(fd: int, plane: Any, ring: Any, box: Any, words: Any, c: Any, h: Any, 
         age = clock_ns(CLOCK_REALTIME) - m.stamp_ns
         if 0 < age < STAMP_AGE_NS:
             t_ns -= age
+    t_ns = max(t_ns, p.rx_ns)  # the queue keeps the order; two clocks that are read one after the other may not
+    p.rx_ns = t_ns
     found = TOOK
     for i in range(n // 16):
         can_id = words[2 * i] & 0xFFFFFFFF
@@ -147,16 +215,15 @@ def _take(fd: int, plane: Any, ring: Any, box: Any, words: Any, c: Any, h: Any, 
         _log(plane, ring, t_ns, can_id, length, word, SOURCE_BUS)
         if can_id & CAN_ERR_FLAG:
             p.error_frames += 1
-            if live and can_id & CAN_ERR_BUSOFF and h.stop <= 1:
-                h.stop = BUS_LOST
+            if live and can_id & CAN_ERR_BUSOFF:
+                _stop(p, host, BUS_LOST)
             continue
         if not live:
             continue
         if can_id == c.sync_cob_id or can_id == 0x700 + c.host_id:
             p.foreign_sync += 1
-            if h.stop <= 1:
-                h.stop = SECOND_HOST
-        if on_frame(c, h, tpdos, t_ns, can_id, length, word) == 1:
+            _stop(p, host, SECOND_HOST)
+        if axes.on_frame(control, host, tpdos, owner, t_ns, can_id, length, word) == 1:
             found = COMPLETE
     return found
 
@@ -197,41 +264,22 @@ def _count(bins: Any, t_ns: int) -> None:
 
 
 @kernel
-def _safe_setpoints(
-    fd: int, plane: Any, ring: Any, tx: Any, c: Any, h: Any, rpdos: Any, queue: Any, header: Any
-) -> None:
-    """Send the last set-points: drive disabled and without torque, the brake no stronger than the safe state's, which its driver ramps off.
-
-    A SYNC follows, since RPDOs may act on the next SYNC only.
-    """
-    h.motor_Nm = 0.0
-    h.brake_Nm = min(h.brake_Nm, c.safe_brake_Nm)
-    h.image[CONTROLWORD] = 0
-    h.image[TARGET_TORQUE] = 0
-    h.image[BRAKE_SETPOINT] = round(h.brake_Nm / c.brake_Nm_raw)
-    header[0].count = 0
-    t_ns = now_ns()
-    for i in range(c.rpdos):
-        push(queue, header, SOURCE_HOST, t_ns, rpdos[i].cob_id, rpdos[i].length, pack(rpdos[i], h.image))
-    push(queue, header, SOURCE_HOST, t_ns, c.sync_cob_id, 0, 0)
-    _transmit(fd, plane, ring, tx, queue, header)
-
-
-@kernel
 def _cycle(
     fd: int,
     plane: Any,
     ring: Any,
+    trace: Any,
     box: Any,
     words: Any,
     tx: Any,
     poll: Any,
     wakeup_bins: Any,
     latency_bins: Any,
-    c: Any,
-    h: Any,
+    control: Any,
+    host: Any,
     rpdos: Any,
     tpdos: Any,
+    owner: Any,
     law_function: Any,
     motion: Any,
     law: Any,
@@ -240,9 +288,10 @@ def _cycle(
     header: Any,
 ) -> int:
     """Cycle until the parent commands otherwise (returns 0) or the bus is lost (returns 1)."""
-    p = plane[0]
+    p, c = plane[0], control[0]
     base = plane.ctypes.data
     t = p.start_ns
+    _trace(plane, trace, START, t, 0)
     while load_acquire(base + AT_COMMAND) == CYCLE:
         if sleep_until(t) != 0:
             p.interrupted += 1
@@ -254,23 +303,24 @@ def _cycle(
         if late > 0:  # periods that have passed while this process did not run
             t += late * c.period_ns
             p.missed_deadlines += late
-            h.position_age += late
+            _late(host, late)
         full = p.tx_full
 
         found = TOOK
         messages = 0
         while found != EMPTY and messages < DRAIN_MESSAGES:
-            found = _take(fd, plane, ring, box, words, c, h, tpdos, 1)
+            found = _take(fd, plane, ring, box, words, control, host, tpdos, owner, 1)
             messages += 1
             if found == GONE:
                 return 1
-        wanted = load_acquire(base + AT_STOP)
-        if wanted > h.stop:
-            h.stop = wanted
+        _stop(p, host, load_acquire(base + AT_STOP))
         if c.deadman_key:
-            h.deadman_ok = 1 if now_ns() < load_acquire(base + AT_DEADMAN) else 0
+            held = 1 if now_ns() < load_acquire(base + AT_DEADMAN) else 0
+            for k in range(host.shape[0]):
+                host[k].deadman_ok = held
 
-        begin(c, h, t, queue, header)
+        _trace(plane, trace, BEGIN, t, host[0].deadman_ok)
+        axes.begin(control, host, t, queue, header)
         if _transmit(fd, plane, ring, tx, queue, header) != 0:
             return 1
         sync = now_ns()
@@ -282,27 +332,37 @@ def _cycle(
                 break
             if ppoll_ns(poll.ctypes.data, 1, left) <= 0:  # the window is over, or a signal came
                 continue
-            found = _take(fd, plane, ring, box, words, c, h, tpdos, 1)
+            found = _take(fd, plane, ring, box, words, control, host, tpdos, owner, 1)
             messages += 1
-            if found == COMPLETE:
-                break
             if found == GONE:
                 return 1
-        finish(c, h, rpdos, law_function, motion, law, state, now_ns(), queue, header)
+            if found == COMPLETE:
+                now = now_ns()
+                _trace(plane, trace, ARRIVED, now, p.asked)
+                waiting = axes.finish_complete(
+                    control, host, rpdos, law_function, motion, law, state, now, queue, header
+                )
+                if waiting == 0:
+                    break
+                if _transmit(fd, plane, ring, tx, queue, header) != 0:
+                    return 1
+        now = now_ns()
+        _trace(plane, trace, WINDOW, now, p.asked)
+        axes.finish_waiting(control, host, rpdos, law_function, motion, law, state, now, queue, header)
         if _transmit(fd, plane, ring, tx, queue, header) != 0:
             return 1
         done = now_ns()
         _count(latency_bins, done - sync)
         p.latency_max_ns = max(p.latency_max_ns, done - sync)
         p.full_in_a_row = p.full_in_a_row + 1 if p.tx_full > full else 0
-        if p.full_in_a_row >= c.missed_cycles and h.stop <= 1:
-            h.stop = TRANSMIT
+        if p.full_in_a_row >= c.missed_cycles:
+            _stop(p, host, TRANSMIT)
         t += c.period_ns
         late = (done - t + c.period_ns - 1) // c.period_ns
         if late > 0:
             t += late * c.period_ns
             p.missed_deadlines += late
-            h.position_age += late
+            _late(host, late)
         store_release(base + AT_CYCLES, p.cycles + 1)
     return 0
 
@@ -312,6 +372,7 @@ def run_plane(
     fd: int,
     plane: Any,
     ring: Any,
+    trace: Any,
     box: Any,
     words: Any,
     tx: Any,
@@ -322,6 +383,7 @@ def run_plane(
     host: Any,
     rpdos: Any,
     tpdos: Any,
+    owner: Any,
     law_function: Any,
     motion: Any,
     law: Any,
@@ -330,7 +392,7 @@ def run_plane(
     header: Any,
 ) -> int:
     """Do what the parent commands until it commands QUIT or the bus is lost; return the `Status`."""
-    p, c, h = plane[0], control[0], host[0]
+    p = plane[0]
     base = plane.ctypes.data
     poll[0] = fd | POLLIN << 32
     while True:
@@ -342,37 +404,45 @@ def run_plane(
                 fd,
                 plane,
                 ring,
+                trace,
                 box,
                 words,
                 tx,
                 poll,
                 wakeup_bins,
                 latency_bins,
-                c,
-                h,
+                control,
+                host,
                 rpdos,
                 tpdos,
+                owner,
                 law_function,
-                motion[0],
-                law[0],
-                state[0],
+                motion,
+                law,
+                state,
                 queue,
                 header,
             )
             p.cpu_ns += clock_ns(CLOCK_THREAD_CPUTIME_ID) - cpu
-            if gone and h.phase < SAFE:
-                h.trip = BUS_LOST
-                h.trip_ns = now_ns()
+            for k in range(host.shape[0]):
+                if gone and host[k].phase < SAFE:
+                    host[k].trip = BUS_LOST
+                    host[k].trip_ns = now_ns()
             error = p.error
-            _safe_setpoints(fd, plane, ring, tx, c, h, rpdos, queue, header)
+            now = now_ns()
+            _trace(plane, trace, END, now, 0)
+            header[0].count = 0
+            axes.safe_setpoints(control, host, rpdos, now, queue, header)
+            _transmit(fd, plane, ring, tx, queue, header)
             p.error = error
-            h.phase = DONE
+            for k in range(host.shape[0]):
+                host[k].phase = DONE
             if gone:
                 store_release(base + AT_STATUS, LOST)
                 return LOST
         elif command == LISTEN:
             store_release(base + AT_STATUS, LISTENING)
-            found = _take(fd, plane, ring, box, words, c, h, tpdos, 0)
+            found = _take(fd, plane, ring, box, words, control, host, tpdos, owner, 0)
             if found == GONE:
                 store_release(base + AT_STATUS, LOST)
                 return LOST

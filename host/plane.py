@@ -32,8 +32,8 @@ def loop_arguments(fd: int, shared: SharedPlane, law_function: Any) -> tuple[Any
     queue, header = new_queue()
     s = shared
     return (
-        *(fd, s.plane, s.ring, box, words, np.zeros(2 * QUEUE_CAPACITY, np.int64), np.zeros(1, np.int64)),
-        *(s.wakeup_bins, s.latency_bins, s.control, s.host, s.rpdos, s.tpdos),
+        *(fd, s.plane, s.ring, s.trace, box, words, np.zeros(2 * QUEUE_CAPACITY, np.int64), np.zeros(1, np.int64)),
+        *(s.wakeup_bins, s.latency_bins, s.control, s.host, s.rpdos, s.tpdos, s.owner),
         *(law_function, s.motion, s.law, s.state, queue, header),
     )
 
@@ -45,6 +45,7 @@ def _warm_up(shared: SharedPlane, arguments: tuple[Any, ...]) -> None:
     run_plane(*arguments)
     shared.plane["command"] = command
     shared.ring["source"] = 0
+    shared.trace["kind"] = 0
     shared.wakeup_bins[:] = 0
     shared.latency_bins[:] = 0
 
@@ -53,7 +54,7 @@ def main(settings: dict[str, Any]) -> int:
     """Run the data plane to its end; return the exit status of the process."""
     die_with_parent(settings["parent"])
     signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM, signal.SIGHUP))
-    shared = SharedPlane(settings["memory_fd"])
+    shared = SharedPlane(settings["memory_fd"], settings["axes"])
     law_function = load_law(settings["law"], Path(settings["law_directory"]))
     arguments = loop_arguments(settings["bus_fd"], shared, law_function)
     _warm_up(shared, arguments)

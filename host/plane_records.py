@@ -7,6 +7,7 @@ written by one side only while the other looks on.
 
 from __future__ import annotations
 
+import math
 import mmap
 import os
 from enum import IntEnum
@@ -14,18 +15,20 @@ from typing import Any
 
 import numpy as np
 
-from eds.codec import PDO
-from host.laws import LAW, LAW_STATE, MOTION
-from host.records import CONTROL, DRIVE_PDOS, HOST
+from host.controllers import SECTIONS
+from host.trace import TRACE
 from wire.frame import FRAME, Records
 
-__all__ = ["BINS", "PLANE", "RING_FRAMES", "Command", "SharedPlane", "Status"]
+__all__ = ["BINS", "PLANE", "RING_FRAMES", "TRACE_ROWS", "Command", "SharedPlane", "Status"]
 
 RING_FRAMES = 1 << 16
 """About seven seconds of frames at 1 kHz; a power of two."""
 
 BINS = 20_000
 """Microseconds that the histograms resolve; what is later is in the last bin, and its maximum is kept."""
+
+TRACE_ROWS = 1 << 15
+"""Rows of the trace (`host.trace`), two or three for each cycle."""
 
 PAGE = 4096
 
@@ -56,11 +59,15 @@ PLANE = np.dtype(
         ("deadman_ns", np.int64),  # CLOCK_MONOTONIC until which the dead man's key counts as held
         ("start_ns", np.int64),  # when the first cycle is due
         ("log_tail", np.int64),  # frames that the parent has taken from the ring
+        ("trace_tail", np.int64),  # and rows from the trace
         ("packed", np.int64),  # 1: one message may carry several frames
         # written by the data plane
         ("status", np.int64),
         ("error", np.int64),
         ("log_head", np.int64),
+        ("trace_head", np.int64),
+        ("rx_ns", np.int64),  # stamp of the frame that was received last
+        ("asked", np.int64),  # the reason for which all axes were asked to stop
         ("cycles", np.int64),
         ("missed_deadlines", np.int64),  # periods at whose end their RPDOs were not out
         ("full_in_a_row", np.int64),  # cycles one after another in which the bus did not take a frame
@@ -79,35 +86,31 @@ PLANE = np.dtype(
     align=True,
 )
 
-SECTIONS: tuple[tuple[str, np.dtype[Any], int], ...] = (
-    ("plane", PLANE, 1),
-    ("control", CONTROL, 1),
-    ("host", HOST, 1),
-    ("rpdos", PDO, DRIVE_PDOS),
-    ("tpdos", PDO, DRIVE_PDOS),
-    ("motion", MOTION, 1),
-    ("law", LAW, 1),
-    ("state", LAW_STATE, 1),
-    ("wakeup_bins", np.dtype(np.int64), BINS),
-    ("latency_bins", np.dtype(np.int64), BINS),
-    ("ring", FRAME, RING_FRAMES),
-)
+
+def _sections(axes: int) -> tuple[tuple[str, np.dtype[Any], tuple[int, ...]], ...]:
+    """Return name, records and shape of each section for so many axes."""
+    return (
+        ("plane", PLANE, (1,)),
+        *((name, dtype, (axes, *shape)) for name, (dtype, shape) in SECTIONS.items()),
+        ("owner", np.dtype(np.int64), (2048,)),
+        ("wakeup_bins", np.dtype(np.int64), (BINS,)),
+        ("latency_bins", np.dtype(np.int64), (BINS,)),
+        ("ring", FRAME, (RING_FRAMES,)),
+        ("trace", TRACE, (TRACE_ROWS,)),
+    )
 
 
-def _places() -> tuple[dict[str, int], int]:
+def _places(axes: int) -> tuple[dict[str, int], int]:
     """Return where each section begins, each on a cache line of its own, and the size of the whole."""
     places, end = {}, 0
-    for name, dtype, count in SECTIONS:
+    for name, dtype, shape in _sections(axes):
         places[name] = end
-        end += -(-dtype.itemsize * count // 64) * 64
+        end += -(-dtype.itemsize * math.prod(shape) // 64) * 64
     return places, -(-end // PAGE) * PAGE
 
 
-PLACES, SIZE = _places()
-
-
 class SharedPlane:
-    """The shared memory behind the descriptor `fd`; each section is an attribute.
+    """The shared memory of so many axes behind the descriptor `fd`; each section is an attribute.
 
     The arrays point into the mapping, which lasts as long as any of them.
     """
@@ -121,23 +124,26 @@ class SharedPlane:
     law: Records
     state: Records
     ring: Records
+    trace: Records
+    owner: np.ndarray[Any, np.dtype[np.int64]]
     wakeup_bins: np.ndarray[Any, np.dtype[np.int64]]
     latency_bins: np.ndarray[Any, np.dtype[np.int64]]
 
-    def __init__(self, fd: int) -> None:
-        self.fd = fd
-        memory = mmap.mmap(fd, SIZE)
-        for name, dtype, count in SECTIONS:
-            section = np.frombuffer(memory, dtype, count, PLACES[name])
+    def __init__(self, fd: int, axes: int = 1) -> None:
+        self.fd, self.axes = fd, axes
+        places, size = _places(axes)
+        memory = mmap.mmap(fd, size)
+        for name, dtype, shape in _sections(axes):
+            section = np.frombuffer(memory, dtype, math.prod(shape), places[name]).reshape(shape)
             setattr(self, name, section if dtype.names is None else section.view(np.recarray))
 
     @classmethod
-    def create(cls) -> SharedPlane:
+    def create(cls, axes: int = 1) -> SharedPlane:
         """Return new shared memory, all zero."""
         fd = os.memfd_create("coulombus-plane", os.MFD_CLOEXEC)
         try:
-            os.ftruncate(fd, SIZE)
-            return cls(fd)
+            os.ftruncate(fd, _places(axes)[1])
+            return cls(fd, axes)
         except BaseException:
             os.close(fd)
             raise

@@ -13,7 +13,11 @@ from typing import Any
 import numpy as np
 
 from eds.compiled import inlined, kernel
-from wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, QUEUE_CAPACITY, push
+from sim_bus.arbiter import receives
+from sim_bus.error_frames import with_counters
+from sim_bus.halves import divide
+from sim_bus.waiting import ROOM, STATION_MASK, take_in
+from wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, push
 from wire.libc import (
     EAGAIN,
     ECONNRESET,
@@ -33,7 +37,7 @@ __all__ = ["BATCH", "MESSAGE_FRAMES", "SLOT", "SLOTS", "STATION", "Need", "State
 
 SLOTS = 32
 """Clients at a time."""
-STATION = 16
+STATION = 128
 """Station number of the client in slot 0."""
 MESSAGE_FRAMES = 1024
 """The longest message that a client may send."""
@@ -57,12 +61,18 @@ class State(IntEnum):
     GREETING = 1  # connected, has not greeted yet
     OPEN = 2
     SOCKETCAN = 3  # an AF_CAN socket: the world's nodes are its stations
+    JOINED = 4  # the virtual bus of another process: so are they there
 
 
-FREE, GREETING, OPEN, SOCKETCAN = int(State.FREE), int(State.GREETING), int(State.OPEN), int(State.SOCKETCAN)
+FREE, GREETING, OPEN = int(State.FREE), int(State.GREETING), int(State.OPEN)
+SOCKETCAN, JOINED = int(State.SOCKETCAN), int(State.JOINED)
 MESSAGE, CLOSED, GONE = int(Need.MESSAGE), int(Need.CLOSED), int(Need.GONE)
 OWN, LISTEN_ONLY, ERRORS = 1, 2, 4  # wire.hello.Flags
 INVERTED = 0x20000000  # CAN_INV_FILTER
+ECHO = 1 << 40
+"""The first padding byte of struct can_frame: the client's own frame comes back to it, as MSG_CONFIRM tells on SocketCAN."""
+BUS_ERROR = 0x080  # CAN_ERR_BUSERROR
+SENDING = 0x80 << 16  # CAN_ERR_PROT_TX in data[2]
 
 SLOT = np.dtype(
     [
@@ -74,6 +84,7 @@ SLOT = np.dtype(
         ("next", np.int64),  # the first of them that is not on the bus yet
         ("ready_ns", np.int64),  # world time at which the message was sent
         ("dry", np.int64),  # nothing was left to read since the last ppoll
+        ("gone", np.int64),  # it has gone, and its last frames are still to be carried
         ("out", np.int64),  # frames that wait in its batch
         # counters
         ("sent", np.int64),  # frames on the bus from it
@@ -122,8 +133,11 @@ def flush(slot: Any, batch: Any) -> None:
 
 @kernel
 def _to_interface(slot: Any, batch: Any) -> int:
-    """Write the frame in `batch` to a SocketCAN interface, which takes one at a time; return 0, or GONE."""
-    while send(slot.fd, batch.ctypes.data, 16, MSG_DONTWAIT) < 0:
+    """Write the frame in `batch` to the bus that carries it, a SocketCAN interface takes one at a time; return 0, or GONE.
+
+    That a bus of another process has gone is found on reading.
+    """
+    while send(slot.fd, batch.ctypes.data, 16, MSG_DONTWAIT | MSG_NOSIGNAL) < 0:
         number = errno()
         if number == EINTR:
             continue
@@ -140,14 +154,21 @@ def _to_interface(slot: Any, batch: Any) -> int:
 
 
 @kernel
-def hand_out(w: Any, p: Any, log: Any, slots: Any, filters: Any, batches: Any) -> int:
+def hand_out(w: Any, p: Any, bus: Any, log: Any, slots: Any, filters: Any, batches: Any) -> int:
     """Put what the bus has carried into the batches of all who want it."""
     for row in range(p.handed_out, w.log_count):
         f = log[row]
         head = f.can_id | f.length << 32
+        error = f.can_id & CAN_ERR_FLAG != 0
         for i in range(slots.shape[0]):
             s = slots[i]
-            if s.state == SOCKETCAN:
+            b = bus[0]
+            if b.cut != 0:  # who is in the other half hears nothing of it
+                half = b.stations[STATION + i].half
+                if half != b.stations[f.source & STATION_MASK].half:
+                    continue
+                b = bus[half]
+            if s.state in (SOCKETCAN, JOINED):
                 if f.source < STATION:
                     batches[i, 0], batches[i, 1] = head, f.word
                     if _to_interface(s, batches[i]) != 0:
@@ -155,11 +176,21 @@ def hand_out(w: Any, p: Any, log: Any, slots: Any, filters: Any, batches: Any) -
                         return GONE
             elif s.state == OPEN:
                 own = f.source == STATION + i
-                if own and s.flags & OWN == 0:
+                word = f.word
+                if error:  # of the bus, with the counters of the client's own controller; or of its own state
+                    if not own and f.can_id & BUS_ERROR == 0:
+                        continue
+                    word = with_counters(word, b.stations[STATION + i])
+                    if not own:
+                        word &= ~SENDING
+                elif (own and s.flags & OWN == 0) or (
+                    not own and b.partial_row == row and not receives(b, STATION + i)
+                ):
                     continue
                 if not _passes(s, filters[i], f.can_id):
                     continue
-                batches[i, 2 * s.out], batches[i, 2 * s.out + 1] = head, f.word
+                batches[i, 2 * s.out] = head | ECHO if own and not error else head
+                batches[i, 2 * s.out + 1] = word
                 s.out += 1
                 if s.out == BATCH:
                     flush(s, batches[i])
@@ -187,18 +218,18 @@ def _read(p: Any, slots: Any, boxes: Any, i: int, offset_ns: int, t_ns: int) -> 
             if number == ENETDOWN:
                 s.net_down += 1
             return GONE if number in (ENODEV, ENXIO) else 0
-        return CLOSED
+        s.gone = 1
+        return 0
     box = boxes[i]
     if n == 0 and s.state != SOCKETCAN:
-        s.dry = 1
-        p.slot = i
-        return CLOSED
+        s.dry = s.gone = 1
+        return 0
     if s.state == SOCKETCAN:
         s.overflow = box.overflow
     if box.truncated or n == 0:
         s.malformed += 1
         return 0
-    if s.state == GREETING or n % 16 == 8:
+    if s.state == GREETING or (n % 16 == 8 and s.state != JOINED):
         p.slot = i
         p.message_bytes = n
         return MESSAGE
@@ -214,12 +245,15 @@ def _read(p: Any, slots: Any, boxes: Any, i: int, offset_ns: int, t_ns: int) -> 
 
 
 @kernel
-def _offer(w: Any, s: Any, words: Any, station: int, queue: Any, header: Any) -> None:
+def _offer(w: Any, bus: Any, s: Any, words: Any, station: int, queue: Any, header: Any) -> None:
     """Let a client's first waiting frame take part in the arbitration, unless one of its does already."""
-    for k in range(header[0].count):
-        if queue[k].source == station:
-            return
-    if header[0].count >= QUEUE_CAPACITY:
+    b = bus[0]
+    if b.cut != 0:
+        divide(bus, queue, header)
+        b = bus[b.stations[station & STATION_MASK].half]
+    else:
+        take_in(b, queue, header)
+    if b.waiting_of[station & STATION_MASK] > 0 or b.held >= ROOM:
         return
     while s.next < s.staged:
         head, word = words[2 * s.next], words[2 * s.next + 1]
@@ -246,7 +280,36 @@ def _offer(w: Any, s: Any, words: Any, station: int, queue: Any, header: Any) ->
 
 
 @kernel
-def take(w: Any, p: Any, slots: Any, boxes: Any, words: Any, queue: Any, header: Any, offset_ns: int, t_ns: int) -> int:
+def _under_way(bus: Any, station: int, queue: Any, header: Any) -> bool:
+    """Tell whether a frame of a client waits for the bus, or is on it: it is carried, though its sender may have gone."""
+    b = bus[0]
+    if b.cut != 0:
+        divide(bus, queue, header)
+        b = bus[b.stations[station].half]
+    elif header[0].count > 0:
+        take_in(b, queue, header)
+    if b.waiting_of[station] > 0 or (b.busy and b.source == station):
+        return True
+    if b.busy and b.slowly:
+        for k in range(b.senders):
+            if b.tx_source[k] == station:
+                return True
+    return False
+
+
+@kernel
+def take(
+    w: Any,
+    p: Any,
+    bus: Any,
+    slots: Any,
+    boxes: Any,
+    words: Any,
+    queue: Any,
+    header: Any,
+    offset_ns: int,
+    t_ns: int,
+) -> int:
     """Offer the bus each client's next frame, reading its next message when the last one has gone; return 0, or why Python is needed."""
     for i in range(slots.shape[0]):
         s = slots[i]
@@ -256,6 +319,9 @@ def take(w: Any, p: Any, slots: Any, boxes: Any, words: Any, queue: Any, header:
             why = _read(p, slots, boxes, i, offset_ns, t_ns)
             if why != 0:
                 return why
+        if s.gone and s.next >= s.staged and not (s.state == OPEN and _under_way(bus, STATION + i, queue, header)):
+            p.slot = i
+            return CLOSED
         if s.next < s.staged:
-            _offer(w, s, words[i], STATION + i, queue, header)
+            _offer(w, bus, s, words[i], STATION + i, queue, header)
     return 0

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lab.measures import Floats, PhaseSpan, phases, velocity
-from scope.recording import Recording
+from scope.recording import Source, series
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -46,19 +46,19 @@ class Traces:
     phases: tuple[PhaseSpan, ...]
 
 
-def traces(recording: Recording, mode: str) -> Traces:
+def traces(recording: Source, mode: str) -> Traces:
     """Return the traces of `recording` from the start of its schedule to the end of it."""
     spans = phases(recording)
     start = spans[0].begin_s if spans else 0.0
     end = spans[-1].end_s if spans else np.inf
-    angle = recording["motor.position_rad"]
-    t, v = velocity(angle.t_s, angle.values, recording.rig.bus.period_s)
+    names = ["motor.position_rad", "brake.handle_torque_Nm"]
     name, label = (
         ("motor.target_torque_Nm", "motor, commanded")
         if mode == "active"
         else ("brake.setpoint_Nm", "brake, commanded")
     )
-    handle, command = recording["brake.handle_torque_Nm"], recording[name]
+    angle, handle, command = series(recording, *names, name)
+    t, v = velocity(angle.t_s, angle.values, recording.rig.bus.period_s)
 
     def cut(times: Floats, values: Floats) -> tuple[Floats, Floats]:
         inside = (times >= start) & (times <= end)
@@ -109,7 +109,7 @@ def draw_detail(axes: Axes, data: Traces, begin_s: float) -> None:
     axes.margins(x=0)
 
 
-def figure_14(recordings: Mapping[str, Recording], path: Path) -> None:
+def figure_14(recordings: Mapping[str, Source], path: Path) -> None:
     """Save torque and velocity of each recording, one column a mode, as a picture (the ending names the format)."""
     import matplotlib
 

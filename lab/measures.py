@@ -2,18 +2,21 @@
 
 Velocity is the backward difference of the decoded 6064h at the handle, unfiltered. The windows are those of the markers that the recording
 carries: the hold from 0.8 s after it begins to 0.02 s before it ends, and of the stroke each dwell from 0.35 s to 0.95 s.
+
+A recording is gone through twice, for its phases and for its figures, block by block (`scope.recording.blocks`): the memory does not grow with it.
+Counts, flips and peaks are the same in any blocks, bit for bit. An RMS is the root of a sum of the blocks' sums, and the spectrum a mean of
+their means: against one sum over everything they are rounded differently, by less than 1e-12 of their value.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TypeAlias
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from scipy.signal import welch
 
-from scope.recording import Recording
+from scope.recording import Source
 
 __all__ = ["HOLD_LEAD_S", "HOLD_TAIL_S", "STICK_WINDOW_S", "Measures", "PhaseSpan", "measure", "phases", "velocity"]
 
@@ -50,13 +53,14 @@ class Measures:
     """Largest handle torque that the transducer shows in the hold window."""
 
 
-def phases(recording: Recording) -> list[PhaseSpan]:
+def phases(recording: Source) -> list[PhaseSpan]:
     """Return the phases of the schedule from the markers ``phase KIND``; the last one ends at ``phase end`` or with the recording."""
-    begins = [(t, text.split()[1]) for t, text in recording.markers if text.startswith("phase ")]
-    if not begins:
-        return []
-    end = float(recording["motor.position_rad"].t_s[-1])
-    ends = [t for t, _ in begins[1:]] + [end]
+    begins: list[tuple[float, str]] = []
+    end = 0.0
+    for block in recording:
+        begins += [(t, text.removeprefix("phase ")) for t, text in block.markers if text.startswith("phase ")]
+        end = max([end, *block["motor.position_rad"].t_s[-1:].tolist()])
+    ends = ([t for t, _ in begins[1:]] + [end])[: len(begins)]  # none where nothing was displayed
     spans = zip(range(len(begins)), begins, ends, strict=True)
     return [PhaseSpan(i, kind, t, min(after, end)) for i, (t, kind), after in spans if kind != "end"]
 
@@ -67,15 +71,7 @@ def velocity(t_s: Floats, angle_rad: Floats, period_s: float) -> tuple[Floats, F
     return t_s[1:], np.diff(angle_rad) / (periods * period_s)
 
 
-def _rms(values: Floats) -> float | None:
-    return float(np.sqrt(np.mean(values**2))) if len(values) else None
-
-
-def _peak_to_peak(counts: Floats) -> int:
-    return int(np.ptp(counts)) if len(counts) else 0
-
-
-def _windows(recording: Recording, spans: list[PhaseSpan]) -> tuple[list[Window], list[Window]]:
+def _windows(recording: Source, spans: list[PhaseSpan]) -> tuple[list[Window], list[Window]]:
     """Return the hold windows and the stick windows [s]; a stick window ends with its dwell at the latest."""
     holds = [(s.begin_s + HOLD_LEAD_S, s.end_s - HOLD_TAIL_S) for s in spans if s.kind == "hold"]
     sticks = []
@@ -91,36 +87,105 @@ def _windows(recording: Recording, spans: list[PhaseSpan]) -> tuple[list[Window]
 
 
 def _inside(t: Floats, windows: list[Window]) -> npt.NDArray[np.bool_]:
-    inside = np.zeros(len(t), bool)
-    for begin, end in windows:
-        inside |= (t >= begin) & (t < end)
+    """Tell which times are in one of the windows, which follow each other; one that ends before it begins holds nothing."""
+    edges = [edge for begin, end in windows if begin < end for edge in (begin, end)]
+    inside: npt.NDArray[np.bool_] = np.searchsorted(edges, t, "right") % 2 == 1
     return inside
 
 
-def measure(recording: Recording) -> Measures:
+def measure(recording: Source) -> Measures:
     """Return the figures of `recording`: all holds and all dwells together, were there several."""
     holds, sticks = _windows(recording, phases(recording))
     period = recording.rig.bus.period_s
-    angle, target = recording["motor.position_rad"], recording["motor.target_torque_Nm"]
-    handle = recording["brake.handle_torque_Nm"]
-    t, v = velocity(angle.t_s, angle.values, period)
-    hold, stick = _inside(t, holds), _inside(t, sticks)
-    figures: dict[str, float | int | None] = {}
-    if hold.any():
-        counts = np.rint(angle.values / abs(recording.scale("motor.position_rad")))
-        figures["hold_velocity_rms_rad_s"] = _rms(v[hold])
-        figures["hold_counts_p2p"] = max(_peak_to_peak(counts[_inside(angle.t_s, [w])]) for w in holds)
-        figures["torque_flips_per_s"] = _flips(target.values[_inside(target.t_s, holds)]) / (float(hold.sum()) * period)
-        figures["hold_push_Nm"] = float(np.max(np.abs(handle.values[_inside(handle.t_s, holds)]), initial=0.0))
-        if np.any(v[hold]):
-            frequency, power = welch(v[hold], 1 / period, nperseg=min(SPECTRUM_SAMPLES, int(hold.sum())))
-            figures["hold_peak_Hz"] = float(frequency[np.argmax(power)])
-    if stick.any():
-        figures["stick_velocity_rms_rad_s"] = _rms(v[stick])
-    return Measures(**figures)  # type: ignore[arg-type]
+    hold, stick, spectrum, flips = _MeanSquare(), _MeanSquare(), _Spectrum(period), _Flips()
+    counts = [(np.inf, -np.inf)] * len(holds)
+    push = 0.0
+    last_t, last_angle = np.zeros((2, 0))
+    for block in recording:
+        angle, target = block["motor.position_rad"], block["motor.target_torque_Nm"]
+        handle = block["brake.handle_torque_Nm"]
+        t, v = velocity(np.append(last_t, angle.t_s), np.append(last_angle, angle.values), period)
+        last_t, last_angle = (np.append(a, b)[-1:] for a, b in ((last_t, angle.t_s), (last_angle, angle.values)))
+        v_hold = v[_inside(t, holds)]
+        hold.add(v_hold)
+        spectrum.add(v_hold)
+        stick.add(v[_inside(t, sticks)])
+        raw = np.rint(angle.values / abs(block.scale("motor.position_rad")))
+        for k, window in enumerate(holds):
+            inside = raw[_inside(angle.t_s, [window])]
+            counts[k] = np.min(inside, initial=counts[k][0]), np.max(inside, initial=counts[k][1])
+        flips.add(target.values[_inside(target.t_s, holds)])
+        push = float(np.max(np.abs(handle.values[_inside(handle.t_s, holds)]), initial=push))
+    if hold.count == 0:
+        return Measures(stick_velocity_rms_rad_s=stick.root)
+    return Measures(
+        hold_velocity_rms_rad_s=hold.root,
+        hold_counts_p2p=int(max(high - low for low, high in counts)),
+        torque_flips_per_s=flips.count / (hold.count * period),
+        stick_velocity_rms_rad_s=stick.root,
+        hold_peak_Hz=spectrum.peak_Hz if hold.total else None,
+        hold_push_Nm=push,
+    )
 
 
-def _flips(torque: Floats) -> int:
-    """Return the number of sign changes of the non-zero values."""
-    signs = np.sign(torque[torque != 0])
-    return int(np.count_nonzero(np.diff(signs)))
+@dataclass
+class _MeanSquare:
+    count: int = 0
+    total: float = 0.0
+
+    def add(self, values: Floats) -> None:
+        self.count += len(values)
+        self.total += float(np.sum(values**2))
+
+    @property
+    def root(self) -> float | None:
+        """The root of the mean square; None of nothing."""
+        return float(np.sqrt(self.total / self.count)) if self.count else None
+
+
+@dataclass
+class _Flips:
+    """Sign changes of the non-zero values."""
+
+    count: int = 0
+    sign: Floats = field(default_factory=lambda: np.zeros(0))
+
+    def add(self, values: Floats) -> None:
+        signs = np.append(self.sign, np.sign(values[values != 0]))
+        self.count += int(np.count_nonzero(np.diff(signs)))
+        self.sign = signs[-1:]
+
+
+@dataclass
+class _Spectrum:
+    """Welch's averaged spectrum of what is added, in segments of `SPECTRUM_SAMPLES` that overlap by half."""
+
+    period_s: float
+    frequency: Floats = field(default_factory=lambda: np.zeros(0))
+    power: Any = 0.0
+    rest: Floats = field(default_factory=lambda: np.zeros(0))
+    """What no segment has begun with yet."""
+
+    def add(self, values: Floats) -> None:
+        self.rest = np.append(self.rest, values)
+        step = SPECTRUM_SAMPLES // 2
+        more = len(self.rest) // step - 1
+        if more > 0:
+            self.frequency, power = _welch(self.rest[: (more + 1) * step], self.period_s, SPECTRUM_SAMPLES)
+            self.power += more * power
+            self.rest = self.rest[more * step :]
+
+    @property
+    def peak_Hz(self) -> float:
+        """The frequency of the largest mean; of fewer samples than a segment's, that of their spectrum."""
+        if not len(self.frequency):
+            self.frequency, self.power = _welch(self.rest, self.period_s, len(self.rest))
+        return float(self.frequency[np.argmax(self.power)])
+
+
+def _welch(values: Floats, period_s: float, samples: int) -> tuple[Floats, Floats]:
+    """Return frequencies and Welch's power spectrum in segments of so many samples."""
+    from scipy.signal import welch  # takes as long to load as everything else that a run needs
+
+    frequency, power = welch(values, 1 / period_s, nperseg=samples)
+    return frequency, power

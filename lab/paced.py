@@ -20,13 +20,16 @@ import numpy as np
 from eds.cia402 import PowerState
 from eds.compiled import kernel
 from lab.clients import FREE, GONE, flush, hand_out, take
-from lab.kernel import MOTOR, Exit, next_event, run
+from lab.kernel import Exit, next_event, refresh, run
+from sim_bus.halves import choose
 from wire.libc import CLOCK_REALTIME, POLLIN, clock_ns, load_acquire, now_ns, ppoll_ns
 
 __all__ = ["PACE", "Serve", "serve"]
 
 STALL_NS = 5_000_000
 LONGEST_SLEEP_NS = 100_000_000
+KEPT_NS = 100_000_000
+"""Frames wait no longer to be recorded, and the loop sleeps no longer than LONGEST_SLEEP_NS: a killed process loses less than 0.25 s."""
 
 
 class Serve(IntEnum):
@@ -35,11 +38,13 @@ class Serve(IntEnum):
     STOP = 30  # asked to
     TIME = 31  # the time is over
     ACCEPT = 32  # a client waits at the listener
-    RESTED = 33  # the drive left Operation Enabled: the operator's schedule is over
+    RESTED = 33  # the drive of an axis left Operation Enabled: the operator's schedule is over
+    RECORD = 34  # `PACE.keep` frames wait in the log to be recorded, or the oldest for KEPT_NS
 
 
 STOP, TIME, ACCEPT, RESTED = int(Serve.STOP), int(Serve.TIME), int(Serve.ACCEPT), int(Serve.RESTED)
 UNTIL, LOG = int(Exit.UNTIL), int(Exit.LOG)
+RECORD = int(Serve.RECORD)
 OPERATION_ENABLED = int(PowerState.OPERATION_ENABLED)
 
 PACE = np.dtype(
@@ -52,6 +57,7 @@ PACE = np.dtype(
         ("slot", np.int64),
         ("message_bytes", np.int64),
         ("handed_out", np.int64),  # rows of the log that the clients have
+        ("keep", np.int64),  # frames that stay in the log until Python takes them; 0: none
         (
             "planned_ns",
             np.int64,
@@ -73,7 +79,7 @@ def _wait(p: Any, slots: Any, pollfds: Any, timeout_ns: int) -> int:
     n = slots.shape[0]
     for i in range(n):
         s = slots[i]  # a client whose message is not done is not asked, not even whether it is still there
-        watched = s.state != FREE and s.next >= s.staged
+        watched = s.state != FREE and s.next >= s.staged and s.gone == 0
         pollfds[2 + i] = (s.fd | POLLIN << 32) if watched else 0xFFFFFFFF
     ready = ppoll_ns(pollfds.ctypes.data, n + 2, timeout_ns)
     p.wakeups += 1
@@ -121,6 +127,11 @@ def serve(
     nodes: Any,
     rpdo: Any,
     tpdo: Any,
+    deadlines: Any,
+    wants: Any,
+    listening: Any,
+    axes: Any,
+    axis_of: Any,
     plant: Any,
     f_h: Any,
     truth: Any,
@@ -128,18 +139,21 @@ def serve(
     host: Any,
     host_rpdos: Any,
     host_tpdos: Any,
+    owner: Any,
     law_function: Any,
     motion: Any,
     law: Any,
     state: Any,
 ) -> int:
     """Serve until Python is needed; return an `Exit` or a `Serve` that says why."""
-    p, w, b, h = pace[0], world[0], bus[0], host[0]
+    p, w, cable = pace[0], world[0], bus[0]
     flag = pace.ctypes.data
+    if w.stale:
+        refresh(w, nodes, axes, deadlines, wants)
     while True:
         t_ns = now_ns() - p.start_ns
         offset_ns = t_ns - clock_ns(CLOCK_REALTIME)
-        taken = take(w, p, slots, boxes, words, queue, header, offset_ns, t_ns)
+        taken = take(w, p, bus, slots, boxes, words, queue, header, offset_ns, t_ns)
         if t_ns > p.planned_ns + STALL_NS:
             t_ns -= _forgive(p, slots, p.planned_ns, t_ns)
         p.planned_ns = t_ns
@@ -147,7 +161,10 @@ def serve(
             return taken
         # the world up to the present, event by event: each start of a frame makes room for its sender's next
         while True:
-            t_event, _ = next_event(w, b, queue, header, nodes, h)
+            b = cable
+            if cable.cut != 0:
+                b = bus[choose(bus, queue, header)]
+            t_event, _ = next_event(w, b, queue, header, deadlines, host)
             if t_event > t_ns:
                 break
             w.until_ns = max(t_event, w.t_ns)
@@ -160,6 +177,11 @@ def serve(
                 nodes,
                 rpdo,
                 tpdo,
+                deadlines,
+                wants,
+                listening,
+                axes,
+                axis_of,
                 plant,
                 f_h,
                 truth,
@@ -167,6 +189,7 @@ def serve(
                 host,
                 host_rpdos,
                 host_tpdos,
+                owner,
                 law_function,
                 motion,
                 law,
@@ -174,23 +197,30 @@ def serve(
             )
             if w.log_count > p.handed_out:
                 p.latest_ns = max(p.latest_ns, t_ns - log[w.log_count - 1].t_ns)
-                if hand_out(w, p, log, slots, filters, batches) != 0:
+                if hand_out(w, p, bus, log, slots, filters, batches) != 0:
                     return GONE
             if reason in (UNTIL, LOG):
-                p.handed_out = w.log_count = 0
-                if w.operator_start_ns >= 0 and nodes[MOTOR].power_state != OPERATION_ENABLED:
-                    reason = RESTED
+                if p.keep == 0:
+                    p.handed_out = w.log_count = 0
+                elif w.log_count >= p.keep:
+                    reason = RECORD
+                for a in range(axes.shape[0]):
+                    if axes[a].operator_start_ns >= 0 and nodes[axes[a].motor].power_state != OPERATION_ENABLED:
+                        w.axis = a
+                        reason = RESTED
             if reason not in (UNTIL, LOG):
                 for i in range(slots.shape[0]):
                     flush(slots[i], batches[i])
                 return reason
-            taken = take(w, p, slots, boxes, words, queue, header, offset_ns, t_ns)
+            taken = take(w, p, bus, slots, boxes, words, queue, header, offset_ns, t_ns)
             if taken != 0:
                 break
         for i in range(slots.shape[0]):
             flush(slots[i], batches[i])
         if taken != 0:
             return taken
+        if p.keep != 0 and 0 < w.log_count <= p.handed_out and t_ns - log[0].t_ns >= KEPT_NS:
+            return RECORD
         if load_acquire(flag) != 0:
             return STOP
         t_ns = now_ns() - p.start_ns

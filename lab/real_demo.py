@@ -13,6 +13,7 @@ from pathlib import Path
 from types import TracebackType
 
 from eds.rig import Rig
+from host.bringup import check_plan
 from host.errors import HostError
 from lab.demo import DEMO_MODES, Demo, as_dict, judge, schedule_s
 from lab.real_run import Interrupted, Signals, real_run
@@ -66,7 +67,7 @@ class SimProcess:
     def wait_ready(self) -> None:
         """Wait until the bus is there; SimDied when it does not come to that."""
         assert self.process.stdout is not None
-        if not self.process.stdout.readline():
+        if json.loads(self.process.stdout.readline() or "{}").get("event") != "ready":
             raise SimDied(f"coulombus sim on {self.address} ended with status {self.process.wait()}")
 
     def __enter__(self) -> SimProcess:
@@ -100,6 +101,7 @@ def run_real_demo(
     rig : with `overrides`, as the host and the simulation use it
     rig_name : its name or path, for the simulation's process
     """
+    check_plan(rig)
     directory.mkdir(parents=True, exist_ok=True)
     seconds = schedule_s(rig)
     results: dict[str, RunResult] = {}

@@ -20,19 +20,20 @@ import can
 import numpy as np
 
 from eds.rig import Rig
-from host.bringup import bring_up, shut_down
+from host.bringup import bring_up, check_plan, release, shut_down
 from host.control_plane import RealControlPlane
 from host.control_socket import HostSocket
-from host.controller import Controller
+from host.controllers import Controllers
 from host.data_plane import PRIORITY, DataPlane, default_cpu
 from host.deadman import HeldKey, deadman_of
 from host.errors import HostError, SafetyTrip
 from host.plane_records import Status
 from host.records import Phase, Trip
+from host.step import SOURCE_HOST
 from lab.measures import Measures, measure
 from lab.recorder import Recorder
-from lab.simulate import RunResult, file_sha256
-from scope.recording import read
+from lab.simulate import RunResult, axis_results, file_sha256
+from scope.recording import blocks
 from sim_bus.operator import Operator
 from wire.address import BusAddress, BusUnavailable, default_address
 from wire.pcapng import RecordingError
@@ -109,12 +110,13 @@ class _RealRun:
         self.signals, self.progress, self.say = signals, progress, say
         self.deadman = deadman_of(rig, mode, address)
         self.zero_ns = time.monotonic_ns()
-        self.k = Controller(rig, mode)
+        self.k = Controllers(rig, mode)
         self.failure: str | None = None
         self.stopped_by: str | None = None
         self.recorder: Recorder | None = None
         self._waiting: np.ndarray[Any, Any] | None = None
         names = [phase.kind for phase in rig.phases] + ["end"]
+        self._ended = False  # whether the safe state is marked
         self._phases = list(zip(Operator(rig, mode).starts_s, names, strict=True))
         self._touched = False  # whether this host has sent anything
         self._seen = (0, time.monotonic())
@@ -140,8 +142,13 @@ class _RealRun:
         if self.recorder is not None:
             self.recorder.mark(t_ns - self.zero_ns, text)
 
-    def drain(self, final: bool = False) -> None:
-        """Write what the data plane has logged, in the order of the stamps."""
+    def drain(self, seen_ns: int | None = None) -> None:
+        """Write what the data plane has logged, in the order of the stamps; with `seen_ns` the rest waits for the next batch.
+
+        All that was to be marked up to `seen_ns` is marked: a frame that may still get a marker is not written.
+        """
+        final = seen_ns is None
+        rows = self.plane.take_trace()
         found = self.plane.take()
         if self.recorder is None or self.failure is not None:
             return
@@ -149,12 +156,15 @@ class _RealRun:
         if self._waiting is not None:
             found = np.concatenate((self._waiting, found)).view(np.recarray)
         found = found[np.argsort(found["t_ns"], kind="stable")]
-        now = time.monotonic_ns() - self.zero_ns
-        ready = len(found) if final else int(np.searchsorted(found["t_ns"], now - HOLD_BACK_NS))
+        limit = len(found) if seen_ns is None else np.searchsorted(found["t_ns"], seen_ns - self.zero_ns - HOLD_BACK_NS)
+        ready = int(limit)
         self._waiting = found[ready:]
         try:
             if ready:
                 self.recorder.write(found[:ready])
+            if ready or len(rows):
+                rows["t_ns"] -= self.zero_ns
+                self.recorder.trace(found["source"][:ready] == SOURCE_HOST, rows)
             if final:
                 self.recorder.close()
         except RecordingError as error:
@@ -166,13 +176,13 @@ class _RealRun:
     @property
     def enabled_ns(self) -> int | None:
         """CLOCK_MONOTONIC at which the drive entered Operation Enabled."""
-        at = int(self.k.host["enabled_ns"][0])
-        return None if at < 0 else at
+        return self.k.enabled_ns
 
     def prepare(self) -> None:
         """Be alone on the bus, load the data plane, bring the nodes up."""
         alone_at = time.monotonic() + LISTEN_S
         self.plane.wait_ready()
+        self.drain(time.monotonic_ns())  # compiles what the run needs of it: now, not while it is armed
         self.control.check_alone(alone_at)
         for right in self.plane.real_time:
             if not right["granted"]:
@@ -183,7 +193,7 @@ class _RealRun:
         else:
             self.say(f"dead man's switch: {self.deadman}")
         self._touched = True
-        bring_up(self.rig, self.control, int(self.k.control["motor_limit_pm"][0]))
+        bring_up(self.k, self.control)
         now = time.monotonic_ns()
         self.mark(now, f"run {self.k.mode}")
         self.mark(now, f"deadman {self.deadman}")
@@ -217,22 +227,21 @@ class _RealRun:
             enabled = self.enabled_ns
             if enabled is None or time.monotonic_ns() - enabled >= seconds * 1e9:
                 break
-        self.plane.stop()
         if self.enabled_ns is not None and self._phases:
             self._phases.clear()
             self.mark(time.monotonic_ns(), "phase end")
+        self.plane.stop()
         deadline = time.monotonic() + SAFE_TIMEOUT_S
-        while self.plane.status is not Status.LOST and k.phase is not Phase.DONE and time.monotonic() < deadline:
+        while self.plane.status is not Status.LOST and not k.done and time.monotonic() < deadline:
             if not self._supervise():
                 break
         self._watch(seconds)
-        trip = k.trip
-        at = int(k.host["trip_ns"][0])
-        self.mark(at if trip and at else time.monotonic_ns(), f"trip {trip}" if trip else "safe")
+        if not self._ended:
+            self._mark_end(time.monotonic_ns())
 
     def _watch(self, seconds: float) -> bool:
         """Look after the run once; return False when it is to end."""
-        if not self._supervise() or self.k.phase >= Phase.SAFE or self.plane.status is Status.LOST:
+        if not self._supervise() or self.k.ending or self.plane.status is Status.LOST:
             return False
         if self.signals.number:
             self.stopped_by = signal.Signals(self.signals.number).name
@@ -243,9 +252,9 @@ class _RealRun:
         return True
 
     def _supervise(self) -> bool:
-        """Drain the log, mark phases, see whether the data plane is alive; return False when it is not."""
+        """Mark what has begun, drain the log, see whether the data plane is alive; return False when it is not."""
         time.sleep(POLL_S)
-        self.drain()
+        seen_ns = time.monotonic_ns()
         cycles, now = self.plane.cycles, time.monotonic()
         if cycles != self._seen[0]:
             self._seen = cycles, now
@@ -254,6 +263,10 @@ class _RealRun:
             self._mark_phases(enabled)
             if self.progress is not None:
                 self.progress((time.monotonic_ns() - enabled) * 1e-9)
+        safe = self.k.safe_ns
+        if safe is not None and not self._ended:
+            self._mark_end(safe)
+        self.drain(seen_ns)
         stuck = now - self._seen[1] > STUCK_S and self.plane.status is not Status.LOST
         if (stuck or not self.plane.alive) and self.plane.status not in (Status.LOST, Status.ENDED):
             self._plane_died()
@@ -263,8 +276,8 @@ class _RealRun:
     def _plane_died(self) -> None:
         """The nodes' own watchdogs have made the rig safe, or are about to."""
         h = self.k.host
-        if h["phase"][0] < Phase.SAFE:
-            h["trip"], h["trip_ns"] = Trip.DATA_PLANE, time.monotonic_ns()
+        running = h["phase"] < Phase.SAFE
+        h["trip"][running], h["trip_ns"][running] = Trip.DATA_PLANE, time.monotonic_ns()
         h["phase"] = Phase.DONE
 
     def _mark_phases(self, start_ns: int) -> None:
@@ -276,17 +289,23 @@ class _RealRun:
             self.mark(begin_ns, f"phase {name}")
             self._phases.pop(0)
 
+    def _mark_end(self, safe_ns: int) -> None:
+        """Mark that the safe state began at `safe_ns`, and why."""
+        self._ended = True
+        trip = self.k.trip
+        self.mark(safe_ns, f"trip {trip}" if trip else "safe")
+
     def end(self) -> None:
         """Leave the nodes in PRE-OPERATIONAL, end the data plane, close the recording."""
         try:
             if self.plane.status is Status.CYCLING and self.plane.alive:
-                self.control.network.nmt.send_command(0x80)  # first: a node that misses SYNC would call it a fault
+                release(self.k, self.control)  # first: a node that misses SYNC, or the heartbeat, would call it a fault
                 self.plane.end_cycle()
             if self._touched:
                 shut_down(self.control)
         except (can.CanError, OSError):
             pass  # the bus is gone
-        self.drain(final=True)
+        self.drain()
         self.plane.close()
 
     def close(self) -> None:
@@ -299,13 +318,14 @@ class _RealRun:
         if self.failure is not None:
             return f"RECORDING: {self.failure}"
         trip = self.k.trip
-        if trip is not None and int(self.k.host["trip"][0]) == Trip.BUS_LOST:
+        first = self.k.tripped
+        if first is not None and first.host["trip"][0] == Trip.BUS_LOST and trip is not None:
             trip += f" ({self.plane.lost_text})"
         return trip
 
     def _lost_share(self) -> float:
         cycles = self.plane.cycles
-        lost = int(self.plane.shared.plane["missed_deadlines"][0]) + int(self.k.host["lost_pdos"][0])
+        lost = int(self.plane.shared.plane["missed_deadlines"][0]) + int(self.k.host["lost_pdos"].max())
         return lost / cycles if cycles else 0.0
 
     def _exit_status(self) -> int:
@@ -318,29 +338,28 @@ class _RealRun:
     def result(self) -> RunResult:
         """Return what the run came to."""
         k, plane = self.k, self.plane
-        h = k.host[0]
         trip = self._trip()
-        figures = Measures()
+        figures = [Measures() for _ in k]
         if self.record is not None and self.failure is None and self.enabled_ns is not None:
-            figures = measure(read(self.record))
+            figures = [measure(one) for one in blocks(self.record).axes]
         wakeup, latency = plane.wakeup(), plane.latency()
         counters = {"late_cycles" if name == "missed_deadlines" else name: n for name, n in k.counters().items()}
         counters |= plane.counters()
-        cycles, exit_status = int(h["display_cycles"]), self._exit_status()
+        cycles, exit_status = int(k.host["display_cycles"].max()), self._exit_status()
         self._outcome = {"mode": k.mode, "cycles": cycles, "trip": trip, "exit_status": exit_status}
         return RunResult(
             mode=k.mode,
             cycles=cycles,
             period_ns=int(k.control["period_ns"][0]),
             missed_deadlines=counters["missed_deadlines"],
-            lost_pdos=int(h["lost_pdos"]),
+            lost_pdos=int(k.host["lost_pdos"].sum()),
             wakeup_us=wakeup.as_dict() if wakeup else None,
             cpu_us_per_cycle=plane.cpu_us_per_cycle(),
             recording=str(self.record) if self.record is not None else None,
             recording_sha256=file_sha256(self.record) if self.record is not None else None,
             trip=trip,
-            **asdict(figures),
-            sign_check=k.sign_result.name.lower(),
+            **asdict(figures[0]),
+            sign_check=k.each[0].sign_result.name.lower(),
             simulated_s=cycles * int(k.control["period_ns"][0]) * 1e-9,
             counters=counters,
             exit_status=exit_status,
@@ -349,6 +368,8 @@ class _RealRun:
             real_time=plane.real_time,
             deadman=self.deadman,
             stopped_by=self.stopped_by,
+            trip_ns=k.trip_ns - self.zero_ns if k.trip_ns else None,
+            axes=axis_results(k, figures),
         )
 
     def histograms(self) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
@@ -396,6 +417,7 @@ def real_run(
     wire.pcapng.RecordingError
         the recording cannot be created
     """
+    check_plan(rig)
     run = _RealRun(
         rig,
         mode,

@@ -10,10 +10,17 @@ from types import TracebackType
 import numpy as np
 
 from eds.rig import Rig
+from host.trace import NAME, SENT, pack, pack_sent
 from wire.frame import Records
 from wire.pcapng import PcapngWriter
 
-__all__ = ["Recorder", "project_version"]
+__all__ = ["PACED", "Recorder", "project_version"]
+
+PACED = "paced"
+"""Attachment ``bus`` of a recording that the bus itself made in real time: no host was in its process."""
+
+TRACE_BATCH = 2000
+"""Rows, and frames, that an attachment of the trace tells of: some tenths of a second at 1 kHz."""
 
 
 def project_version() -> str:
@@ -33,7 +40,7 @@ class Recorder:
         the file cannot be written (from the constructor, `write` and `close`); what was written before stays readable
     """
 
-    def __init__(self, path: Path, rig: Rig, mode: str, seed: int | None = None) -> None:
+    def __init__(self, path: Path, rig: Rig, mode: str, seed: int | None = None, *, bus: str = "") -> None:
         attachments = {
             "rig.toml": rig.effective().encode(),
             "mode": mode.encode(),
@@ -41,10 +48,16 @@ class Recorder:
         }
         if seed is not None:
             attachments["seed"] = str(seed).encode()
+        if bus:
+            attachments["bus"] = bus.encode()
         attachments |= {name: text.encode() for name, text in rig.eds_texts.items()}
         self._writer = PcapngWriter(path, attachments=attachments)
         self._markers: list[tuple[int, int, str]] = []
         self._marked = 0
+        self._traces = self._sents = 0
+        self._own: list[Records] = []
+        self._rows: list[Records] = []
+        self._sent: list[Records] = []
 
     def mark(self, t_ns: int, text: str) -> None:
         """Let the first frame at or after `t_ns` carry the comment `text`."""
@@ -60,9 +73,31 @@ class Recorder:
             comments[row] = f"{comments[row]}\n{text}" if row in comments else text
         self._writer.write(frames, comments)
 
+    def trace(self, own: Records, rows: Records, sent: Records | None = None) -> None:
+        """Keep what `host.trace` keeps: whether each frame of the batch just written was none that the host received; rows; what it sent."""
+        self._own.append(own)
+        self._rows.append(rows)
+        if sent is not None and len(sent):
+            self._sent.append(sent.copy())
+        if sum(map(len, (*self._own, *self._rows, *self._sent))) >= TRACE_BATCH:
+            self._write_trace()
+
+    def _write_trace(self) -> None:
+        own, rows, sent = np.concatenate(self._own), np.concatenate(self._rows), self._sent
+        self._own, self._rows, self._sent = [], [], []
+        self._writer.attach(f"{NAME}{self._traces}", pack(own, rows))
+        self._traces += 1
+        if sent:
+            self._writer.attach(f"{SENT}{self._sents}", pack_sent(np.concatenate(sent)))
+            self._sents += 1
+
     def close(self) -> None:
         """Write what is left and close the file."""
-        self._writer.close()
+        try:
+            if self._rows:
+                self._write_trace()
+        finally:
+            self._writer.close()
 
     def __enter__(self) -> Recorder:
         return self

@@ -1,88 +1,208 @@
-"""The course of ``coulombus sim``: signals in the main thread, the bus in one of its own, what is told and when."""
+"""``coulombus sim`` and ``coulombus node``: the far side of the bus, in real time."""
 
 from __future__ import annotations
 
-import json
-import os
-import signal
 import sys
-import threading
-from collections.abc import Callable
-from dataclasses import asdict
-from types import FrameType
+from pathlib import Path
+from typing import TYPE_CHECKING
 
-from lab.sim_server import SimResult, SimServer
+import click
 
-__all__ = ["PRIORITY", "run_sim"]
+from eds.command_line import (
+    EXIT_STATUS,
+    MODES,
+    SECONDS,
+    OutputFile,
+    buses_option,
+    channel_option,
+    errors,
+    faults_option,
+    json_option,
+    rig_option,
+    script_option,
+    seed_option,
+    set_option,
+)
 
-PRIORITY = 79
-"""SCHED_FIFO priority of the bus: just below the host's."""
+if TYPE_CHECKING:
+    from wire.address import BusAddress
+
+__all__ = ["node_command", "sim"]
 
 
-def run_sim(
-    make: Callable[[], SimServer], seconds: float | None, *, priority: int | None, cpu: int | None, as_json: bool
-) -> int:
-    """Serve until the time is over, or SIGINT or SIGTERM; tell when ready and what came of it; return the exit status.
+@click.command(epilog=EXIT_STATUS)
+@rig_option
+@buses_option
+@channel_option
+@click.option(
+    "--mode", type=click.Choice(MODES), default=None, help="Whose F_s sizes the operator's pushes.  [default: the last]"
+)
+@click.option("--seconds", type=SECONDS, default=None, help="End after so long.  [default: never]")
+@script_option
+@click.option(
+    "--record",
+    type=OutputFile(),
+    metavar="F.pcapng",
+    help="Record every frame there, at its end of frame in the bus's own time; `replay --virtual` holds it against virtual time.",
+)
+@click.option("--unpaced", is_flag=True, help="Frames take no time: for measurements.")
+@click.option("--priority", type=click.IntRange(0, 99), default=79, show_default=True, help="SCHED_FIFO; 0: ordinary.")
+@click.option("--cpu", type=click.IntRange(0), default=None, help="Keep the bus on this CPU.")
+@set_option
+@seed_option
+@faults_option
+@json_option
+def sim(
+    rig_name: str,
+    bus_names: tuple[str, ...],
+    channel: str | None,
+    mode: str | None,
+    seconds: float | None,
+    script: Path | None,
+    record: Path | None,
+    unpaced: bool,
+    priority: int,
+    cpu: int | None,
+    overrides: tuple[str, ...],
+    seed: int,
+    faults: Path | None,
+    as_json: bool,
+) -> None:
+    """Serve a bus with the simulated nodes and the rig on it, in real time.
 
-    A compiled loop does not see a signal, so it runs in a thread of its own and the main thread's handlers stop it. Until `make` has made
-    the server (the first time it compiles for half a minute) a signal ends the process at once: an exception might be swallowed by whatever
-    it interrupts, and there is nothing to clean up yet.
+    One process is bus, motor drive, MR brake, mechanics and the operator's hand. Clients attach with --bus (coulombus run, watch), as
+    python-can interface "coulombus" (can_logger -i coulombus -c bench), or on the SocketCAN interface. Prints one line when the bus is
+    ready; ends with 0 on SIGINT and SIGTERM.
+
+    \b
+    Examples:
+      coulombus sim
+      coulombus sim --rig my-rig.toml --bus socketcan:vcan0
+      coulombus sim --bus coulombus:test --seconds 60 --script script.toml --json
     """
-    made: list[SimServer] = []
-    over = threading.Event()
-    failure: list[BaseException] = []
+    with errors():
+        from eds.rig import load_rig
+        from lab.serving import run_sim
+        from lab.sim_script import read_script
+        from lab.sim_server import SimServer
+        from sim_bus.fault_file import read_faults
+        from wire.rig_buses import bus_addresses
 
-    def course() -> None:
-        try:
-            server.run(seconds, priority=priority, cpu=cpu, ready=lambda: _tell_ready(server, as_json))
-        except BaseException as error:
-            failure.append(error)
-        finally:
-            over.set()
+        rig = load_rig(rig_name, overrides)
+        addresses = bus_addresses(rig, bus_names, channel)
+        entries = () if script is None else read_script(script)
+        plans = {} if faults is None else {name: read_faults(faults).on(name, rig.channels) for name in rig.channels}
+        chosen = mode or list(rig.mode)[-1]
+        if record is not None and (unpaced or len(addresses) > 1 or next(iter(addresses.values())).kind != "coulombus"):
+            raise click.UsageError(
+                "--record is of one virtual bus on which frames take their time; choose one with --channel"
+            )
+        if len(addresses) > 1:
+            options = {
+                "--seconds": seconds,
+                "--script": script,
+                "--cpu": cpu,
+                "--priority": priority,
+                "--seed": seed,
+                "--faults": faults,
+            }
+            words = ["sim", "--rig", rig_name, "--mode", chosen, *(["--unpaced"] if unpaced else [])]
+            words += [word for option, value in options.items() if value is not None for word in (option, str(value))]
+            words += [word for text in overrides for word in ("--set", text)]
+            sys.exit(_sim_buses([*words, "--json"] if as_json else words, addresses))
+        if channel is not None:
+            rig = rig.on(channel)
+        (address,) = addresses.values()
+        plan = plans.get(rig.channels[0])
 
-    def on_signal(number: int, frame: FrameType | None) -> None:
-        if not made:
-            os._exit(0)
-        made[0].stop()
+        def make() -> SimServer:
+            return SimServer(
+                rig, address, mode=chosen, seed=seed, script=entries, unpaced=unpaced, record=record, faults=plan
+            )
 
-    before = {number: signal.signal(number, on_signal) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        server = make()
-        made.append(server)
-        thread = threading.Thread(target=course, name="bus")
-        thread.start()
-        while not over.wait(1.0):
-            pass
-        thread.join()
-    finally:
-        for one in made:
-            one.close()
-        for number, handler in before.items():
-            signal.signal(number, handler)
-    if failure:
-        raise failure[0]
-    _tell_end(server.result, as_json)
-    return server.result.exit_status
-
-
-def _tell_ready(server: SimServer, as_json: bool) -> None:
-    for right in server.real_time.refused:
-        print(f"coulombus: {right}", file=sys.stderr)
-    if as_json:
-        line = {"event": "ready", "bus": str(server.address), "bitrate_bit_s": server.bit_rate}
-        print(json.dumps({**line, "real_time": server.real_time.as_dict()}), flush=True)
-    else:
-        rate = f" at {server.bit_rate / 1e6:g} Mbit/s" if server.bit_rate else ""
-        print(f"bus {server.address} is ready{rate}; Ctrl-C ends it", flush=True)
+        sys.exit(run_sim(make, seconds, priority=priority or None, cpu=cpu, as_json=as_json))
 
 
-def _tell_end(result: SimResult, as_json: bool) -> None:
-    for loser in result.losers:
-        text = "a client (process {pid}) did not read fast enough: {lost} frames lost to it, {delivered} delivered"
-        print("coulombus: " + text.format(**loser), file=sys.stderr)
-    if result.gone:
-        print(f"coulombus: {result.gone}", file=sys.stderr)
-    if as_json:
-        print(json.dumps({"event": "end", **asdict(result)}), flush=True)
-    else:
-        print(f"{result.frames} frames in {result.seconds:.1f} s, {result.clients} clients", flush=True)
+def _sim_buses(words: list[str], addresses: dict[str, BusAddress]) -> int:
+    """Serve several buses, a process each; their lines are passed on as they come."""
+    from lab.buses import supervise
+
+    buses = supervise(
+        list(addresses),
+        lambda channel: [*words, "--channel", channel, "--bus", f"{channel}={addresses[channel]}"],
+        lambda channel, line: click.echo(line),
+    )
+    return max(bus.status for bus in buses)
+
+
+@click.command("node", epilog=EXIT_STATUS)
+@click.argument("eds", nargs=-1, required=True, metavar="EDS...", type=click.Path(path_type=Path))
+@click.option(
+    "--node-id",
+    "node_ids",
+    type=click.IntRange(1, 127),
+    multiple=True,
+    help="One for each EDS, in order.  [default: NodeID of a DCF]",
+)
+@click.option("--bus", metavar="B", required=True, help="coulombus:NAME (built in) or socketcan:IF.")
+@click.option(
+    "--kind",
+    type=click.Choice(("generic", "drive", "brake")),
+    default="generic",
+    show_default=True,
+    help="What lives behind the objects: nothing, a CiA 402 drive, a CiA 404 brake.",
+)
+@click.option(
+    "--store",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="Keep what 1010h and LSS store there.  [default: in memory]",
+)
+@click.option(
+    "--processing-us",
+    type=click.FloatRange(0, 1e6),
+    default=20.0,
+    show_default=True,
+    help="From a request to the answer that is ready to be sent.",
+)
+@click.option(
+    "--bitrate",
+    type=click.IntRange(1000, 100_000_000),
+    default=None,
+    help="Bit/s of the bus, where this command serves it.  [default: Baudrate of a DCF, else 1000000]",
+)
+@click.option("--seconds", type=SECONDS, default=None, help="End after so long.  [default: never]")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object a line to stdout: ready, duplicate, end.")
+def node_command(
+    eds: tuple[Path, ...],
+    node_ids: tuple[int, ...],
+    bus: str,
+    kind: str,
+    store: Path | None,
+    processing_us: float,
+    bitrate: int | None,
+    seconds: float | None,
+    as_json: bool,
+) -> None:
+    """Serve any EDS description as a live node: a stand-in for a device that is not on the desk yet.
+
+    All objects with their defaults, PDOs, SDO, NMT, heartbeat, EMCY and LSS; a DCF's with the values that it configures. On coulombus:NAME
+    it joins the bus that another process serves; where nobody does, it serves the bus itself, and others may join. Ends with 0 on SIGINT and
+    SIGTERM, with 4 when the bus goes away.
+
+    \b
+    Examples:
+      coulombus node vendor.eds --node-id 5 --bus coulombus:desk
+      coulombus node drive.eds brake.eds --node-id 1 --node-id 2 --bus socketcan:vcan0 --json
+      coulombus node configured.dcf --bus coulombus:desk
+    """
+    with errors():
+        from lab.live_nodes import KINDS, LiveNodes, NodeError, run_nodes
+        from wire.address import parse_address
+
+        if node_ids and len(node_ids) != len(eds):
+            raise NodeError(f"{len(eds)} EDS files and {len(node_ids)} --node-id; give one --node-id for each file")
+        address = parse_address(bus)
+        ids = node_ids or (None,) * len(eds)
+        nodes = LiveNodes(tuple(zip(eds, ids, strict=True)), KINDS[kind], store, processing_us, as_json, bitrate or 0)
+        sys.exit(run_nodes(nodes, address, seconds))

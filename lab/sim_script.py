@@ -1,30 +1,43 @@
-"""What happens to the nodes of ``coulombus sim``, and when: its script file.
+"""What happens to the nodes of ``coulombus sim`` and ``coulombus simulate``, and when: the script file.
 
 ::
 
     [[at]]
     t_s = 5.0
     node = "motor"            # or "brake"
-    action = "power_off"      # or "power_on", "reset" (as by the NMT command)
-    after = "enabled"         # t_s counts from the drive's first Operation Enabled; default: "start" of the sim
+    action = "power_off"      # or "power_on", "reset" (as by the NMT command), "fault", "clear"
+    fault = "over_current"    # with "fault" and "clear": one of FAULTS; "clear" without it ends all of the node
+    after = "enabled"         # t_s counts from the drive's first Operation Enabled; default: "start", the power-on
+
+A node has the faults that FAULTS names for it. "clear" takes the cause away; the device then wants its own reset.
 """
 
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from eds.cia301 import NmtCommand
 from lab.kernel import BRAKE, MOTOR
-from lab.sim_server import PacedRig
+
+if TYPE_CHECKING:
+    from lab.world import VirtualRig
 
 __all__ = ["Entry", "ScriptError", "read_script"]
 
 NODES = {"motor": MOTOR, "brake": BRAKE}
-ACTIONS = ("power_off", "power_on", "reset")
+ACTIONS = ("power_off", "power_on", "reset", "fault", "clear")
+FAULTS = {
+    "motor": ("over_current", "over_temperature", "encoder_lost", "supply_low"),
+    "brake": ("over_current", "over_temperature", "supply_low", "coil_open", "coil_short"),
+}
+"""Device faults by node."""
+
 ORIGINS = ("start", "enabled")
+REQUIRED, OPTIONAL = frozenset(("t_s", "node", "action")), frozenset(("after", "fault"))
 
 
 class ScriptError(ValueError):
@@ -41,8 +54,9 @@ class Entry:
     node: str
     action: str
     after: str = "start"
+    fault: str | None = None
 
-    def act(self, world: PacedRig) -> None:
+    def act(self, world: VirtualRig) -> None:
         """Do it now."""
         row = NODES[self.node]
         device = (world.motor, world.brake)[row]
@@ -50,6 +64,9 @@ class Entry:
             world.power_off(row)
         elif self.action == "power_on":
             world.power_on(row)
+        elif self.action in ("fault", "clear"):
+            for fault in FAULTS[self.node] if self.fault is None else (self.fault,):
+                world.inject(row, fault, self.action == "fault")
         elif device.record["powered"]:
             world.nmt_command(row, NmtCommand.RESET_NODE)
 
@@ -68,19 +85,29 @@ def read_script(path: Path) -> tuple[Entry, ...]:
         raise ScriptError(f"{path}: {error}") from None
     entries = table.pop("at", [])
     if table or not isinstance(entries, list):
-        raise ScriptError(f"{path}: {', '.join(table) or 'at'}; expected nothing but entries [[at]]")
+        other = "; a fault file is given by --faults" if {"fault", "noise", "seed"} & set(table) else ""
+        raise ScriptError(f"{path}: {', '.join(table) or 'at'}; expected nothing but entries [[at]]{other}")
     return tuple(_entry(f"{path}: entry {n} of [[at]]", given) for n, given in enumerate(entries, 1))
 
 
 def _entry(where: str, given: Any) -> Entry:
-    if not isinstance(given, dict) or not {"t_s", "node", "action"} <= set(given) <= {"t_s", "node", "action", "after"}:
-        raise ScriptError(f"{where}: {given}; expected the keys t_s, node, action, and perhaps after")
+    if not isinstance(given, dict) or not REQUIRED <= set(given) <= REQUIRED | OPTIONAL:
+        raise ScriptError(f"{where}: {given}; expected the keys t_s, node, action, and perhaps after and fault")
     t_s = given["t_s"]
     if isinstance(t_s, bool) or not isinstance(t_s, int | float) or not 0 <= t_s < 1e9:
         raise ScriptError(f"{where}: t_s = {t_s!r}; expected seconds, 0 or more")
     for key, allowed in (("node", tuple(NODES)), ("action", ACTIONS), ("after", ORIGINS)):
         if key in given and given[key] not in allowed:
-            raise ScriptError(
-                f"{where}: {key} = {given[key]!r}; expected " + " or ".join(f'"{one}"' for one in allowed)
-            )
-    return Entry(round(t_s * 1e9), given["node"], given["action"], given.get("after", "start"))
+            raise ScriptError(f"{where}: {key} = {given[key]!r}; expected {_either(allowed)}")
+    node, action, fault = given["node"], given["action"], given.get("fault")
+    if fault is None and action == "fault":
+        raise ScriptError(f"{where}: the key fault is missing; expected {_either(FAULTS[node])}")
+    if fault is not None and action not in ("fault", "clear"):
+        raise ScriptError(f'{where}: fault = {fault!r}; expected with action = "fault" or "clear" only')
+    if fault is not None and fault not in FAULTS[node]:
+        raise ScriptError(f'{where}: fault = {fault!r}; expected for node = "{node}": {_either(FAULTS[node])}')
+    return Entry(round(t_s * 1e9), node, action, given.get("after", "start"), fault)
+
+
+def _either(allowed: Sequence[str]) -> str:
+    return " or ".join(f'"{one}"' for one in allowed)

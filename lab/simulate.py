@@ -5,21 +5,26 @@ from __future__ import annotations
 import hashlib
 import math
 import os
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from eds.rig import Rig, load_rig
-from host.bringup import shut_down
-from host.records import Phase, Trip
+from host.bringup import check_plan, release, shut_down
+from host.controllers import Controllers
+from host.records import Trip
+from lab.buses import merged, path_on
+from lab.injection import Injection, controllers_of
 from lab.measures import Measures, measure
 from lab.recorder import Recorder
 from lab.world import VirtualRig
-from scope.recording import read
+from scope.recording import blocks
+from sim_bus.fault_file import FaultPlan, read_faults
 from sim_bus.plant import TRUTH_COLUMNS
+from wire.clock import bus_ns
 from wire.frame import Records
 from wire.pcapng import RecordingError
 
@@ -61,8 +66,19 @@ class RunResult:
     real_time: list[dict[str, Any]] | None = None
     """Each real-time right that the data plane asked for: name, granted, detail, remedy."""
     deadman: str | None = None
+    trip_ns: int | None = None
+    """When the trip was, in the recording's time."""
+    axes: dict[str, dict[str, Any]] | None = None
+    """Each axis' own figures by its name; None where the rig has one axis. The figures above are then those of the first."""
+    buses: dict[str, dict[str, Any]] | None = None
+    """Each bus' own result by its channel; None where the rig has one bus."""
     stopped_by: str | None = None
     """Who ended the run before its time without a trip: SIGINT, SIGTERM, "coulombus stop"."""
+
+    faults: list[dict[str, Any]] | None = None
+    """What each fault of a fault file came to: kind, line, times, first_s, last_s."""
+    controllers: dict[str, dict[str, Any]] | None = None
+    """State and error counters of each node's CAN controller at the end, where there was a fault file."""
 
     def as_dict(self) -> dict[str, Any]:
         """Return the result as plain values for JSON."""
@@ -75,6 +91,22 @@ def file_sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
+def axis_results(controllers: Controllers, figures: Sequence[Measures]) -> dict[str, dict[str, Any]] | None:
+    """Return what a run came to for each axis; None where there is only one."""
+    if controllers.rig.axes[0] is controllers.rig:
+        return None
+    return {
+        k.rig.axis: {
+            "cycles": int(k.host["display_cycles"][0]),
+            "lost_pdos": int(k.host["lost_pdos"][0]),
+            "trip": k.trip,
+            "sign_check": k.sign_result.name.lower(),
+            **asdict(measures),
+        }
+        for k, measures in zip(controllers, figures, strict=True)
+    }
+
+
 class TruthError(Exception):
     """The plant's true course cannot be saved."""
 
@@ -84,21 +116,29 @@ class TruthError(Exception):
 class _Run:
     """The course of one run; `finish` makes its result."""
 
-    def __init__(
-        self, rig: Rig, mode: str, seed: int, record: Path | None, truth: bool, progress: Callable[[float], None] | None
-    ) -> None:
-        self.recorder = Recorder(record, rig, mode, seed) if record is not None else None
-        self.record = record
-        self.progress = progress
+    def __init__(self, order: _Order) -> None:
+        rig, mode, seed = order.rig, order.mode, order.seed
+        self.record, self.progress = order.record, order.progress
+        self.recorder = Recorder(self.record, rig, mode, seed) if self.record is not None else None
         self.failure: str | None = None
-        self.world = VirtualRig(rig, mode, seed=seed, truth=truth, on_frames=self._write if self.recorder else None)
-        self.k = self.world.controller
+        on_frames, truth = self._write if self.recorder else None, order.truth is not None
+        self.world = VirtualRig(rig, mode, seed=seed, truth=truth, on_frames=on_frames)
+        if self.recorder:
+            self.world.on_host = self._write_host
+        self.k = self.world.controllers
+        self.injection: Injection | None = None
 
     def _write(self, frames: Records) -> None:
+        self._record(lambda recorder: recorder.write(frames))
+
+    def _write_host(self, had: Records, events: Records, sent: Records) -> None:
+        self._record(lambda recorder: recorder.trace(~had, events, sent))
+
+    def _record(self, write: Callable[[Recorder], None]) -> None:
         if self.recorder is None or self.failure is not None:
             return
         try:
-            self.recorder.write(frames)
+            write(self.recorder)
         except RecordingError as error:
             self.failure = str(error)
             self.k.stop(Trip.RECORDING)
@@ -123,21 +163,22 @@ class _Run:
         self.mark(world.t_ns, f"run {k.mode}")
         world.start_host()
         arming_ns = round(2e9 * (rig.limits.still_timeout_s + 1))
-        self._until(world.t_ns + arming_ns, lambda: world.enabled_ns is not None or k.phase >= Phase.SAFE)
+        self._until(world.t_ns + arming_ns, lambda: world.enabled_ns is not None or k.ending)
         if world.enabled_ns is not None:
             self._mark_phases(world.enabled_ns, seconds)
             end = world.enabled_ns + round(seconds * 1e9)
-            self._until(end, lambda: k.phase >= Phase.SAFE)
-        k.stop()
-        self._until(world.t_ns + SAFE_TIMEOUT_NS, lambda: k.phase >= Phase.SAFE)
-        trip = int(k.host["trip_ns"][0]), k.trip
+            self._until(end, lambda: k.ending)
+        world.ask_to_stop()
+        self._until(world.t_ns + SAFE_TIMEOUT_NS, lambda: k.safe)
+        trip = int(bus_ns(world.host_clock, k.trip_ns)), k.trip
         self.mark(*((trip[0], f"trip {trip[1]}") if trip[1] else (world.t_ns, "safe")))
-        self._until(world.t_ns + SAFE_TIMEOUT_NS, lambda: k.phase is Phase.DONE)
+        self._until(world.t_ns + SAFE_TIMEOUT_NS, lambda: k.done)
         world.stop_host()
+        release(k, world)  # a few milliseconds: the nodes have not missed its heartbeat yet
         shut_down(world)
 
     def _mark_phases(self, start_ns: int, seconds: float) -> None:
-        starts = self.world.operator.starts_s
+        starts = self.world.operators[0].starts_s
         names = [phase.kind for phase in self.world.rig.phases] + ["end"]
         for begin, name in zip(starts, names, strict=True):
             if begin < seconds:
@@ -159,27 +200,31 @@ class _Run:
         trip = k.trip
         if self.failure is not None:
             trip = f"RECORDING: {self.failure}"
-        figures = Measures()
+        figures = [Measures() for _ in k]
         regular = self.record is not None and self.record.is_file()
         if regular and self.record is not None and self.failure is None:
-            figures = measure(read(self.record))
+            figures = [measure(one) for one in blocks(self.record).axes]
         enabled = self.world.enabled_ns
         return RunResult(
             mode=k.mode,
-            cycles=int(h["display_cycles"]),
+            cycles=int(k.host["display_cycles"].max()),
             period_ns=int(k.control["period_ns"][0]),
             missed_deadlines=int(h["missed_deadlines"]),
-            lost_pdos=int(h["lost_pdos"]),
+            lost_pdos=int(k.host["lost_pdos"].sum()),
             wakeup_us=None,
             cpu_us_per_cycle=None,
             recording=str(self.record) if self.record is not None else None,
             recording_sha256=file_sha256(self.record) if regular and self.record is not None else None,
             trip=trip,
-            **asdict(figures),
-            sign_check=k.sign_result.name.lower(),
+            **asdict(figures[0]),
+            sign_check=k.each[0].sign_result.name.lower(),
             simulated_s=0.0 if enabled is None else (self.world.t_ns - enabled) * 1e-9,
             counters=k.counters(),
             exit_status=7 if trip else 0,
+            trip_ns=int(bus_ns(self.world.host_clock, k.trip_ns)) if k.trip_ns else None,
+            axes=axis_results(k, figures),
+            faults=None if self.injection is None else self.injection.results(),
+            controllers=None if self.injection is None else controllers_of(self.world),
         )
 
 
@@ -193,6 +238,7 @@ def simulate(
     truth: str | os.PathLike[str] | None = None,
     overrides: tuple[str, ...] = (),
     script: Callable[[VirtualRig], None] | None = None,
+    faults: FaultPlan | str | os.PathLike[str] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> RunResult:
     """Run the rig in virtual time and return what came of it.
@@ -207,6 +253,7 @@ def simulate(
     truth : save the plant's true course there (npz, the arrays of `sim_bus.plant.TRUTH_COLUMNS`)
     overrides : ``SECTION.KEY=VALUE`` of the rig file
     script : called before power-on; plans faults with ``world.at(t_ns, action)``
+    faults : a fault file (docs/bus.md): what goes wrong on the bus, and when
     progress : called with the display's time in s every 0.25 s of it
 
     Raises
@@ -215,12 +262,16 @@ def simulate(
         a node is missing, refuses a value or is not what the rig file says; nothing was armed
     eds.rig.RigError, host.laws.LawError, wire.pcapng.RecordingError
         the rig file, the law or the recording's path is wrong
+    sim_bus.fault_file.FaultError
+        the fault file is wrong
     """
+    wrong = faults if faults is None or isinstance(faults, FaultPlan) else read_faults(Path(faults))
     chosen = rig.variant(*overrides) if isinstance(rig, Rig) else load_rig(rig, overrides)
     if mode not in chosen.mode:
         raise ValueError(f"mode {mode!r}: the rig has {', '.join(chosen.mode)}")
     if not (math.isfinite(seconds) and seconds > 0):
         raise ValueError(f"seconds {seconds!r}: expected a number above 0")
+    check_plan(chosen)
     if truth is not None:
         size = seconds / chosen.plant.step_s * 8 * len(TRUTH_COLUMNS)
         if size > TRUTH_BYTES:
@@ -228,17 +279,81 @@ def simulate(
                 f"{truth}: {size / 1e9:.0f} GB of truth; show less than {seconds:g} s, or raise plant.step_s"
             )
         _save(Path(truth))  # whether it can be written is better known before the run
-    run = _Run(chosen, mode, seed, Path(record) if record is not None else None, truth is not None, progress)
+    if wrong is not None and len(chosen.channels) == 1:
+        wrong = wrong.on(chosen.channels[0], chosen.channels)
+    order = _Order(
+        rig=chosen,
+        mode=mode,
+        seconds=seconds,
+        record=None if record is None else Path(record),
+        seed=seed,
+        truth=None if truth is None else Path(truth),
+        script=script,
+        faults=wrong,
+        progress=progress,
+    )
+    return _simulate_bus(order) if len(chosen.channels) == 1 else _simulate_buses(order)
+
+
+@dataclass(frozen=True)
+class _Order:
+    """What `simulate` was asked for, checked."""
+
+    rig: Rig
+    mode: str
+    seconds: float
+    record: Path | None
+    seed: int
+    truth: Path | None
+    script: Callable[[VirtualRig], None] | None
+    faults: FaultPlan | None
+    progress: Callable[[float], None] | None
+
+    def on(self, channel: str, stop_ns: int | None) -> _Order:
+        """Return what that is on one bus, whose host is stopped at `stop_ns`; it has files of its own."""
+
+        def script(world: VirtualRig) -> None:
+            if self.script is not None:
+                self.script(world)
+            if stop_ns is not None:
+                world.at(stop_ns, lambda _: world.ask_to_stop(Trip.OTHER_AXIS))
+
+        record = None if self.record is None else path_on(self.record, channel)
+        truth = None if self.truth is None else path_on(self.truth, channel)
+        faults = None if self.faults is None else self.faults.on(channel, self.rig.channels)
+        return replace(self, rig=self.rig.on(channel), record=record, truth=truth, script=script, faults=faults)
+
+
+def _simulate_buses(order: _Order) -> RunResult:
+    """Run each bus of the rig; where one trips, the others are run once more and stopped at that instant.
+
+    The buses share nothing but that, so one after the other is exact.
+    """
+    orders = {channel: order.on(channel, None) for channel in order.rig.channels}
+    results = {channel: _simulate_bus(one) for channel, one in orders.items()}
+    trips = {result.trip_ns: channel for channel, result in results.items() if result.trip_ns}
+    if trips:
+        first = min(trips)
+        results = {c: r if c == trips[first] else _simulate_bus(order.on(c, first)) for c, r in results.items()}
+    told = {channel: result.as_dict() for channel, result in results.items()}
+    return RunResult(**merged(told, {channel: result.exit_status for channel, result in results.items()}))
+
+
+def _simulate_bus(order: _Order) -> RunResult:
+    """Run the axes of one bus."""
+    run = _Run(order)
     try:
-        if script is not None:
-            script(run.world)
-        run.course(seconds)
+        if order.faults is not None:
+            run.injection = Injection(run.world, order.faults, order.seed, run.mark)
+        if order.script is not None:
+            order.script(run.world)
+        run.course(order.seconds)
     except BaseException:  # refused, or interrupted: what was recorded stays readable
         run.close()
         raise
     run.close()
-    if truth is not None:
-        _save(Path(truth), run.world.truth())
+    if order.truth is not None:
+        _save(order.truth, run.world.truth())
     return run.result()
 
 

@@ -1,59 +1,45 @@
-"""The whole rig in virtual time: bus, two nodes, plant and hand, the host's cycle, and `canopen` as its control plane.
+"""The whole rig in virtual time: bus, nodes, plants and hands, the host's cycle, and `canopen` as its control plane.
 
-`VirtualRig` owns the compiled kernel's arrays and answers its exits. Time is virtual: nothing sleeps, and the same seed gives the same bytes.
+`VirtualRig` is a `VirtualNetwork` of two devices for each axis, with the rig's mechanics between them. Nothing sleeps, and the same
+seed gives the same bytes.
 """
 
 from __future__ import annotations
 
-import heapq
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
-import canopen
 import numpy as np
 
-from eds.compiled import JIT_DISABLED
 from eds.rig import Rig
 from host.bringup import bring_up
-from host.controller import Controller, arguments
-from host.step import SOURCE_HOST
-from lab.kernel import BRAKE, CONTROL_PLANE, MOTOR, WORLD, Exit, run
-from node.device import Device
-from node.records import KIND_BRAKE, KIND_DRIVE, new_nodes
-from sim_bus.arbiter import FAR_NS, new_bus
+from host.controllers import Controllers, arguments
+from host.records import Trip
+from host.trace import EVENT, Event
+from lab.kernel import AXIS, BRAKE, MOTOR, Exit
+from lab.network import CanopenNetwork, Mechanics, VirtualNetwork
+from node.emcy import DEVICE_FAULTS, FIRST_DEVICE_CAUSE
+from node.records import KIND_BRAKE, KIND_DRIVE
 from sim_bus.operator import KNOT_S, Operator
-from sim_bus.plant import TRUTH_COLUMNS, new_plant
-from wire.frame import Records, data_bytes, data_word, frames, new_queue, push
+from sim_bus.plant import COIL_INTACT, COIL_OPEN, COIL_SHORT, PLANT, TRUTH_COLUMNS, new_plant
+from wire.clock import own_ns, set_clock
+from wire.frame import Records, new_records
 
-__all__ = ["VirtualNetwork", "VirtualRig"]
+if TYPE_CHECKING:
+    from lab.sim_script import Entry
+
+__all__ = ["VirtualRig"]
 
 BLOCK_KNOTS = 8000
 TRUTH_BLOCK_KNOTS = 500  # less memory for the block of the true course
-LOG_FRAMES = 1 << 15
+SEED_STEP = 1_000_003  # between the noises of two axes
+COIL_STATES = {"coil_open": COIL_OPEN, "coil_short": COIL_SHORT}
+"""Faults that are the coil's: the driver finds them by what it measures."""
+
 BOOT_NS = 1_000_000  # power-on to the first SDO: both boot-ups are on the bus
-SDO_REQUEST, SDO_RESPONSE = 0x600, 0x580
 
 
-class VirtualNetwork(canopen.Network):  # type: ignore[misc]  # canopen has no types
-    """A `canopen` network without threads: what it sends goes into the virtual bus, and an SDO request lets time pass."""
-
-    def __init__(self, world: VirtualRig) -> None:
-        super().__init__()
-        self._world = world
-
-    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
-        """Queue a frame; when it is an SDO request, run the bus until the node's response or the time-out."""
-        world = self._world
-        world.send(can_id, bytes(data))
-        if can_id & 0x780 == SDO_REQUEST and data[0] != 0x80:  # nobody answers an abort
-            world.run_until_heard(SDO_RESPONSE + (can_id & 0x7F), round(world.rig.host.sdo_timeout_s * 1e9))
-
-    def send_periodic(self, can_id: int, data: bytes, period: float, remote: bool = False) -> Any:
-        """Refused: periodic frames are the kernel's."""
-        raise NotImplementedError("periodic frames belong to the kernel: see lab.kernel")
-
-
-class VirtualRig:
+class VirtualRig(VirtualNetwork):
     """Bus, nodes, plant, hand and host of `rig` in mode `mode`.
 
     Parameters
@@ -73,190 +59,199 @@ class VirtualRig:
         truth: bool = False,
     ) -> None:
         self.rig, self.mode = rig, mode
-        self.controller = Controller(rig, mode)
-        self.operator = Operator(rig, mode)
-        self.network = VirtualNetwork(self)
-        self.exits = dict.fromkeys(Exit, 0)
-        self._on_frames = on_frames
+        self.controllers = Controllers(rig, mode)
+        self.controller = self.controllers.each[0]
+        self.operators = [Operator(controller.rig, mode) for controller in self.controllers]
+        self.network = CanopenNetwork(lambda can_id, data, _: self.send(can_id, data), self._await_answer)
+        self._left: list[tuple[float, float] | None] = [None] * len(
+            rig.axes
+        )  # a schedule that was left: its start and its end [s]
         self._heard: set[int] = set()
-        self._script: list[tuple[int, int, Callable[[VirtualRig], None]]] = []
+        self._had, self._events = 0, list[tuple[int, ...]]()
+        self.on_host: Callable[[Records, Records, Records], None] | None = None
+        """Called with each batch, after `on_frames`: which of its frames the host received, rows of `host.trace.EVENT`, what the host asked for."""
+        self._waiting: list[Entry] = []
 
-        self.nodes, self.rpdo, self.tpdo = new_nodes(2)
-        self.motor = Device(
-            rig.description("motor"), rig.motor.node_id, KIND_DRIVE, self.nodes, self.rpdo, self.tpdo, MOTOR
-        )
-        self.brake = Device(
-            rig.description("brake"), rig.brake.node_id, KIND_BRAKE, self.nodes, self.rpdo, self.tpdo, BRAKE
-        )
-        self.bus = new_bus(rig.bus.bitrate_bit_s)
-        self.plant = new_plant(rig, seed)
-        self._queue, self._header = new_queue()
-        self._log = frames(LOG_FRAMES)
-        self._world = np.zeros(1, WORLD)  # Python looks at it often: a plain array answers faster than a recarray
-        w = self._world[0]
-        w["script_ns"], w["operator_start_ns"] = FAR_NS, -1
-        w["steps_per_knot"] = max(1, round(KNOT_S / rig.plant.step_s))
-        w["truth_on"] = truth
+        n = len(rig.axes)
         knots = TRUTH_BLOCK_KNOTS if truth else BLOCK_KNOTS
-        self._f_h = np.zeros(knots + 1)
-        steps = knots * int(w["steps_per_knot"])
-        self._truth_block = np.zeros((steps if truth else 1, len(TRUTH_COLUMNS)))
-        self._truth: list[Any] = []
-        self._truth_from = 0
-        self._new_force_block()
-        self._arguments = (
-            *(
-                self._world.view(np.recarray),
-                self.bus,
-                self._queue,
-                self._header,
-                self._log,
-                self.nodes,
-                self.rpdo,
-                self.tpdo,
+        axes = new_records(AXIS, n)
+        self._axes = axes.view(np.ndarray)  # Python looks at it often: a plain array answers faster than a recarray
+        self._axes["motor"], self._axes["brake"] = MOTOR + 2 * np.arange(n), BRAKE + 2 * np.arange(n)
+        self._axes["operator_start_ns"], self._axes["truth_on"] = -1, truth
+        self._axes["steps_per_knot"] = [max(1, round(KNOT_S / one.plant.step_s)) for one in rig.axes]
+        self._f_h = np.zeros((n, knots + 1))
+        steps = knots * int(self._axes["steps_per_knot"].max())
+        self._truth_block = np.zeros((n, steps if truth else 1, len(TRUTH_COLUMNS)))
+        self._truth: list[list[Any]] = [[] for _ in range(n)]
+        self._truth_from = [0] * n
+        plant = new_records(PLANT, n)
+        for a, one in enumerate(rig.axes):
+            plant[a : a + 1] = new_plant(one, seed + a * SEED_STEP)
+        super().__init__(
+            rig.bus.bitrate_bit_s,
+            capacity=2 * n,
+            on_frames=on_frames,
+            mechanics=Mechanics(
+                axes, np.arange(2 * n) // 2, plant, self._f_h, self._truth_block, arguments(self.controllers)
             ),
-            *(self.plant, self._f_h, self._truth_block),
-            *arguments(self.controller),
         )
-
-        self._run = self._compiled_run()
-
-    def _compiled_run(self) -> Callable[..., int]:
-        """Return the kernel without the dispatcher, which would look at each argument's type at each call (40 us)."""
-        if JIT_DISABLED:
-            return run
-        self._world["until_ns"] = 0  # nothing is due: the call only compiles, or loads what was compiled
-        run(*self._arguments)
-        entry: Callable[..., int] = run.overloads[run.nopython_signatures[-1].args].entry_point  # type: ignore[attr-defined]
-        return entry
+        self.nodes["coil_A_Nm"][BRAKE::2] = [one.brake.coil_A_Nm for one in rig.axes]
+        for one in rig.axes:
+            self.add(one.description("motor"), one.motor.node_id, KIND_DRIVE)
+            self.add(one.description("brake"), one.brake.node_id, KIND_BRAKE)
+        self.motor, self.brake = self.devices[MOTOR], self.devices[BRAKE]
+        for a in range(n):
+            self._new_force_block(a)
 
     # time
 
     @property
-    def t_ns(self) -> int:
-        """Present time."""
-        return int(self._world["t_ns"][0])
-
-    @property
     def enabled_ns(self) -> int | None:
-        """When the drive entered Operation Enabled, which began the operator's schedule."""
-        start = int(self._world["operator_start_ns"][0])
-        return None if start < 0 else start
-
-    def wait_ns(self, duration_ns: int) -> None:
-        """Let time pass."""
-        self.run_until(self.t_ns + duration_ns)
-
-    def run_until(self, t_ns: int, condition: Callable[[], bool] | None = None) -> None:
-        """Run to `t_ns`, or until `condition` holds after an exit of the kernel."""
-        self._world["until_ns"] = t_ns
-        while True:
-            reason = Exit(self._run(*self._arguments))
-            self.exits[reason] += 1
-            self._answer(reason)
-            self._actuate()
-            if reason is Exit.UNTIL or (condition is not None and condition()):
-                return
+        """When the last axis' drive entered Operation Enabled, which began its operator's schedule; None while one has not."""
+        starts = self._axes["operator_start_ns"]
+        return None if starts.min() < 0 else int(starts.max())
 
     def run_until_heard(self, can_id: int, timeout_ns: int) -> None:
         """Run until the control plane has heard a frame `can_id`, or for `timeout_ns`."""
         self._heard.clear()
         self.run_until(self.t_ns + timeout_ns, lambda: can_id in self._heard)
 
-    def at(self, t_ns: int, action: Callable[[VirtualRig], None]) -> None:
-        """Call `action(world)` at the virtual time `t_ns`: a script's entry."""
-        heapq.heappush(self._script, (t_ns, len(self._script), action))
-        self._world["script_ns"] = self._script[0][0]
-
-    def _actuate(self) -> None:
-        """What a service or a script made of the devices' outputs acts from now on: the plant was advanced to the present."""
-        w = self._world[0]
-        w["torque_pm"] = self.nodes[MOTOR]["out_torque_pm"]
-        w["brake_Nm"] = self.nodes[BRAKE]["out_brake_Nm"]
+    def _await_answer(self, can_id: int) -> None:
+        self.run_until_heard(can_id, round(self.rig.host.sdo_timeout_s * 1e9))
 
     # the kernel's exits
 
-    def _answer(self, reason: Exit) -> None:
-        if reason is Exit.SERVICE:
-            self._serve()
-        elif reason in (Exit.FORCE, Exit.ENABLED):
-            self._new_force_block()
-        elif reason is Exit.LOG:
-            self.flush()
-        elif reason is Exit.SCRIPT:
-            _, _, action = heapq.heappop(self._script)
-            self._world["script_ns"] = self._script[0][0] if self._script else FAR_NS
-            action(self)
+    def answer(self, why: int) -> None:
+        """Do what the kernel needs Python for (`lab.kernel.Exit`), at the present time."""
+        if why in (Exit.FORCE, Exit.ENABLED):
+            self._new_force_block(int(self._world["axis"][0]))
+            if why == Exit.ENABLED:
+                for entry in self._waiting:
+                    self.at(self.t_ns + entry.t_ns, entry.act)
+                self._waiting = []
+                if self.injection is not None:
+                    self.injection.enabled(self.t_ns)
+        else:
+            super().answer(why)
+        self._actuate()
 
-    def _serve(self) -> None:
-        w = self._world[0]
-        frame = self._log[int(w["log_count"]) - 1]
-        service, t_ns, can_id = int(w["service"]), int(frame["t_ns"]), int(frame["can_id"])
-        length, data = int(frame["length"]), int(frame["word"])
-        for i, device in enumerate((self.motor, self.brake)):
-            if service >> i & 1:
-                device.service(t_ns, can_id, length, data, self._queue, self._header)
-        if service & CONTROL_PLANE:
-            self._heard.add(can_id)
-            self.network.notify(can_id, bytearray(data_bytes(data, length)), t_ns * 1e-9)
+    def _actuate(self) -> None:
+        """What a service or a script made of the devices' outputs acts from now on: the plants were advanced to the present."""
+        self.plant["reverse_A"] = self.nodes["out_reverse_A"][BRAKE::2]
+        for axis in self._axes:
+            axis["torque_pm"] = self.nodes[axis["motor"]]["out_torque_pm"]
+            axis["brake_Nm"] = self.nodes[axis["brake"]]["out_brake_Nm"]
 
-    def _new_force_block(self) -> None:
-        w, plant = self._world[0], self.plant[0]
-        self._keep_truth()
+    def _control_plane(self, t_ns: int, can_id: int, data: bytes) -> None:
+        self._heard.add(can_id)
+        self.network.notify(can_id, bytearray(data), t_ns * 1e-9)
+
+    def _new_force_block(self, a: int) -> None:
+        """Compute the next block of the hand's force on axis `a`, from the present on."""
+        axis, plant, f_h = self._axes[a], self.plant[a], self._f_h[a]
+        self._keep_truth(a)
         step = int(plant["t_ns"]) // int(plant["step_ns"])
-        w["force_step"] = step
-        w["force_end_ns"] = (step + (len(self._f_h) - 1) * int(w["steps_per_knot"])) * int(plant["step_ns"])
-        self._truth_from = step
-        knots = step + np.arange(len(self._f_h)) * int(w["steps_per_knot"])
+        axis["force_step"] = step
+        axis["force_end_ns"] = (step + (len(f_h) - 1) * int(axis["steps_per_knot"])) * int(plant["step_ns"])
+        self._truth_from[a] = step
+        knots = step + np.arange(len(f_h)) * int(axis["steps_per_knot"])
         t = np.asarray(knots * float(plant["h"]), np.float64)
-        start = self.enabled_ns
-        self._f_h[:] = self.operator.torque_Nm(t, None if start is None else start * 1e-9)
+        start = int(axis["operator_start_ns"])
+        if start >= 0:
+            self._left[a] = None
+        f_h[:] = self.operators[a].torque_Nm(t, *(self._left[a] or (None if start < 0 else start * 1e-9, None)))
+
+    # what a replay of the host needs to know besides the frames
+
+    def keep_sent(self) -> None:
+        """Keep from now on what the host asks the bus to send: a fault may swallow it."""
+        self._world["keep_sent"] = 1
+
+    def _note(self, event: Event, t_ns: int, value: int = 0) -> None:
+        w = self._world[0]
+        received = self._had + int(np.count_nonzero(w["had"][: w["log_count"]]))
+        next_ns = min(int(h["next_ns"]) for one in self.controllers for h in one.host)
+        self._events.append((t_ns, received, next_ns if w["host_on"] else 0, event, value))
 
     def flush(self) -> None:
-        """Hand over the frames that the bus has carried since the last time."""
-        count = int(self._world["log_count"][0])
-        self._world["log_count"] = 0
-        if self._on_frames is not None and count:
-            self._on_frames(self._log[:count])
+        """Hand over the frames that the bus has carried since the last time, and what the host did meanwhile."""
+        w = self._world[0]
+        had = w["had"][: w["log_count"]].astype(bool)
+        super().flush()
+        if self.on_host is not None:
+            self.on_host(had, np.array(self._events, EVENT), w["sent"][: w["sent_count"]])
+        self._had += int(np.count_nonzero(had))
+        w["had"][: len(had)] = w["sent_count"] = 0
+        self._events = []
 
     # the control plane
 
     def nmt_state(self, node_id: int) -> int | None:
         """Return the NMT state that the node's last heartbeat told."""
-        name = "motor_nmt" if node_id == self.rig.motor.node_id else "brake_nmt"
-        state = int(self.controller.host[name][0])
-        return None if state < 0 else state
-
-    def send(self, can_id: int, data: bytes) -> None:
-        """Queue a frame of the host's control plane."""
-        push(self._queue, self._header, SOURCE_HOST, self.t_ns, can_id, len(data), data_word(data))
+        for controller in self.controllers:
+            for role, part in (("motor", controller.rig.motor), ("brake", controller.rig.brake)):
+                if part.node_id == node_id:
+                    state = int(controller.host[f"{role}_nmt"][0])
+                    return None if state < 0 else state
+        return None
 
     # the rig
 
-    def power_on(self) -> None:
-        """Switch both nodes on."""
-        for device in (self.motor, self.brake):
-            device.power_on(self.t_ns, self._queue, self._header)
+    def plan(self, script: Sequence[Entry]) -> None:
+        """Take the entries of a script file: those that wait for Operation Enabled until then."""
+        self._waiting = [entry for entry in script if entry.after == "enabled"]
+        for entry in script:
+            if entry.after == "start":
+                self.at(entry.t_ns, entry.act)
+
+    def inject(self, node: int, fault: str, present: bool) -> None:
+        """Let a fault of `node.emcy.DEVICE_FAULTS` come or go in the node of a row; it finds out at once, or by what it measures."""
+        if fault in COIL_STATES:
+            plant, broken = self.plant[node // 2], COIL_STATES[fault]
+            if present:
+                plant["coil_fault"] = broken
+            elif plant["coil_fault"] == broken:
+                plant["coil_fault"] = COIL_INTACT
+            return
+        record = self.nodes[node]
+        bit = 1 << DEVICE_FAULTS[fault] - FIRST_DEVICE_CAUSE
+        record["in_faults"] = record["in_faults"] | bit if present else record["in_faults"] & ~bit
+        if record["powered"]:
+            record["next_ns"] = own_ns(record, self.t_ns)
 
     def bring_up(self) -> None:
         """Switch the nodes on and bring them up over SDO, as `host.bringup` does on a rig."""
         self.power_on()
         self.wait_ns(BOOT_NS)
-        bring_up(self.rig, self, int(self.controller.control["motor_limit_pm"][0]))
-
-    def power_off(self, node: int) -> None:
-        """Switch the node `MOTOR` or `BRAKE` off; what it had waiting to be sent is gone."""
-        (self.motor, self.brake)[node].power_off()
-        count = int(self._header["count"][0])
-        keep = self._queue[:count][self._queue["source"][:count] != node].copy()
-        self._queue[: len(keep)] = keep
-        self._header["count"] = len(keep)
+        bring_up(self.controllers, self)
 
     def start_host(self) -> None:
         """Begin the host's cycle on the next whole period."""
         period = int(self.controller.control["period_ns"][0])
-        self.controller.start((self.t_ns // period + 1) * period)
+        start_ns = (int(own_ns(self.host_clock, self.t_ns)) // period + 1) * period
+        self._note(Event.START, start_ns)
+        self.controllers.start(start_ns)
         self._world["host_on"] = 1
+
+    def ask_to_stop(self, trip: Trip = Trip.NONE) -> None:
+        """Ask the host for the safe state: the normal end, or for the reason `trip`."""
+        self._note(Event.STOP, self.t_ns, trip)
+        self.controllers.stop(trip)
+
+    def set_host_clock(self, ppb: int) -> None:
+        """Let the host's clock run fast by `ppb` (1e-9) from now on."""
+        self._note(Event.CLOCK, self.t_ns, ppb)
+        set_clock(self.host_clock, self.t_ns, ppb)
+
+    @property
+    def has_host(self) -> bool:
+        """Whether the host is part of this world, and not another process."""
+        return not self._world["host_elsewhere"][0]
+
+    @property
+    def host_clock(self) -> Any:
+        """The record with the host's clock (`wire.clock`)."""
+        return self._world.view(np.recarray)[0]
 
     def stop_host(self) -> None:
         """End the host's cycle at once, as if it had died: no safe set-points, no SYNC, no heartbeat."""
@@ -264,16 +259,16 @@ class VirtualRig:
 
     # the true course
 
-    def _keep_truth(self) -> None:
-        if self._world["truth_on"][0]:
-            begin = int(self._world["force_step"][0])  # the block's first row
-            step = int(self.plant["t_ns"][0]) // int(self.plant["step_ns"][0])
-            self._truth.append(self._truth_block[self._truth_from - begin : step - begin].copy())
-            self._truth_from = step
+    def _keep_truth(self, a: int) -> None:
+        if self._axes[a]["truth_on"]:
+            begin = int(self._axes[a]["force_step"])  # the block's first row
+            step = int(self.plant["t_ns"][a]) // int(self.plant["step_ns"][a])
+            self._truth[a].append(self._truth_block[a, self._truth_from[a] - begin : step - begin].copy())
+            self._truth_from[a] = step
 
-    def truth(self) -> Mapping[str, Any]:
-        """Return the plant's true course so far, one array for each of TRUTH_COLUMNS."""
-        self._keep_truth()
-        table = np.concatenate(self._truth) if self._truth else np.zeros((0, len(TRUTH_COLUMNS)))
-        self._truth = [table]
+    def truth(self, a: int = 0) -> Mapping[str, Any]:
+        """Return the true course of the plant of axis `a` so far, one array for each of TRUTH_COLUMNS."""
+        self._keep_truth(a)
+        table = np.concatenate(self._truth[a]) if self._truth[a] else np.zeros((0, len(TRUTH_COLUMNS)))
+        self._truth[a] = [table]
         return dict(zip(TRUTH_COLUMNS, table.T, strict=True))

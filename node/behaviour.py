@@ -5,22 +5,24 @@ from __future__ import annotations
 from typing import Any
 
 from eds.compiled import inlined, kernel
-from node import brake404, drive402, emcy
+from node import brake404, coil404, drive402, emcy
 from node.records import KIND_BRAKE, KIND_DRIVE
 
 __all__ = [
     "CARRIES_CONTROLWORD",
     "CARRIES_SETPOINT",
+    "CARRIES_SPEED",
     "alarm",
     "apply",
     "connection_lost",
     "inputs",
     "next_deadline",
+    "react",
     "sample",
     "step",
 ]
 
-CARRIES_CONTROLWORD, CARRIES_SETPOINT = 1, 2
+CARRIES_CONTROLWORD, CARRIES_SETPOINT, CARRIES_SPEED = 1, 2, 4
 """Bits of the record's `rpdo_carries`, and of what was written over SDO."""
 
 _INPUT_CAUSES = emcy.DEVICE_MASK | 1 << emcy.SUPPLY
@@ -42,6 +44,8 @@ def step(n: Any, t_ns: int) -> None:
         drive402.step(n, t_ns)
     elif n.kind == KIND_BRAKE:
         brake404.step(n, t_ns)
+        if n.demag_A > 0.0:
+            coil404.demagnetise(n, t_ns)
     if n.ramping == 1:
         n.next_ns = min(n.next_ns, t_ns + RAMP_STEP_NS)
 
@@ -51,7 +55,9 @@ def apply(n: Any, i: int, t_ns: int, received_ns: int, carries: int, queue: Any,
     """Act on the controlword or the set-point that now stand in their slots; it was received at `received_ns`."""
     if n.kind == KIND_DRIVE:
         if carries & CARRIES_SETPOINT:
-            drive402.new_setpoint(n, received_ns)
+            drive402.new_setpoint(n, received_ns, False)
+        if carries & CARRIES_SPEED:
+            drive402.new_setpoint(n, received_ns, True)
         if carries & CARRIES_CONTROLWORD:
             drive402.new_controlword(n, i, t_ns, queue, header)
     elif n.kind == KIND_BRAKE and carries & CARRIES_SETPOINT:
@@ -66,11 +72,13 @@ BY_COMMAND, BY_RESET, BY_ITSELF = 0, 1, 2
 
 
 @kernel
-def connection_lost(n: Any, t_ns: int, why: int) -> None:
+def connection_lost(n: Any, i: int, t_ns: int, why: int, queue: Any, header: Any) -> None:
     """NMT left OPERATIONAL: safe output."""
     forced = 1 if why == BY_RESET else 0
     if n.kind == KIND_DRIVE:
-        drive402.connection_lost(n, forced)
+        if drive402.connection_lost(n, t_ns, forced):
+            alarm(n, i, t_ns, emcy.CONNECTION, 0, queue, header)
+            n.causes &= ~(1 << emcy.CONNECTION)  # an event, not a condition
     elif n.kind == KIND_BRAKE:
         if why == BY_ITSELF:
             brake404.host_lost(n, t_ns)
@@ -82,16 +90,27 @@ def connection_lost(n: Any, t_ns: int, why: int) -> None:
 def alarm(n: Any, i: int, t_ns: int, cause: int, info: int, queue: Any, header: Any) -> None:
     """Tell of a cause by EMCY, and react: a drive's fault gives torque 0, a brake's own fault the ramp."""
     emcy.come(n, i, t_ns, cause, info, queue, header)
+    react(n, t_ns, cause)
+
+
+@kernel
+def react(n: Any, t_ns: int, cause: int) -> None:
+    """Make the output safe where a cause asks for it."""
     if n.kind == KIND_DRIVE and emcy.FAULT_MASK >> cause & 1:
-        drive402.fault(n)
+        drive402.fault(n, t_ns, bool(emcy.AT_ONCE_MASK >> cause & 1))
     elif n.kind == KIND_BRAKE and emcy.DEVICE_MASK >> cause & 1:
-        brake404.connection_lost(n, t_ns, 1)
+        if cause == emcy.COIL_SHORT:
+            brake404.cut(n)
+        else:
+            brake404.connection_lost(n, t_ns, 1)
 
 
 @inlined
 def inputs(n: Any, i: int, t_ns: int, queue: Any, header: Any) -> None:
     """Look at the supply and at the device's own faults; almost always there is nothing new."""
-    present = n.in_faults << emcy.FIRST_DEVICE_CAUSE
+    if n.kind == KIND_BRAKE:
+        coil404.watch(n, t_ns)
+    present = (n.in_faults | n.detected) << emcy.FIRST_DEVICE_CAUSE
     if present != n.causes & _INPUT_CAUSES or n.in_supply_ok == 0:
         _new_inputs(n, i, t_ns, present, queue, header)
 
@@ -104,7 +123,7 @@ def _new_inputs(n: Any, i: int, t_ns: int, present: int, queue: Any, header: Any
             alarm(n, i, t_ns, emcy.SUPPLY, 0, queue, header)
     elif n.causes >> emcy.SUPPLY & 1:
         emcy.gone(n, i, t_ns, emcy.SUPPLY, queue, header)
-    for cause in range(emcy.FIRST_DEVICE_CAUSE, emcy.CAUSE_COUNT):
+    for cause in range(emcy.FIRST_DEVICE_CAUSE, emcy.DEVICE_CAUSES_END):
         before, now = n.causes >> cause & 1, present >> cause & 1
         if now and not before:
             alarm(n, i, t_ns, cause, 0, queue, header)
@@ -120,5 +139,5 @@ def next_deadline(n: Any, t_ns: int, next_ns: int) -> int:
     if n.kind == KIND_DRIVE:
         return drive402.next_deadline(n, next_ns)
     if n.kind == KIND_BRAKE:
-        return brake404.next_deadline(n, next_ns)
+        return brake404.next_deadline(n, t_ns, next_ns)
     return next_ns

@@ -1,11 +1,13 @@
 """The driver of the MR brake as a CiA 404 device, compiled: one analogue output block, three analogue input blocks.
 
-Output: torque = 7300h:01 * 10 ** -6302h:01 in Nm. The channel is unsigned: a negative set-point is 0 and counted, one
+Output: the set-point 7300h:01 * 10 ** -6302h:01 in Nm, through the scale 7320h to 7323h (by default 1), and not above what
+the coil's current allows (`node.coil404`). The channel is unsigned: a negative set-point is 0 and counted, one
 above the EDS' high limit is clipped and counted. Without a new set-point for 2001h microseconds the output goes in a
 straight line of 2005h microseconds to the fault value 7341h:01, when the fault mode 6340h:01 is 1; a new set-point ends
-it.
+it. A fault of the device itself takes the same line to 0, a short circuit is 0 at once.
 
-Inputs: 7130h = saturate_int16((in * 6126h + 6127h) * 10 ** 6132h): handle torque, coil current, coil temperature.
+Inputs: 7130h = saturate_int16((in * 6126h + 6127h + 6124h) * 10 ** 6132h): handle torque, coil current, coil temperature.
+Their status 6150h: bit 0 not valid (channel off, no number), bit 1 above 7149h, bit 2 below 7148h.
 """
 
 from __future__ import annotations
@@ -13,10 +15,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from eds.compiled import kernel
-from node import emcy, slots
+from eds.compiled import inlined, kernel
+from node import coil404, emcy, slots
 
-__all__ = ["connection_lost", "new_setpoint", "next_deadline", "sample", "start", "step"]
+__all__ = ["connection_lost", "cut", "new_setpoint", "next_deadline", "sample", "start", "step"]
 
 
 @kernel
@@ -25,7 +27,33 @@ def start(n: Any, t_ns: int) -> None:
     n.setpoint_armed = 0
     n.ramping = 2
     n.ramp_from_Nm = 0.0
+    n.ramp_to_Nm = 0.0
     n.ramp_start_ns = t_ns
+    n.out_brake_Nm = 0.0
+    coil404.start(n)
+
+
+@inlined
+def _torque(n: Any, raw: int) -> float:
+    """Return the torque [Nm] that a value of 7300h stands for, full scale at most; the coil's limit is the caller's."""
+    torque: float = min(max(max(raw, 0) * n.ao_gain_Nm + n.ao_bias_Nm, 0.0), n.ao_full_Nm)
+    return torque
+
+
+@kernel
+def _begin_ramp(n: Any, t_ns: int) -> None:
+    """Begin the ramp from the present output: to the fault value, to 0 for a fault of the device itself."""
+    n.ramp_from_Nm = n.out_brake_Nm
+    n.ramp_to_Nm = 0.0 if n.causes & emcy.DEVICE_MASK else _torque(n, n.values[slots.FAULT_VALUE])
+    n.ramp_start_ns = t_ns
+    n.ramping = 1
+
+
+@kernel
+def cut(n: Any) -> None:
+    """Output 0 at once."""
+    n.ramping = 2
+    n.ramp_to_Nm = 0.0
     n.out_brake_Nm = 0.0
 
 
@@ -41,6 +69,8 @@ def new_setpoint(n: Any, t_ns: int) -> None:
         raw = n.setpoint_high
     n.values[slots.SETPOINT] = raw
     n.setpoint_ns = t_ns
+    if n.setpoint_armed == 0:
+        n.next_ns = min(n.next_ns, t_ns + 1)  # to schedule the watch of its age
     n.setpoint_armed = 1  # also when it came by SDO: a brake that nobody looks after lets go
     if n.causes & emcy.DEVICE_MASK == 0:
         n.ramping = 0
@@ -50,11 +80,11 @@ def new_setpoint(n: Any, t_ns: int) -> None:
 def connection_lost(n: Any, t_ns: int, forced: int) -> None:
     """Begin the ramp to the fault value at `t_ns`, from the present output; fault mode 0 keeps it unless `forced`."""
     n.setpoint_armed = 0
-    if n.ramping == 0 and (forced or n.values[slots.FAULT_MODE] == 1):
+    if not forced and n.values[slots.FAULT_MODE] != 1:
+        return
+    if n.ramping == 0 or (n.causes & emcy.DEVICE_MASK and n.ramp_to_Nm > 0.0):
         step(n, t_ns)
-        n.ramp_from_Nm = n.out_brake_Nm
-        n.ramp_start_ns = t_ns
-        n.ramping = 1
+        _begin_ramp(n, t_ns)
         step(n, t_ns)
 
 
@@ -70,23 +100,21 @@ def step(n: Any, t_ns: int) -> None:
     """Compute the output at `t_ns`."""
     values = n.values
     if n.ramping == 0:
-        n.out_brake_Nm = max(values[slots.SETPOINT], 0) * n.ao_unit_Nm
+        n.out_brake_Nm = min(_torque(n, values[slots.SETPOINT]), n.limit_Nm)
         hold_ns = values[slots.SETPOINT_AGE_US] * 1000
         expired = n.setpoint_armed and hold_ns > 0 and t_ns - n.setpoint_ns >= hold_ns
         if not expired or values[slots.FAULT_MODE] != 1:
             return
-        n.ramp_from_Nm = n.out_brake_Nm
-        n.ramp_start_ns = n.setpoint_ns + hold_ns  # the line begins where the hold ended, whenever this is called
-        n.ramping = 1
-    target = max(values[slots.FAULT_VALUE], 0) * n.ao_unit_Nm
+        _begin_ramp(n, n.setpoint_ns + hold_ns)  # the line begins where the hold ended, whenever this is called
     if n.ramping == 1:
         ramp_ns = values[slots.RAMP_US] * 1000
         elapsed_ns = t_ns - n.ramp_start_ns
         if elapsed_ns < ramp_ns:
-            n.out_brake_Nm = n.ramp_from_Nm + (target - n.ramp_from_Nm) * max(elapsed_ns, 0) / ramp_ns
+            output = n.ramp_from_Nm + (n.ramp_to_Nm - n.ramp_from_Nm) * max(elapsed_ns, 0) / ramp_ns
+            n.out_brake_Nm = min(output, n.limit_Nm)
             return
         n.ramping = 2
-        n.out_brake_Nm = target
+    n.out_brake_Nm = min(n.ramp_to_Nm, n.limit_Nm)
 
 
 @kernel
@@ -98,21 +126,44 @@ def _to_int16(value: float) -> int:
     return math.floor(value + 0.5)
 
 
+@inlined
+def _input(n: Any, k: int, value: float) -> None:
+    scaled = value * n.ai_gain[k] + n.ai_bias[k]
+    if n.ai_low[k] <= scaled <= n.ai_high[k]:
+        n.values[slots.INPUT + k] = _to_int16(scaled)
+        n.values[slots.INPUT_STATUS + k] = 0
+    else:
+        _odd_input(n, k, scaled)
+
+
+@kernel
+def _odd_input(n: Any, k: int, scaled: float) -> None:
+    status = 1
+    if n.ai_low[k] == math.inf:
+        scaled = 0.0  # the channel is off
+    elif scaled > n.ai_high[k]:
+        status = 2
+    elif scaled < n.ai_low[k]:
+        status = 4
+    n.values[slots.INPUT + k] = _to_int16(scaled)
+    n.values[slots.INPUT_STATUS + k] = status
+
+
 @kernel
 def sample(n: Any) -> None:
-    """Write the three input blocks to their slots."""
-    values = n.values
-    values[slots.INPUT] = _to_int16(n.in_handle_Nm * n.ai_gain[0] + n.ai_bias[0])
-    values[slots.INPUT + 1] = _to_int16(n.in_coil_A * n.ai_gain[1] + n.ai_bias[1])
-    values[slots.INPUT + 2] = _to_int16(n.in_coil_degC * n.ai_gain[2] + n.ai_bias[2])
+    """Write the three input blocks, and the output's field value, to their slots."""
+    _input(n, 0, n.in_handle_Nm)
+    _input(n, 1, n.in_coil_A)
+    _input(n, 2, n.in_coil_degC)
+    n.values[slots.OUTPUT_FV] = math.floor(n.out_brake_Nm * n.ao_FV_Nm + 0.5)
 
 
 @kernel
-def next_deadline(n: Any, next_ns: int) -> int:
+def next_deadline(n: Any, t_ns: int, next_ns: int) -> int:
     """Return the earlier of `next_ns` and the brake's own next deadline."""
     if n.ramping == 1:
         next_ns = min(next_ns, n.ramp_start_ns + n.values[slots.RAMP_US] * 1000)
     hold_ns = n.values[slots.SETPOINT_AGE_US] * 1000
     if n.ramping == 0 and n.setpoint_armed and hold_ns > 0 and n.values[slots.FAULT_MODE] == 1:
         next_ns = min(next_ns, n.setpoint_ns + hold_ns)
-    return next_ns
+    return coil404.next_deadline(n, t_ns, next_ns)

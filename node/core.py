@@ -16,19 +16,35 @@ from __future__ import annotations
 from typing import Any
 
 from eds.compiled import borrowed, inlined, kernel
-from node import emcy, pdo, watch
-from node.behaviour import BY_ITSELF, BY_RESET, apply, connection_lost, inputs, next_deadline, sample, step
-from node.records import FAR_FUTURE_NS, KIND_GENERIC
+from node import emcy, expedited, guarding, outbox, pdo, watch
+from node.behaviour import (
+    BY_ITSELF,
+    BY_RESET,
+    alarm,
+    apply,
+    connection_lost,
+    inputs,
+    next_deadline,
+    react,
+    sample,
+    step,
+)
+from node.records import FAR_FUTURE_NS, KIND_GENERIC, LINK_ACTIVE, LINK_OFF, LINK_PASSIVE, LINK_RECOVERED
 from wire.frame import CAN_RTR_FLAG, push
 
 __all__ = [
     "ROUTE_CONSUMER",
+    "ROUTE_GUARD",
+    "ROUTE_LSS",
     "ROUTE_NMT",
     "ROUTE_NONE",
     "ROUTE_PDO",
     "ROUTE_SDO",
     "ROUTE_SYNC",
+    "ROUTE_TIME",
     "forget_connections",
+    "handle",
+    "link_changed",
     "on_frame",
     "on_time",
     "refresh_inputs",
@@ -36,11 +52,11 @@ __all__ = [
     "written",
 ]
 
-ROUTE_NONE, ROUTE_NMT, ROUTE_SYNC, ROUTE_SDO = 0, 1, 2, 3
+ROUTE_NONE, ROUTE_NMT, ROUTE_SYNC, ROUTE_SDO, ROUTE_LSS, ROUTE_TIME, ROUTE_GUARD = 0, 1, 2, 3, 4, 5, 6
 ROUTE_PDO = 8  # + number of the PDO: an RPDO in `route`, a TPDO in `rtr_route`
-ROUTE_CONSUMER = 32  # + number of the entry of 1016h
+ROUTE_CONSUMER = 1024  # + number of the entry of 1016h
 
-_STOPPED, _OPERATIONAL, _PRE_OPERATIONAL = 4, 5, 127
+_INITIALISING, _STOPPED, _OPERATIONAL, _PRE_OPERATIONAL = 0, 4, 5, 127
 _ALL_NODES = 0
 
 
@@ -57,14 +73,14 @@ def on_frame(
     queue: Any,
     header: Any,
 ) -> int:
-    """Handle a frame whose end was at `t_ns`; return 1 when Python has to serve it (SDO, NMT command), else 0."""
+    """Handle a frame whose end was at `t_ns`; return 1 when Python has to serve it (SDO, NMT, LSS), else 0."""
     if can_id <= 0x7FF and nodes[i].route[can_id] == ROUTE_NONE:
         return 0
-    return _handle(nodes, rpdo, tpdo, i, t_ns, can_id, length, data, queue, header)
+    return handle(nodes, rpdo, tpdo, i, t_ns, can_id, length, data, queue, header)
 
 
 @kernel
-def _handle(
+def handle(
     nodes: Any,
     rpdo: Any,
     tpdo: Any,
@@ -76,17 +92,20 @@ def _handle(
     queue: Any,
     header: Any,
 ) -> int:
+    """Do what `on_frame` does; for callers that are not compiled themselves."""
     nodes, rpdo, tpdo = borrowed(nodes), borrowed(rpdo), borrowed(tpdo)
     queue, header = borrowed(queue), borrowed(header)
     n = nodes[i]
     if can_id > 0x7FF:  # remote, extended or error frame
-        if can_id & ~0x7FF == CAN_RTR_FLAG and n.powered and n.nmt == _OPERATIONAL:
+        if can_id & ~0x7FF == CAN_RTR_FLAG and n.powered and t_ns >= n.silent_ns:
             route = int(n.rtr_route[can_id & 0x7FF])
-            if route >= ROUTE_PDO:
+            if route == ROUTE_GUARD:
+                guarding.answer(n, i, t_ns, queue, header)
+            elif route >= ROUTE_PDO and n.nmt == _OPERATIONAL:
                 pdo.answer_rtr(nodes, tpdo, i, route - ROUTE_PDO, t_ns, queue, header)
         return 0
     route = int(n.route[can_id])
-    if route == ROUTE_NONE or n.powered == 0:
+    if route == ROUTE_NONE or n.powered == 0 or t_ns < n.silent_ns:
         return 0
     if route == ROUTE_SYNC:
         _sync(nodes, rpdo, tpdo, i, t_ns, length, data, queue, header)
@@ -112,10 +131,21 @@ def _handle(
             return 0
         addressed = data >> 8 & 0xFF
         return 1 if addressed == n.node_id or addressed == _ALL_NODES else 0
+    if route == ROUTE_LSS:
+        return 1
+    if route == ROUTE_TIME:
+        if n.nmt == _STOPPED:
+            n.dropped_unknown += 1
+        elif length == 6:
+            n.time_set_ns = t_ns
+            n.time_word = data
+        else:
+            n.dropped_length += 1
+        return 0
     if n.nmt == _STOPPED:
         n.dropped_unknown += 1
         return 0
-    return 1
+    return 0 if expedited.answer(n, i, t_ns, can_id, length, data, queue, header) else 1
 
 
 @inlined
@@ -159,15 +189,26 @@ def on_time(nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, queue: Any, hea
         return
     if n.kind != KIND_GENERIC:
         inputs(n, i, t_ns, queue, header)
-    if watch.expire(nodes, rpdo, i, t_ns, queue, header) and n.nmt == _OPERATIONAL:
-        if n.error_behaviour == 0:
-            set_nmt(nodes, rpdo, tpdo, i, t_ns, _PRE_OPERATIONAL, BY_ITSELF, queue, header)
-        elif n.error_behaviour == 2:
-            set_nmt(nodes, rpdo, tpdo, i, t_ns, _STOPPED, BY_ITSELF, queue, header)
+    if watch.expire(nodes, rpdo, i, t_ns, queue, header):
+        _react(nodes, rpdo, tpdo, i, t_ns, n.error_behaviour, queue, header)
+    if n.causes & emcy.DEVICE_MASK and n.device_error_behaviour != 1:
+        _react(nodes, rpdo, tpdo, i, t_ns, n.device_error_behaviour, queue, header)
+    if n.outbox_count > 0 and t_ns >= n.outbox_next_ns:
+        outbox.drain(n, i, t_ns, queue, header)
     if n.sync_producer_ns > 0 and n.nmt != _STOPPED and t_ns >= n.sync_next_ns:
         _produce_sync(nodes, rpdo, tpdo, i, t_ns, queue, header)
     step(n, t_ns)
     _schedule(nodes, rpdo, tpdo, i, t_ns, queue, header)
+
+
+@kernel
+def _react(nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, behaviour: int, queue: Any, header: Any) -> None:
+    """Let NMT follow an error as 1029h says: 0 to PRE-OPERATIONAL from OPERATIONAL, 1 nothing, 2 to STOPPED."""
+    n = nodes[i]
+    if behaviour == 0 and n.nmt == _OPERATIONAL:
+        set_nmt(nodes, rpdo, tpdo, i, t_ns, _PRE_OPERATIONAL, BY_ITSELF, queue, header)
+    elif behaviour == 2 and n.nmt != _STOPPED:
+        set_nmt(nodes, rpdo, tpdo, i, t_ns, _STOPPED, BY_ITSELF, queue, header)
 
 
 @kernel
@@ -178,14 +219,16 @@ def _produce_sync(nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, queue: An
         length = 1
         n.sync_counter = n.sync_counter % n.sync_overflow + 1
     push(queue, header, i, t_ns, n.sync_id, length, n.sync_counter if length else 0)
-    n.sync_next_ns = max(n.sync_next_ns, t_ns - n.sync_producer_ns + 1) + n.sync_producer_ns
+    n.sync_next_ns += n.sync_producer_ns
+    if n.sync_next_ns <= t_ns:  # called too late: no burst
+        n.sync_next_ns = t_ns + n.sync_producer_ns
     _sync(nodes, rpdo, tpdo, i, t_ns, length, n.sync_counter, queue, header)
 
 
 @kernel
 def _schedule(nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, queue: Any, header: Any) -> None:
     n = nodes[i]
-    next_ns = watch.next_deadline(nodes, rpdo, i, FAR_FUTURE_NS)
+    next_ns = min(watch.next_deadline(nodes, rpdo, i, FAR_FUTURE_NS), n.outbox_next_ns)
     if n.sync_producer_ns > 0 and n.nmt != _STOPPED:
         next_ns = min(next_ns, n.sync_next_ns)
     next_ns = next_deadline(n, t_ns, next_ns)
@@ -196,18 +239,25 @@ def _schedule(nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, queue: Any, h
 
 @kernel
 def set_nmt(nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, state: int, why: int, queue: Any, header: Any) -> None:
-    """Change the NMT state; leaving OPERATIONAL, and any reset, makes the output safe (`why`: node.behaviour)."""
+    """Change the NMT state; leaving OPERATIONAL, STOPPED and any reset make the output safe (`why`: node.behaviour)."""
     n = nodes[i]
     before = n.nmt
     n.nmt = state
     if before == _OPERATIONAL and state != _OPERATIONAL:
-        n.rpdo_pending = 0
+        pdo.forget_pending(n)
         watch.stop(n, i, t_ns, queue, header)
-    if why == BY_RESET or (before == _OPERATIONAL and state != _OPERATIONAL):
-        connection_lost(n, t_ns, why)
+    if why == BY_RESET or (before != state and (before == _OPERATIONAL or state == _STOPPED)):
+        connection_lost(n, i, t_ns, why, queue, header)
     if before != _OPERATIONAL and state == _OPERATIONAL:
         n.sync_armed = 0
         pdo.start(nodes, tpdo, i, t_ns)
+    if state in (_STOPPED, _INITIALISING):
+        n.emcy_waiting = 0
+    if state == _INITIALISING:
+        n.emcy_ready_ns = t_ns
+    if before in (_STOPPED, _INITIALISING) and state != before and n.sync_producer_ns > 0:  # the producer begins anew
+        n.sync_counter = 0
+        n.sync_next_ns = t_ns + n.sync_producer_ns
     step(n, t_ns)
     _schedule(nodes, rpdo, tpdo, i, t_ns, queue, header)
 
@@ -230,6 +280,33 @@ def forget_connections(nodes: Any, i: int, t_ns: int, queue: Any, header: Any) -
     emcy.gone(nodes[i], i, t_ns, emcy.RPDO_LONG, queue, header)
     emcy.gone(nodes[i], i, t_ns, emcy.SYNC_LENGTH, queue, header)
     emcy.update_register(nodes[i])
+
+
+@kernel
+def link_changed(nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, link: int, queue: Any, header: Any) -> None:
+    """Act on what the node's CAN controller tells (`node.records.LINK_...`).
+
+    Bus-off is a communication error: the fault reaction, and what 1029h:01 says, as without heartbeats. Its EMCY can go out
+    when the controller is back only (8140h), and as the error is gone then, "error reset" follows unless a drive holds its fault.
+    """
+    n = nodes[i]
+    if n.powered == 0:
+        return
+    if link == LINK_PASSIVE:
+        emcy.come(n, i, t_ns, emcy.ERROR_PASSIVE, 0, queue, header)
+    elif link == LINK_ACTIVE:
+        emcy.gone(n, i, t_ns, emcy.ERROR_PASSIVE, queue, header)
+    elif link == LINK_OFF:
+        n.emcy_waiting = 0
+        n.causes = n.causes & ~(1 << emcy.ERROR_PASSIVE) | 1 << emcy.BUS_OFF
+        n.latched &= ~(1 << emcy.ERROR_PASSIVE | 1 << emcy.BUS_OFF)
+        react(n, t_ns, emcy.BUS_OFF)
+        _react(nodes, rpdo, tpdo, i, t_ns, n.error_behaviour, queue, header)
+    elif link == LINK_RECOVERED:
+        alarm(n, i, t_ns, emcy.BUS_OFF, 0, queue, header)
+        emcy.gone(n, i, t_ns, emcy.BUS_OFF, queue, header)
+    step(n, t_ns)
+    _schedule(nodes, rpdo, tpdo, i, t_ns, queue, header)
 
 
 @kernel

@@ -7,22 +7,31 @@ The owner of the records calls `core.on_frame` with every frame and `core.on_tim
 from __future__ import annotations
 
 from collections.abc import Mapping
+from datetime import datetime
 
-from eds.cia301 import Abort, NmtCommand, NmtState
+import numpy as np
+
+from eds.cia301 import CobId, NmtCommand, NmtState
+from eds.cia305 import UNCONFIGURED
 from eds.pdo import layouts
 from eds.reader import Description, Value
-from node import behaviour, brake404, core, drive402
+from node import behaviour, brake404, coil404, core, drive402, guarding
 from node.access import Access
 from node.communication import Communication
+from node.communication_checks import PRODUCER, SDO_SERVERS
 from node.dictionary import Dictionary
-from node.records import FAR_FUTURE_NS, KIND_BRAKE, KIND_DRIVE, KIND_GENERIC
-from node.sdo import SdoServer, abort_frame
-from wire.frame import Records, data_bytes, data_word, push
+from node.lss import Lss
+from node.mapping import CARRIED
+from node.parameters import Parameters
+from node.records import FAR_FUTURE_NS, KIND_BRAKE, KIND_DRIVE, KIND_GENERIC, SDO_TIMEOUT_NS
+from node.scaling import auto_zero, scale
+from node.sdo_service import SdoService
+from node.store import Store
+from node.time_of_day import LENGTH as TIME_LENGTH
+from node.time_of_day import time_of_day, time_word
+from wire.frame import Records, push
 
 __all__ = ["SDO_TIMEOUT_NS", "Device"]
-
-SDO_TIMEOUT_NS = 1_000_000_000
-"""A segmented transfer that stands still for so long is aborted (0504 0000h)."""
 
 NMT_TARGET: Mapping[int, NmtState] = {
     NmtCommand.START: NmtState.OPERATIONAL,
@@ -30,6 +39,9 @@ NMT_TARGET: Mapping[int, NmtState] = {
     NmtCommand.ENTER_PRE_OPERATIONAL: NmtState.PRE_OPERATIONAL,
 }
 """NMT command -> state that follows, from any state after the boot-up (CiA 301, figure 48); a reset boots again."""
+
+STAYS_PRE_OPERATIONAL = 0x04
+"""Bit of 1F80h (CiA 302-2): the device does not start by itself. Without 1F80h it does not either."""
 
 NMT_RESET: Mapping[int, int] = {NmtCommand.RESET_NODE: 0x0000, NmtCommand.RESET_COMMUNICATION: 0x1000}
 """NMT command -> first index of the objects that take their defaults again (0x1000: to 0x1FFF)."""
@@ -43,11 +55,13 @@ class Device:
     description
         The EDS; its objects are the device's.
     node_id
-        1 to 127.
+        1 to 127, or `eds.cia305.UNCONFIGURED`: it waits until an LSS master gives it one.
     kind
         `node.records.KIND_DRIVE`, `KIND_BRAKE` or `KIND_GENERIC` (any EDS: objects, PDOs and services, no behaviour).
     nodes, rpdo, tpdo, i
         From `node.records.new_nodes`, and the row that becomes this device.
+    store
+        Where it keeps what 1010h and LSS store; by default a memory of its own, which resets and power cycles do not clear.
 
     Raises
     ------
@@ -66,22 +80,26 @@ class Device:
         rpdo: Records,
         tpdo: Records,
         i: int,
+        store: Store | None = None,
     ) -> None:
-        if not 1 <= node_id <= 127:
-            raise ValueError(f"node id {node_id}; expected 1 to 127")
+        if not 1 <= node_id <= 127 and node_id != UNCONFIGURED:
+            raise ValueError(f"node id {node_id}; expected 1 to 127, or {UNCONFIGURED} for none")
         if kind not in (KIND_GENERIC, KIND_DRIVE, KIND_BRAKE):
             raise ValueError(f"kind {kind}; expected KIND_GENERIC, KIND_DRIVE or KIND_BRAKE of node.records")
-        layouts(description, node_id)
+        layouts(description, 1 if node_id == UNCONFIGURED else node_id)
         self.description, self.node_id, self.kind = description, node_id, kind
         self._records = (nodes, rpdo, tpdo, i)
         self._nodes, self._i = nodes, i
         self.record = nodes[i]
         self.record["node_id"], self.record["kind"] = node_id, kind
-        self.record["sdo_deadline_ns"] = FAR_FUTURE_NS
         self.dictionary = Dictionary(description, node_id, kind, nodes["values"][i])
         self.communication = Communication(self.dictionary, nodes, rpdo, tpdo, i)
-        self._access = Access(self.dictionary, self.communication, kind, self._changed)
-        self._sdo = SdoServer(self._access)
+        self.store = Store() if store is None else store
+        self.parameters = Parameters(self.dictionary, self.store, CARRIED[kind])
+        access = Access(self.dictionary, self.communication, self.parameters, kind, self._changed)
+        self._tabulate()
+        self._sdo = SdoService(access, self.communication, nodes, rpdo, tpdo, i)
+        self.lss = Lss(self.dictionary, node_id, nodes, i, self.store, self._reset_communication)
         self._now = 0
         self._load(0x0000, 0)
 
@@ -103,6 +121,11 @@ class Device:
         """Return where a numeric object stands in the record's `values`."""
         return self.dictionary.slot(index, subindex)
 
+    def time_of_day(self, t_ns: int) -> datetime | None:
+        """Return what the last TIME message told, advanced to `t_ns`; None before the first."""
+        set_ns = int(self.record["time_set_ns"])
+        return None if set_ns < 0 else time_of_day(int(self.record["time_word"]), t_ns - set_ns)
+
     # life
 
     def power_on(self, t_ns: int, queue: Records, header: Records) -> None:
@@ -110,8 +133,9 @@ class Device:
         record = self.record
         record["powered"] = 1
         record["causes"] = record["latched"] = record["history_count"] = 0
-        record["emcy_ready_ns"] = 0
+        record["emcy_ready_ns"] = record["emcy_waiting"] = 0
         record["nmt"] = NmtState.INITIALISING
+        self.lss.power_on()
         self._load(0x0000, t_ns)
         if self.kind == KIND_BRAKE:
             brake404.start(record, t_ns)
@@ -122,69 +146,78 @@ class Device:
         record = self.record
         record["powered"] = 0
         record["nmt"] = NmtState.INITIALISING
-        record["out_torque_pm"] = record["out_brake_Nm"] = 0.0
+        record["out_torque_pm"] = record["out_brake_Nm"] = record["out_reverse_A"] = 0.0
         record["rpdo_pending"] = record["setpoint_armed"] = record["ramping"] = 0
-        record["sdo_deadline_ns"] = record["next_ns"] = FAR_FUTURE_NS
+        record["next_ns"] = FAR_FUTURE_NS
         self._sdo.drop()
 
     def _load(self, first: int, t_ns: int) -> None:
-        """Give the objects their defaults, from index `first` on (0x1000: communication only)."""
+        """Give the objects their stored values, or their defaults, from index `first` on (0x1000: communication only)."""
         self._sdo.drop()
-        self.record["sdo_deadline_ns"] = FAR_FUTURE_NS
-        if first == 0x1000:
-            self.dictionary.reset(0x1000, 0x1FFF)
-        else:
-            self.dictionary.reset(0x0000, 0xFFFF)
+        self.lss.reset()
+        self.node_id = self.dictionary.node_id = self.record["node_id"] = self.lss.node_id
+        last = 0x1FFF if first == 0x1000 else 0xFFFF
+        self.dictionary.reset(first, last)
+        self.parameters.load(first, last)
+        if first == 0x0000:
             self._start(t_ns)
         self.communication.refresh_all(t_ns)
+        self._sdo.refresh()
 
     def _start(self, t_ns: int) -> None:
         """Start the kind's own part with the values that now stand in the dictionary."""
         record, number = self.record, self.dictionary.number
         if self.kind == KIND_DRIVE:
             record["supply_mV"] = number(0x6079, 0, 0)
+            scale(self.kind, record, self.dictionary)
             drive402.start(record, t_ns)
         elif self.kind == KIND_BRAKE:
             high = self.description.variable(0x7300, 1).high if (0x7300, 1) in self.dictionary else None
             record["setpoint_high"] = int(high) if high is not None else 32767
-            self._scale()
+            coil404.start(record)
+            scale(self.kind, record, self.dictionary)
 
     def _changed(self, index: int, subindex: int) -> None:
         """Bring the record up to an object that was written."""
+        if self.node_id == UNCONFIGURED and index < 0x2000:
+            return  # all of it follows when it boots
         if 0x1000 <= index < 0x2000:
             self.communication.refresh(index, subindex, self._now)
-        elif self.kind == KIND_BRAKE and index in (0x6126, 0x6127, 0x6132, 0x6302):
-            self._scale()
-
-    def _scale(self) -> None:
-        """Bring the brake's scales up to 6126h, 6127h, 6132h and 6302h."""
-        record, objects = self.record, self.dictionary
-        record["ao_unit_Nm"] = 10.0 ** -objects.number(0x6302, 1)
-        for k in range(3):
-            unit = 10.0 ** objects.number(0x6132, k + 1)
-            record["ai_gain"][k] = objects.real(0x6126, k + 1, 1.0) * unit
-            record["ai_bias"][k] = objects.real(0x6127, k + 1, 0.0) * unit
+            if index in SDO_SERVERS:
+                self._sdo.refresh()
+        else:
+            if self.kind == KIND_BRAKE and index == 0x6125:
+                auto_zero(self.record, self.dictionary, subindex)
+                index = 0x6124
+            scale(self.kind, self.record, self.dictionary, index)
 
     # services
 
     def service(self, t_ns: int, can_id: int, length: int, data: int, queue: Records, header: Records) -> None:
-        """Serve the frame for which `core.on_frame` returned 1: an NMT command or an SDO request."""
+        """Serve the frame for which `core.on_frame` returned 1: an NMT command, an SDO or an LSS request."""
         self._now = t_ns
         if can_id == 0x000:
             self.nmt_command(t_ns, data & 0xFF, queue, header)
-        elif can_id == self.communication.sdo_rx:
-            self._serve_sdo(t_ns, length, data, queue, header)
+        elif can_id == CobId.LSS_RX:
+            self.lss.request(t_ns, length, data, queue, header)
+        elif self._sdo.serves(can_id):
+            self._sdo.serve(t_ns, can_id, length, data, queue, header)
 
     def nmt_command(self, t_ns: int, command: int, queue: Records, header: Records) -> None:
         """Carry out an NMT command (its specifier); an unknown one is counted."""
         self._now = t_ns
         record = self.record
+        if self.node_id == UNCONFIGURED and command not in NMT_RESET:
+            return
+        if command == NmtCommand.STOP:
+            self._sdo.drop()  # SDO ends with it
         if command in NMT_TARGET:
             self._set_nmt(t_ns, NMT_TARGET[command], behaviour.BY_COMMAND, queue, header)
         elif command in NMT_RESET:
             self._set_nmt(t_ns, NmtState.INITIALISING, behaviour.BY_RESET, queue, header)
             first = NMT_RESET[command]
             if first == 0x0000:
+                self.lss.power_on()
                 record["causes"] = record["latched"] = record["history_count"] = 0
             self._load(first, t_ns)
             core.forget_connections(self._nodes, self._i, t_ns, queue, header)
@@ -192,30 +225,38 @@ class Device:
         else:
             record["dropped_unknown"] += 1
 
-    def _serve_sdo(self, t_ns: int, length: int, data: int, queue: Records, header: Records) -> None:
-        record = self.record
-        if length != 8:
-            record["dropped_length"] += 1
-            return
-        if t_ns > record["sdo_deadline_ns"] or record["sdo_deadline_ns"] == FAR_FUTURE_NS:
-            self._sdo.drop()  # the transfer that stood still: the core has told the client so, or would have now
-        core.refresh_inputs(self._nodes, self._i, t_ns)
-        self._access.carries = 0
-        response = self._sdo.request(data_bytes(data, 8))
-        if response is not None:
-            ready_ns = t_ns + int(record["processing_ns"])
-            push(queue, header, self._i, ready_ns, self.communication.sdo_tx, 8, data_word(response))
-        record["sdo_deadline_ns"] = FAR_FUTURE_NS
-        if self._sdo.transfer is not None:
-            record["sdo_deadline_ns"] = t_ns + SDO_TIMEOUT_NS
-            record["sdo_abort_id"] = self.communication.sdo_tx
-            record["sdo_abort_word"] = data_word(abort_frame(*self._sdo.transfer, Abort.TIMEOUT))
-        core.written(*self._records, t_ns, self._access.carries, queue, header)
+    def _reset_communication(self, t_ns: int, queue: Records, header: Records) -> None:
+        self.nmt_command(t_ns, NmtCommand.RESET_COMMUNICATION, queue, header)
+
+    def _tabulate(self) -> None:
+        """Tell the core what it may upload by itself."""
+        table = np.array(self.dictionary.expedited(), np.int64).reshape(-1, 3)
+        self.record["fast_count"] = len(table)
+        for name, column in zip(("fast_key", "fast_slot", "fast_size"), table.T, strict=True):
+            self.record[name][: len(table)] = column
+
+    def produce_time(self, t_ns: int, time: datetime, queue: Records, header: Records) -> bool:
+        """Send TIME where 1012h's bit 30 is set and NMT allows it; tell whether it was sent."""
+        if not self.dictionary.number(0x1012) & PRODUCER or not (self.record["powered"] and self.record["time_id"]):
+            return False
+        if self.record["nmt"] not in (NmtState.OPERATIONAL, NmtState.PRE_OPERATIONAL):
+            return False
+        push(queue, header, self._i, t_ns, int(self.record["time_id"]), TIME_LENGTH, time_word(time))
+        return True
 
     def _boot(self, t_ns: int, queue: Records, header: Records) -> None:
+        if self.node_id == UNCONFIGURED:
+            self.lss.mute()
+            return
         ready_ns = t_ns + int(self.record["processing_ns"])
         push(queue, header, self._i, ready_ns, 0x700 + self.node_id, 1, NmtState.INITIALISING)
+        guarding.restart(self.record)
         self._set_nmt(t_ns, NmtState.PRE_OPERATIONAL, behaviour.BY_COMMAND, queue, header)
+        if not self.dictionary.number(0x1F80, 0, STAYS_PRE_OPERATIONAL) & STAYS_PRE_OPERATIONAL:
+            first = int(header["count"][0])
+            self._set_nmt(t_ns, NmtState.OPERATIONAL, behaviour.BY_COMMAND, queue, header)
+            sent = queue["t_ns"][first : int(header["count"][0])]
+            sent[:] = np.maximum(sent, ready_ns + 1)  # a PDO comes after the boot-up, whatever its identifier
 
     def _set_nmt(self, t_ns: int, state: int, why: int, queue: Records, header: Records) -> None:
         core.set_nmt(*self._records, t_ns, int(state), why, queue, header)

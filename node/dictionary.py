@@ -12,10 +12,11 @@ import struct
 import numpy as np
 import numpy.typing as npt
 
-from eds.cia301 import DATA_TYPES, Abort, DataType, abort_text
+from eds.cia301 import DATA_TYPES, Abort, DataType, abort_text, predefined
 from eds.codec import real_bits, real_value
 from eds.reader import Description, Object, Value, Variable
 from node import slots
+from node.records import SPARE_SLOTS
 
 __all__ = ["Dictionary", "SdoAbort", "decode", "encode"]
 
@@ -23,6 +24,7 @@ MAX_STRING = 4096
 MAX_DOMAIN = 4 << 20
 """Bytes that a client may write to a string and to a domain; CiA 301 sets no limit, memory does."""
 
+_HISTORY = 0x1003  # its entries are there or not, and are the core's
 _OCTETS = DATA_TYPES[0x000A]
 
 
@@ -43,7 +45,8 @@ class Dictionary:
         self.values = values
         core = slots.CORE_SLOTS[kind]
         self._fallback = slots.FALLBACK[kind]
-        self._slots = {key: slot for key, slot in core.items() if description.has(*key)}
+        self._ours = description.default(0x1018, 1, node_id) == slots.VENDOR_ID if description.has(0x1018, 1) else False
+        self._slots = {key: slot for key, slot in core.items() if self._is_meant(key)}
         self._absent = {slot for key, slot in core.items() if key not in self._slots}
         self._next = slots.FIRST_FREE
         self._store: dict[tuple[int, int], Value] = {}
@@ -59,12 +62,13 @@ class Dictionary:
                     self[index, subindex] = self.default(index, subindex)
 
     def default(self, index: int, subindex: int) -> Value:
-        """Return the EDS' default, or the zero of its type where there is none."""
+        """Return the EDS' default; where there is none, CiA 301's, and else the zero of its type."""
         value = self.description.default(index, subindex, self.node_id)
         if value is not None:
             return value
         zero: dict[str, Value] = {"text": "", "unicode": "", "bytes": b"", "domain": b"", "real": 0.0}
-        return zero.get(data_type(self.description.variable(index, subindex)).kind, 0)
+        number = predefined(index, subindex, self.node_id) or 0
+        return zero.get(data_type(self.description.variable(index, subindex)).kind, number)
 
     def find(self, index: int, subindex: int) -> Variable:
         """Return the variable, or abort: no such object, no such sub-index."""
@@ -111,6 +115,10 @@ class Dictionary:
         value = self[index, subindex]
         return value if isinstance(value, int) else fallback
 
+    def own(self, index: int, subindex: int, fallback: int) -> int:
+        """Return an integer object of 2000h to 5FFFh as our files define it; `fallback` in a file of another maker."""
+        return self.number(index, subindex, fallback) if self._ours else fallback
+
     def real(self, index: int, subindex: int, fallback: float) -> float:
         """Return a numeric object, or `fallback` where the EDS has none."""
         if (index, subindex) not in self:
@@ -118,12 +126,21 @@ class Dictionary:
         value = self[index, subindex]
         return float(value) if isinstance(value, (int, float)) else fallback
 
+    def _is_meant(self, key: tuple[int, int]) -> bool:
+        """Tell whether an object is there and is the one that the core knows by this index."""
+        ours = self._ours or key[0] not in slots.MANUFACTURER
+        return ours and self.description.has(*key) and self._is_number(key)
+
+    def _is_number(self, key: tuple[int, int]) -> bool:
+        """Tell whether an object has the type of a number, whatever CiA says it should have."""
+        return data_type(self.description.variable(*key)).kind in ("bool", "int", "real", "time")
+
     def slot(self, index: int, subindex: int) -> int:
         """Return the slot of a numeric object of up to 64 bits, moving it there if need be."""
         key = (index, subindex)
         if key not in self._slots:
-            kind = data_type(self.find(index, subindex))
-            if not 1 <= kind.bits <= 64:
+            self.find(index, subindex)
+            if not self._is_number(key):
                 raise SdoAbort(Abort.NOT_MAPPABLE)
             if self._next >= self.values.shape[0]:
                 raise SdoAbort(Abort.INTERNAL_INCOMPATIBLE)
@@ -132,6 +149,22 @@ class Dictionary:
             self._next += 1
             self[key] = value
         return self._slots[key]
+
+    def expedited(self) -> list[tuple[int, int, int]]:
+        """Return what may be uploaded in four bytes and has a slot, sorted: (index x 256 + sub-index, slot, bytes).
+
+        Objects are moved into slots for that as long as there are more than `SPARE_SLOTS` left.
+        """
+        found = []
+        for index, entry in sorted(self.description.objects.items()):
+            for subindex, variable in sorted(entry.variables.items()):
+                kind, key = data_type(variable), (index, subindex)
+                if kind.kind not in ("bool", "int", "real") or kind.bits > 32 or variable.access == "wo":
+                    continue
+                if index == _HISTORY or not (key in self._slots or self._next < len(self.values) - SPARE_SLOTS):
+                    continue
+                found.append((index << 8 | subindex, self.slot(index, subindex), (kind.bits + 7) // 8))
+        return found
 
     def check_read(self, index: int, subindex: int) -> Variable:
         """Abort unless a client may read the object."""

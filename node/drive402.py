@@ -1,19 +1,22 @@
-"""The motor drive of CiA 402 (IEC 61800-7-201/301), compiled: power state machine, torque modes, statusword.
+"""The motor drive of CiA 402 (IEC 61800-7-201/301), compiled: power state machine, option codes, statusword.
 
-The torque that acts is
+The torque itself is `node.motion402`'s. It is 0 in every state but Operation Enabled and on a ramp that leaves it, without
+supply, and while the set-point is older than 2001h.
 
-    demand = clip(6071h + 60B2h, -limit, limit)            in CST (mode 10)
-    d demand / dt = +- 6087h until demand = clip(6071h)    in profile torque (mode 4)
-    limit = min(6072h, 60E0h or 60E1h by sign)
+Ways out of Operation Enabled, and what decides how (0: torque 0 at once; a ramp, and then the state):
 
-in per mille of the rated torque, and 0 in every state but Operation Enabled, without supply, and while the set-point is
-older than 2001h. The fault reaction and every way out of Operation Enabled are "torque 0 at once": a hand is on the
-handle. So FAULT REACTION ACTIVE (transition 14) is passed within one step.
+    transition          5 (605Ch)   8 (605Bh)   9         11, 12 (605Ah)       13, 14 (605Eh)   NMT (6007h)
+    to                  Switched On Ready       Disabled  Quick Stop, Disabled  Reaction, Fault  as 13, 9 or 11
+    option codes        0, 1        0, 1        at once   0, 1, 2, 5, 6         0, 1, 2          0, 1, 2, 3
+
+1 and 5 are the slow-down ramp, 2 and 6 the quick stop ramp; from 5 on the drive stays in Quick Stop Active. A fault that
+takes away what a ramp needs (supply, encoder, power stage) is torque 0 at once whatever 605Eh says.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -21,11 +24,14 @@ import numpy as np
 from eds import cia402
 from eds.cia402 import COMMAND_OF_CONTROLWORD, NEXT_STATE
 from eds.cia402 import STATUSWORD as STATUSWORD_OF_STATE
-from eds.compiled import kernel
-from node import emcy, slots
+from eds.compiled import inlined, kernel
+from node import emcy, motion402, slots
+from node.motion402 import MODES
 
 __all__ = [
+    "ALL_MODES",
     "MODES",
+    "OPTION_CODES",
     "connection_lost",
     "fault",
     "new_controlword",
@@ -36,15 +42,25 @@ __all__ = [
     "step",
 ]
 
+OPTION_CODES: Mapping[int, tuple[int, ...]] = {
+    0x6007: (0, 1, 2, 3),
+    0x605A: (0, 1, 2, 5, 6),
+    0x605B: (0, 1),
+    0x605C: (0, 1),
+    0x605D: (1, 2),
+    0x605E: (0, 1, 2),
+}
+"""What the option codes may hold: the drive has no ramp at the current or the voltage limit (3, 4, 7, 8)."""
 
-MODES = (0, cia402.OPERATION_MODE_PROFILE_TORQUE, cia402.OPERATION_MODE_CST)
-"""What 6060h may hold."""
+ALL_MODES = sum(1 << (mode - 1) for mode in MODES if mode)
+"""6502h: what the drive can do."""
 
-_PROFILE, _CST = cia402.OPERATION_MODE_PROFILE_TORQUE, cia402.OPERATION_MODE_CST
+_CST = cia402.OPERATION_MODE_CST
 _DISABLED = int(cia402.PowerState.SWITCH_ON_DISABLED)
 _SWITCHED_ON = int(cia402.PowerState.SWITCHED_ON)
 _ENABLED = int(cia402.PowerState.OPERATION_ENABLED)
 _QUICK_STOP = int(cia402.PowerState.QUICK_STOP_ACTIVE)
+_REACTION = int(cia402.PowerState.FAULT_REACTION_ACTIVE)
 _FAULT = int(cia402.PowerState.FAULT)
 _FAULT_RESET = int(cia402.Command.FAULT_RESET)
 _STOPPED = 4
@@ -52,9 +68,14 @@ _STOPPED = 4
 _HALT = 0x0100
 _WARNING, _REMOTE, _TARGET_REACHED, _LIMIT, _FOLLOWS = 0x0080, 0x0200, 0x0400, 0x0800, 0x1000
 
-# 6007h, abort connection option code, when NMT leaves OPERATIONAL by command: the state that follows (-1: no action).
-# Option 1, "fault signal", is for a connection that breaks; what the master commands is no malfunction.
-_ABORT_STATE = np.array([-1, _DISABLED, _DISABLED, _QUICK_STOP], np.int64)
+_NO_ACTION, _FAULT_SIGNAL, _QUICK_STOP_COMMAND = (
+    0,
+    1,
+    3,
+)  # 6007h; 2 is "disable voltage", and so is what it may not hold
+_STAYS = 5  # 605Ah: from here on the drive stays in Quick Stop Active
+_RAMP = np.array([0, motion402.SLOW, motion402.QUICK, 0, 0, motion402.SLOW, motion402.QUICK, 0, 0], np.int64)
+"""Ramp by option code; 0: at once."""
 
 
 @kernel
@@ -64,52 +85,84 @@ def start(n: Any, t_ns: int) -> None:
     n.controlword = 0
     n.setpoint_armed = 0
     n.setpoint_stale = 0
-    n.torque_demand_pm = 0.0
     n.demand_ns = t_ns
     n.limited = 0
-    n.ramping = 0
-    n.out_torque_pm = 0.0
+    motion402.stop(n)
+    n.mode = n.values[slots.MODE_DISPLAY] = 0
+    motion402.change_mode(n, t_ns)
 
 
 @kernel
 def _leave_enabled(n: Any, state: int) -> None:
     n.power_state = state
-    n.torque_demand_pm = 0.0
-    n.out_torque_pm = 0.0
-    n.values[slots.TORQUE_DEMAND] = 0
+    motion402.stop(n)
+
+
+@inlined
+def _ramp(option: int) -> int:
+    ramp: int = _RAMP[option] if 0 <= option < _RAMP.shape[0] else 0
+    return ramp
+
+
+@inlined
+def _driven(n: Any) -> bool:
+    """Whether there may be torque."""
+    return bool(n.power_state == _ENABLED or n.power_state == _QUICK_STOP or n.power_state == _REACTION)
 
 
 @kernel
-def fault(n: Any) -> None:
-    """Transitions 13 and 14: torque 0 and FAULT; what was commanded before acts no more."""
+def fault(n: Any, t_ns: int, at_once: bool) -> None:
+    """Transitions 13 and 14: the fault reaction and FAULT; what was commanded before acts no more."""
     n.setpoint_stale = 1
-    _leave_enabled(n, _FAULT)
+    ramp = _ramp(n.values[slots.FAULT_OPTION])
+    if at_once or ramp == 0 or not _driven(n):
+        _leave_enabled(n, _FAULT)
+    elif n.power_state != _REACTION:
+        n.power_state = _REACTION
+        motion402.begin(n, t_ns, ramp, _FAULT)
 
 
 @kernel
 def needs_supply(n: Any) -> bool:
     """Whether the high-level power is switched on, so that its loss is a fault."""
-    return bool(_SWITCHED_ON <= n.power_state <= _QUICK_STOP)
+    return bool(_SWITCHED_ON <= n.power_state <= _REACTION)
 
 
 @kernel
-def connection_lost(n: Any, forced: int) -> None:
-    """NMT leaves OPERATIONAL: 6007h decides unless `forced`; a drive that is not enabled stays where it is."""
-    n.setpoint_armed = 0
-    if forced or n.values[slots.ABORT_OPTION] != 0:
-        n.setpoint_stale = 1
-    if n.power_state != _ENABLED and n.power_state != _QUICK_STOP:
-        return
-    if forced:
-        _leave_enabled(n, _DISABLED)
-        return
+def _quick_stop(n: Any, t_ns: int) -> None:
+    """Transition 11, and 12 behind the ramp unless 605Ah lets the drive stay."""
+    option = n.values[slots.QUICK_STOP_OPTION]
+    n.power_state = _QUICK_STOP
+    following = _QUICK_STOP if option >= _STAYS else _DISABLED
+    if _ramp(option):
+        motion402.begin(n, t_ns, _ramp(option), following)
+    else:
+        _leave_enabled(n, following)
+
+
+@kernel
+def connection_lost(n: Any, t_ns: int, forced: int) -> int:
+    """NMT leaves OPERATIONAL: 6007h decides unless `forced`; return 1 when it is to be a fault.
+
+    A drive that is not enabled stays where it is.
+    """
     option = n.values[slots.ABORT_OPTION]
-    state = _ABORT_STATE[option] if 0 <= option < _ABORT_STATE.shape[0] else _DISABLED
-    if state == -1:
-        return
-    _leave_enabled(n, state)
-    if state == _QUICK_STOP and n.values[slots.QUICK_STOP_OPTION] < 5:
-        n.power_state = _DISABLED
+    n.setpoint_armed = 0
+    if forced or option != _NO_ACTION:
+        n.setpoint_stale = 1
+    if not _driven(n):
+        return 0
+    if not forced:
+        if option == _NO_ACTION or n.power_state == _REACTION:
+            return 0
+        if option == _FAULT_SIGNAL:
+            return 1
+        if option == _QUICK_STOP_COMMAND:
+            if n.power_state == _ENABLED:
+                _quick_stop(n, t_ns)
+            return 0
+    _leave_enabled(n, _DISABLED)
+    return 0
 
 
 @kernel
@@ -127,73 +180,83 @@ def new_controlword(n: Any, i: int, t_ns: int, queue: Any, header: Any) -> None:
         return
     following = NEXT_STATE[state, COMMAND_OF_CONTROLWORD[word & 0xF]]
     if following == state:
+        if state == _ENABLED and n.slowing and n.slowing_to != _ENABLED and word & 0xF == 0xF:
+            n.slowing = 0  # enabled again before the ramp was over
         return
     if n.in_supply_ok == 0 and (following == _ENABLED or (following == _SWITCHED_ON and state < following)):
         return  # no high-level power: the drive cannot be switched on
     if state == _ENABLED:
+        _leave(n, t_ns, following)
+    elif state == _QUICK_STOP:
+        if following == _ENABLED and n.values[slots.QUICK_STOP_OPTION] < _STAYS:
+            return  # transition 16 is for a drive that stays
         _leave_enabled(n, following)
-    n.power_state = following
-    if following == _QUICK_STOP and n.values[slots.QUICK_STOP_OPTION] < 5:
-        n.power_state = _DISABLED  # transition 12: torque is 0 at once, so the quick stop is complete
-    n.demand_ns = t_ns
+    else:
+        n.power_state = following
+    if following == _ENABLED:
+        motion402.enter(n, t_ns)
 
 
 @kernel
-def _highest(n: Any) -> int:
-    highest: int = min(n.values[slots.MAX_TORQUE], n.values[slots.POSITIVE_LIMIT])
-    return highest
+def _leave(n: Any, t_ns: int, following: int) -> None:
+    """Leave Operation Enabled by command (transitions 5, 8, 9, 11), as the option codes say."""
+    if following == _QUICK_STOP:
+        _quick_stop(n, t_ns)
+        return
+    option = 0
+    if following == _SWITCHED_ON:
+        option = n.values[slots.DISABLE_OPTION]
+    elif following != _DISABLED:
+        option = n.values[slots.SHUTDOWN_OPTION]
+    if option != 1:
+        _leave_enabled(n, following)
+    elif n.slowing == 0 or n.slowing_to == _ENABLED:
+        motion402.begin(n, t_ns, motion402.SLOW, following)
+    else:
+        n.slowing_to = following  # already on its way
 
 
 @kernel
-def _lowest(n: Any) -> int:
-    lowest: int = -min(n.values[slots.MAX_TORQUE], n.values[slots.NEGATIVE_LIMIT])
-    return lowest
-
-
-@kernel
-def new_setpoint(n: Any, t_ns: int) -> None:
-    """Take the set-point in 6071h that was received at `t_ns`."""
+def new_setpoint(n: Any, t_ns: int, speed: bool) -> None:
+    """Take the set-point in 6071h, or in 60FFh (`speed`), that was received at `t_ns`, when the mode is for it."""
+    if speed != motion402.is_speed_mode(n.mode):
+        return
+    if n.setpoint_armed == 0:
+        n.next_ns = min(n.next_ns, t_ns + 1)  # to schedule the watch of its age
+    if n.ramping == 0:
+        n.demand_ns = max(n.demand_ns, t_ns)  # a slope begins now, not when this was last looked at
     n.setpoint_ns = t_ns
     n.setpoint_armed = 1
     n.setpoint_stale = 0
-    target = n.values[slots.TARGET_TORQUE]
-    if target > _highest(n) or target < _lowest(n):
-        n.clipped_setpoints += 1
+    if not speed:
+        target = n.values[slots.TARGET_TORQUE]
+        if target > motion402.high_limit(n) or target < motion402.low_limit(n):
+            n.clipped_setpoints += 1
 
 
 @kernel
 def step(n: Any, t_ns: int) -> None:
     """Compute the torque that acts at `t_ns`."""
     values = n.values
-    mode = values[slots.MODE]
-    values[slots.MODE_DISPLAY] = mode
+    if values[slots.MODE] != n.mode:
+        motion402.change_mode(n, t_ns)
     age_ns = values[slots.SETPOINT_AGE_US] * 1000
     if n.setpoint_armed and age_ns > 0 and t_ns - n.setpoint_ns >= age_ns:
         n.setpoint_stale = 1
     elapsed_ns = t_ns - n.demand_ns
     n.demand_ns = t_ns
-    high, low = _highest(n), _lowest(n)
-    target = values[slots.TARGET_TORQUE]
-    if mode == _CST:
-        target += values[slots.TORQUE_OFFSET]
+    n.ramping = 0
+    if n.mode != _CST or n.slowing:
+        motion402.other_mode(n, t_ns, elapsed_ns)
+        return
+    high, low = motion402.high_limit(n), motion402.low_limit(n)
+    target = values[slots.TARGET_TORQUE] + values[slots.TORQUE_OFFSET]
     n.limited = 1 if target > high or target < low else 0
     target = min(max(target, low), high)
-    demand = 0.0
-    n.ramping = 0
-    if n.power_state == _ENABLED and n.in_supply_ok and not n.setpoint_stale:
-        if n.controlword & _HALT:
-            target = 0
-        if mode == _CST:
-            demand = float(target)
-        elif mode == _PROFILE:
-            change = values[slots.TORQUE_SLOPE] * 1e-9 * elapsed_ns
-            present = n.torque_demand_pm
-            demand = min(present + change, target) if target >= present else max(present - change, target)
-            n.ramping = 1 if demand != target else 0
-            demand = min(max(demand, low), high)  # a limit lowered by SDO acts at once, not by the slope
-    n.torque_demand_pm = demand
-    n.out_torque_pm = demand
-    values[slots.TORQUE_DEMAND] = math.floor(demand + 0.5)
+    if n.power_state != _ENABLED or n.in_supply_ok == 0 or n.setpoint_stale or n.controlword & _HALT:
+        target = 0
+    n.torque_demand_pm = n.out_torque_pm = float(target)
+    values[slots.TORQUE_DEMAND] = target
 
 
 @kernel
@@ -226,10 +289,12 @@ def sample(n: Any) -> None:
     if n.limited:
         word |= _LIMIT
     if n.power_state == _ENABLED and not n.setpoint_stale:
-        if values[slots.MODE] == _CST:
+        if n.mode != _CST:
+            word |= motion402.target_bits(n)
+        elif not n.slowing:
             word |= _FOLLOWS
-        elif n.torque_demand_pm == values[slots.TARGET_TORQUE]:
-            word |= _TARGET_REACHED
+    elif n.power_state == _QUICK_STOP and not n.slowing:
+        word |= _TARGET_REACHED  # the quick stop is complete, and the drive stays
     values[slots.STATUSWORD] = word
 
 
@@ -239,4 +304,6 @@ def next_deadline(n: Any, next_ns: int) -> int:
     age_ns = n.values[slots.SETPOINT_AGE_US] * 1000
     if n.setpoint_armed and age_ns > 0 and not n.setpoint_stale:
         next_ns = min(next_ns, n.setpoint_ns + age_ns)
+    if n.slowing:
+        next_ns = motion402.next_deadline(n, next_ns)
     return next_ns

@@ -14,17 +14,19 @@ import numpy as np
 
 from eds.compiled import kernel
 from node import slots
-from node.records import KIND_DRIVE, MAX_HISTORY
+from node.records import EMCY_WAITING, KIND_DRIVE, MAX_HISTORY
 from wire.frame import push
 
 __all__ = [
+    "AT_ONCE_MASK",
     "CAUSES",
-    "CAUSE_COUNT",
+    "DEVICE_FAULTS",
     "DEVICE_MASK",
     "FAULT_MASK",
     "Cause",
     "clear_latches",
     "come",
+    "drain",
     "gone",
     "update_register",
 ]
@@ -41,9 +43,10 @@ class Cause(NamedTuple):
     fault: bool  # a drive enters the state FAULT
 
 
-RPDO_SHORT, RPDO_LONG, SYNC_LENGTH, HEARTBEAT, RPDO_DEADLINE, SYNC_LOST, SUPPLY = range(7)
-FIRST_DEVICE_CAUSE = 8
+RPDO_SHORT, RPDO_LONG, SYNC_LENGTH, HEARTBEAT, RPDO_DEADLINE, SYNC_LOST, SUPPLY, CONNECTION = range(8)
+FIRST_DEVICE_CAUSE, DEVICE_CAUSES_END = 8, 16
 OVER_CURRENT, OVER_TEMPERATURE, ENCODER, COIL_OPEN, COIL_SHORT, SUPPLY_LOW = range(8, 14)
+LIFE_GUARDING, ERROR_PASSIVE, BUS_OFF = 16, 17, 18
 
 _CURRENT, _VOLTAGE, _TEMPERATURE, _COMMUNICATION, _PROFILE = 0x02, 0x04, 0x08, 0x10, 0x20
 
@@ -55,7 +58,7 @@ CAUSES: tuple[Cause, ...] = (
     Cause("RPDO deadline", 0x8250, _COMMUNICATION, True),
     Cause("SYNC lost", 0x8700, _COMMUNICATION, True),
     Cause("supply lost while switched on", 0x3220, _VOLTAGE, True),
-    Cause("", 0xFF00, 0, False),
+    Cause("connection aborted by an NMT command, with 6007h = 1", 0x8100, _COMMUNICATION, True),
     Cause("over-current", 0x2310, _CURRENT, True),
     Cause("over-temperature", 0x4210, _TEMPERATURE, True),
     Cause("encoder lost", 0x7305, _PROFILE, True),
@@ -64,12 +67,26 @@ CAUSES: tuple[Cause, ...] = (
     Cause("supply low", 0x3120, _VOLTAGE, True),
     Cause("", 0xFF00, 0, False),
     Cause("", 0xFF00, 0, False),
+    Cause("life guarding: no remote frame", 0x8130, _COMMUNICATION, True),
+    Cause("CAN in error passive mode", 0x8120, _COMMUNICATION, False),
+    Cause("recovered from bus-off", 0x8140, _COMMUNICATION, True),
 )
-"""The causes by bit; from bit 8 on they are the device's own faults, bits 0-7 of the record's `in_faults`."""
+"""The causes by bit; bits 8 to 15 are the device's own faults, bits 0-7 of the record's `in_faults`."""
+
+DEVICE_FAULTS = {
+    "over_current": OVER_CURRENT,
+    "over_temperature": OVER_TEMPERATURE,
+    "encoder_lost": ENCODER,
+    "supply_low": SUPPLY_LOW,
+    "coil_open": COIL_OPEN,
+    "coil_short": COIL_SHORT,
+}
+"""The device's own faults by the names that scripts give them."""
 
 FAULT_MASK = sum(1 << i for i, cause in enumerate(CAUSES) if cause.fault)
-CAUSE_COUNT = len(CAUSES)
-DEVICE_MASK = sum(1 << i for i in range(FIRST_DEVICE_CAUSE, len(CAUSES)))
+DEVICE_MASK = sum(1 << i for i in range(FIRST_DEVICE_CAUSE, DEVICE_CAUSES_END))
+AT_ONCE_MASK = 1 << SUPPLY | DEVICE_MASK & ~(1 << OVER_TEMPERATURE)
+"""Faults that take away what a ramp to torque 0 needs: supply, power stage or encoder."""
 
 _CODE = np.array([cause.code for cause in CAUSES], np.int64)
 _REGISTER = np.array([cause.register | 0x01 for cause in CAUSES], np.int64)
@@ -87,15 +104,37 @@ def update_register(n: Any) -> None:
 
 @kernel
 def _send(n: Any, i: int, t_ns: int, code: int, info: int, queue: Any, header: Any) -> None:
-    """Push the EMCY frame; STOPPED and INITIALISING allow none. The inhibit time delays it in the queue."""
+    """Push the EMCY frame, or let it wait for the end of the inhibit time; STOPPED and INITIALISING allow none.
+
+    So few wait that what is told is never old; the last of them is always the newest.
+    """
     if n.kind == KIND_DRIVE and (code or n.latched == 0):
         n.values[slots.ERROR_CODE] = code
     if n.emcy_id < 0 or n.nmt == _STOPPED or n.nmt == _INITIALISING:
         return
-    ready = max(t_ns + n.processing_ns, n.emcy_ready_ns)
-    n.emcy_ready_ns = ready + n.emcy_inhibit_ns
+    word, ready = code | n.values[slots.ERROR_REGISTER] << 16 | info << 24, t_ns + n.processing_ns
     n.emcy_count += 1
-    push(queue, header, i, ready, n.emcy_id, 8, code | n.values[slots.ERROR_REGISTER] << 16 | info << 24)
+    if n.emcy_waiting > 0 or ready < n.emcy_ready_ns:
+        k = min(n.emcy_waiting, EMCY_WAITING - 1)
+        n.emcy_word[k] = word
+        n.emcy_waiting = k + 1
+        n.next_ns = min(n.next_ns, max(n.emcy_ready_ns, t_ns + 1))
+        return
+    n.emcy_ready_ns = ready + n.emcy_inhibit_ns
+    push(queue, header, i, ready, n.emcy_id, 8, word)
+
+
+@kernel
+def drain(n: Any, i: int, t_ns: int, queue: Any, header: Any) -> None:
+    """Push what waited and is due now; an EMCY that was switched off meanwhile is forgotten."""
+    if n.emcy_id < 0:
+        n.emcy_waiting = 0
+    while n.emcy_waiting > 0 and t_ns >= n.emcy_ready_ns:
+        push(queue, header, i, t_ns, n.emcy_id, 8, n.emcy_word[0])
+        n.emcy_ready_ns = t_ns + n.emcy_inhibit_ns
+        n.emcy_waiting -= 1
+        for k in range(n.emcy_waiting):
+            n.emcy_word[k] = n.emcy_word[k + 1]
 
 
 @kernel

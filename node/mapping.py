@@ -9,7 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from eds.cia301 import DATA_TYPES, DUMMY_TYPES, Abort
+import numpy as np
+
+from eds.cia301 import DATA_TYPES, DUMMY_TYPES, Abort, predefined, restricted
 from eds.pdo import (
     COB_ID_EXTENDED,
     COB_ID_INVALID,
@@ -25,7 +27,7 @@ from eds.pdo import (
     entry_of,
     fill,
 )
-from node.behaviour import CARRIES_CONTROLWORD, CARRIES_SETPOINT
+from node.behaviour import CARRIES_CONTROLWORD, CARRIES_SETPOINT, CARRIES_SPEED
 from node.dictionary import Dictionary, SdoAbort
 from node.records import KIND_BRAKE, KIND_DRIVE, KIND_GENERIC, MAX_PDOS
 from wire.frame import Records
@@ -34,22 +36,16 @@ __all__ = ["Pdos", "restricted"]
 
 CARRIED: Mapping[int, Mapping[tuple[int, int], int]] = {
     KIND_GENERIC: {},
-    KIND_DRIVE: {(0x6040, 0): CARRIES_CONTROLWORD, (0x6071, 0): CARRIES_SETPOINT},
+    KIND_DRIVE: {(0x6040, 0): CARRIES_CONTROLWORD, (0x6071, 0): CARRIES_SETPOINT, (0x60FF, 0): CARRIES_SPEED},
     KIND_BRAKE: {(0x7300, 1): CARRIES_SETPOINT},
 }
 """Objects by kind on which the core acts when they are written."""
 
-CONTINUOUS = frozenset((0x6064, 0x606C, 0x6074, 0x6077, 0x6078, 0x6079, 0x7130))
+CONTINUOUS = frozenset((0x6064, 0x606B, 0x606C, 0x6074, 0x6077, 0x6078, 0x6079, 0x7130))
 """Objects that change all the time: beside an event timer, their change is no event."""
 
-_RESTRICTED = ((0x000, 0x07F), (0x101, 0x180), (0x581, 0x5FF), (0x601, 0x67F), (0x6E0, 0x6FF), (0x701, 0x7FF))
 _READABLE, _WRITABLE = ("ro", "rw", "rwr", "const"), ("wo", "rw", "rww")
 _SYNC_MAX, _RTR_MIN, _EVENT_MIN = 240, 252, 254
-
-
-def restricted(can_id: int) -> bool:
-    """Tell whether an identifier may not be configured (CiA 301, table 41)."""
-    return any(first <= can_id <= last for first, last in _RESTRICTED)
 
 
 class Pdos:
@@ -69,8 +65,14 @@ class Pdos:
                     return direction, index - first, mapping
         return None
 
+    def _cob_id(self, direction: Direction, k: int) -> int:
+        """Return what a PDO's sub-index 1 says, or would say if the EDS had it; not valid where there is no such PDO."""
+        index, objects = COMMUNICATION[direction] + k, self._dictionary
+        usual = predefined(index, 1, objects.node_id) if objects.description.has(index) else None
+        return objects.number(index, 1, COB_ID_INVALID if usual is None else usual)
+
     def _valid(self, direction: Direction, k: int) -> bool:
-        return not self._dictionary.number(COMMUNICATION[direction] + k, 1, COB_ID_INVALID) & COB_ID_INVALID
+        return not self._cob_id(direction, k) & COB_ID_INVALID
 
     def check(self, index: int, subindex: int, value: int) -> None:
         """Abort unless `value` may be written now."""
@@ -107,7 +109,7 @@ class Pdos:
         if k >= MAX_PDOS:
             raise SdoAbort(Abort.INTERNAL_INCOMPATIBLE)
         for other in range(MAX_PDOS):
-            same = self._dictionary.number(COMMUNICATION[direction] + other, 1, COB_ID_INVALID)
+            same = self._cob_id(direction, other)
             if direction == "tpdo" and other != k and not same & COB_ID_INVALID and same & 0x7FF == can_id:
                 raise SdoAbort(Abort.PARAMETER_INCOMPATIBLE)  # two TPDOs with one identifier collide on the bus
 
@@ -121,8 +123,8 @@ class Pdos:
     def _entry(self, direction: Direction, word: int) -> Entry:
         """Return the entry that a client's mapping word spells, or abort."""
         index, subindex, bits = word >> 16, word >> 8 & 0xFF, word & 0xFF
-        if index in self._dictionary.description.dummies and direction == "rpdo":
-            if bits != DATA_TYPES[index].bits:
+        if index in self._dictionary.description.dummies:
+            if direction == "tpdo" or bits != DATA_TYPES[index].bits:
                 raise SdoAbort(Abort.NOT_MAPPABLE)
             return self._read_entry(word)
         variable = self._dictionary.find(index, subindex)
@@ -151,9 +153,9 @@ class Pdos:
         """Return the PDO as its parameters now describe it."""
         number = self._dictionary.number
         communication, mapping = COMMUNICATION[direction] + k, MAPPING[direction] + k
-        cob_id = number(communication, 1, COB_ID_INVALID)
+        cob_id = self._cob_id(direction, k)
         count = number(mapping, 0)
-        valid = not cob_id & COB_ID_INVALID and cob_id & 0x7FF and k < MAX_PDOS
+        valid = not cob_id & COB_ID_INVALID and cob_id & 0x7FF and count and k < MAX_PDOS  # count 0: mapping disabled
         return PdoLayout(
             number=k + 1,
             direction=direction,
@@ -173,12 +175,14 @@ class Pdos:
         layout = self.layout(direction, k)
         record, node = self._records[direction][k], self._node
         fill(record, layout, self._slot)
-        used = max((j + 1 for j in range(MAX_PDOS) if self._records[direction][j]["cob_id"] >= 0), default=0)
+        valid = np.flatnonzero(self._records[direction]["cob_id"] >= 0)
+        used = int(valid[-1]) + 1 if len(valid) else 0
         if direction == "rpdo":
             carried = CARRIED[int(node["kind"])]
             node["rpdo_carries"][k] = sum(carried.get((e.index, e.subindex), 0) for e in layout.entries)
             node["rpdo_armed"][k] = node["rpdo_lost"][k] = 0
-            node["rpdo_pending"] &= ~(1 << k)
+            node["rpdo_pending"] -= node["rpdo_waits"][k]
+            node["rpdo_waits"][k] = 0
             node["rpdo_used"] = used
             return
         mask = 0
@@ -190,15 +194,16 @@ class Pdos:
         node["tpdo_ns"][k] = t_ns - layout.inhibit_ns
         node["tpdo_due"][k] = 1
         node["tpdo_used"] = used
-        events = (p["cob_id"] >= 0 and p["transmission"] >= _EVENT_MIN for p in self._records["tpdo"])
-        node["tpdo_events"] = sum(events)
+        node["tpdo_events"] = int(np.sum(self._records["tpdo"]["transmission"][valid] >= _EVENT_MIN))
 
     def refresh_all(self, t_ns: int) -> None:
         """Bring every PDO record up to its parameters; a valid PDO that the core has no room for is made invalid."""
         directions: tuple[Direction, ...] = ("rpdo", "tpdo")
         for direction in directions:
+            self._records[direction]["cob_id"] = -1
             for k in range(MAX_PDOS):
-                self.refresh(direction, k, t_ns)
+                if self._dictionary.description.has(COMMUNICATION[direction] + k):
+                    self.refresh(direction, k, t_ns)
             for index in range(COMMUNICATION[direction] + MAX_PDOS, COMMUNICATION[direction] + 512):
                 if (index, 1) in self._dictionary:
                     self._dictionary[index, 1] = self._dictionary.number(index, 1) | COB_ID_INVALID

@@ -12,11 +12,10 @@ from typing import Any
 from eds.codec import pack, unpack
 from eds.compiled import inlined, kernel
 from node import emcy, watch
-from node.behaviour import CARRIES_SETPOINT, alarm, apply, sample, step
-from node.records import MAX_PDOS
+from node.behaviour import alarm, apply, sample, step
 from wire.frame import push
 
-__all__ = ["act_pending", "answer_rtr", "receive", "start", "transmit_events", "transmit_sync"]
+__all__ = ["act_pending", "answer_rtr", "forget_pending", "receive", "start", "transmit_events", "transmit_sync"]
 
 _SYNC_MAX, _SYNC_RTR, _RTR, _EVENT = 240, 252, 253, 254
 
@@ -25,14 +24,23 @@ _SYNC_MAX, _SYNC_RTR, _RTR, _EVENT = 240, 252, 253, 254
 def start(nodes: Any, tpdo: Any, i: int, t_ns: int) -> None:
     """NMT enters OPERATIONAL: nothing received, nothing sent yet; every event TPDO is due once."""
     n = nodes[i]
-    n.rpdo_pending = 0
-    for k in range(MAX_PDOS):
+    forget_pending(n)
+    for k in range(n.rpdo_used):
         n.rpdo_armed[k] = 0
         n.rpdo_lost[k] = 0
+    for k in range(n.tpdo_used):
         p = tpdo[i, k]
         n.tpdo_count[k] = -1 if p.sync_start > 0 and n.sync_overflow > 0 else 0
         n.tpdo_ns[k] = t_ns - p.inhibit_ns
         n.tpdo_due[k] = 1
+
+
+@kernel
+def forget_pending(n: Any) -> None:
+    """Let no RPDO act that waits for a SYNC."""
+    n.rpdo_pending = 0
+    for k in range(n.rpdo_used):
+        n.rpdo_waits[k] = 0
 
 
 @inlined
@@ -59,8 +67,12 @@ def receive(nodes: Any, rpdo: Any, i: int, k: int, t_ns: int, length: int, data:
         n.rpdo_lost[k] = 0
         watch.settle(n, i, t_ns, queue, header)
     if p.transmission <= _SYNC_MAX:
+        if n.sync_window_ns > 0 and t_ns - n.sync_ns > n.sync_window_ns:
+            n.dropped_window += 1  # after the window it acts on no SYNC, though it shows that its sender lives
+            return 0
         n.rpdo_word[k] = data
-        n.rpdo_pending |= 1 << k
+        n.rpdo_pending += 1 - n.rpdo_waits[k]
+        n.rpdo_waits[k] = 1
         return 0
     unpack(p, data, n.values)
     _act(n, i, t_ns, k, queue, header)
@@ -73,9 +85,6 @@ def _act(n: Any, i: int, t_ns: int, k: int, queue: Any, header: Any) -> None:
     carries = n.rpdo_carries[k]
     if carries == 0:
         return
-    if carries & CARRIES_SETPOINT and n.setpoint_armed == 0:
-        n.setpoint_armed = 1
-        n.next_ns = min(n.next_ns, t_ns + 1)  # to schedule the watch of its age
     apply(n, i, t_ns, n.rpdo_ns[k], carries, queue, header)
 
 
@@ -84,7 +93,8 @@ def act_pending(nodes: Any, rpdo: Any, i: int, t_ns: int, queue: Any, header: An
     """Let the RPDOs act that waited for this SYNC, in their order."""
     n = nodes[i]
     for k in range(n.rpdo_used):
-        if n.rpdo_pending >> k & 1:
+        if n.rpdo_waits[k]:
+            n.rpdo_waits[k] = 0
             unpack(rpdo[i, k], n.rpdo_word[k], n.values)
             _act(n, i, t_ns, k, queue, header)
     n.rpdo_pending = 0
@@ -102,6 +112,8 @@ def _send(n: Any, p: Any, i: int, k: int, t_ns: int, word: int, queue: Any, head
 def transmit_sync(nodes: Any, tpdo: Any, i: int, t_ns: int, counter: int, queue: Any, header: Any) -> None:
     """Send the synchronous TPDOs; `counter` is the SYNC's, or -1."""
     n = nodes[i]
+    if n.sync_window_ns > 0 and n.processing_ns > n.sync_window_ns:
+        return  # they would come after the window
     for k in range(n.tpdo_used):
         p = tpdo[i, k]
         kind = p.transmission

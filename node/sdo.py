@@ -1,22 +1,26 @@
-"""The SDO server: expedited and segmented transfers both ways (CiA 301, section 7.2.4).
+"""One SDO server channel: expedited, segmented and block transfers both ways (CiA 301, section 7.2.4).
 
-The server is a function of the requests: one 8-byte request in, one response out (None: no answer). What is read and
-written is behind `Backend`, so that the protocol is tested without a device. One transfer is open at most;
-a new initiation replaces it, as section 7.2.4.3 wants it, and an abort in either direction ends it.
+The server is a function of the requests: one 8-byte request in, at most one response out (None: no answer), and in a block
+upload a `burst` of segments. What is read and written is behind `Backend`, so that the protocol is tested without a device.
+One transfer is open at most; a new initiation replaces it, as section 7.2.4.3 wants it, and an abort in either
+direction ends it. Block transfers have their state in `node.sdo_block`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 from eds.cia301 import Abort
 from node.dictionary import SdoAbort
+from node.sdo_block import BLOCK_SEGMENTS, BlockDownload, BlockUpload
 
 __all__ = ["Backend", "SdoServer", "abort_frame"]
 
 _SEGMENT = 7
+_ABORT = 0x80
+_CRC = 0x04  # told back as the client says it: canopen's client believes the server's bit alone
 
 
 class Backend(Protocol):
@@ -33,7 +37,7 @@ class Backend(Protocol):
 
 
 @dataclass
-class _Transfer:
+class _Segmented:
     """A segmented transfer that is open."""
 
     index: int
@@ -48,15 +52,19 @@ class _Transfer:
 
 def abort_frame(index: int, subindex: int, code: int) -> bytes:
     """Return the abort frame for an object."""
-    return bytes((0x80, index & 0xFF, index >> 8, subindex)) + int(code).to_bytes(4, "little")
+    return bytes((_ABORT, index & 0xFF, index >> 8, subindex)) + int(code).to_bytes(4, "little")
 
 
 class SdoServer:
-    """One SDO server channel."""
+    """One SDO server channel; it asks for `block_size` segments a block in downloads (1 to 127, may change at any time)."""
 
-    def __init__(self, backend: Backend) -> None:
+    def __init__(self, backend: Backend, block_size: int = BLOCK_SEGMENTS) -> None:
         self._backend = backend
-        self._open: _Transfer | None = None
+        self._open: _Segmented | BlockDownload | BlockUpload | None = None
+        self._place: tuple[int, int] | None = None  # of the open transfer, while a request that continues it is served
+        self.block_size = block_size
+        self.burst: Sequence[bytes] = ()
+        """Segments to be sent after the response of the last request, in their order."""
 
     @property
     def transfer(self) -> tuple[int, int] | None:
@@ -65,19 +73,23 @@ class SdoServer:
 
     def drop(self) -> None:
         """Forget the open transfer (time-out, reset)."""
-        self._open = None
+        self._open, self.burst = None, ()
 
     def request(self, data: bytes) -> bytes | None:
         """Serve one request of 8 bytes and return the response."""
-        command = data[0] >> 5
-        index, subindex = int.from_bytes(data[1:3], "little"), data[3]
-        if command in (_DOWNLOAD_SEGMENT, _UPLOAD_SEGMENT) and self._open:
-            index, subindex = self._open.index, self._open.subindex
+        self.burst, self._place = (), None
+        transfer = self._open
         try:
-            return _SERVICES[command](self, data, index, subindex)
+            if isinstance(transfer, BlockDownload) and transfer.receiving and data[0] != _ABORT:
+                self._place = (transfer.index, transfer.subindex)
+                return transfer.segment(data, self.block_size)
+            return _SERVICES[data[0] >> 5](self, data, data[1] | data[2] << 8, data[3])
         except SdoAbort as abort:
             self._open = None
+            index, subindex = self._place or (data[1] | data[2] << 8, data[3])
             return abort_frame(index, subindex, abort.code)
+
+    # expedited and segmented
 
     def _initiate_download(self, data: bytes, index: int, subindex: int) -> bytes:
         self._open = None
@@ -91,33 +103,38 @@ class SdoServer:
         else:
             size = int.from_bytes(data[4:8], "little") if sized else None
             longest = self._backend.check_download(index, subindex, size)
-            self._open = _Transfer(index, subindex, False, bytearray(), size=size, longest=longest)
-        return bytes((0x60, data[1], data[2], data[3], 0, 0, 0, 0))
+            self._open = _Segmented(index, subindex, False, bytearray(), size=size, longest=longest)
+        return b"\x60" + data[1:4] + b"\0\0\0\0"
 
     def _download_segment(self, data: bytes, index: int, subindex: int) -> bytes:
-        transfer = self._expect(upload=False, toggle=data[0] & 0x10)
+        transfer = self._expect_segmented(upload=False, toggle=data[0] & 0x10)
         transfer.data += data[1 : 8 - (data[0] >> 1 & 7)]
         if len(transfer.data) > (transfer.longest if transfer.size is None else transfer.size):
             raise SdoAbort(Abort.TOO_LONG)
         if data[0] & 0x01:
             self._open = None
-            if transfer.size is not None and len(transfer.data) < transfer.size:
-                raise SdoAbort(Abort.TOO_SHORT)
-            self._backend.check_download(index, subindex, len(transfer.data))
-            self._backend.download(index, subindex, bytes(transfer.data))
+            self._finish_download(transfer.index, transfer.subindex, bytes(transfer.data), transfer.size)
         return bytes((0x20 | data[0] & 0x10, 0, 0, 0, 0, 0, 0, 0))
+
+    def _finish_download(self, index: int, subindex: int, content: bytes, size: int | None) -> None:
+        if size is not None and len(content) < size:
+            raise SdoAbort(Abort.TOO_SHORT)
+        self._backend.check_download(index, subindex, len(content))
+        self._backend.download(index, subindex, content)
 
     def _initiate_upload(self, data: bytes, index: int, subindex: int) -> bytes:
         self._open = None
-        content = self._backend.upload(index, subindex)
-        head = bytes((data[1], data[2], data[3]))
-        if 1 <= len(content) <= 4:
-            return bytes((0x43 | (4 - len(content)) << 2,)) + head + content.ljust(4, b"\0")
-        self._open = _Transfer(index, subindex, True, bytearray(content))
-        return b"\x41" + head + len(content).to_bytes(4, "little")
+        return self._answer_upload(data, index, subindex, self._backend.upload(index, subindex))
+
+    def _answer_upload(self, data: bytes, index: int, subindex: int, content: bytes) -> bytes:
+        size = len(content)
+        if 1 <= size <= 4:
+            return _EXPEDITED[size] + data[1:4] + content + _PADDING[size]
+        self._open = _Segmented(index, subindex, True, bytearray(content))
+        return b"\x41" + data[1:4] + size.to_bytes(4, "little")
 
     def _upload_segment(self, data: bytes, index: int, subindex: int) -> bytes:
-        transfer = self._expect(upload=True, toggle=data[0] & 0x10)
+        transfer = self._expect_segmented(upload=True, toggle=data[0] & 0x10)
         segment = transfer.data[transfer.position : transfer.position + _SEGMENT]
         transfer.position += _SEGMENT
         last = transfer.position >= len(transfer.data)
@@ -125,14 +142,67 @@ class SdoServer:
             self._open = None
         return bytes((data[0] & 0x10 | (_SEGMENT - len(segment)) << 1 | last,)) + bytes(segment).ljust(_SEGMENT, b"\0")
 
-    def _expect(self, *, upload: bool, toggle: int) -> _Transfer:
+    def _expect_segmented(self, *, upload: bool, toggle: int) -> _Segmented:
         """Return the open transfer of this direction, its toggle bit checked and alternated."""
-        if self._open is None or self._open.upload != upload:
+        transfer = self._continue()
+        if not isinstance(transfer, _Segmented) or transfer.upload != upload:
             raise SdoAbort(Abort.COMMAND)
-        if self._open.toggle != toggle:
+        if transfer.toggle != toggle:
             raise SdoAbort(Abort.TOGGLE)
-        self._open.toggle ^= 0x10
+        transfer.toggle ^= 0x10
+        return transfer
+
+    def _continue(self) -> _Segmented | BlockDownload | BlockUpload | None:
+        """Return the open transfer, of which the request being served is a part."""
+        self._place = self.transfer
         return self._open
+
+    # block
+
+    def _block_download(self, data: bytes, index: int, subindex: int) -> bytes:
+        if data[0] & 0x01:
+            transfer = self._continue()
+            if not isinstance(transfer, BlockDownload):
+                raise SdoAbort(Abort.COMMAND)
+            content = transfer.end(data)
+            self._open = None
+            self._finish_download(transfer.index, transfer.subindex, content, transfer.size)
+            return b"\xa1\0\0\0\0\0\0\0"
+        self._open = None
+        size = int.from_bytes(data[4:8], "little") if data[0] & 0x02 else None
+        longest = self._backend.check_download(index, subindex, size)
+        crc = bool(data[0] & _CRC)
+        self._open = BlockDownload(index, subindex, size, longest if size is None else size, crc, self.block_size)
+        return bytes((0xA0 | data[0] & _CRC,)) + data[1:4] + bytes((self.block_size, 0, 0, 0))
+
+    def _block_upload(self, data: bytes, index: int, subindex: int) -> bytes | None:
+        what = data[0] & 0x03
+        if what == 0:
+            return self._initiate_block_upload(data, index, subindex)
+        transfer = self._continue()
+        if not isinstance(transfer, BlockUpload):
+            raise SdoAbort(Abort.COMMAND)
+        if what == 1:
+            transfer.check_end()
+            self._open = None
+            return None
+        if what == 3:
+            self.burst = transfer.start()
+            return None
+        end = transfer.acknowledge(data[1], data[2])
+        self.burst = transfer.segments() if end is None else ()
+        return end
+
+    def _initiate_block_upload(self, data: bytes, index: int, subindex: int) -> bytes:
+        self._open = None
+        block_size, switch = data[4], data[5]
+        if not 1 <= block_size <= BLOCK_SEGMENTS:
+            raise SdoAbort(Abort.BLOCK_SIZE)
+        content = self._backend.upload(index, subindex)
+        if switch and len(content) <= switch:  # the client lets a small object go by the other protocols
+            return self._answer_upload(data, index, subindex, content)
+        self._open = BlockUpload(index, subindex, content, bool(data[0] & _CRC), block_size)
+        return bytes((0xC2 | data[0] & _CRC,)) + data[1:4] + len(content).to_bytes(4, "little")
 
     def _abort(self, data: bytes, index: int, subindex: int) -> None:
         self._open = None
@@ -141,15 +211,17 @@ class SdoServer:
         raise SdoAbort(Abort.COMMAND)
 
 
-_DOWNLOAD_SEGMENT, _UPLOAD_SEGMENT = 0, 3
+_EXPEDITED = tuple(bytes((0x43 | (4 - size) << 2,)) for size in range(5))
+_PADDING = tuple(bytes(4 - size) for size in range(5))
+
 _SERVICES: tuple[Callable[[SdoServer, bytes, int, int], bytes | None], ...] = (
     SdoServer._download_segment,
     SdoServer._initiate_download,
     SdoServer._initiate_upload,
     SdoServer._upload_segment,
     SdoServer._abort,
-    SdoServer._unknown,  # block upload
-    SdoServer._unknown,  # block download
+    SdoServer._block_upload,
+    SdoServer._block_download,
     SdoServer._unknown,
 )
 """The service of each client command specifier (bits 7-5 of byte 0)."""

@@ -9,14 +9,14 @@ from __future__ import annotations
 from typing import Any
 
 from eds.compiled import kernel
-from node import emcy, slots
+from node import emcy, guarding, slots
 from node.behaviour import alarm
-from node.records import FAR_FUTURE_NS, MAX_CONSUMERS, MAX_PDOS
+from node.records import FAR_FUTURE_NS
 from wire.frame import push
 
 __all__ = ["expire", "heartbeat_received", "next_deadline", "settle", "stop"]
 
-_OPERATIONAL, _INITIALISING = 5, 0
+_STOPPED, _OPERATIONAL = 4, 5
 _WAITING, _ALIVE, _LOST = 0, 1, 2
 
 
@@ -42,12 +42,14 @@ def heartbeat_received(n: Any, i: int, k: int, t_ns: int, length: int, data: int
 def settle(n: Any, i: int, t_ns: int, queue: Any, header: Any) -> None:
     """Release the losses that are no longer present: none lost any more, or no longer watched."""
     heartbeats, rpdos = 0, 0
-    for k in range(MAX_CONSUMERS):
+    for k in range(n.consumers_used):
         heartbeats += n.consumer_state[k] == _LOST
-    for k in range(MAX_PDOS):
+    for k in range(n.rpdo_used):
         rpdos += n.rpdo_lost[k]
     if heartbeats == 0 and n.causes >> emcy.HEARTBEAT & 1:
         emcy.gone(n, i, t_ns, emcy.HEARTBEAT, queue, header)
+    if n.guard_state != guarding.LOST and n.causes >> emcy.LIFE_GUARDING & 1:
+        emcy.gone(n, i, t_ns, emcy.LIFE_GUARDING, queue, header)
     if rpdos == 0 and n.causes >> emcy.RPDO_DEADLINE & 1:
         emcy.gone(n, i, t_ns, emcy.RPDO_DEADLINE, queue, header)
     if n.sync_armed == 0 and n.causes >> emcy.SYNC_LOST & 1:
@@ -58,7 +60,7 @@ def settle(n: Any, i: int, t_ns: int, queue: Any, header: Any) -> None:
 def stop(n: Any, i: int, t_ns: int, queue: Any, header: Any) -> None:
     """NMT left OPERATIONAL: SYNC and RPDOs are no longer expected, so their loss is no longer present."""
     n.sync_armed = 0
-    for k in range(MAX_PDOS):
+    for k in range(n.rpdo_used):
         n.rpdo_armed[k] = 0
         n.rpdo_lost[k] = 0
     settle(n, i, t_ns, queue, header)
@@ -66,7 +68,7 @@ def stop(n: Any, i: int, t_ns: int, queue: Any, header: Any) -> None:
 
 @kernel
 def expire(nodes: Any, rpdo: Any, i: int, t_ns: int, queue: Any, header: Any) -> int:
-    """Judge what is late at `t_ns`; return 1 when a heartbeat was lost now (1029h decides what NMT does)."""
+    """Judge what is late at `t_ns`; return 1 when a heartbeat or the guarding was lost now (1029h decides what NMT does)."""
     n = nodes[i]
     lost_now = 0
     if n.heartbeat_ns > 0 and t_ns >= n.heartbeat_next_ns:
@@ -74,12 +76,18 @@ def expire(nodes: Any, rpdo: Any, i: int, t_ns: int, queue: Any, header: Any) ->
         n.heartbeat_next_ns += n.heartbeat_ns
         if n.heartbeat_next_ns <= t_ns:  # called too late: no burst
             n.heartbeat_next_ns = t_ns + n.heartbeat_ns
-    for k in range(MAX_CONSUMERS):
+    if n.emcy_waiting > 0:
+        emcy.drain(n, i, t_ns, queue, header)
+    for k in range(n.consumers_used):
         if n.consumer_state[k] == _ALIVE and t_ns - n.consumer_last_ns[k] >= n.consumer_ns[k]:
             n.consumer_state[k] = _LOST
             n.latched &= ~(1 << emcy.HEARTBEAT)  # each producer that is lost is told of
             alarm(n, i, t_ns, emcy.HEARTBEAT, n.consumer_id[k], queue, header)
             lost_now = 1
+    if guarding.late(n, t_ns):
+        n.guard_state = guarding.LOST
+        alarm(n, i, t_ns, emcy.LIFE_GUARDING, 0, queue, header)
+        lost_now = 1
     if n.nmt == _OPERATIONAL:
         for k in range(n.rpdo_used):
             p = rpdo[i, k]
@@ -90,9 +98,11 @@ def expire(nodes: Any, rpdo: Any, i: int, t_ns: int, queue: Any, header: Any) ->
         timeout_ns = n.values[slots.SYNC_TIMEOUT_US] * 1000
         if n.sync_armed and timeout_ns > 0 and t_ns - n.sync_ns >= timeout_ns and not n.causes >> emcy.SYNC_LOST & 1:
             alarm(n, i, t_ns, emcy.SYNC_LOST, 0, queue, header)
-    if t_ns >= n.sdo_deadline_ns:
-        push(queue, header, i, t_ns + n.processing_ns, n.sdo_abort_id, 8, n.sdo_abort_word)
-        n.sdo_deadline_ns = FAR_FUTURE_NS
+    for k in range(n.sdo_used):
+        if t_ns >= n.sdo_deadline_ns[k]:
+            if n.nmt != _STOPPED:
+                push(queue, header, i, t_ns + n.processing_ns, n.sdo_abort_id[k], 8, n.sdo_abort_word[k])
+            n.sdo_deadline_ns[k] = FAR_FUTURE_NS
     return lost_now
 
 
@@ -100,10 +110,14 @@ def expire(nodes: Any, rpdo: Any, i: int, t_ns: int, queue: Any, header: Any) ->
 def next_deadline(nodes: Any, rpdo: Any, i: int, next_ns: int) -> int:
     """Return the earlier of `next_ns` and the next of these deadlines."""
     n = nodes[i]
-    next_ns = min(next_ns, n.sdo_deadline_ns)
+    for k in range(n.sdo_used):
+        next_ns = min(next_ns, n.sdo_deadline_ns[k])
+    next_ns = guarding.next_deadline(n, next_ns)
+    if n.emcy_waiting > 0:
+        next_ns = min(next_ns, n.emcy_ready_ns)
     if n.heartbeat_ns > 0:
         next_ns = min(next_ns, n.heartbeat_next_ns)
-    for k in range(MAX_CONSUMERS):
+    for k in range(n.consumers_used):
         if n.consumer_state[k] == _ALIVE:
             next_ns = min(next_ns, n.consumer_last_ns[k] + n.consumer_ns[k])
     if n.nmt == _OPERATIONAL:

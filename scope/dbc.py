@@ -39,7 +39,7 @@ def dbc_text(rig: Rig) -> str:
 
 def database(rig: Rig) -> Database:
     """Return the rig's messages as cantools' database."""
-    ids = {HOST: rig.host.node_id, "motor": rig.motor.node_id, "brake": rig.brake.node_id}
+    ids = {HOST: rig.host.node_id} | {_word(node.name): node.node_id for node in rig.nodes}
     period_ms = round(rig.bus.period_s * 1e3)
     messages = [_pdo(pdo, period_ms) for pdo in rig.pdos()]
     messages += _services(ids, rig, period_ms)
@@ -47,13 +47,18 @@ def database(rig: Rig) -> Database:
     return Database(sorted(messages, key=lambda message: message.frame_id), nodes=nodes, version=rig.rig.name)
 
 
+def _word(name: str) -> str:
+    """Return a node's name as DBC wants it: a word."""
+    return name.replace(".", "_")
+
+
 def _pdo(pdo: RigPdo, period_ms: int) -> Message:
-    layout = pdo.layout
-    sender, receiver = (HOST, pdo.node) if layout.direction == "rpdo" else (pdo.node, HOST)
+    layout, node = pdo.layout, _word(pdo.node)
+    sender, receiver = (HOST, node) if layout.direction == "rpdo" else (node, HOST)
     fields = zip(pdo.signals, layout.entries, layout.starts, strict=True)
     return Message(
         frame_id=layout.cob_id,
-        name=f"{pdo.node}_{layout.direction.upper()}{layout.number}",
+        name=f"{node}_{pdo.name}",
         length=layout.length,
         signals=[_signal(signal, entry, start, receiver) for signal, entry, start in fields if not entry.dummy],
         senders=[sender],
@@ -67,7 +72,7 @@ def _signal(signal: RigSignal, entry: Entry, start: int, receiver: str) -> Signa
         scale=_whole(signal.scale), offset=_whole(signal.offset), is_float=entry.kind == "real"
     )
     return Signal(
-        name=signal.name.partition(".")[2],
+        name=signal.name.rpartition(".")[2],
         start=start,
         length=entry.bits,
         is_signed=entry.signed,
@@ -96,7 +101,7 @@ def _services(ids: Mapping[str, int], rig: Rig, period_ms: int) -> Iterator[Mess
         senders=[HOST],
         comment="NMT command",
     )
-    heartbeat_s = {HOST: rig.host.heartbeat_s, "motor": rig.motor.heartbeat_s, "brake": rig.brake.heartbeat_s}
+    heartbeat_s = {HOST: rig.host.heartbeat_s} | {_word(node.name): node.part.heartbeat_s for node in rig.nodes}
     for name, number in ids.items():
         listeners = [other for other in ids if other != name]
         yield Message(

@@ -7,18 +7,22 @@ the service says; a comment adds `marker`.
 
 from __future__ import annotations
 
+import json
+import math
 from collections.abc import Callable, Iterator
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from eds.cia301 import CobId
 from eds.reader import Description
-from scope.recording import PdoTable, Recording
+from eds.rig import Rig
+from scope.error_frames import error_frame
+from scope.recording import PdoTable, Recording, Source
 from scope.services import Row, Sdo, emcy, heartbeat, nmt, sync
 from wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, data_bytes
 
-__all__ = ["Row", "as_text", "rows"]
+__all__ = ["Row", "as_json", "as_text", "rows"]
 
 NODE_ID = 0x7F
 FUNCTION = 0x780
@@ -33,18 +37,23 @@ HEXADECIMAL = {"register": "02X", "controlword": "04X", "statusword": "04X"}
 WIDTH = 11
 
 
-def rows(recording: Recording) -> Iterator[Row]:
-    """Yield one dict for each frame, in the file's order; PDOs are decoded beforehand, as whole columns."""
-    frames = recording.frames
+def rows(recording: Source) -> Iterator[Row]:
+    """Yield one dict for each frame, in the file's order; the PDOs of a block are decoded beforehand, as whole columns."""
+    services = _Services(recording.rig)
+    for block in recording:
+        yield from _block_rows(block, services)
+
+
+def _block_rows(block: Recording, services: _Services) -> Iterator[Row]:
+    frames = block.frames
     table_of = np.full(len(frames), -1, np.int64)
-    for number, table in enumerate(recording.tables):
+    for number, table in enumerate(block.tables):
         table_of[table.rows] = number
-    pdos = [_pdo_rows(table) for table in recording.tables]
-    services = _Services(recording)
+    pdos = [_pdo_rows(table) for table in block.tables]
     comments: dict[int, str] = {}
-    for row, text in recording.capture.comments:
+    for row, text in block.capture.comments:
         comments[row] = f"{comments[row]}; {text}" if row in comments else text
-    columns = (recording.t_s, frames["can_id"], frames["length"], frames["word"], table_of)
+    columns = (block.t_s, frames["can_id"], frames["length"], frames["word"], table_of)
     for i, (t_s, can_id, length, word, number) in enumerate(zip(*(c.tolist() for c in columns), strict=True)):
         if number >= 0:
             found: Row = {"t_s": t_s, "can_id": can_id}
@@ -59,7 +68,7 @@ def rows(recording: Recording) -> Iterator[Row]:
 def _pdo_rows(table: PdoTable) -> Iterator[Iterator[tuple[str, Any]]]:
     """Yield the items of each frame of one PDO, from node on."""
     names = ("node", "pdo", *(signal.name for signal in table.pdo.signals))
-    head = (table.pdo.node, table.name.partition(".")[2])
+    head = (table.pdo.node, table.pdo.name)
     for values in zip(*(column.tolist() for column in table.columns), strict=True):
         yield zip(names, head + values, strict=True)
 
@@ -67,12 +76,10 @@ def _pdo_rows(table: PdoTable) -> Iterator[Iterator[tuple[str, Any]]]:
 class _Services:
     """Decodes what is no PDO of the rig."""
 
-    def __init__(self, recording: Recording) -> None:
-        rig = recording.rig
-        self._names = {rig.motor.node_id: "motor", rig.brake.node_id: "brake", rig.host.node_id: "host"}
-        nodes: tuple[Literal["motor", "brake"], ...] = ("motor", "brake")
-        self._descriptions: dict[str, Description] = {node: rig.description(node) for node in nodes}
-        self._tables = {table.pdo.layout.cob_id: table for table in recording.tables}
+    def __init__(self, rig: Rig) -> None:
+        self._names = {rig.host.node_id: "host"} | {node.node_id: node.name for node in rig.nodes}
+        self._descriptions: dict[str, Description] = {node.name: node.description for node in rig.nodes}
+        self._pdos = {pdo.layout.cob_id: pdo for pdo in rig.pdos()}
         self._servers: dict[int, Sdo] = {}
 
     def row(self, t_s: float, can_id: int, length: int, word: int) -> Row:
@@ -80,7 +87,7 @@ class _Services:
         data = b"" if can_id & CAN_RTR_FLAG else data_bytes(word, length)
         row: Row = {"t_s": t_s, "can_id": can_id & 0x1FFFFFFF, "node": None, "pdo": None}
         if can_id & CAN_ERR_FLAG:
-            return row | {"service": "error", "data": data.hex()}
+            return row | {"service": "error", "data": data.hex(), **error_frame(can_id, data)}
         if can_id & CAN_EFF_FLAG:
             row |= {"extended": True, "service": "unknown", "data": data.hex()}
         else:
@@ -96,10 +103,10 @@ class _Services:
         """Name the service of an 11-bit identifier; a remote frame has nothing to decode."""
         function, node_id = can_id & FUNCTION, can_id & NODE_ID
         row: Row = {"service": "unknown", "data": data.hex()}
-        if can_id in self._tables:
-            table = self._tables[can_id]
-            row |= {"node": table.pdo.node, "pdo": table.name.partition(".")[2], "service": "pdo"}
-            wrong = {"malformed": f"{len(data)} bytes, expected {table.pdo.layout.length}"}
+        if can_id in self._pdos:
+            pdo = self._pdos[can_id]
+            row |= {"node": pdo.node, "pdo": pdo.name, "service": "pdo"}
+            wrong = {"malformed": f"{len(data)} bytes, expected {pdo.layout.length}"}
             return row if remote else row | wrong
         decoder: Callable[[bytes], Row] | None = None
         if can_id == CobId.NMT:
@@ -130,6 +137,15 @@ class _Services:
         return self._servers[node_id].row(data, from_server)
 
 
+def as_json(row: Row) -> str:
+    """Return a row as one line of JSON; a number that is none (of a REAL object) as text, for JSON has no word for it."""
+    try:
+        return json.dumps(row, allow_nan=False)
+    except ValueError:
+        numbers = {key: value for key, value in row.items() if isinstance(value, float) and not math.isfinite(value)}
+        return json.dumps(row | {key: repr(value) for key, value in numbers.items()})
+
+
 def as_text(row: Row) -> str:
     """Return a row as one line, columns aligned: time [s], identifier, node, PDO or service, content, marker.
 
@@ -142,6 +158,8 @@ def as_text(row: Row) -> str:
     line = f"{row['t_s']:14.6f}  {can_id:>8}  {row['node'] or '-':<6} {what:<10}"
     if row.get("remote"):
         line += f" remote request, {row['length']} bytes"
+    elif row.get("service") == "error":
+        line += " " + row["text"]
     elif "sdo" in row:
         line += " " + _sdo_text(row)
     else:

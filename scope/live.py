@@ -17,20 +17,21 @@ from eds.cia301 import CobId, NmtState, abort_text
 from eds.cia402 import STATE_OF_STATUSWORD, PowerState
 from eds.rig import Rig
 from eds.signals import RigPdo
+from scope.error_frames import error_frame
 from scope.recording import decode_field
 from scope.services import STATES, emcy, nmt
+from wire.can_id import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 
 __all__ = ["Event", "Live", "NodeRow", "PdoRow", "Snapshot", "Value"]
 
-CAN_EFF_FLAG, CAN_RTR_FLAG, CAN_ERR_FLAG = 0x80000000, 0x40000000, 0x20000000
 WINDOW_NS = 1_000_000_000
 SYNC_SILENT_NS = 100_000_000
 STATUSWORD = 0x6041
-ERROR_CLASSES = {
-    0x001: "transmission timed out", 0x002: "arbitration lost", 0x004: "controller problem", 0x008: "protocol violation",
-    0x010: "transceiver problem", 0x020: "no acknowledgement", 0x040: "bus off", 0x080: "bus error", 0x100: "restarted",
-}  # fmt: skip
-"""Classes of error frames, linux/can/error.h."""
+CAN_ERR_BUSOFF = 0x40
+CALLS = (CobId.HEARTBEAT, CobId.EMCY, CobId.SDO_TX)
+"""What makes a node known that the rig does not have."""
+SENT_BY_NODES = (*CALLS, CobId.TPDO1, CobId.TPDO2, CobId.TPDO3, CobId.TPDO4)
+"""With the four TPDOs of the predefined connection set (CiA 301, section 7.3.5)."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,11 @@ class PdoRow:
 
 @dataclass(frozen=True)
 class NodeRow:
-    """One node: NMT state (None: never heard), age of its heartbeat [s], power state and last emergency, if any."""
+    """One node: NMT state (None: never heard), age of its heartbeat [s], power state and last emergency, if any.
+
+    `frames` are those that it sent: PDOs, SDO responses, emergencies, heartbeats, the host's SYNC. A node that the rig does not have (not `known`) is
+    called by its number.
+    """
 
     name: str
     node_id: int
@@ -75,6 +80,9 @@ class NodeRow:
     silent: bool
     power_state: str | None
     emergency: str | None
+    known: bool
+    frames: int
+    rate_per_s: float
 
 
 @dataclass(frozen=True)
@@ -113,6 +121,9 @@ class _Node:
     power: int = -1
     silent: bool = False
     emergency: str | None = None
+    known: bool = True
+    services: int = 0
+    """Frames that it sent besides those that have a line."""
     heartbeat: _Line = field(default_factory=_Line)
 
 
@@ -124,20 +135,23 @@ class Live:
         self._pdos = rig.pdos()
         self._lines = {pdo.layout.cob_id: _Line(pdo.layout.length) for pdo in self._pdos}
         self._sync = self._lines[CobId.SYNC] = _Line()
-        timeouts_s = (("motor", rig.motor.heartbeat_timeout_s), ("brake", rig.brake.heartbeat_timeout_s))
-        self._nodes = [
-            _Node(name, getattr(rig, name).node_id, round(timeout_s * 1e9))
-            for name, timeout_s in (*timeouts_s, ("host", 3 * rig.host.heartbeat_s))
-        ]
+        self._nodes = [_Node(n.name, n.node_id, round(n.part.heartbeat_timeout_s * 1e9)) for n in rig.nodes]
+        self._nodes.append(_Node("host", rig.host.node_id, round(3e9 * rig.host.heartbeat_s)))
         self._by_id = {node.node_id: node for node in self._nodes}
-        self._statusword = next(
-            (pdo.layout.cob_id, start // 8)
+        self._sends = {
+            n.node_id: [p.layout.cob_id for p in self._pdos if p.layout.direction == "tpdo" and p.node_id == n.node_id]
+            for n in self._nodes
+        }
+        rpdos = [p.layout.cob_id for p in self._pdos if p.layout.direction == "rpdo"]
+        self._sends[rig.host.node_id] = [int(CobId.SYNC), *rpdos]
+        self._statuswords = {
+            pdo.layout.cob_id: (self._by_id[pdo.node_id], start // 8)
             for pdo in self._pdos
             for entry, start in zip(pdo.layout.entries, pdo.layout.starts, strict=True)
             if entry.index == STATUSWORD
-        )
+        }
         self._events: list[Event] = []
-        self._history: deque[tuple[int, dict[int, int], int]] = deque()
+        self._history: deque[tuple[int, dict[int, int], dict[int, int], int]] = deque()
         self._sync_silent = False
         self._error_class = 0
         self.frames = self.error_frames = self.unknown = 0
@@ -145,7 +159,6 @@ class Live:
     def take(self, received: Iterable[tuple[int, int, int, bytes]]) -> None:
         """Take frames: (stamp, identifier with flags, length, eight data bytes) each; nothing in them raises."""
         lines = self._lines
-        statusword_id = self._statusword[0]
         for t_ns, can_id, length, data in received:
             self.frames += 1
             line = lines.get(can_id)
@@ -157,28 +170,26 @@ class Live:
                 continue
             line.count += 1
             line.t_ns = t_ns
-            if can_id == statusword_id and data != line.data:
-                self._power_state(t_ns, data)
+            if can_id in self._statuswords and data != line.data:
+                self._power_state(t_ns, *self._statuswords[can_id], data)
             line.data = data
 
     def tell(self, t_ns: int, text: str, grave: bool = False) -> None:
         """Note an event that is seen elsewhere, as the bus going away."""
         self._events.append(Event(t_ns, text, grave))
 
-    def _power_state(self, t_ns: int, data: bytes) -> None:
-        start = self._statusword[1]
+    def _power_state(self, t_ns: int, motor: _Node, start: int, data: bytes) -> None:
         state = int(STATE_OF_STATUSWORD[data[start] & 0x7F])
-        motor = self._nodes[0]
         if state == motor.power:
             return
         fault = state in (PowerState.FAULT, PowerState.FAULT_REACTION_ACTIVE)
         if motor.power >= 0 or fault:
-            self.tell(t_ns, f"motor: {_power_text(motor.power)} -> {_power_text(state)}", fault)
+            self.tell(t_ns, f"{motor.name}: {_power_text(motor.power)} -> {_power_text(state)}", fault)
         motor.power = state
 
     def _other(self, t_ns: int, can_id: int, data: bytes) -> None:
         if can_id & CAN_ERR_FLAG:
-            self._error(t_ns, can_id)
+            self._error(t_ns, can_id, data)
             return
         if can_id & (CAN_RTR_FLAG | CAN_EFF_FLAG):
             self.unknown += 1
@@ -189,6 +200,10 @@ class Live:
                 self.tell(t_ns, f"NMT: {row['command']}, to {row['node']}")
             return
         function, node = can_id & 0x780, self._by_id.get(can_id & 0x7F)
+        if node is None and function in CALLS and can_id & 0x7F:
+            node = self._stranger(can_id & 0x7F)
+        if node is not None and function in SENT_BY_NODES:
+            node.services += 1
         if function == CobId.HEARTBEAT and node is not None and len(data) == 1:
             self._heartbeat(t_ns, node, data[0] & 0x7F)
         elif function == CobId.EMCY and node is not None and len(data) == 8:
@@ -201,8 +216,16 @@ class Live:
                 index, subindex = int.from_bytes(data[1:3], "little"), data[3]
                 reason = abort_text(int.from_bytes(data[4:8], "little"))
                 self.tell(t_ns, f"{node.name}: SDO abort {index:04X}h:{subindex}: {reason}")
-        else:
+        elif node is None or node.known or function not in SENT_BY_NODES:
             self.unknown += 1
+
+    def _stranger(self, node_id: int) -> _Node:
+        """Take up a node that the rig does not have; how often its heartbeat comes is not known, so it is not watched."""
+        node = self._by_id[node_id] = _Node(str(node_id), node_id, timeout_ns=0, known=False)
+        self._sends[node_id] = []
+        self._nodes.append(node)
+        self._nodes.sort(key=lambda one: (not one.known, one.node_id if not one.known else 0))
+        return node
 
     def _heartbeat(self, t_ns: int, node: _Node, state: int) -> None:
         name = _nmt_text(state)
@@ -216,22 +239,22 @@ class Live:
         node.heartbeat.count += 1
         node.heartbeat.t_ns = t_ns
 
-    def _error(self, t_ns: int, can_id: int) -> None:
+    def _error(self, t_ns: int, can_id: int, data: bytes) -> None:
         self.error_frames += 1
         kind = can_id & 0x1FF
         if kind != self._error_class:  # a bad cable sends thousands of them each second
-            texts = [text for bit, text in ERROR_CLASSES.items() if kind & bit]
-            self.tell(t_ns, f"error frame: {', '.join(texts) or 'unknown class'}", grave=bool(kind & 0x40))
+            self.tell(t_ns, f"error frame: {error_frame(can_id, data)['text']}", grave=bool(kind & CAN_ERR_BUSOFF))
         self._error_class = kind
 
     def snapshot(self, t_ns: int) -> Snapshot:
         """Return what is known at `t_ns`, with the events since the last call."""
         self._watch(t_ns)
         counts = {can_id: line.count for can_id, line in self._lines.items()}
-        self._history.append((t_ns, counts, self.frames))
+        sent = {n.node_id: n.services + sum(counts[can_id] for can_id in self._sends[n.node_id]) for n in self._nodes}
+        self._history.append((t_ns, counts, sent, self.frames))
         while len(self._history) > 2 and self._history[1][0] <= t_ns - WINDOW_NS:
             self._history.popleft()
-        before_ns, before, frames = self._history[0]
+        before_ns, before, sent_before, frames = self._history[0]
         seconds = (t_ns - before_ns) / 1e9
 
         def rate(now: int, then: int) -> float:
@@ -249,7 +272,10 @@ class Live:
                 self._pdo_row(pdo, t_ns, rate(counts[pdo.layout.cob_id], before[pdo.layout.cob_id]))
                 for pdo in self._pdos
             ),
-            nodes=tuple(_node_row(node, t_ns) for node in self._nodes),
+            nodes=tuple(
+                _node_row(node, t_ns, sent[node.node_id], rate(sent[node.node_id], sent_before.get(node.node_id, 0)))
+                for node in self._nodes
+            ),
             events=events,
         )
 
@@ -257,7 +283,7 @@ class Live:
         """Note what did not come."""
         for node in self._nodes:
             age_ns = t_ns - node.heartbeat.t_ns
-            if node.state >= 0 and not node.silent and age_ns > node.timeout_ns:
+            if node.state >= 0 and node.known and not node.silent and age_ns > node.timeout_ns:
                 node.silent = True
                 self.tell(t_ns, f"{node.name}: no heartbeat for {node.timeout_ns / 1e9:g} s", grave=True)
         silent = self._sync.count > 0 and t_ns - self._sync.t_ns > SYNC_SILENT_NS
@@ -279,7 +305,7 @@ class Live:
                     value = None
             values.append(Value(signal.name, value, signal.unit))
         return PdoRow(
-            name=f"{pdo.node}.{layout.direction.upper()}{layout.number}",
+            name=f"{pdo.node}.{pdo.name}",
             can_id=layout.cob_id,
             count=line.count,
             rate_per_s=rate_per_s,
@@ -289,7 +315,7 @@ class Live:
         )
 
 
-def _node_row(node: _Node, t_ns: int) -> NodeRow:
+def _node_row(node: _Node, t_ns: int, frames: int, rate_per_s: float) -> NodeRow:
     heard = node.state >= 0
     return NodeRow(
         name=node.name,
@@ -299,6 +325,9 @@ def _node_row(node: _Node, t_ns: int) -> NodeRow:
         silent=node.silent,
         power_state=_power_text(node.power) if node.power >= 0 else None,
         emergency=node.emergency,
+        known=node.known,
+        frames=frames,
+        rate_per_s=rate_per_s,
     )
 
 

@@ -9,16 +9,21 @@
 
 What the bits mean comes from the rig file and the EDS files attached to the recording; of a file without them (candump's,
 Wireshark's, or one that editcap has rewritten) from the rig that is given.
+
+`read` keeps everything: 40 bytes for each frame and about 8 for each of its signals. `blocks` goes through the file without keeping it, a
+`Recording` of some seconds at a time; figures and rows come of that, in a memory that does not grow with the run. `series` gathers single
+signals on the way.
 """
 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, TypeAlias
+from typing import Any, Self, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -27,16 +32,17 @@ from eds.pdo import Entry
 from eds.rig import Rig, RigError, load_rig, load_rig_text
 from eds.signals import RigPdo, Signal
 from wire.frame import Records
-from wire.pcapng import Capture, read_pcapng
+from wire.log_files import WALL_CLOCK_NS, is_log, read_log
+from wire.pcapng import Capture, iter_pcapng, read_pcapng
 
-__all__ = ["PdoTable", "Recording", "Series", "decode_field", "read"]
+__all__ = ["Blocks", "PdoTable", "Recording", "Series", "Source", "blocks", "decode_field", "read", "series"]
 
 Array: TypeAlias = npt.NDArray[Any]
 Floats: TypeAlias = npt.NDArray[np.float64]
 Integers: TypeAlias = npt.NDArray[np.int64]
 
 RIG = "rig.toml"
-WALL_CLOCK_NS = 10**17  # stamps beyond this (1973) are a clock's; smaller ones count from the run's start
+HOST = "host."  # begins the names of what only the host's replay reads: many, and no text
 
 
 @dataclass(frozen=True)
@@ -62,8 +68,52 @@ class PdoTable:
     malformed: int
 
 
+class Source:
+    """What figures are computed from: the recording's blocks, one after another, each a `Recording` with the times of the whole."""
+
+    path: str
+    rig: Rig
+
+    def __iter__(self) -> Iterator[Recording]:
+        """Yield the blocks."""
+        raise NotImplementedError
+
+    def seen_by(self, axis: Rig) -> Self:
+        """Return the recording as an axis sees it that is a rig of its own, with the signals' plain names."""
+        raise NotImplementedError
+
+    def one_axis(self, name: str | None) -> Self:
+        """Return the recording as the axis `name` sees it; without a name the rig must have one axis only.
+
+        Raises
+        ------
+        eds.rig.RigError
+            see `Rig.one_axis`
+        """
+        return self.seen_by(self.rig.one_axis(name))
+
+    @property
+    def axes(self) -> tuple[Self, ...]:
+        """The recording as each axis of the rig sees it, with the signals' plain names."""
+        if self.rig.axes[0] is self.rig:
+            return (self,)
+        return tuple(self.seen_by(axis.alone) for axis in self.rig.axes)
+
+    def signal(self, name: str) -> Signal:
+        """Return what the rig says of a signal: object, scale, offset, unit; KeyError names the nearest ones."""
+        signals = {signal.name: signal for pdo in self.rig.pdos() for signal in pdo.signals}
+        if name not in signals:
+            near = difflib.get_close_matches(name, signals, 3, 0.4) or list(signals)
+            raise KeyError(f"no signal {name!r} in {self.path}; there is {', '.join(near)}")
+        return signals[name]
+
+    def scale(self, name: str) -> float:
+        """Return the SI value of one raw count of a signal."""
+        return self.signal(name).scale
+
+
 @dataclass(frozen=True)
-class Recording:
+class Recording(Source):
     """A recording, decoded; ``recording["motor.position_rad"]`` is a `Series`.
 
     Attributes
@@ -93,6 +143,14 @@ class Recording:
     markers: list[tuple[float, str]]
     malformed: Mapping[str, int]
 
+    def __iter__(self) -> Iterator[Recording]:
+        """Yield the recording itself: it is one block."""
+        yield self
+
+    def seen_by(self, axis: Rig) -> Recording:
+        """Return the recording as an axis sees it that is a rig of its own, with the signals' plain names."""
+        return self if axis is self.rig else decode(self.capture, axis, self.epoch_ns)
+
     @property
     def frames(self) -> Records:
         """All frames, records of `wire.frame.FRAME`."""
@@ -106,39 +164,58 @@ class Recording:
     @property
     def remarks(self) -> tuple[str, ...]:
         """Sentences on what was left out: a torn end, damaged attachments, other packets, malformed PDOs."""
-        capture = self.capture
-        found = list(capture.warnings)
-        if capture.torn:
-            found.append(f"{self.path}: the last block is unfinished: {capture.torn} bytes were left out")
-        if capture.skipped:
-            found.append(f"{self.path}: {capture.skipped} packets are no classical CAN frames and were left out")
-        found += [f"{self.path}: {n} frames of {name} have a wrong length" for name, n in self.malformed.items() if n]
-        return tuple(found)
+        return _remarks(self.path, self.capture.warnings, _left_out(self))
 
     def __getitem__(self, name: str) -> Series:
         """Return a signal; KeyError names the nearest ones."""
         if name not in self.signals:
-            near = difflib.get_close_matches(name, self.signals, 3, 0.4) or list(self.signals)
-            raise KeyError(f"no signal {name!r} in {self.path}; there is {', '.join(near)}")
+            self.signal(name)
         return self.signals[name]
 
-    def scale(self, name: str) -> float:
-        """Return the SI value of one raw count of a signal."""
-        return self.signal(name).scale
 
-    def signal(self, name: str) -> Signal:
-        """Return what the rig says of a signal: object, scale, offset, unit."""
-        _ = self[name]
-        return next(signal for table in self.tables for signal in table.pdo.signals if signal.name == name)
+@dataclass
+class Blocks(Source):
+    """A recording that is not kept: each iteration goes through the file, a `Recording` of some seconds at a time (see `blocks`)."""
+
+    path: str
+    rig: Rig
+    remarks: tuple[str, ...] = field(default=(), init=False)
+    """As `Recording.remarks`, of the last iteration that came to its end."""
+
+    def __iter__(self) -> Iterator[Recording]:
+        epoch_ns, left_out, warnings = None, Counter[str](), list[str]()
+        for capture in _captures(self.path):
+            if epoch_ns is None and len(capture.frames):
+                epoch_ns = _epoch_ns(capture.frames)
+            block = decode(capture, self.rig, epoch_ns)
+            left_out.update(_left_out(block))
+            warnings += capture.warnings
+            yield block
+        self.remarks = _remarks(self.path, warnings, left_out)
+
+    def seen_by(self, axis: Rig) -> Blocks:
+        """Return the recording as an axis sees it that is a rig of its own, with the signals' plain names."""
+        return Blocks(self.path, axis)
+
+
+def series(source: Source, *names: str) -> tuple[Series, ...]:
+    """Gather signals on one way through the recording: 16 bytes for each sample, at 1 kHz 16 kB for each second of each signal."""
+    found = [[block[name] for name in names] for block in source]
+    return tuple(
+        Series(
+            np.concatenate([part.t_s for part in parts]), np.concatenate([part.values for part in parts]), parts[0].unit
+        )
+        for parts in zip(*found, strict=True)
+    )
 
 
 def read(path: str | Path, rig: Rig | str | None = None) -> Recording:
-    """Read a recording.
+    """Read a recording whole.
 
     Parameters
     ----------
     path
-        A pcapng file of SocketCAN frames.
+        A pcapng file of SocketCAN frames, or a log that python-can reads (.log, .asc, .blf, .trc, .csv), which has no rig.
     rig
         Decode with this rig (a `Rig`, a packaged rig's name, or a rig file's path) and not with the attached one.
 
@@ -146,21 +223,42 @@ def read(path: str | Path, rig: Rig | str | None = None) -> Recording:
     ------
     eds.rig.RigError
         No rig is attached and none is given, or the attached one cannot be read.
-    wire.pcapng.PcapngError
+    wire.pcapng.PcapngError, wire.log_files.LogError
         The file is damaged, or is of another kind.
     """
-    capture = read_pcapng(path)
-    if rig is None:
-        rig = _attached_rig(capture)
-    elif isinstance(rig, str):
-        rig = load_rig(rig)
-    return decode(capture, rig)
+    capture = next(_captures(path)) if is_log(path) else read_pcapng(path)
+    return decode(capture, _attached_rig((capture,)) if rig is None else _rig(rig))
 
 
-def decode(capture: Capture, rig: Rig) -> Recording:
-    """Return the capture with the signals of the rig's PDOs."""
+def blocks(path: str | Path, rig: Rig | str | None = None) -> Blocks:
+    """Return a recording to go through, as often as needed, in a memory that does not grow with it; parameters and errors as `read`.
+
+    The file is read anew each time: it must stay as it is meanwhile.
+    """
+    return Blocks(str(path), _attached_rig(_captures(path)) if rig is None else _rig(rig))
+
+
+def _captures(path: str | Path) -> Iterator[Capture]:
+    """Yield a pcapng file's stretches; a log of another tool is one."""
+    if is_log(path):
+        frames, remarks = read_log(path)
+        return iter([Capture(str(path), frames, comments=[], attachments={}, warnings=tuple(remarks))])
+    return iter_pcapng(path)
+
+
+def _rig(rig: Rig | str) -> Rig:
+    return load_rig(rig) if isinstance(rig, str) else rig
+
+
+def _epoch_ns(frames: Records) -> int:
+    """Return time 0 of frames the first of which begin a recording."""
+    return int(frames["t_ns"][0]) if len(frames) and frames["t_ns"][0] >= WALL_CLOCK_NS else 0
+
+
+def decode(capture: Capture, rig: Rig, epoch_ns: int | None = None) -> Recording:
+    """Return the capture with the signals of the rig's PDOs; `epoch_ns` where it is a stretch of a longer one."""
     frames = capture.frames
-    epoch_ns = int(frames["t_ns"][0]) if len(frames) and frames["t_ns"][0] >= WALL_CLOCK_NS else 0
+    epoch_ns = _epoch_ns(frames) if epoch_ns is None else epoch_ns
     t_s: Floats = (frames["t_ns"] - epoch_ns) / 1e9
     can_ids = np.ascontiguousarray(frames["can_id"])
     tables = tuple(_table(pdo, frames, can_ids) for pdo in rig.pdos())
@@ -181,12 +279,36 @@ def decode(capture: Capture, rig: Rig) -> Recording:
     )
 
 
-def _attached_rig(capture: Capture) -> Rig:
+def _left_out(block: Recording) -> Counter[str]:
+    """Return how much was left out, by why."""
+    return Counter({"torn": block.capture.torn, "skipped": block.capture.skipped, **block.malformed})
+
+
+def _remarks(path: str, warnings: Iterable[str], left_out: Counter[str]) -> tuple[str, ...]:
+    texts = {
+        "torn": "the last block is unfinished: {} bytes were left out",
+        "skipped": "{} packets are no classical CAN frames and were left out",
+    }
+    told = ((texts.get(name, f"{{}} frames of {name} have a wrong length"), n) for name, n in left_out.items() if n)
+    return (*warnings, *(f"{path}: {text.format(n)}" for text, n in told))
+
+
+def _attached_rig(captures: Iterable[Capture]) -> Rig:
+    """Return the rig attached to a recording, of which no more is read than its beginning."""
     give = "give one: read(path, rig=...), or --rig on the command line"
-    if RIG not in capture.attachments:
-        damaged = f" ({'; '.join(capture.warnings)})" if capture.warnings else ""
+    texts: dict[str, str] = {}
+    warnings: list[str] = []
+    for capture in captures:
+        warnings += capture.warnings
+        files = (name for name in capture.attachments if not name.startswith(HOST))
+        texts |= {name: capture.attachments[name].decode(errors="replace") for name in files}
+        if RIG in texts and len(capture.frames):  # its EDS files stand before the frames, too
+            break
+    if RIG not in texts:
+        if capture.torn:
+            warnings.append(f"the file breaks off: its last block is unfinished, {capture.torn} bytes of it are there")
+        damaged = f" ({'; '.join(warnings)})" if warnings else ""
         raise RigError([f"{capture.path}: no {RIG} is attached, so its PDOs have no meaning{damaged}; {give}"])
-    texts = {name: content.decode(errors="replace") for name, content in capture.attachments.items()}
     try:
         return load_rig_text(texts.pop(RIG), f"{capture.path}[{RIG}]", texts)
     except RigError as error:
@@ -203,8 +325,7 @@ def _table(pdo: RigPdo, frames: Records, can_ids: Integers) -> PdoTable:
         _si(decode_field(words, start, entry), signal)
         for entry, start, signal in zip(layout.entries, layout.starts, pdo.signals, strict=True)
     )
-    name = f"{layout.direction.upper()}{layout.number}"
-    return PdoTable(pdo, f"{pdo.node}.{name}", rows, columns, len(came) - len(rows))
+    return PdoTable(pdo, f"{pdo.node}.{pdo.name}", rows, columns, len(came) - len(rows))
 
 
 def _si(raw: Array, signal: Signal) -> Array:

@@ -14,29 +14,31 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any
 
-from rich.console import Console, Group, RenderableType
+from rich.console import Console, ConsoleOptions, RenderResult
 from rich.live import Live as Display
-from rich.table import Table
 from rich.text import Text
 
 from eds.cia402 import COMMAND_OF_CONTROLWORD, STATE_OF_STATUSWORD, Command, PowerState
 from eds.rig import Rig
-from scope.live import Event, Live, PdoRow, Snapshot, Value
+from scope.live import Event, Live, NodeRow, PdoRow, Snapshot, Value
 from wire.address import BusAddress
 from wire.client import BusDown, BusFull, BusGone, Client
 from wire.hello import Flags, Hello
 
-__all__ = ["as_dict", "as_lines", "table", "watch"]
+__all__ = ["Screen", "as_dict", "as_lines", "watch"]
 
 DRAW_S = 0.1
 LINE_S = 1.0
 ASK_NS = 1_000_000_000
 COLLECT_S = 0.002  # frames of this time are taken together: it saves most of the wake-ups
-EVENTS = 6
+EVENTS = 200
+LEAST_EVENTS = 3
+GAPS = 3
 STALE_S = 0.1
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -49,8 +51,13 @@ def watch(
     as_json: bool = False,
     interval_s: float | None = None,
     console: Console | None = None,
+    all_nodes: bool = True,
 ) -> None:
     """Show the bus until a signal, or for `seconds`.
+
+    Parameters
+    ----------
+    all_nodes : show also the nodes of the rig that were never heard
 
     Raises
     ------
@@ -73,7 +80,7 @@ def watch(
         terminal = console.is_terminal and not as_json
         pause_s = interval_s or (DRAW_S if terminal else LINE_S)
         show = _on_terminal if terminal else _line_by_line
-        with show(console, as_json, begin_ns) as draw:
+        with show(console, as_json, begin_ns, all_nodes) as draw:
             end = None if seconds is None else time.monotonic() + seconds
             running = True
             while running:
@@ -143,24 +150,28 @@ def _stop_signal() -> Iterator[Callable[[float], bool]]:
 
 
 @contextmanager
-def _on_terminal(console: Console, as_json: bool, begin_ns: int) -> Iterator[Callable[[Snapshot, Any], None]]:
+def _on_terminal(
+    console: Console, as_json: bool, begin_ns: int, all_nodes: bool
+) -> Iterator[Callable[[Snapshot, Any], None]]:
     past: deque[Event] = deque(maxlen=EVENTS)
     with Display(console=console, auto_refresh=False) as display:
 
         def draw(snapshot: Snapshot, facts: dict[str, Any]) -> None:
             past.extend(snapshot.events)
-            display.update(table(snapshot, facts, list(past), begin_ns), refresh=True)
+            display.update(Screen(snapshot, facts, tuple(past), begin_ns, all_nodes), refresh=True)
 
         yield draw
 
 
 @contextmanager
-def _line_by_line(console: Console, as_json: bool, begin_ns: int) -> Iterator[Callable[[Snapshot, Any], None]]:
+def _line_by_line(
+    console: Console, as_json: bool, begin_ns: int, all_nodes: bool
+) -> Iterator[Callable[[Snapshot, Any], None]]:
     def draw(snapshot: Snapshot, facts: dict[str, Any]) -> None:
         if as_json:
             sys.stdout.write(json.dumps(as_dict(snapshot, facts, begin_ns), allow_nan=False) + "\n")
         else:
-            sys.stdout.write("".join(line + "\n" for line in as_lines(snapshot, facts, begin_ns)))
+            sys.stdout.write("".join(line + "\n" for line in as_lines(snapshot, facts, begin_ns, all_nodes)))
         sys.stdout.flush()
 
     yield draw
@@ -193,6 +204,9 @@ def as_dict(snapshot: Snapshot, facts: dict[str, Any], begin_ns: int) -> dict[st
                 "state": row.state,
                 "heartbeat_age_s": row.age_s,
                 "silent": row.silent,
+                "known": row.known,
+                "frames": row.frames,
+                "rate_per_s": row.rate_per_s,
                 "power_state": row.power_state,
                 "emergency": row.emergency,
             }
@@ -205,15 +219,17 @@ def as_dict(snapshot: Snapshot, facts: dict[str, Any], begin_ns: int) -> dict[st
     }
 
 
-def as_lines(snapshot: Snapshot, facts: dict[str, Any], begin_ns: int) -> Iterator[str]:
+def as_lines(snapshot: Snapshot, facts: dict[str, Any], begin_ns: int, all_nodes: bool = True) -> Iterator[str]:
     """Yield a snapshot as lines: events first, then a line for each PDO and one for the nodes."""
     for event in snapshot.events:
         yield f"{(event.t_ns - begin_ns) / 1e9:10.3f}  {'!' if event.grave else '*'} {event.text}"
     at = f"{(snapshot.t_ns - begin_ns) / 1e9:10.3f}"
-    for row in snapshot.pdos:
+    for row in _pdos(snapshot, all_nodes):
         content = "  ".join(f"{_short(value)}={_number(value)}{_unit(value)}" for value in row.values)
         yield f"{at}  {row.name:<11} {row.rate_per_s:7.1f}/s  {_age(row.age_s):>8}  {content}"
-    nodes = "  ".join(f"{row.name} {'silent' if row.silent else row.state or '-'}" for row in snapshot.nodes)
+    nodes = "  ".join(
+        f"{row.name} {'silent' if row.silent else row.state or '-'}" for row in _heard(snapshot.nodes, all_nodes)
+    )
     yield f"{at}  {_head(snapshot, facts)}  {nodes}"
 
 
@@ -230,37 +246,116 @@ def _head(snapshot: Snapshot, facts: dict[str, Any]) -> str:
     return text
 
 
-def table(snapshot: Snapshot, facts: dict[str, Any], events: list[Event], begin_ns: int) -> RenderableType:
-    """Return what the terminal shows."""
-    pdos = Table(box=None, pad_edge=False, header_style="bold")
-    for title, right in (("PDO", 0), ("COB-ID", 1), ("signal", 0), ("value", 1), ("", 0), ("rate", 1), ("age", 1)):
-        pdos.add_column(title, justify="right" if right else "left", no_wrap=True)
-    for row in snapshot.pdos:
-        _pdo_lines(pdos, row)
-    nodes = Table(box=None, pad_edge=False, header_style="bold")
-    for title in ("node", "id", "NMT state", "heartbeat", "drive", "last emergency"):
-        nodes.add_column(title, no_wrap=title != "last emergency")
-    for node in snapshot.nodes:
-        style = "red" if node.silent or node.emergency else "dim" if node.state is None else ""
-        state = f"{node.state}, silent" if node.silent else node.state or "not heard"
-        cells = (node.name, str(node.node_id), state, _age(node.age_s), node.power_state or "", node.emergency or "")
-        nodes.add_row(*cells, style=style)
-    lines = [
-        Text(f"{(event.t_ns - begin_ns) / 1e9:10.3f}  {event.text}", style="red" if event.grave else "")
-        for event in events
-    ]
-    head = Text(_head(snapshot, facts), style="red" if facts["lost"] else "bold")
-    return Group(head, Text(), pdos, Text(), nodes, Text(), *lines)
+@dataclass(frozen=True)
+class Screen:
+    """What the terminal shows, made to fit: columns go by their importance, no number is cut, and the newest events are always there.
+
+    Attributes
+    ----------
+    all_nodes : also those of the rig that were never heard
+    """
+
+    snapshot: Snapshot
+    facts: dict[str, Any]
+    events: Sequence[Event]
+    begin_ns: int
+    all_nodes: bool = True
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        width, height = options.max_width, options.size.height - 1  # a line is left for the shell
+        head = Text(_head(self.snapshot, self.facts), style="red" if self.facts["lost"] else "bold").wrap(
+            console, width
+        )
+        nodes = _table(NODE_COLUMNS, list(map(_node_row, _heard(self.snapshot.nodes, self.all_nodes))), width)
+        pdos = _table(
+            PDO_COLUMNS, [row for pdo in _pdos(self.snapshot, self.all_nodes) for row in _pdo_rows(pdo)], width
+        )
+        if not nodes:
+            nodes = [Text("none of the rig's nodes was heard; --rig says which rig it is")]
+        news = [line for event in self.events for line in self._event(event).wrap(console, width)]
+        room = height - len(head) - len(nodes) - min(len(news), LEAST_EVENTS)
+        if len(pdos) > room:
+            shown = max(0, room - 1)
+            pdos = [*pdos[:shown], Text(f"{len(pdos) - shown} more lines: in a higher window", style="dim")]
+        rest = height - len(head) - len(nodes) - len(pdos)
+        gap = [Text()] if rest - min(len(news), LEAST_EVENTS) >= GAPS else []
+        room = max(0, rest - len(gap) * GAPS)
+        for line in [*head, *gap, *pdos, *gap, *nodes, *gap, *(news[-room:] if room else [])]:
+            line.no_wrap, line.overflow = True, "ellipsis"
+            yield line
+
+    def _event(self, event: Event) -> Text:
+        text = f"{(event.t_ns - self.begin_ns) / 1e9:10.3f}  {event.text}"
+        return Text(text, style="red" if event.grave else "")
 
 
-def _pdo_lines(pdos: Table, row: PdoRow) -> None:
+def _heard(nodes: Sequence[NodeRow], all_nodes: bool) -> list[NodeRow]:
+    return [node for node in nodes if all_nodes or node.state is not None or node.frames]
+
+
+def _pdos(snapshot: Snapshot, all_nodes: bool) -> list[PdoRow]:
+    """Return the PDOs that came, or belong to a node that was heard."""
+    heard = {node.name for node in _heard(snapshot.nodes, all_nodes)}
+    return [row for row in snapshot.pdos if row.count or row.malformed or row.name.rpartition(".")[0] in heard]
+
+
+@dataclass(frozen=True)
+class _Column:
+    title: str
+    key: int
+    """Place in the row's cells."""
+    least: int = 0
+    """Width that is kept also while the cells are narrower, so that columns do not come and go with a value."""
+    right: bool = False
+    order: int = 0
+    """0: always there; the others in this order, as long as they fit."""
+
+
+PDO_COLUMNS = (
+    _Column("PDO", 0, order=1), _Column("COB-ID", 1, right=True, order=4), _Column("signal", 2), _Column("value", 3, 10, right=True),
+    _Column("", 4, 20, order=5), _Column("rate", 5, 9, right=True, order=2), _Column("age", 6, 7, right=True, order=3),
+)  # fmt: skip
+NODE_COLUMNS = (
+    _Column("node", 0), _Column("id", 1, 3, right=True), _Column("NMT state", 2, 15), _Column("rate", 3, 9, right=True, order=3),
+    _Column("heartbeat", 4, 9, right=True, order=2), _Column("drive", 5, 18, order=1), _Column("last emergency", 6, order=4),
+)  # fmt: skip
+SPACE = 2
+
+
+def _table(columns: Sequence[_Column], rows: list[tuple[tuple[str, ...], str]], width: int) -> list[Text]:
+    """Return the rows (cells, style) under their titles, with the columns for which there is room; nothing for no row."""
+    wide = {c: max(len(c.title), c.least, *(len(cells[c.key]) for cells, _ in rows)) for c in columns} if rows else {}
+    kept: set[_Column] = set()
+    for column in sorted(wide, key=lambda c: c.order):
+        if column.order == 0 or sum(wide[c] + SPACE for c in kept) + wide[column] <= width:
+            kept.add(column)
+    shown = [column for column in columns if column in kept]
+
+    def line(cells: Sequence[str], style: str) -> Text:
+        texts = (text.rjust(wide[c]) if c.right else text.ljust(wide[c]) for c, text in zip(shown, cells, strict=True))
+        return Text((" " * SPACE).join(texts).rstrip(), style=style)
+
+    found = [line([cells[c.key] for c in shown], style) for cells, style in rows]
+    return [line([c.title for c in shown], "bold"), *found] if rows else []
+
+
+def _node_row(node: NodeRow) -> tuple[tuple[str, ...], str]:
+    style = "red" if node.silent or node.emergency else "dim" if node.state is None else "" if node.known else "cyan"
+    state = (
+        f"{node.state}, silent" if node.silent else node.state or ("not heard" if not node.frames else "no heartbeat")
+    )
+    name = node.name if node.known else "-"
+    rate = f"{node.rate_per_s:.1f} /s"
+    power, emergency = node.power_state or "", node.emergency or ""
+    return (name, str(node.node_id), state, rate, _age(node.age_s), power, emergency), style
+
+
+def _pdo_rows(row: PdoRow) -> Iterator[tuple[tuple[str, ...], str]]:
     style = "dim" if row.age_s is None else "yellow" if row.age_s > STALE_S else ""
-    head = (row.name, f"{row.can_id:03X}h")
-    tail = (f"{row.rate_per_s:.1f} /s", _age(row.age_s))
-    for number, value in enumerate(row.values):
-        first = number == 0
-        cells = (_short(value), _number(value), value.unit or _meaning(value))
-        pdos.add_row(*(head if first else ("", "")), *cells, *(tail if first else ("", "")), style=style)
+    head, tail = (row.name, f"{row.can_id:03X}h"), (f"{row.rate_per_s:.1f} /s", _age(row.age_s))
+    for value in row.values:
+        yield (*head, _short(value), _number(value), value.unit or _meaning(value), *tail), style
+        head, tail = ("", ""), ("", "")
 
 
 def _short(value: Value) -> str:

@@ -6,7 +6,8 @@ its own impedance with
 .. math:: f_h = K_o\,\theta_d + B_o\,\dot\theta_d,
 
 and pushes, taps and tremor are added as torques. Time counts from the start of the schedule, which is the instant at which
-the drive enters Operation Enabled; before it, and after the last phase, the hand is at rest and only trembles.
+the drive enters Operation Enabled; before it, and after the last phase, the hand is at rest and only trembles. Where the
+display ends in the middle of the schedule, the hand does not fling the freed handle about: what it did last fades within `LET_GO_S`.
 
 The plant is given the torque at knots `KNOT_S` apart and takes it as linear between them: continuous, never held, and off a
 9 Hz tremor's true course by less than 0.05 % of its size.
@@ -21,9 +22,10 @@ import numpy.typing as npt
 
 from eds.rig import Rig
 
-__all__ = ["KNOT_S", "Operator", "paper_force_N"]
+__all__ = ["KNOT_S", "LET_GO_S", "Operator", "paper_force_N"]
 
 KNOT_S = 1e-3
+LET_GO_S = 2.0
 
 Floats: TypeAlias = npt.NDArray[np.float64]
 
@@ -44,10 +46,19 @@ class Operator:
         self._F_s = rig.mode[mode].F_s_Nm
         self.starts_s = np.concatenate(([0.0], np.cumsum([phase.duration_s for phase in rig.phases])))
 
-    def torque_Nm(self, t: Floats, start_s: float | None) -> Floats:
-        """Return f_h [Nm] at the absolute times `t` [s] when the schedule began at `start_s` (None: it has not)."""
+    def torque_Nm(self, t: Floats, start_s: float | None, end_s: float | None = None) -> Floats:
+        r"""Return f_h [Nm] at the absolute times `t` [s] when the schedule began at `start_s` (None: it has not), and was left at `end_s`.
+
+        .. math:: f_h(t) = f_h(t_e)\,\tfrac{1}{2}\left(1 + \cos\frac{\pi (t - t_e)}{T}\right), \quad t_e < t < t_e + T
+        """
         tremor = self.tremor_Nm(t)
-        return tremor if start_s is None else tremor + self.schedule_Nm(t - start_s)
+        if start_s is None:
+            return tremor
+        if end_s is None:
+            return tremor + self.schedule_Nm(t - start_s)
+        last = self.schedule_Nm(np.array([end_s - start_s]))
+        fading: Floats = last * 0.5 * (1 + np.cos(np.pi * np.clip((t - end_s) / LET_GO_S, 0, 1)))
+        return tremor + fading
 
     def tremor_Nm(self, t: Floats) -> Floats:
         """Return the tremor [Nm] at the absolute times `t` [s]."""

@@ -20,6 +20,16 @@ closes to rounding in every step, whatever the step's length.
 
 The motor follows its command with a first-order lag. The brake's torque capacity follows its command through two
 first-order lags in series, the coil and the fluid; its off-state torque is always there.
+
+Between them is the iron. It remembers a share :math:`r` of the largest torque, and a current of the opposite sign takes
+that away: with the coil at :math:`c` (the torque that its current stands for) and the remanent torque :math:`R`
+
+.. math:: M = \max(c, R),\ R \leftarrow \max(R, r c) \quad (c \ge 0), \qquad
+          R \leftarrow \min(R, \max(R_0 + c, 0)),\ M = \max(R, -R_0 - c) \quad (c < 0)
+
+with :math:`R_0`, the :math:`R` at which the current changed its sign. The coil's temperature is one thermal lag,
+:math:`\tau\dot T = T_{amb} + R_{th} R_{coil} i^2 - T`, and has no part in the mechanics. An open coil carries no current; one
+that is short takes the supply's, outside the winding.
 """
 
 from __future__ import annotations
@@ -29,11 +39,26 @@ from typing import Any
 
 import numpy as np
 
-from eds.compiled import kernel
+from eds.compiled import inlined, kernel
 from eds.rig import Rig
 from wire.frame import Records, new_records
 
-__all__ = ["PLANT", "TRUTH_COLUMNS", "advance", "new_plant", "sample_noise"]
+__all__ = [
+    "COIL_INTACT",
+    "COIL_OPEN",
+    "COIL_SHORT",
+    "PLANT",
+    "TRUTH_COLUMNS",
+    "advance",
+    "coil_current",
+    "new_plant",
+    "sample_noise",
+]
+
+COIL_INTACT, COIL_OPEN, COIL_SHORT = 0, 1, 2
+SHORT_A = 25.0
+"""What the driver drives into a short circuit."""
+NEGLIGIBLE_Nm = 1e-200
 
 PLANT = np.dtype(
     [
@@ -57,8 +82,16 @@ PLANT = np.dtype(
         ("counts_rad", np.float64),  # encoder counts for one radian at the handle, with the true polarity
         ("noise", np.float64),
         ("transducer_polarity", np.float64),
-        ("temperature", np.float64),
+        ("ambient", np.float64),
+        ("K_A2", np.float64),  # steady rise of the coil's temperature for the square of its current
+        ("thermal_s", np.float64),
+        ("remanence", np.float64),
         # state
+        ("temperature", np.float64),
+        ("coil_fault", np.int64),  # COIL_INTACT, COIL_OPEN, COIL_SHORT
+        ("reverse_A", np.float64),  # the driver's current of the opposite sign
+        ("remanent", np.float64),  # brake torque that the iron remembers
+        ("remanent_before", np.float64),  # ... before the current became negative
         ("t_ns", np.int64),
         ("x", np.float64),
         ("v", np.float64),
@@ -124,7 +157,9 @@ def new_plant(rig: Rig, seed: int = 0) -> Records:
     r["coil_A_Nm"] = rig.brake.coil_A_Nm
     r["counts_rad"] = p.encoder_polarity * p.encoder_counts_rev * p.ratio / (2 * math.pi)
     r["noise"], r["transducer_polarity"] = p.transducer_noise_Nm, p.transducer_polarity
-    r["temperature"] = p.temperature_degC
+    r["temperature"], r["ambient"] = p.temperature_degC, p.ambient_degC
+    r["K_A2"], r["thermal_s"] = p.coil_thermal_K_W * p.coil_resistance_ohm, p.coil_thermal_s
+    r["remanence"] = p.brake_remanence
     r["random"] = (seed * 0x5DEECE66D + 0x2545F491) & 0xFFFFFFFFFFFF
     return plant
 
@@ -139,6 +174,40 @@ def sample_noise(p: Any) -> float:
         total += state * 3.552713678800501e-15  # 2**-48
     p.random = state
     return (total - 2.0) * 1.7320508075688772
+
+
+@kernel
+def coil_current(p: Any, brake_Nm: float) -> float:
+    """Return what the driver measures as the coil's current [A] while it commands `brake_Nm`."""
+    if p.coil_fault == COIL_SHORT and brake_Nm > 0.0:
+        return SHORT_A
+    current: float = p.coil * p.coil_A_Nm
+    return 0.0 if p.coil_fault != COIL_INTACT else current
+
+
+@kernel
+def _magnetise(p: Any) -> float:
+    """Let the coil's present current act on the iron; return the torque that it stands for."""
+    if p.coil > -1e-4 * p.brake_max:  # a lag only comes near to 0
+        p.remanent = max(p.remanent, p.remanence * p.coil)
+        p.remanent_before = p.remanent
+        return max(p.coil, p.remanent)
+    left = p.remanent_before + p.coil
+    p.remanent = min(p.remanent, max(left, 0.0))
+    return max(p.remanent, -left)
+
+
+@kernel
+def _heat(p: Any, duration_s: float, square: float) -> None:
+    """Let the coil warm up for `duration_s` with the mean `square` of its torque [Nm^2]."""
+    target = p.ambient + p.K_A2 * square * p.coil_A_Nm * p.coil_A_Nm
+    p.temperature = target + (p.temperature - target) * math.exp(-duration_s / p.thermal_s)
+
+
+@inlined
+def _settled(value: float) -> float:
+    """Let a lag that decays to 0 reach it: it would stay at a subnormal number for ever, with which a processor computes slowly."""
+    return 0.0 if abs(value) < NEGLIGIBLE_Nm else value
 
 
 @kernel
@@ -208,6 +277,12 @@ def advance(
     motor_pm = min(max(motor_pm, -p.motor_peak_pm), p.motor_peak_pm)
     target = motor_pm * p.motor_Nm_pm
     coil_target = min(max(brake_Nm, 0.0), p.brake_max)
+    if p.reverse_A > 0.0:
+        coil_target = -min(p.reverse_A / p.coil_A_Nm, p.brake_max)
+    if p.coil_fault != COIL_INTACT:
+        coil_target = 0.0
+    remembers = p.remanence > 0.0 or coil_target < 0.0 or p.coil < 0.0
+    square = 0.0
     h = p.h
     knot = first // per_knot
     within = first - knot * per_knot
@@ -217,7 +292,9 @@ def advance(
         torque = 0.5 * (p.motor + motor)
         p.motor = motor
         p.coil = coil_target + (p.coil - coil_target) * p.coil_decay
-        p.fluid = p.coil + (p.fluid - p.coil) * p.fluid_decay
+        square += p.coil * p.coil
+        iron = _magnetise(p) if remembers else p.coil
+        p.fluid = iron + (p.fluid - iron) * p.fluid_decay
         capacity = p.fluid + p.off_state
         level = capacity + p.coulomb
         hand = f_h[knot] + slope * (within + 0.5)
@@ -247,3 +324,6 @@ def advance(
             out[10] = p.w_friction
             out[11] = p.w_viscous
             out[12] = 0.5 * p.inertia * p.v * p.v
+    p.motor, p.coil, p.fluid = _settled(p.motor), _settled(p.coil), _settled(p.fluid)
+    if p.K_A2 > 0.0 and steps > 0:
+        _heat(p, steps * h, square / steps)

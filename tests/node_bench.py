@@ -11,6 +11,7 @@ from eds.reader import Description, read_eds
 from node import core
 from node.device import Device
 from node.records import KIND_BRAKE, KIND_DRIVE, new_nodes
+from node.store import Store
 from wire.frame import data_bytes, data_word, new_queue
 
 EDS = Path(__file__).resolve().parent.parent / "eds"
@@ -42,11 +43,18 @@ class SdoAborted(Exception):
 class Bench:
     """A device that is alone with its tester; `sent` holds all that it sent and the tester has not taken."""
 
-    def __init__(self, name: str = "motor", node_id: int = 1, kind: int | None = None, eds: Description | None = None):
+    def __init__(
+        self,
+        name: str = "motor",
+        node_id: int = 1,
+        kind: int | None = None,
+        eds: Description | None = None,
+        store: Store | None = None,
+    ):
         self.nodes, self.rpdo, self.tpdo = new_nodes(1)
         self.queue, self.header = (records.view(np.recarray) for records in new_queue())
         kind = KIND_OF.get(name, 0) if kind is None else kind
-        self.device = Device(eds or description(name), node_id, kind, self.nodes, self.rpdo, self.tpdo, 0)
+        self.device = Device(eds or description(name), node_id, kind, self.nodes, self.rpdo, self.tpdo, 0, store)
         self.node = self.nodes[0]
         self.node_id = node_id
         self.t = 0

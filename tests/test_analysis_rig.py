@@ -24,6 +24,8 @@ from analysis.through_bus import BENCH_HARDWARE, through_bus
 from coulombus import main
 from eds.rig import load_rig
 from lab.simulate import simulate
+from wire.frame import FRAME
+from wire.pcapng import PcapngWriter
 
 PNG, SVG = b"\x89PNG", b"<?xml"
 
@@ -154,6 +156,17 @@ def test_what_the_data_do_not_carry_is_told():
         fit_friction(v[:99], v[:99], v[:99])
 
 
+def test_identify_tells_what_a_recording_lacks(tmp_path):
+    path, rig = tmp_path / "torn.pcapng", load_rig("bench")
+    texts = {"rig.toml": rig.effective(), **rig.eds_texts}
+    with PcapngWriter(path, attachments={name: text.encode() for name, text in texts.items()}) as writer:
+        writer.write(np.zeros(2, FRAME))
+    path.write_bytes(path.read_bytes()[:-5])
+    told = CliRunner().invoke(main, ["identify", str(path)])
+    assert told.exit_code == 1
+    assert "the last block is unfinished: 43 bytes were left out" in told.stderr
+
+
 def test_identify_on_the_command_line(tmp_path):
     still, moved, plot = tmp_path / "still.pcapng", tmp_path / "moved.pcapng", tmp_path / "friction.png"
     simulate("bench", "hybrid", 0.05, record=still)
@@ -164,7 +177,7 @@ def test_identify_on_the_command_line(tmp_path):
     assert "samples slide" in refused.output
     told = runner.invoke(main, ["identify", str(moved), "--json", "--figure", str(plot)])
     assert told.exit_code == 0
-    found = json.loads(told.output)
+    found = json.loads(told.stdout)
     assert found["device"]["coulomb_Nm"] == pytest.approx(
         0.14, abs=0.01
     )  # the motor's torque is known, so its chatter is too

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim_bus.arbiter import FAR_NS, arbitration_key, end_frame, new_bus, start_frame, start_ns
+from sim_bus.arbiter import FAR_NS, end_frame, new_bus, start_frame, start_ns
 from wire.bits import frame_bits
-from wire.frame import CAN_EFF_FLAG, CAN_RTR_FLAG, data_word, frames, new_queue, push
+from wire.frame import CAN_EFF_FLAG, CAN_RTR_FLAG, arbitration_key, data_word, frames, new_queue, push
 
 
 def carry(waiting, bitrate=1_000_000):
@@ -19,12 +19,11 @@ def carry(waiting, bitrate=1_000_000):
     for source, (ready, can_id, data) in enumerate(waiting):
         push(queue, header, source, ready, can_id, len(data), data_word(data))
     carried = []
-    while header["count"][0]:
-        now = start_ns(bus[0], queue, int(header["count"][0]))
+    while (now := start_ns(bus[0], queue, header)) < FAR_NS:
         start_frame(bus[0], queue, header, now)
-        end_frame(bus[0], log, len(carried))
+        end_frame(bus[0], queue, header, log, len(carried))
         carried.append((int(log["can_id"][len(carried)]), now, int(log["t_ns"][len(carried)])))
-    assert start_ns(bus[0], queue, 0) == FAR_NS
+    assert bus["held"][0] == 0
     return carried
 
 
@@ -52,8 +51,8 @@ def test_equal_identifiers_keep_their_order():
     for n in range(3):
         push(queue, header, 0, 0, 0x181, 1, n)
     for row in range(3):
-        start_frame(bus[0], queue, header, start_ns(bus[0], queue, 3 - row))
-        end_frame(bus[0], log, row)
+        start_frame(bus[0], queue, header, start_ns(bus[0], queue, header))
+        end_frame(bus[0], queue, header, log, row)
     assert list(log["word"]) == [0, 1, 2]
 
 
@@ -96,6 +95,6 @@ def test_the_bus_counts_its_bits(bitrate):
     queue, header = new_queue()
     push(queue, header, 0, 0, 0x80, 0, 0)
     start_frame(bus[0], queue, header, 0)
-    end_frame(bus[0], log, 0)
+    end_frame(bus[0], queue, header, log, 0)
     assert bus["bits"][0] == frame_bits(0x80, b"")
     assert bus["free_ns"][0] == frame_bits(0x80, b"") * 1_000_000_000 // bitrate

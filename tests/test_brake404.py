@@ -149,6 +149,18 @@ def test_leaving_operational_ramps_at_once_from_the_present_output(nmt):
     assert bench.emcy() == []
 
 
+def test_stop_from_pre_operational_ramps_too():
+    bench = Bench("mr_brake", 2)
+    bench.power_on()
+    bench.write(0x2001, 0, 0, 4)  # the age of a set-point is not watched
+    bench.write(0x7300, 1, 3000, 2)
+    bench.run(200 * MS)
+    assert bench.node.out_brake_Nm == pytest.approx(3.0)
+    bench.nmt(2)
+    bench.run(RAMP_MS * MS)
+    assert bench.node.out_brake_Nm == 0
+
+
 def test_ramp_time_0_is_at_once():
     bench = brake()
     bench.write(0x2005, 0, 0, 4)
@@ -200,3 +212,16 @@ def test_input_scaling_factor_and_offset():
     assert bench.number(0x7130, 1, signed=True) == round((1.25 * -2.0 + 0.5) * 1000)
     bench.device[0x6132, 1] = 1
     assert bench.device[0x7130, 1] == -20
+
+
+def test_no_scale_gives_more_than_full_scale():
+    bench = brake()
+    bench.write(0x7322, 1, 3000, 2)  # a line that is at full scale, 5 Nm, at 3000 already
+    command(bench, 1500)
+    assert bench.node.out_brake_Nm == pytest.approx(2.5)
+    command(bench, 5000)
+    assert bench.node.out_brake_Nm == pytest.approx(5.0)
+    assert bench.number(0x7330, 1) == 1000
+    bench.write(0x7341, 1, 5000, 2)  # nor as a fault value
+    bench.run((HOLD_MS + RAMP_MS) * MS)
+    assert bench.node.out_brake_Nm == pytest.approx(5.0)

@@ -1,6 +1,8 @@
 import asyncio
 import select
+import socket
 import struct
+import threading
 import time
 
 import can
@@ -9,7 +11,7 @@ import pytest
 from can.bus import BusState
 from tiny_bus import tiny_bus
 
-from wire.address import BusUnavailable, parse_address
+from wire.address import BusUnavailable, bus_names, parse_address
 from wire.client import BusFull, BusGone, Client, pack_frame
 
 BENCH = parse_address("coulombus:bench")
@@ -63,7 +65,41 @@ def test_a_frame_goes_to_the_others_as_it_is(bus, message, can_id, length, data)
 def test_own_frames_on_demand(bus):
     with opened(receive_own_messages=True) as ours:
         ours.send(can.Message(arbitration_id=5, is_extended_id=False))
-        assert ours.recv(2).arbitration_id == 5
+        found = ours.recv(2)
+        assert (found.arbitration_id, found.is_rx) == (5, False)
+        bus.deliver((6, b""))
+        assert ours.recv(2).is_rx
+
+
+def test_what_is_no_frame_of_the_bus_is_not_sent(bus):
+    """Cut to eleven bits, 800h would be an NMT command."""
+    wrong = (
+        {"arbitration_id": 0x800, "is_extended_id": False},
+        {"arbitration_id": 1 << 29},
+        {"arbitration_id": -1},
+        {"arbitration_id": 1, "is_error_frame": True},
+    )
+    with opened() as ours:
+        for fields in wrong:
+            with pytest.raises(can.CanOperationError, match=r"identifier|error frame"):
+                ours.send(can.Message(check=False, **fields))
+    assert bus.frames == []
+
+
+def test_bus_off_is_told_by_the_state():
+    """Station 17, which data[5] of its own error frames tells, goes off and comes back; station 18 does not matter."""
+    with tiny_bus() as bus, opened() as ours:
+        states = []
+        for classes, station in ((0x240, 18), (0x240, 17), (0x288, 17), (0x304, 17)):
+            bus.deliver((0x20000000 | classes, bytes((0, 0, 0, 0, 0, station, 0, 0))))
+            assert ours.recv(2).is_error_frame
+            states.append(ours.state)
+    assert states == [BusState.ACTIVE, BusState.ERROR, BusState.ERROR, BusState.ACTIVE]
+
+
+def test_a_bus_that_does_not_tell_its_controllers(bus):
+    with opened() as ours, pytest.raises(can.CanOperationError, match="does not tell"):
+        ours.details()
 
 
 def test_a_message_of_many_frames_comes_frame_by_frame_and_the_descriptor_stays_readable(bus):
@@ -111,6 +147,22 @@ def test_filters_change_at_once_also_for_frames_under_way(bus):
         assert ours.recv(2).arbitration_id == 0x181
 
 
+def test_several_filters_of_both_lengths(bus):
+    filters = [
+        {"can_id": 0x181, "can_mask": 0x7FF, "extended": False},
+        {"can_id": 0x12345600, "can_mask": 0x1FFFFF00, "extended": True},
+        {"can_id": 0x701, "can_mask": 0x7FF},
+    ]
+    with opened() as ours:
+        ours.set_filters(filters)
+        assert ours.recv(0.05) is None  # takes the answer
+        passing = [0x181, 0x923456FF, 0x701, 0x80000701]  # without "extended": frames of both lengths
+        bus.deliver(*[(can_id, b"") for can_id in (0x80000181, 0x182, *passing, 0x92345700)])
+        found = [ours.recv(2) for _ in passing]
+        assert [m.arbitration_id | m.is_extended_id << 31 for m in found] == passing
+        assert ours.recv(0) is None
+
+
 def test_more_filters_than_a_bus_takes_are_applied_here(bus):
     with opened(can_filters=[{"can_id": i, "can_mask": 0x7FF} for i in range(600)]) as ours:
         assert bus.greetings[-1][1] == []
@@ -143,6 +195,65 @@ def test_periodic_frames(bus):
         task = ours.send_periodic(can.Message(arbitration_id=0x77F, data=[5], is_extended_id=False), 0.01)
         assert [other.recv(2).arbitration_id for _ in range(3)] == [0x77F] * 3
         task.stop()
+
+
+def test_a_periodic_frame_is_modified_and_stopped(bus):
+    with opened() as ours, opened() as other:
+        message = can.Message(arbitration_id=0x77F, data=[4], is_extended_id=False)
+        task = ours.send_periodic(message, 0.005)
+        assert other.recv(2).data == b"\4"
+        message.data = bytes([5])
+        task.modify_data(message)
+        found = [other.recv(2).data[0] for _ in range(200)]
+        assert found == sorted(found)
+        assert found[-1] == 5
+        task.stop()
+        while other.recv(0.2) is not None:  # what was under way
+            pass
+        ours.stop_all_periodic_tasks()
+        ours.flush_tx_buffer()
+
+
+def test_several_threads_share_a_bus(bus):
+    with can.ThreadSafeBus(interface="coulombus", channel="bench") as ours, opened() as other:
+
+        def talk(first):
+            for i in range(20):
+                ours.send(can.Message(arbitration_id=first + i, is_extended_id=False))
+
+        threads = [threading.Thread(target=talk, args=(100 * k,)) for k in range(1, 5)]
+        for thread in threads:
+            thread.start()
+        found = [other.recv(5).arbitration_id for _ in range(80)]
+        for thread in threads:
+            thread.join()
+        assert sorted(found) == [100 * k + i for k in range(1, 5) for i in range(20)]
+        for k in range(1, 5):  # each thread's own in their order
+            mine = [one for one in found if one // 100 == k]
+            assert mine == sorted(mine)
+
+
+def test_after_shutdown_every_call_says_so(bus):
+    ours = opened()
+    ours.shutdown()
+    for call in (
+        lambda: ours.recv(0),
+        lambda: ours.send(can.Message(arbitration_id=1)),
+        lambda: setattr(ours, "state", BusState.PASSIVE),
+        lambda: ours.set_filters([{"can_id": 1, "can_mask": 1}]),
+        lambda: ours.send_periodic(can.Message(arbitration_id=1), 1.0),
+    ):
+        with pytest.raises(can.CanOperationError, match="was shut down here"):
+            call()
+
+
+def test_the_socket_of_a_dead_process_is_no_bus(bus, tmp_path):
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as dead:
+        dead.bind(str(tmp_path / "coulombus" / "dead"))
+    assert "dead" in bus_names()
+    assert can.detect_available_configs(["coulombus"]) == [{"interface": "coulombus", "channel": "bench"}]
+    with pytest.raises(can.CanInitializationError, match="start one in another terminal"):
+        can.Bus(interface="coulombus", channel="dead")
 
 
 def test_what_is_no_frame_is_dropped_and_counted(bus):

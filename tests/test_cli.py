@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
 
 import pytest
 from click.testing import CliRunner
@@ -45,6 +46,41 @@ def test_mistakes(arguments, status, texts):
     for text in texts:
         assert text in result.output
     assert "Traceback" not in result.output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "text"),
+    [
+        ("run --bus coulombus:nobody", 4, "no bus coulombus:nobody"),
+        ("run --bus coulombus:nobody --set bus.bitrate_bit_s=500000", 3, "brake RPDO1 (202h)"),
+        ("demo --set bus.bitrate_bit_s=500000", 3, "brake RPDO1 (202h)"),
+        ("demo --virtual --out OUT --set bus.bitrate_bit_s=500000", 3, "brake RPDO1 (202h)"),
+        ("simulate --set bus.bitrate_bit_s=500000", 3, "brake RPDO1 (202h)"),
+        ("simulate --mode turbo", 2, "turbo"),
+        ("sim --rig bnch", 3, "did you mean 'bench'"),
+        ("node missing.eds --node-id 1 --bus coulombus:nobody", 3, "missing.eds"),
+        ("watch --bus coulombus:nobody", 4, "no bus coulombus:nobody"),
+        ("bridge coulombus:nobody coulombus:none", 4, "no bus coulombus:nobody"),
+        ("decode pyproject.toml", 2, "not a pcapng file"),
+        ("replay --host pyproject.toml", 2, "not a pcapng file"),
+        ("replay pyproject.toml", 2, "give one of"),
+        ("check --rig bnch", 3, "did you mean 'bench'"),
+        ("plan --rig bnch", 3, "did you mean 'bench'"),
+        ("plan --bitrat 1", 2, "--bitrate"),
+        ("eds check", 2, "FILE"),
+        ("conformance --bus coulombus:nobody --node 1 --eds eds/motor.eds", 4, "no bus coulombus:nobody"),
+        ("analyse --rig bnch", 3, "did you mean 'bench'"),
+        ("identify pyproject.toml", 2, "not a pcapng file"),
+    ],
+)
+def test_with_json_the_reason_is_on_stdout_when_there_is_no_result(tmp_path, arguments, status, text):
+    result = call(*arguments.replace("OUT", str(tmp_path)).split(), "--json")
+    assert result.exit_code == status
+    told = json.loads(result.stdout)
+    assert (told["event"], told["exit_status"]) == ("error", status)
+    assert text in told["error"]
+    assert text in result.stderr  # for people
+    assert call(*arguments.replace("OUT", str(tmp_path)).split()).stdout == ""
 
 
 def test_json_is_all_that_stands_on_stdout(tmp_path):
@@ -116,3 +152,61 @@ def test_the_brake_set_point_never_wraps(tmp_path):
     setpoint = read(tmp_path / "r.pcapng")["brake.setpoint_Nm"]
     assert setpoint.values.min() == 0.0
     assert setpoint.values.max() == 5.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (("identify", __file__, "--figure", "friction.bmp"), "ends in .png, .svg, .pdf"),
+        (("plan", "--gantt", "/nonexistent/p.png"), "no directory /nonexistent"),
+        (("run", "--histogram", "h.gif"), "ends in .png, .svg, .pdf"),
+        (("analyse", "--figures", "/proc/x"), "/proc/x: cannot be made"),
+        (("analyse", "--figures", f"{__file__}/x"), "cannot be made: Not a directory"),
+        (("demo", "--out", "/proc/x"), "/proc/x: cannot be made"),
+        (("dbc", "--out", "/nonexistent/x.dbc"), "no directory /nonexistent"),
+        (
+            ("conformance", *["--bus", "coulombus:b", "--node", "1", "--eds", "x", "--report", "/nonexistent/r.md"]),
+            "no directory",
+        ),
+    ],
+)
+def test_what_cannot_be_written_is_refused_before_anything_runs(arguments, text):
+    result = call(*arguments)
+    assert result.exit_code == 2, result.output
+    assert text in " ".join(result.output.replace("│", " ").split())
+
+
+@pytest.mark.parametrize("verb", ["check", "plan", "simulate"])
+def test_ctrl_c_while_a_verb_still_loads(monkeypatch, verb):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("eds.rig.load_rig", interrupted)
+    result = call(verb)
+    assert (result.exit_code, result.output) == (130, "coulombus: interrupted\n")
+
+
+def test_a_fault_file_given_as_a_script_is_told_so():
+    result = call("simulate", "--script", "examples/faults.toml")
+    assert result.exit_code == 3
+    assert "a fault file is given by --faults" in result.output
+
+
+@pytest.mark.parametrize(("options", "cycles", "told"), [((), 3, True), (("--shared-machine",), 50, False)])
+def test_a_trip_for_want_of_tpdos_says_what_to_do_on_a_shared_machine(monkeypatch, options, cycles, told):
+    import lab.real_run
+
+    def tripped(rig, *_, **__):
+        assert rig.limits.missed_tpdo_cycles == cycles
+        return SimpleNamespace(trip="TPDO_LOST: for want of some", exit_status=7, as_dict=dict)
+
+    monkeypatch.setattr(lab.real_run, "real_run", tripped)
+    done = CliRunner().invoke(main, ["run", "--json", *options])
+    assert done.exit_code == 7
+    assert ("--shared-machine" in done.stderr) is told
+
+
+def test_wider_limits_are_for_simulated_nodes_only():
+    result = call("run", "--bus", "socketcan:can0", "--shared-machine")
+    assert result.exit_code == 2
+    assert "a motor could push unwatched" in result.output

@@ -19,8 +19,8 @@ from host_bench import HostBench
 from eds.compiled import CACHE_DIR, JIT_DISABLED, kernel
 from eds.rig import RigError, load_rig, load_rig_text
 from host.control_socket import HostSocket, NoHost, control_path, stop_host
-from host.controller import Controller
-from host.data_plane import SHARED_SECTIONS, DataPlane, Spread, rig_filters
+from host.controllers import SECTIONS, Controllers
+from host.data_plane import DataPlane, Spread, rig_filters
 from host.deadman import HeldKey, deadman_of
 from host.errors import SafetyTrip
 from host.loop import run_plane, take_log
@@ -45,11 +45,10 @@ class Plane:
     """The loop in a thread, on one end of a socket pair; `other` is the bus."""
 
     def __init__(self, *overrides):
-        self.k = Controller(load_rig("bench", overrides), "hybrid")
+        self.k = Controllers(load_rig("bench", overrides), "hybrid")
         self.shared = SharedPlane.create()
-        for name in SHARED_SECTIONS:
-            getattr(self.shared, name)[:] = getattr(self.k, name)
-            setattr(self.k, name, getattr(self.shared, name))
+        self.k.adopt({name: getattr(self.shared, name) for name in SECTIONS})
+        self.shared.owner[:] = self.k.owner
         self.plane = self.shared.plane
         self.plane["packed"] = 1
         self.mine, self.other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -150,7 +149,7 @@ def test_a_ring_that_nobody_empties_keeps_the_oldest_frames():
 def test_without_nodes_it_trips_and_its_last_set_points_are_zero():
     with running() as plane:
         plane.cycle()
-        plane.wait(lambda: plane.k.phase is Phase.DONE)
+        plane.wait(lambda: plane.k.done)
         assert plane.k.trip.startswith("TPDO_LOST")
         plane.plane["command"] = Command.LISTEN
         plane.wait(lambda: plane.plane["status"][0] == Status.LISTENING)
@@ -172,7 +171,7 @@ def test_the_bus_goes_away():
         plane.thread.join(10)
         assert plane.status == Status.LOST
         assert plane.k.trip.startswith(("BUS_LOST", "TPDO_LOST"))
-        assert plane.k.phase is Phase.DONE
+        assert plane.k.done
 
 
 def test_a_bus_that_does_not_read_blocks_nothing():
@@ -181,7 +180,7 @@ def test_a_bus_that_does_not_read_blocks_nothing():
         plane.mine.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
         plane.cycle()
         plane.wait(lambda: plane.plane["tx_full"][0] > 20, read=False)
-        plane.wait(lambda: plane.k.phase >= Phase.SAFE, read=False)
+        plane.wait(lambda: plane.k.ending, read=False)
         plane.plane["command"] = Command.LISTEN
         plane.wait(lambda: plane.plane["status"][0] == Status.LISTENING, read=False)
     assert plane.k.trip.startswith(("TRANSMIT", "TPDO_LOST"))
@@ -202,12 +201,12 @@ def test_the_parent_stops_it(trip):
         plane.cycle()
         plane.wait(lambda: plane.plane["cycles"][0] > 0)
         plane.plane["stop"] = max(1, int(trip))
-        plane.wait(lambda: plane.k.phase is Phase.DONE)
+        plane.wait(lambda: plane.k.done)
         assert (plane.k.trip or "NONE").startswith(trip.name)
 
 
 def test_the_filters_pass_the_rig_and_nothing_else():
-    k = Controller(load_rig("bench"), "hybrid")
+    k = Controllers(load_rig("bench"), "hybrid")
     wanted = {can_id for can_id, _ in rig_filters(k)}
     assert {0x000, 0x080, 0x181, 0x281, 0x182, 0x201, 0x202, 0x581, 0x602, 0x701, 0x702, 0x77F, 0x081} <= wanted
     for _, mask in rig_filters(k):
@@ -218,7 +217,7 @@ def test_the_filters_pass_the_rig_and_nothing_else():
 
 def test_no_bus_no_process():
     with pytest.raises(OSError, match="coulombus sim") as caught:
-        DataPlane(Controller(load_rig("bench"), "hybrid"), parse_address("coulombus:nowhere"))
+        DataPlane(Controllers(load_rig("bench"), "hybrid"), parse_address("coulombus:nowhere"))
     assert caught.value.exit_status == 4
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from eds.reader import Description, Object, Variable
 from eds.rig import Rig, load_rig
-from scope.decode import as_text, rows
+from scope.decode import as_json, as_text, rows
 from scope.recording import read
 from scope.services import Sdo
 from wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, FRAME, data_word
@@ -110,7 +110,10 @@ def test_every_row_is_json_and_has_the_four_keys(decoded):
         (0x301, "0102", {"node": "motor", "pdo": "RPDO2", "service": "pdo"}),  # a PDO that the host does not map
         (0x202, "010203", {"node": "brake", "pdo": "RPDO1", "service": "pdo", "malformed": "3 bytes, expected 2"}),
         (0x18000181 | CAN_EFF_FLAG, "01", {"node": None, "service": "unknown", "extended": True}),
-        (0x004 | CAN_ERR_FLAG, "0000000000000000", {"node": None, "service": "error"}),
+        (
+            0x004 | CAN_ERR_FLAG, "0000000000000000",
+            {"node": None, "service": "error", "classes": ["controller problem"], "text": "controller problem"},
+        ),
     ],
 )  # fmt: skip
 def test_services(decoded, can_id: int, data: str, expected: dict[str, Any]):
@@ -125,6 +128,54 @@ def test_remote_frames(decoded):
     assert said(pdo) == {"node": "motor", "pdo": "TPDO1", "service": "pdo", "remote": True, "length": 8}
     assert said(guard) == {"node": "motor", "pdo": None, "service": "heartbeat", "remote": True, "length": 1}
     assert "remote request, 8 bytes" in as_text(pdo)
+
+
+@pytest.mark.parametrize(
+    ("classes", "data", "expected"),
+    [
+        (
+            0x288, "0000880a00010800",
+            {
+                "classes": ["protocol violation", "bus error"], "violation": ["dominant bit not sent", "while sending"], "place": "data",
+                "tec": 8, "rec": 0,
+                "text": "protocol violation (dominant bit not sent, while sending, in data), bus error, TEC 8, REC 0",
+            },
+        ),
+        (
+            0x204, "0024000000008801",
+            {
+                "classes": ["controller problem"], "controller": ["receive warning", "transmit error passive"], "tec": 136, "rec": 1,
+                "text": "controller problem (receive warning, transmit error passive), TEC 136, REC 1",
+            },
+        ),
+        (
+            0x2A0, "0000001900000800",
+            {"classes": ["no acknowledgement", "bus error"], "tec": 8, "rec": 0, "text": "no acknowledgement, bus error, TEC 8, REC 0"},
+        ),
+        (0x002, "0c", {"classes": ["arbitration lost"], "lost_at_bit": 12, "text": "arbitration lost (in bit 12)"}),
+        (0x002, "", {"classes": ["arbitration lost"], "text": "arbitration lost"}),
+        (
+            0x010, "0000000084",
+            {
+                "classes": ["transceiver problem"], "transceiver": ["CANH no wire", "CANL short to CANH"],
+                "text": "transceiver problem (CANH no wire, CANL short to CANH)",
+            },
+        ),
+        (
+            0x008, "000001ff",
+            {
+                "classes": ["protocol violation"], "violation": ["single bit"], "place": "place FFh",
+                "text": "protocol violation (single bit, in place FFh)",
+            },
+        ),
+        (0x000, "", {"classes": [], "text": "class not told"}),
+    ],
+)  # fmt: skip
+def test_error_frames_in_words(decoded, classes: int, data: str, expected: dict[str, Any]):
+    """As linux/can/error.h says."""
+    (row,) = decoded((classes | CAN_ERR_FLAG, bytes.fromhex(data)))
+    assert said(row) == {"node": None, "pdo": None, "service": "error", **expected}
+    assert as_text(row).endswith(expected["text"])
 
 
 def sdo(text: str) -> bytes:
@@ -245,3 +296,9 @@ def test_lines_for_the_eye(decoded):
     assert lines[5].endswith("1234:05 0x06020000: object does not exist in the object dictionary")
     assert lines[6].endswith("unknown    dead")
     assert lines[7].endswith("malformed=1 bytes, expected 2  01")
+
+
+def test_a_number_that_is_none_is_text_in_json():
+    row = {"t_s": 0.5, "a": float("nan"), "b": float("-inf"), "c": 3, "d": None, "e": "x"}
+    assert json.loads(as_json(row), parse_constant=pytest.fail) == row | {"a": "nan", "b": "-inf"}
+    assert as_json({"t_s": 0.5}) == '{"t_s": 0.5}'

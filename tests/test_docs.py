@@ -12,6 +12,7 @@ from coulombus import main
 from eds.cia402 import TRANSITIONS
 from eds.rig import load_rig
 from host.records import Trip
+from lab.real_demo import SHARED_MACHINE
 from node.emcy import CAUSES
 from sim_bus.plant import TRUTH_COLUMNS
 
@@ -46,8 +47,13 @@ def commands(text):
             yield from (span for span in SPAN.findall(line) if "coulombus " in span)
 
 
-def options(command):
+def own_options(command):
     return {name for parameter in command.params if isinstance(parameter, click.Option) for name in parameter.opts}
+
+
+def options(command):
+    """The options of a command, and of the verbs of a group."""
+    return own_options(command).union(*(options(verb) for verb in getattr(command, "commands", {}).values()))
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -71,7 +77,7 @@ def test_commands_exist(name):
         words = after[1].split()
         verb = words[0]
         if verb.startswith("-"):
-            assert verb in options(main) | {"--help"}, f"{name}: {line}"
+            assert verb in own_options(main) | {"--help"}, f"{name}: {line}"
             continue
         assert verb in main.commands, f"{name}: {line}"
         known = options(main.commands[verb]) | {"--help"}
@@ -146,3 +152,8 @@ def test_devices_show_the_pdos_the_objects_and_the_emergencies():
 @pytest.mark.parametrize("name", NAMES)
 def test_no_machine_path(name):
     assert not re.search(r"(?<!\.)/(work|tmp|home|root)/", text_of(name))
+
+
+def test_the_settings_for_a_shared_machine_are_those_of_the_option():
+    found = re.findall(r"--set (\S+)", text_of("docs/realtime.md"))
+    assert tuple(found) == SHARED_MACHINE

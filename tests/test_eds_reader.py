@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
+from eds_text import HEAD, complaints, record, variable
 
 from eds.cia301 import ABORT_TEXT, DATA_TYPES, EMCY_TEXT, Abort, Emcy, NmtState, abort_text, emcy_text
 from eds.pdo import layouts
@@ -14,24 +15,6 @@ from eds.reader import EdsError, read_eds
 ROOT = Path(__file__).resolve().parents[1]
 CORPUS = ROOT.parent / "shared" / "eds-corpus"
 CORPUS_FILES = sorted(CORPUS.glob("*.eds")) + sorted(CORPUS.glob("*.dcf"))
-
-HEAD = """[DeviceInfo]
-VendorName=Nobody
-[MandatoryObjects]
-SupportedObjects=1
-1=0x1000
-[OptionalObjects]
-SupportedObjects=0
-[ManufacturerObjects]
-SupportedObjects=1
-1=0x2000
-[1000]
-ParameterName=Device type
-ObjectType=0x7
-DataType=0x0007
-AccessType=ro
-DefaultValue=0x00020192
-"""
 
 
 @pytest.fixture
@@ -42,16 +25,6 @@ def read(tmp_path):
         return read_eds(path)
 
     return read_text
-
-
-def variable(**keys):
-    """The section [2000] with an INTEGER16, and other keys as named; None leaves a key out."""
-    keys = {"ParameterName": "X", "DataType": "0x0003", "AccessType": "rw"} | keys
-    return "[2000]\n" + "".join(f"{key}={value}\n" for key, value in keys.items() if value is not None)
-
-
-def complaints(description):
-    return [str(d).split(":", 1)[1] for d in description.diagnoses]
 
 
 def test_a_clean_file_has_no_diagnosis(read):
@@ -318,12 +291,6 @@ def test_pdo_parameters_without_data_type_have_cia_301_s(read):
     assert {x.severity for x in d.diagnoses} == {"warning"}
 
 
-def record(*heads, kind="0x9", said=None):
-    body = "ParameterName=Part\nDataType=0x0005\nAccessType=rw\nDefaultValue=4\n"
-    number = "" if said is None else f"SubNumber={said}\n"
-    return f"[2000]\nParameterName=Whole\nObjectType={kind}\n{number}" + "".join(f"{head}\n{body}" for head in heads)
-
-
 def test_records_and_their_sub_indices(read):
     d = read(record("[2000sub0]", "[2000subA]", "[2000Sub1F]", said=3))
     assert list(d.objects[0x2000].variables) == [0, 10, 31]
@@ -409,12 +376,6 @@ def test_missing_sections_and_padded_numbers_of_the_device(read):
     assert "[DeviceInfo] VendorNumber=001 is zero-padded; assumed 1" in text
     assert "[DeviceInfo] RevisionNumber=x is no number" in text
     assert d.info["VendorNumber"] == "001"
-
-
-def test_a_dcf_s_values_are_not_taken_for_defaults(read):
-    d = read(variable(DefaultValue="5", ParameterValue="7"))
-    assert d.variable(0x2000, 0).default == 5
-    assert [c for c in complaints(d) if "1 objects have a ParameterValue" in c]
 
 
 @pytest.mark.parametrize(
@@ -542,9 +503,12 @@ def canopen_variables(dictionary):
 
     for index in (i for i in dictionary if i >= 0x1000):
         entry = dictionary[index]
-        for variable in [entry] if isinstance(entry, ODVariable) else entry.values():
-            if variable.default is not None:
-                yield index, variable.subindex, variable.default
+        for found in [entry] if isinstance(entry, ODVariable) else entry.values():
+            goes_with_the_node_id = found.relative and found.access_type in ("ro", "const")
+            configured = None if goes_with_the_node_id else getattr(found, "value", None)
+            value = found.default if configured is None else configured
+            if value is not None:
+                yield index, found.subindex, value
 
 
 @corpus

@@ -48,4 +48,24 @@ def test_fault_script(tmp_path):
 
 
 def test_every_example_is_run():
-    assert {path.name for path in EXAMPLES.glob("*.py")} == {"simulate_and_plot.py", "own_law.py", "fault_script.py"}
+    assert {path.name for path in EXAMPLES.glob("*.py")} == {
+        "simulate_and_plot.py",
+        "own_law.py",
+        "fault_script.py",
+        "two_axes.py",
+        "virtual_network.py",
+    }
+
+
+def test_two_axes(tmp_path):
+    out = run("two_axes.py", tmp_path).splitlines()
+    assert out[0].startswith("node 1: the brake held up to 3.50 Nm")
+    assert out[1].startswith("node 3: the brake held up to 2.50 Nm")
+    assert out[2:] == [f"{name}: moved 0 counts while it was held, sign check agreed" for name in ("left", "right")]
+
+
+def test_virtual_network(tmp_path):
+    out = run("virtual_network.py", tmp_path)
+    assert out.count("boot-up of node") == 2
+    assert "node 2 is of device type 0x00020192" in out
+    assert "100 SYNCs, TPDO1 of node 1: 100, of node 2: 100" in out

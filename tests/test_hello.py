@@ -2,14 +2,18 @@ import socket
 import struct
 import threading
 import time
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from tiny_bus import tiny_bus
 
+from eds.rig import load_rig
 from wire.address import parse_address, socket_path
-from wire.hello import Answer, BusUnavailable, Flags, Hello, Status, connect, greet
+from wire.hello import Answer, BusUnavailable, Flags, Hello, Status, connect, greet, is_greeting
+from wire.link import STATES, Link
+from wire.rig_buses import one_bus
 
 BENCH = parse_address("coulombus:bench")
 words = st.integers(0, 2**32 - 1)
@@ -81,6 +85,21 @@ def test_no_bus_says_how_to_start_one():
     with pytest.raises(BusUnavailable, match="coulombus sim --bus coulombus:bench") as caught:
         connect(BENCH)
     assert caught.value.exit_status == 4
+
+
+@pytest.mark.parametrize(
+    ("rig", "bus", "command"),
+    [
+        ("two_axes", None, "`coulombus sim --rig two_axes`"),
+        ("bench", "coulombus:desk", "`coulombus sim --rig bench --bus coulombus:desk`"),
+    ],
+)
+def test_no_bus_of_a_rig_says_how_to_start_one_with_that_rig(rig, bus, command):
+    """Whatever verb it is: the address knows."""
+    _, address = one_bus(load_rig(rig), bus, None)
+    with pytest.raises(BusUnavailable) as caught:
+        connect(address)
+    assert str(caught.value).endswith(command)
 
 
 def test_the_socket_of_a_dead_process_is_no_bus():
@@ -163,3 +182,13 @@ def test_a_bus_that_ends_while_it_is_greeted():
 def test_socketcan_is_not_greeted():
     with pytest.raises(ValueError, match="socketcan:can0"):
         connect(parse_address("socketcan:can0"))
+
+
+@given(st.integers(0, 4), st.integers(0, 7), st.integers(0, 2**40))
+def test_the_state_of_a_controller_goes_with_the_answer(state, modes, count):
+    link = Link(state=state, modes=modes, tec=7, rec=9, restart_ms=100, bus_offs=count)
+    message = Answer(Status.OK, 500_000, 3, 1, link).pack()
+    assert is_greeting(message)
+    told = Answer.unpack(message).link
+    assert told == replace(link, bus_offs=min(count, 2**32 - 1))
+    assert f"state {STATES[state]} (berr-counter tx 7 rx 9) restart-ms 100" in str(told)

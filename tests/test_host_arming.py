@@ -109,7 +109,19 @@ def test_a_moving_handle_is_waited_for_and_then_refused():
         if bench.phase is Phase.SAFE:
             break
     assert bench.k.trip.startswith("NOT_STILL")
+    assert "bus.tpdo_window_s" not in bench.k.trip
     assert bench.state != PowerState.OPERATION_ENABLED
+
+
+def test_a_handle_whose_position_comes_too_late_is_refused_with_the_reason():
+    bench = HostBench()
+    for n in range(6000):
+        bench.silent = set() if n % 10 else {"motor"}
+        bench.cycle()
+        if bench.phase is Phase.SAFE:
+            break
+    assert bench.k.trip.startswith("NOT_STILL")
+    assert "cycles lacked a TPDO within bus.tpdo_window_s" in bench.k.trip
 
 
 def test_a_loaded_handle_is_refused():

@@ -171,7 +171,7 @@ def test_a_stale_position_stops_the_motor_before_the_trip():
     assert bench.motor_pm == 0
     assert bench.phase is Phase.RUN
     bench.cycle()
-    assert bench.k.trip.startswith("TPDO_LOST")
+    assert bench.k.trip == "TPDO_LOST: no complete set of TPDOs for 3 cycles (limits.missed_tpdo_cycles)"
 
 
 def mad(motion, law, state):

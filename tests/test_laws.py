@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from eds.compiled import JIT_DISABLED
 from host.laws import LAW, LAW_STATE, MOTION, LawError, coulomb, karnopp, load_law
 from wire.frame import new_records
 
@@ -112,12 +113,10 @@ def test_a_law_of_ones_own_is_one_function_in_a_file(tmp_path):
         ("no.such.module:f", "cannot be imported"),
         ("missing.py:f", "there is no file missing.py"),
         ("broken.py:f", "cannot be imported"),
-        ("wrong.py:f", "does not compile as law"),
     ],
 )
 def test_a_law_that_cannot_be_had_says_why(tmp_path, name, text):
     (tmp_path / "broken.py").write_text("def f(:\n")
-    (tmp_path / "wrong.py").write_text("def f(motion, law, state):\n    return motion.no_such_field\n")
     with pytest.raises(LawError, match=text):
         load_law(name, tmp_path)
 
@@ -133,3 +132,76 @@ def test_a_law_that_raises_gives_no_number_and_one_is_not_cached(tmp_path):
     motion.x_rad = 2.0
     assert math.isnan(own(motion, law, state))
     assert own.__class__.__name__ != "CompileResultWAP" or not list(tmp_path.glob("**/*.nb?"))
+
+
+@pytest.mark.parametrize("index", [15, -1, 0, -16])
+@pytest.mark.parametrize("where", ["here", "in a helper", "in an eager helper"])
+def test_a_law_may_use_all_of_user(tmp_path, index, where):
+    assert index_law(tmp_path, where, index) == 0.5
+
+
+@pytest.mark.parametrize("index", [16, 17, 40, -17, -40])
+@pytest.mark.parametrize("where", ["here", "in a helper", "in an eager helper"])
+def test_a_law_that_writes_beyond_its_records_raises_and_touches_nothing(tmp_path, index, where):
+    """It wrote into the memory behind: no number is what trips."""
+    assert math.isnan(index_law(tmp_path, where, index))
+
+
+def index_law(tmp_path, where, index):
+    """Write state.user[index] in a law, and look at the memory around its state; return what the law gives."""
+    decorator = {"here": "", "in a helper": "@numba.njit\n", "in an eager helper": "@numba.njit('f8(f8[:], i8)')\n"}[
+        where
+    ]
+    helper = f"import numba\n{decorator}def put(user, index):\n    user[index] = 1.0\n    return 0.5\n"
+    body = (
+        "return put(state.user, int(motion.x_rad))" if decorator else "state.user[int(motion.x_rad)] = 1.0; return 0.5"
+    )
+    (tmp_path / "own.py").write_text(f"{helper}\ndef law(motion, law, state):\n    {body}\n")
+    motion, law, _ = records()
+    state = new_records(LAW_STATE, 5)
+    motion.x_rad = index
+    found = load_law("own.py:law", tmp_path)(motion, law, state[2])
+    assert not (state[:2].tobytes() + state[3:].tobytes()).strip(b"\0")
+    return found
+
+
+@pytest.mark.skipif(JIT_DISABLED, reason="a plain function is not compiled")
+@pytest.mark.parametrize(
+    ("text", "line", "said"),
+    [
+        ("def f(motion, law, state):\n    return law.F_x\n", 2, "law has no field 'F_x'; it has K_p, F_s"),
+        (
+            "def f(motion, law):\n    return 0.0\n",
+            1,
+            r"three arguments, \(motion, law, state\); .* takes \(motion, law\)",
+        ),
+        ("def f(motion, law, state):\n    return Fd\n", 2, "name 'Fd' is not defined; see"),
+        ("def f(motion, law, state):\n    state.brake_Nm = 1.0\n", 1, "returns a number, .* is none; see"),
+        (
+            "def f(motion, law, state):\n    if law.F_s > 1:\n        return 1.0\n",
+            1,
+            "on every path; .* is OptionalType; see",
+        ),
+        (
+            "def g(x):\n    return x\n\ndef f(motion, law, state):\n    return g(1.0)\n",
+            5,
+            "'g'.* needs numba.njit's decorator",
+        ),
+        ("def f(motion, law, state):\n    return law.user.F\n", 2, "Unknown attribute 'F' of type"),
+    ],
+)
+def test_a_law_that_does_not_compile_is_told_by_its_line(tmp_path, text, line, said):
+    (tmp_path / "own.py").write_text(text)
+    with pytest.raises(LawError, match=rf"own\.py:{line}: .*{said}") as error:
+        load_law("own.py:f", tmp_path)
+    assert len(str(error.value).splitlines()) == 1
+
+
+def test_a_laws_place_is_beside_the_rig_file_then_the_current_folder(tmp_path, monkeypatch):
+    for folder, psi in (("rigs", 1.0), ("here", 2.0)):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "own.py").write_text(f"def f(motion, law, state):\n    return {psi}\n")
+    (tmp_path / "here" / "mine.py").write_text("def f(motion, law, state):\n    return 3.0\n")
+    monkeypatch.chdir(tmp_path / "here")
+    assert load_law("own.py:f", tmp_path / "rigs")(*records()) == 1.0
+    assert load_law("mine.py:f", tmp_path / "rigs")(*records()) == 3.0

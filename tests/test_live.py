@@ -3,10 +3,11 @@ import struct
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rich.console import Console
 
 from eds.rig import load_rig
 from scope.live import Live
-from scope.watch import as_dict, as_lines
+from scope.watch import Screen, as_dict, as_lines
 
 S = 1_000_000_000
 T0 = 1_700_000_000 * S
@@ -150,3 +151,85 @@ def test_lines(rig):
         "statusword=0x0237", "position_rad=-65.53860", "rad", "torque_Nm=+0.17257", "Nm",
     ]  # fmt: skip
     assert lines[-1].endswith("lost 0  motor operational  brake -  host -")
+
+
+def test_nodes_that_the_rig_does_not_have(rig):
+    """With their state, how often they send, and what they tell; a PDO alone may be anybody's."""
+    live = Live(rig)
+    live.snapshot(T0)
+    live.take([frame(0.1, 0x705, b"\0"), frame(0.2, 0x085, bytes.fromhex("3081010000000000"))])
+    live.take([frame(i / 10, 0x705, b"\5") for i in range(3, 10)] + [frame(0.95, 0x185, bytes(8)), frame(0.95, 0x186)])
+    snapshot = live.snapshot(T0 + S)
+    five = snapshot.nodes[-1]
+    assert (five.name, five.node_id, five.known, five.state, five.frames) == ("5", 5, False, "operational", 10)
+    assert five.rate_per_s == pytest.approx(10)
+    assert snapshot.unknown == 1
+    assert texts(snapshot) == [
+        "5: boot-up",
+        "5: EMCY 0x8130: life guard or heartbeat error (register 01h)",
+        "5: boot-up -> operational",
+    ]
+    assert texts(live.snapshot(T0 + 60 * S)) == []  # how often its heartbeat comes is not known
+    assert as_dict(snapshot, FACTS, T0)["nodes"]["5"]["known"] is False
+
+
+def shown(snapshot, width, height, events=(), all_nodes=True):
+    console = Console(width=width, height=height, color_system=None)
+    with console.capture() as captured:
+        console.print(Screen(snapshot, FACTS, events, T0, all_nodes), end="")
+    return captured.get().splitlines()
+
+
+def busy(rig):
+    live = Live(rig)
+    live.snapshot(T0)
+    for i in range(999):
+        live.take([frame(i / 1000, 0x80), tpdo1(i / 1000, 0x0237, -819200, 100)])
+        live.take([frame(i / 1000, 0x182, struct.pack("<hhh", -1250, 640, 221))])
+    for n in range(60):
+        live.tell(T0 + n * S // 100, f"event {n}" + " of many words" * (n == 58))
+    return live.snapshot(T0 + S)
+
+
+@pytest.mark.parametrize(("width", "height"), [(80, 24), (60, 20), (120, 40), (60, 40), (80, 14)])
+def test_the_table_fits_into_the_terminal(rig, width, height):
+    """No number is cut, and the newest events are there."""
+    snapshot = busy(rig)
+    lines = shown(snapshot, width, height, snapshot.events)
+    assert len(lines) < height
+    assert max(map(len, lines)) <= width
+    assert "event 59" in lines[-1]
+    assert any("event 57" in line for line in lines)
+    whole = "\n".join(lines)
+    for text in ("-65.53860", "999.0 /s", "operation enabled") if height > 14 else ("more lines",):
+        assert text in whole
+    if height >= 24:
+        assert "+22.10000" in whole
+    assert "\u2026" not in whole
+
+
+def test_columns_go_by_their_importance(rig):
+    titles = {}
+    for width in (40, 60, 80, 120):
+        (line,) = (line for line in shown(busy(rig), width, 40) if "signal" in line)
+        titles[width] = line.split()
+    assert titles == {
+        40: ["signal", "value"],
+        60: ["PDO", "signal", "value", "rate"],
+        80: ["PDO", "COB-ID", "signal", "value", "rate", "age"],
+        120: ["PDO", "COB-ID", "signal", "value", "rate", "age"],
+    }
+
+
+def test_without_a_rig_given_only_what_was_heard_is_shown(rig):
+    live = Live(rig)
+    live.snapshot(T0)
+    assert "none of the rig's nodes was heard" in "".join(shown(live.snapshot(T0), 80, 24, all_nodes=False))
+    live.take([frame(0.1, 0x705, b"\5")])
+    snapshot = live.snapshot(T0 + S)
+    whole = "\n".join(shown(snapshot, 80, 24, all_nodes=False))
+    assert "motor" not in whole
+    assert "operational" in whole
+    (line,) = as_lines(snapshot, FACTS, T0, all_nodes=False)
+    assert line.endswith("lost 0  5 operational")
+    assert "motor" in "\n".join(shown(snapshot, 80, 24))

@@ -115,6 +115,40 @@ def test_sync_producer_counts_and_drives_its_own_pdos():
     assert [s.t_ns - 20 * US for s in bench.take(0x181)] == [2 * MS, 4 * MS, 6 * MS, 8 * MS, 10 * MS]
 
 
+@pytest.mark.parametrize(("command", "stopped_ns"), [(1, 0), (1, 50 * MS), (128, 5 * MS)])
+def test_sync_producer_begins_anew_after_stopped(command, stopped_ns):
+    bench = Bench("motor")
+    bench.power_on()
+    bench.write(0x1019, 0, 10, 1)
+    bench.write(0x1006, 0, 2000, 4)
+    bench.write(0x1005, 0, 0x40000080, 4)
+    bench.run(6 * MS)
+    bench.nmt(2)
+    assert [s.data for s in bench.take(0x080)] == [b"\x01", b"\x02", b"\x03"]
+    bench.run(stopped_ns)
+    assert bench.take(0x080) == []
+    bench.nmt(command)
+    start = bench.t
+    bench.run(5 * MS)
+    assert [(s.t_ns - start, s.data) for s in bench.take(0x080)] == [(2 * MS, b"\x01"), (4 * MS, b"\x02")]
+
+
+@pytest.mark.parametrize("command", [129, 130])
+def test_a_stored_sync_producer_begins_anew_after_a_reset(command):
+    bench = Bench("motor")
+    bench.power_on()
+    bench.write(0x1019, 0, 10, 1)
+    bench.write(0x1006, 0, 2000, 4)
+    bench.write(0x1005, 0, 0x40000080, 4)
+    bench.download(0x1010, 1, b"save")
+    bench.run(5 * MS)
+    bench.take()
+    bench.nmt(command)
+    start = bench.t
+    bench.run(5 * MS)
+    assert [(s.t_ns - start, s.data) for s in bench.take(0x080)] == [(2 * MS, b"\x01"), (4 * MS, b"\x02")]
+
+
 def test_sync_of_a_wrong_length_is_counted_told_once_and_released():
     bench = motor()
     bench.sync(b"\x05")
@@ -162,7 +196,65 @@ def test_emcy_inhibit_time_spaces_the_messages():
     start = bench.t
     bench.frame(0x201, b"\x00")
     bench.sync(b"\x01")
+    bench.run(20 * MS)
     assert [s.t_ns - start for s in bench.take(0x081)] == [20 * US, 5 * MS + 20 * US]
+
+
+def test_few_emcys_wait_for_the_inhibit_time_and_the_last_one_is_the_newest():
+    bench = motor()
+    bench.write(0x1015, 0, 50, 2)
+    for _ in range(1000):  # 2000 messages in 1 s, of which 200 may be sent
+        bench.frame(0x201, b"\x00")
+        bench.frame(0x201, bytes(4))
+        bench.run(MS)
+    bench.take(0x081)
+    last = bench.t
+    bench.run(100 * MS)
+    late = bench.take(0x081)
+    assert len(late) == 8
+    assert late[-1].t_ns - last <= 40 * MS
+    assert late[-1].data == bytes(8)  # error reset: what holds now
+
+
+@pytest.mark.parametrize("command", [2, 129, 130])
+def test_a_waiting_emcy_is_forgotten_where_nmt_allows_none(command):
+    bench = motor()
+    bench.write(0x1015, 0, 50, 2)
+    bench.frame(0x201, b"\x00")
+    bench.frame(0x201, bytes(4))
+    assert len(bench.take(0x081)) == 1
+    bench.nmt(command)
+    bench.run(20 * MS)
+    assert bench.take(0x081) == []
+
+
+def test_what_waits_goes_out_though_the_inhibit_time_is_switched_off():
+    bench = motor()
+    bench.write(0x1015, 0, 0xFFFF, 2)
+    bench.frame(0x201, b"\x00")
+    bench.frame(0x201, bytes(4))
+    bench.run(7_000 * MS)  # 6.5535 s
+    assert len(bench.take(0x081)) == 2
+    bench.frame(0x201, b"\x00")
+    bench.write(0x1015, 0, 0, 2)
+    bench.run(7_000 * MS)
+    assert len(bench.take(0x081)) == 1
+
+
+@pytest.mark.parametrize(
+    "end", [lambda bench: bench.write(0x1015, 0, 0, 2), lambda b: b.nmt(129), lambda b: b.nmt(130)]
+)
+def test_an_inhibit_time_holds_no_longer_than_1015_says(end):
+    bench = motor()
+    bench.write(0x1015, 0, 0xFFFF, 2)
+    bench.frame(0x201, b"\x00")
+    end(bench)
+    bench.nmt(1)
+    bench.frame(0x201, bytes(4))
+    bench.take(0x081)
+    bench.frame(0x201, b"\x00")
+    bench.run(MS)
+    assert [frame.data[:2] for frame in bench.take(0x081)] == [b"\x10\x82"]
 
 
 def test_emcy_identifier_can_be_moved_and_switched_off():

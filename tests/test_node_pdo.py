@@ -271,8 +271,8 @@ def test_a_change_outside_the_procedure_is_refused():
         ("tpdo", 0x60710010, "06040041"),  # rww into a TPDO
         ("rpdo", 0x60410010, "06040041"),  # ro into an RPDO
         ("rpdo", 0x60400008, "06040041"),  # a wrong width
-        ("tpdo", 0x00050008, "06020000"),  # dummies are for RPDOs
-        ("tpdo", 0x60FF0010, "06020000"),
+        ("tpdo", 0x00050008, "06040041"),  # dummies are for RPDOs
+        ("tpdo", 0x60FD0010, "06020000"),
         ("tpdo", 0x60410110, "06090011"),
         ("rpdo", 0x00050010, "06040041"),  # a dummy of a wrong width
     ],
@@ -320,6 +320,22 @@ def test_an_invalid_pdo_is_neither_sent_nor_received():
     bench.write(0x1800, 1, 0x1A5, 4)  # a new identifier
     bench.sync()
     assert [s.can_id for s in bench.take() if s.can_id != 0x581] == [0x1A5, 0x281]
+
+
+@pytest.mark.parametrize("transmission", [0, 1, 253, 255])
+def test_a_pdo_that_maps_nothing_is_neither_sent_nor_received(transmission):
+    """Count 0 disables the mapping: there is no frame without data."""
+    bench = booted()
+    remap(bench, "tpdo", 1, [], 0x181, transmission)
+    remap(bench, "rpdo", 1, [], 0x201, 255)
+    bench.write(0x1800, 5, 10, 2)
+    bench.nmt(1)
+    for _ in range(3):
+        bench.sync()
+        bench.frame(CAN_RTR_FLAG | 0x181, length=0)
+        bench.frame(0x201, b"\x06")
+        bench.run(20 * MS)
+    assert bench.take(0x181) == bench.emcy() == []
 
 
 INPUTS = [(0x6064, 32), (0x606C, 32), (0x6077, 16), (0x6041, 16), (0x6061, 8), (0x603F, 16), (0x1001, 8)]

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from eds.rig import load_rig
-from sim_bus.operator import Operator, paper_force_N
+from lab.kernel import Exit
+from lab.sim_server import PacedRig
+from sim_bus.operator import LET_GO_S, Operator, paper_force_N
 
 
 def at(operator, *times):
@@ -61,3 +63,30 @@ def test_a_csv_file_is_a_schedule(tmp_path):
     rig_file.write_text(source + '[[phase]]\nkind = "file"\nduration_s = 2.0\npath = "push.csv"\n')
     operator = Operator(load_rig(str(rig_file)), "active")
     assert list(at(operator, 0.5, 1.0, 1.75)) == pytest.approx([1.0, 2.0, 0.5])
+
+
+def test_a_schedule_that_is_left_fades_without_a_jump():
+    """The hand's stiffness flung the freed handle back to 0: its torque had dropped from 10 Nm to nothing at once."""
+    operator = Operator(load_rig("bench"), "active")
+    t = np.linspace(6.5, 6.5 + 2 * LET_GO_S, 4001)
+    found = operator.torque_Nm(t, 0.0, 6.5) - operator.tremor_Nm(t)
+    assert found[0] == pytest.approx(at(operator, 6.5)[0]) == pytest.approx(10.0)
+    assert np.all(np.diff(found) <= 0)
+    assert np.max(-np.diff(found)) < 10.0 * np.pi / 2 / LET_GO_S * 0.0021
+    assert np.all(found[2001:] == 0)
+
+
+def test_the_simulated_hand_lets_go_when_the_drive_is_disabled():
+    world = PacedRig(load_rig("bench"), "hybrid", 0, 0)
+    world.run_until(10_000_000)
+    world._axes["operator_start_ns"] = 1
+    world.run_until(6_500_000_000)
+    before = world.operators[0].torque_Nm(np.array([6.5]), 1e-9)[0]
+    world.rest()
+    assert int(world._axes["operator_start_ns"][0]) == -1
+    after = world._f_h[0]
+    assert after[0] == pytest.approx(before)
+    assert np.max(np.abs(np.diff(after))) < 0.02
+    world._axes["operator_start_ns"] = world.t_ns  # enabled again: the schedule begins anew
+    world.answer(Exit.ENABLED)
+    assert np.max(np.abs(world._f_h[0][:900])) <= 0.021

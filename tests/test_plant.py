@@ -187,3 +187,15 @@ def test_plain_python_gives_the_same_course():
     getattr(advance, "py_func", advance)(b[0], 30.0, 0.1, force, 20, 0, 200, plain, 0)
     assert plain == pytest.approx(truth, rel=1e-9, abs=1e-12)
     assert set(PLANT.names) == set(a.dtype.names)
+
+
+def test_lags_that_decay_reach_0_and_do_not_stay_at_a_subnormal_number():
+    """Hours at rest would be computed with subnormal numbers otherwise, which processors are slow with."""
+    plant, _, rig = run(
+        ("plant.motor_lag_s=0.001", "plant.brake_coil_lag_s=0.001", "plant.brake_fluid_lag_s=0.001"),
+        2.0,
+        lambda t: 100.0 if t < 0.01 else 0.0,
+        lambda t: 1.0 if t < 0.01 else 0.0,
+    )
+    assert math.exp(-1.99 / rig.plant.motor_lag_s) == 0.0  # long enough
+    assert (plant["motor"], plant["coil"], plant["fluid"]) == (0.0, 0.0, 0.0)

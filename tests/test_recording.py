@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from eds.pdo import Entry
 from eds.rig import Rig, RigError, load_rig
-from scope.recording import Recording, decode_field, read
+from scope.recording import Recording, blocks, decode_field, read
 from wire.frame import CAN_EFF_FLAG, CAN_RTR_FLAG, FRAME, data_word
 from wire.pcapng import PcapngError, PcapngWriter
 
@@ -147,6 +147,30 @@ def test_stamps_of_a_clock_count_from_the_first_frame(tmp_path: Path, rig: Rig):
     assert recording.markers == [(0.001, "x")]
 
 
+def test_a_file_that_breaks_off_before_its_rig_says_so(tmp_path: Path, rig: Rig):
+    path = save(tmp_path / "a.pcapng", CYCLE, attached(rig))
+    path.write_bytes(path.read_bytes()[:200])
+    for reader in (read, blocks):
+        with pytest.raises(
+            RigError, match=r"no rig\.toml is attached.*breaks off: its last block is unfinished, \d+ bytes"
+        ):
+            reader(path)
+
+
+def test_a_recording_that_is_still_being_written(tmp_path: Path, rig: Rig):
+    """What is there counts; a later look at it finds more, and a block that is half there is left for then."""
+    path = save(tmp_path / "a.pcapng", CYCLE * 20, attached(rig))
+    whole = path.read_bytes()
+    path.write_bytes(whole[: -19 * 8 * 48 - 20])
+    source = blocks(path)
+    found = iter(source)
+    assert sum(len(block.frames) for block in found) == 7
+    assert source.remarks == (f"{path}: the last block is unfinished: 28 bytes were left out",)
+    path.write_bytes(whole)
+    assert sum(len(block.frames) for block in source) == 160
+    assert source.remarks == ()
+
+
 def test_a_file_without_attachments_asks_for_a_rig(tmp_path: Path, rig: Rig):
     path = save(tmp_path / "a.pcapng", CYCLE, {})
     with pytest.raises(RigError, match=r"a\.pcapng: no rig\.toml is attached.*read\(path, rig=\.\.\.\), or --rig"):
@@ -231,3 +255,20 @@ def test_it_is_frozen(tmp_path: Path, rig: Rig):
         recording.signals["x"] = recording["motor.torque_Nm"]  # type: ignore[index]
     with pytest.raises(AttributeError):
         recording.path = "x"  # type: ignore[misc]
+
+
+@pytest.mark.parametrize("suffix", [".log", ".asc", ".log.gz"])
+def test_a_log_of_another_tool_is_decoded_as_the_recording_is(tmp_path: Path, rig: Rig, suffix: str):
+    import can
+
+    path = tmp_path / f"a{suffix}"
+    with can.Logger(path) as logger:
+        for n in range(3):
+            data = struct.pack("<Hih", 0x0237, 1000 * n, -7)
+            logger(can.Message(timestamp=1.7e9 + n / 1000, arbitration_id=0x181, is_extended_id=False, data=data))
+    for found in (read(path, rig), next(iter(blocks(path, rig)))):
+        angle = found["motor.position_rad"]
+        assert angle.t_s == pytest.approx([0, 0.001, 0.002], abs=2e-6)
+        assert angle.values == pytest.approx(1000 * np.arange(3) * found.scale("motor.position_rad"))
+    with pytest.raises(RigError, match="--rig on the command line"):
+        read(path)

@@ -233,6 +233,18 @@ def test_overrides_set_any_key() -> None:
     assert rig.variant("mode.active.F_s_Nm=1.1").mode["active"].F_s_Nm == 1.1
 
 
+def test_a_mistake_in_a_variant_stands_where_it_was_given():
+    """It was said to stand in a line of the file, where something else stands."""
+    given = ("law.function=a.py:f",)
+    rig = load_rig("bench", given)
+    for variant in (rig, rig.variant(), rig.variant("mode.active.F_s_Nm=1.1"), load_rig("bench").variant(*given)):
+        assert "--set law.function=a.py:f: law.function: " in str(variant.mistake("law.function", "a law"))
+    two = load_rig("two_axes").variant(*given)
+    assert all("--set law.function=a.py:f: " in str(axis.mistake("law.function", "a law")) for axis in two.axes)
+    variant = load_rig("bench").variant("mode.active.F_s_Nm=1.1")
+    assert str(variant.mistake("law.function", "a law")) == str(load_rig("bench").mistake("law.function", "a law"))
+
+
 @pytest.mark.parametrize(
     ("override", "expected"),
     [

@@ -122,17 +122,17 @@ WRONG_VALUES = {
 WRONG_KEYS = {
     "a key": (
         ("sdo_timeout_s", "sdo_timeot_s"),
-        "host.sdo_timeot_s: unknown key; expected one of the keys of [host]: node_id, heartbeat_s, sdo_timeout_s, deadman, loss_limit; "
+        "host.sdo_timeot_s: unknown key; expected one of the keys of [host]: node_id, heartbeat_s, sdo_timeout_s, compute_s, deadman, loss_limit; "
         "did you mean 'sdo_timeout_s'?",
     ),
     "a key of another section": (
         ("sdo_timeout_s = 0.5", "step_s = 0.5"),
-        "host.step_s: unknown key; expected one of the keys of [host]: node_id, heartbeat_s, sdo_timeout_s, deadman, loss_limit; "
+        "host.step_s: unknown key; expected one of the keys of [host]: node_id, heartbeat_s, sdo_timeout_s, compute_s, deadman, loss_limit; "
         "did you mean 'plant.step_s'?",
     ),
     "a key of two other sections": (
         ("sdo_timeout_s = 0.5", "ratio = 0.5"),
-        "host.ratio: unknown key; expected one of the keys of [host]: node_id, heartbeat_s, sdo_timeout_s, deadman, loss_limit; "
+        "host.ratio: unknown key; expected one of the keys of [host]: node_id, heartbeat_s, sdo_timeout_s, compute_s, deadman, loss_limit; "
         "did you mean 'mechanics.ratio' or 'plant.ratio'?",
     ),
     "a key of another kind": (
@@ -216,7 +216,7 @@ BETWEEN_KEYS = {
         f"motor.setpoint_fault_s: '0.001' {STANDS} more than bus.period_s, which is 0.001",
     ),
     "window and period": (
-        ("tpdo_window_s = 600e-6", "tpdo_window_s = 2e-3"),
+        ("tpdo_window_s = 740e-6", "tpdo_window_s = 2e-3"),
         f"bus.tpdo_window_s: '0.002' {STANDS} less than bus.period_s, which is 0.001",
     ),
     "off-state and maximum": (
@@ -343,11 +343,11 @@ def test_sections_of_the_wrong_shape() -> None:
 def test_a_file_that_is_no_utf8(tmp_path: Path) -> None:
     path = tmp_path / "r.toml"
     path.write_bytes(
-        changed(("600e-6", "600e-6 # 600 \N{MICRO SIGN}s"), ("node_id = 127", "node_id = 128")).encode("cp1252")
+        changed(("740e-6", "740e-6 # 740 \N{MICRO SIGN}s"), ("node_id = 127", "node_id = 128")).encode("cp1252")
     )
     with pytest.raises(RigError) as caught:
         load_rig(str(path))
-    number = line(BENCH, "600e-6")
+    number = line(BENCH, "740e-6")
     assert caught.value.errors[0] == f"{path}:{number}: the byte 0xB5 is no UTF-8; expected a file saved as UTF-8"
     assert "host.node_id: '128' stands there" in caught.value.errors[1]
 

@@ -14,6 +14,7 @@ import pytest
 from real_bench import HOLD, PATIENCE_S, Observer, command, host, result, simulation, start
 
 from eds.compiled import JIT_DISABLED
+from lab.host_replay import host_replay
 from lab.real_demo import SHARED_MACHINE
 from scope.recording import read
 from wire.client import pack_frame
@@ -60,6 +61,13 @@ def test_a_run_is_recorded_and_measured(tmp_path):
     assert recording["motor.target_torque_Nm"].values[-1] == 0
     assert recording["brake.setpoint_Nm"].values[-1] == 0
     assert list(recording.frames["t_ns"]) == sorted(recording.frames["t_ns"])
+
+    again = host_replay(
+        record
+    )  # the controller on the recorded inputs: bit for bit, the safe set-points at the end included
+    assert (again.difference, again.unchecked, again.computed_trip) == (None, 0, None)
+    assert again.frames["motor.RPDO1"] + again.refused >= found.count(0x201)
+    assert again.frames["SYNC"] == found.count(0x080)
 
 
 def stop_by_signal(number):
@@ -122,7 +130,7 @@ def test_one_host_at_a_time():
         with host(BUS, mode="passive") as second:
             status, data, err = result(second)
         assert status == 7, err
-        assert data is None
+        assert data["event"] == "error"
         assert "another host runs" in err
         assert first.poll() is None
 
@@ -161,7 +169,8 @@ def test_without_a_bus_and_without_nodes(tmp_path):
         status, data, err = result(run)
     assert status == 5
     assert "brake (node 2)" in err
-    assert data is None
+    assert (data["event"], data["exit_status"]) == ("error", 5)
+    assert "brake (node 2)" in data["error"]
 
 
 def test_a_signal_before_anything_is_armed():
@@ -171,7 +180,7 @@ def test_a_signal_before_anything_is_armed():
         status, data, _ = result(run)
         observer.watch(0.1)
     assert status == 143
-    assert data is None or data["cycles"] == 0
+    assert data.get("cycles", 0) == 0
     assert all(data[0] == 0x80 for _, can_id, data in observer.log if can_id == 0x000)  # PRE-OPERATIONAL, never started
 
 

@@ -41,11 +41,14 @@ class TinyBus:
             for client, (flags, filters) in list(self._clients.items()):
                 if client is source and not flags & 1:
                     continue
+                told = bytearray(message)
+                if client is source:
+                    told[5::16] = bytes((1,)) * (len(message) // 16)
                 kept = (
                     message
                     if len(message) % 16
                     else b"".join(
-                        message[i : i + 16]
+                        told[i : i + 16]
                         for i in range(0, len(message), 16)
                         if _passes(struct.unpack_from("=I", message, i)[0], flags, filters)
                     )
@@ -59,9 +62,9 @@ class TinyBus:
             return
         os.write(self._wake, b"x")
         self._thread.join(5)
-        for client in self._clients:
-            client.close()
-        self._listener.close()
+        for key in list(self._selector.get_map().values()):  # those that have not greeted, too
+            if isinstance(key.fileobj, socket.socket):
+                key.fileobj.close()
         self._selector.close()
         os.close(self._wake)
         os.close(self._wait)

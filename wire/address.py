@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import os
 import re
+import socket
 import stat
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, TypeAlias, get_args
 
@@ -21,6 +22,7 @@ __all__ = [
     "BusUnavailable",
     "bus_names",
     "default_address",
+    "live_bus_names",
     "parse_address",
     "socket_path",
 ]
@@ -50,10 +52,14 @@ class BusUnavailable(OSError):
 
 @dataclass(frozen=True)
 class BusAddress:
-    """Where a bus is: its kind and its name there. ``str()`` is the form that `parse_address` reads."""
+    """Where a bus is: its kind and its name there. ``str()`` is the form that `parse_address` reads.
+
+    `start` is the command that serves the bus with the rig that is looked for there, where that is known; it makes no other bus of it.
+    """
 
     kind: Kind
     name: str
+    start: str = field(default="", compare=False)
 
     def __str__(self) -> str:
         return f"{self.kind}:{self.name}"
@@ -130,6 +136,22 @@ def bus_names() -> list[str]:
     except OSError:
         return []
     return [name for name in found if _NAME.fullmatch(name) and not name.endswith(_RESERVED)]
+
+
+def live_bus_names() -> list[str]:
+    """Return the names of the virtual buses that a process serves."""
+    return [name for name in bus_names() if _answers(_directory() / name)]
+
+
+def _answers(path: Path) -> bool:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK) as probe:
+        try:
+            probe.connect(str(path))
+        except BlockingIOError:  # the queue of those who wait is full: it lives
+            return True
+        except OSError:
+            return False
+    return True
 
 
 def _directory() -> Path:

@@ -12,6 +12,8 @@ for SYNC, 135 for eight data bytes, 160 with an extended identifier.
 
 The kernel goes byte by byte. Two tables are enough: the CRC is linear, so each byte adds (xor) what it alone leaves
 in the register at the end; stuffing is an automaton of nine states (nothing sent yet, a run of 1-4 zeros, of 1-4 ones).
+
+CAN FD frames are in `wire.fd_bits`, and importable from here.
 """
 
 from __future__ import annotations
@@ -20,9 +22,18 @@ import numpy as np
 import numpy.typing as npt
 
 from eds.compiled import kernel
+from wire.fd_bits import FD_LENGTHS, fd_duration_ns, fd_frame_bits
 from wire.frame import CAN_EFF_FLAG, CAN_RTR_FLAG, data_word
 
-__all__ = ["CRC_POLYNOMIAL", "data_frame_bits", "frame_bits", "worst_case_bits"]
+__all__ = [
+    "CRC_POLYNOMIAL",
+    "FD_LENGTHS",
+    "data_frame_bits",
+    "fd_duration_ns",
+    "fd_frame_bits",
+    "frame_bits",
+    "worst_case_bits",
+]
 
 CRC_POLYNOMIAL = 0x4599  # x^15 + x^14 + x^10 + x^8 + x^7 + x^4 + x^3 + 1
 MAX_LENGTH = 8

@@ -18,13 +18,16 @@ import can
 from can.bus import BusState
 from can.typechecking import AutoDetectedConfig, CanFilters
 
-from wire.address import AddressError, BusAddress, BusUnavailable, bus_names, parse_address
-from wire.client import BusDown, BusFull, Client, Received, pack_frame
+from wire.address import AddressError, BusAddress, BusUnavailable, live_bus_names, parse_address
+from wire.can_id import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
+from wire.client import BusDown, BusFull, Client, Echo, Received, pack_frame
 from wire.hello import MAX_FILTERS, Flags, Hello
+from wire.link import BUS_OFF
 
 __all__ = ["CoulombusBus"]
 
-CAN_EFF_FLAG, CAN_RTR_FLAG, CAN_ERR_FLAG = 0x80000000, 0x40000000, 0x20000000
+ERR_BUSOFF, ERR_RESTARTED = 0x40, 0x100
+"""Classes of error frames (``linux/can/error.h``); data[5] is the number of the station that it is about."""
 _log = logging.getLogger(__name__)
 
 
@@ -81,6 +84,8 @@ class CoulombusBus(can.BusABC):
             self._client = Client(address, Hello(flags, _packed(can_filters)), timeout)
         except BusUnavailable as error:
             raise can.CanInitializationError(str(error), error.errno) from None
+        except AddressError as error:
+            raise can.CanInitializationError(str(error)) from None
         self.channel = address.name
         self.channel_info = str(address)
         self._gone = False
@@ -115,18 +120,22 @@ class CoulombusBus(can.BusABC):
             self._fetch(timeout)
         if not self._waiting:
             return None, False
-        stamp, can_id, length, data = self._waiting.popleft()
+        received = self._waiting.popleft()
+        stamp, can_id, length, data = received
         if not self._waiting and self._marked:
             self._marked = False
             os.eventfd_read(self._more)
         remote, error = bool(can_id & CAN_RTR_FLAG), bool(can_id & CAN_ERR_FLAG)
         extended = bool(can_id & CAN_EFF_FLAG)
+        if error and data[5] == self._client.station & 0xFF:
+            self._off = bool(can_id & ERR_BUSOFF) or (self._off and not can_id & ERR_RESTARTED)
         message = can.Message(
             timestamp=stamp / 1e9,
             arbitration_id=can_id & (0x1FFFFFFF if extended or error else 0x7FF),
             is_extended_id=extended,
             is_remote_frame=remote,
             is_error_frame=error,
+            is_rx=not isinstance(received, Echo),
             channel=self.channel,
             dlc=length,
             data=b"" if remote else data[:length],
@@ -135,27 +144,31 @@ class CoulombusBus(can.BusABC):
         return message, error or (self._filtered and not self._client.unanswered)
 
     _marked = False
+    _off = False
     _filtered = True
 
     def _fetch(self, timeout: float | None) -> None:
+        self._refuse_when_shut()
         if self._gone:
             raise can.CanOperationError(f"bus {self._client.address} is gone")
+        if not self._take() and (timeout is None or timeout > 0) and self._readable.poll(timeout, 1):
+            self._take()
+
+    def _take(self) -> bool:
+        """Receive one message; return whether it was one of frames."""
         try:
             found = self._client.receive()
-            if not found and (timeout is None or timeout > 0) and self._readable.poll(timeout, 1):
-                found = self._client.receive()
         except BusUnavailable as error:
             self._gone = not isinstance(error, BusDown)
             raise can.CanOperationError(str(error), error.errno) from None
         except (OSError, ValueError) as error:  # another thread has shut it down
             self._gone = True
             raise can.CanOperationError(f"bus {self._client.address}: {error}") from None
-        if not found:
-            return
         self._waiting.extend(found)
-        if len(found) > 1:
+        if len(self._waiting) > 1 and not self._marked:
             self._marked = True
             os.eventfd_write(self._more, 1)
+        return bool(found)
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Send a frame; `timeout` seconds (None: 0, as of socketcan) for the bus to take it.
@@ -165,12 +178,19 @@ class CoulombusBus(can.BusABC):
         can.CanOperationError
             The bus does not take it, is gone, or this is a listener only.
         """
+        self._refuse_when_shut()
         if msg.is_fd or len(msg.data) > 8 or msg.dlc > 8:
             raise can.CanOperationError("the virtual bus carries classical CAN frames only: at most 8 data bytes")
         if self._client.hello.flags & Flags.LISTEN_ONLY:
             raise can.CanOperationError(f"bus {self._client.address} was opened to listen only: nothing is sent")
+        if msg.is_error_frame:
+            raise can.CanOperationError("an error frame is the bus's own message and cannot be sent")
+        bits = 29 if msg.is_extended_id else 11
+        if not 0 <= msg.arbitration_id < 1 << bits:
+            hint = "" if msg.is_extended_id else "; set is_extended_id for one of 29 bits"
+            raise can.CanOperationError(f"identifier {msg.arbitration_id:#x} has more than {bits} bits{hint}")
         can_id = msg.arbitration_id | (CAN_EFF_FLAG if msg.is_extended_id else 0)
-        can_id |= (CAN_RTR_FLAG if msg.is_remote_frame else 0) | (CAN_ERR_FLAG if msg.is_error_frame else 0)
+        can_id |= CAN_RTR_FLAG if msg.is_remote_frame else 0
         frame = pack_frame(can_id, b"" if msg.is_remote_frame else bytes(msg.data), msg.dlc)
         deadline = time.monotonic() + (timeout or 0.0)
         while True:
@@ -183,6 +203,15 @@ class CoulombusBus(can.BusABC):
             except OSError as error:
                 raise can.CanOperationError(str(error), error.errno) from None
 
+    def send_periodic(self, *arguments: Any, **options: Any) -> can.broadcastmanager.CyclicSendTaskABC:
+        """Send frames again and again, from a thread, as of python-can."""
+        self._refuse_when_shut()
+        return super().send_periodic(*arguments, **options)
+
+    def _refuse_when_shut(self) -> None:
+        if self._is_shutdown:
+            raise can.CanOperationError(f"bus {self._client.address} was shut down here; open it again with can.Bus")
+
     def _apply_filters(self, filters: CanFilters | None) -> None:
         packed = _packed(filters)
         self._filtered = not filters or bool(packed)
@@ -190,15 +219,34 @@ class CoulombusBus(can.BusABC):
             self._ask(Hello(self._client.hello.flags, packed))
 
     def _ask(self, hello: Hello) -> None:
+        self._refuse_when_shut()
         try:
             self._client.ask(hello)
         except OSError as error:
             raise can.CanOperationError(str(error), error.errno) from None
 
+    def details(self, timeout: float = 1.0) -> str:
+        """Ask the bus for the state and counters of this client's controller; return what ``ip -details -statistics link show`` prints.
+
+        Raises
+        ------
+        can.CanOperationError
+            The bus does not answer within `timeout` seconds, or does not tell.
+        """
+        self._ask(self._client.hello)
+        deadline = time.monotonic() + timeout
+        while self._client.unanswered and time.monotonic() < deadline:
+            if self._client.wait(0.01):
+                self._take()
+        if self._client.unanswered or self._client.link is None:
+            raise can.CanOperationError(f"bus {self._client.address} does not tell the state of its controllers")
+        self._off = self._client.link.state == BUS_OFF
+        return str(self._client.link)
+
     @property
     def state(self) -> BusState:
-        """PASSIVE: listens only; ERROR: the bus is gone; else ACTIVE."""
-        if self._gone:
+        """PASSIVE: listens only; ERROR: the bus is gone, or the last that was heard is that this controller is in bus-off; else ACTIVE."""
+        if self._gone or self._off:
             return BusState.ERROR
         return BusState.PASSIVE if self._client.hello.flags & Flags.LISTEN_ONLY else BusState.ACTIVE
 
@@ -226,7 +274,7 @@ class CoulombusBus(can.BusABC):
 
     @staticmethod
     def _detect_available_configs() -> Sequence[AutoDetectedConfig]:
-        return [AutoDetectedConfig(interface="coulombus", channel=name) for name in bus_names()]
+        return [AutoDetectedConfig(interface="coulombus", channel=name) for name in live_bus_names()]
 
 
 def _address(channel: Any) -> BusAddress:
@@ -234,7 +282,7 @@ def _address(channel: Any) -> BusAddress:
     try:
         address = parse_address(text if ":" in text else f"coulombus:{text}")
     except AddressError as error:
-        running = ", ".join(bus_names()) or "none; start one with `coulombus sim`"
+        running = ", ".join(live_bus_names()) or "none; start one with `coulombus sim`"
         raise can.CanInitializationError(f"{error} (virtual buses here: {running})") from None
     if address.kind != "coulombus":
         raise can.CanInitializationError(

@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING, Any
 import can
 from can.io.generic import MessageReader, SizedMessageWriter
 
+from wire.can_id import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
+
 if TYPE_CHECKING:
     from wire.frame import Records
 
 __all__ = ["PcapngMessageReader", "PcapngMessageWriter"]
 
-CAN_EFF_FLAG, CAN_RTR_FLAG, CAN_ERR_FLAG = 0x80000000, 0x40000000, 0x20000000
 BATCH = 256
 BATCH_NS = 100_000_000
 _log = logging.getLogger(__name__)

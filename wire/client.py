@@ -14,8 +14,9 @@ from typing import TypeAlias
 
 from wire.address import BusAddress, BusUnavailable
 from wire.hello import SO_TIMESTAMPNS, Answer, Flags, Hello, Status, greet, is_greeting
+from wire.link import Link
 
-__all__ = ["CAN_FRAME", "BusDown", "BusFull", "BusGone", "Client", "Received", "pack_frame"]
+__all__ = ["CAN_FRAME", "BusDown", "BusFull", "BusGone", "Client", "Echo", "Received", "pack_frame"]
 
 CAN_FRAME = struct.Struct("=IB3x8s")
 """Identifier with EFF, RTR and ERR flags; length; data."""
@@ -23,8 +24,18 @@ CAN_FRAME = struct.Struct("=IB3x8s")
 Received: TypeAlias = tuple[int, int, int, bytes]
 """Stamp [ns since 1970], identifier with flags, length, eight data bytes."""
 
+
+class Echo(tuple[int, int, int, bytes]):
+    """A `Received` that this client has sent itself, back from the wire (`wire.hello.Flags.OWN`)."""
+
+    __slots__ = ()
+
+
 MESSAGE_BYTES = 1 << 16
 CAN_LENGTH = 8
+ECHO_BYTE = 5
+"""The first padding byte of struct can_frame, which a virtual bus sets in a client's own frames, as Linux sets MSG_CONFIRM."""
+MSG_CONFIRM = 0x800
 CAN_RAW_ERR_FILTER = 2
 SO_RXQ_OVFL = 40
 _TIMESPEC = struct.Struct("=qq") if struct.calcsize("@l") == 8 else struct.Struct("=ll")
@@ -64,6 +75,8 @@ class Client:
         Frames that found no place in this client's receive queue. A virtual bus tells it with each answer (`ask`).
     malformed
         Messages and frames that were dropped because they are none.
+    link
+        This client's CAN controller, as of the bus's last answer; None where the bus does not tell.
 
     Raises
     ------
@@ -76,6 +89,7 @@ class Client:
         self.hello = hello or Hello()
         self.bitrate_bit_s = self.station = self.lost = self.malformed = 0
         self.unanswered = 0
+        self.link: Link | None = None
         self._buffer = bytearray(MESSAGE_BYTES)
         if address.kind == "coulombus":
             connection = greet(address, self.hello, timeout)
@@ -128,6 +142,9 @@ class Client:
             self._no_frames(bytes(message))
             return []
         found = [(stamp, can_id, length, data) for can_id, length, data in CAN_FRAME.iter_unpack(message)]
+        if self.hello.flags & Flags.OWN:
+            own = self._own(message, flags)
+            found = [Echo(one) if echo else one for one, echo in zip(found, own, strict=True)]
         if any(one[2] > CAN_LENGTH for one in found):
             good = [one for one in found if one[2] <= CAN_LENGTH]
             self.malformed += len(found) - len(good)
@@ -166,6 +183,12 @@ class Client:
         self.send(self.hello.pack())
         self.unanswered += 1
 
+    def _own(self, message: memoryview, flags: int) -> Sequence[int]:
+        """Tell of each frame of a message whether this client has sent it."""
+        if self.address.kind == "socketcan":
+            return (flags & MSG_CONFIRM,)
+        return message[ECHO_BYTE :: CAN_FRAME.size]
+
     def _no_frames(self, message: bytes) -> None:
         answer = Answer.unpack(message) if self.address.kind == "coulombus" and is_greeting(message) else None
         if answer is None:
@@ -177,6 +200,7 @@ class Client:
 
     def _take_answer(self, answer: Answer) -> None:
         self.bitrate_bit_s, self.station, self.lost = answer.bitrate_bit_s, answer.station, answer.lost
+        self.link = answer.link
 
     def _configure_socketcan(self) -> None:
         filters: Sequence[tuple[int, int]] = self.hello.filters or ((0, 0),)

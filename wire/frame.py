@@ -12,7 +12,8 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from eds.compiled import kernel
+from eds.compiled import inlined, kernel
+from wire.can_id import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 
 __all__ = [
     "CAN_EFF_FLAG",
@@ -21,6 +22,7 @@ __all__ = [
     "FRAME",
     "QUEUE_CAPACITY",
     "Records",
+    "arbitration_key",
     "data_bytes",
     "data_word",
     "frames",
@@ -28,10 +30,6 @@ __all__ = [
     "new_records",
     "push",
 ]
-
-CAN_EFF_FLAG = 0x80000000
-CAN_RTR_FLAG = 0x40000000
-CAN_ERR_FLAG = 0x20000000
 
 Records: TypeAlias = npt.NDArray[Any]
 """An array of records (a structured dtype)."""
@@ -47,8 +45,15 @@ FRAME = np.dtype(
     align=True,
 )
 
-QUEUE_CAPACITY = 256
-QUEUE = np.dtype([("count", np.int64), ("dropped", np.int64)], align=True)
+QUEUE_CAPACITY = 1024
+QUEUE = np.dtype(
+    [
+        ("count", np.int64),
+        ("dropped", np.int64),
+        ("waiting", np.int64),  # frames that the bus has taken over and not sent yet, as far as it has told
+    ],
+    align=True,
+)
 
 
 def new_records(dtype: np.dtype[Any], count: int = 1) -> Records:
@@ -62,8 +67,22 @@ def frames(capacity: int) -> Records:
 
 
 def new_queue(capacity: int = QUEUE_CAPACITY) -> tuple[Records, Records]:
-    """Return an empty queue: its frames and its one-record header (`count`, `dropped`)."""
+    """Return an empty queue: its frames and its one-record header (`count`, `dropped`, `waiting`)."""
     return frames(capacity), new_records(QUEUE)
+
+
+@inlined
+def arbitration_key(can_id: int) -> int:
+    """Return the arbitration field as a number: the lower one wins the bus.
+
+    The bits of the field in their order on the wire, 32 of them: base identifier (11), RTR or SRR, IDE, identifier extension (18), RTR (ISO 11898-1).
+    """
+    if can_id & CAN_EFF_FLAG:
+        base = (can_id >> 18) & 0x7FF
+        remote = 1 if can_id & CAN_RTR_FLAG else 0
+        return (base << 21) | (0b11 << 19) | ((can_id & 0x3FFFF) << 1) | remote
+    remote = 1 if can_id & CAN_RTR_FLAG else 0
+    return ((can_id & 0x7FF) << 21) | (remote << 20)
 
 
 @kernel

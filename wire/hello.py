@@ -5,6 +5,7 @@ greeting are little endian::
 
     client -> bus   u32 magic  u16 version  u16 flags  u16 n  n x (u32 id, u32 mask)  padding     Hello
     bus -> client   u32 magic  u16 version  u16 status  u32 bit rate  u32 station  u64 lost       Answer
+                    and perhaps the state of the client's controller, as wire.link.Link packs it
     then, both ways, messages of one or more 16-byte ``struct can_frame`` in native byte order
 
 A greeting is padded so that its length is 8 modulo 16; a message of frames is a multiple of 16. So the two can be told
@@ -23,6 +24,7 @@ from enum import IntEnum, IntFlag
 from pathlib import Path
 
 from wire.address import BusAddress, BusUnavailable, socket_path
+from wire.link import Link
 
 __all__ = [
     "MAGIC",
@@ -129,17 +131,19 @@ class Hello:
 class Answer:
     """What a bus answers: whether it takes the client, its bit rate (0: unknown), and the client's station number.
 
-    `lost` frames found no place in the client's receive queue, because it does not read, since it connected.
+    `lost` frames found no place in the client's receive queue, because it does not read, since it connected. `link` is its CAN controller.
     """
 
     status: Status
     bitrate_bit_s: int = 0
     station: int = 0
     lost: int = 0
+    link: Link | None = None
 
     def pack(self) -> bytes:
         """Return the answer's bytes."""
-        return _ANSWER.pack(MAGIC, VERSION, self.status, self.bitrate_bit_s, self.station, self.lost)
+        head = _ANSWER.pack(MAGIC, VERSION, self.status, self.bitrate_bit_s, self.station, self.lost)
+        return head if self.link is None else head + self.link.pack()
 
     @classmethod
     def unpack(cls, message: bytes) -> Answer | None:
@@ -149,7 +153,7 @@ class Answer:
         magic, _, status, bitrate, station, lost = _ANSWER.unpack_from(message)
         if magic != MAGIC or status not in Status.__members__.values():
             return None
-        return cls(Status(status), bitrate, station, lost)
+        return cls(Status(status), bitrate, station, lost, Link.unpack(message[_ANSWER.size :]))
 
 
 @dataclass(frozen=True)
@@ -184,7 +188,7 @@ def greet(address: BusAddress, hello: Hello, timeout: float = 2.0) -> Connection
     try:
         return connect_path(path, hello, timeout)
     except (FileNotFoundError, ConnectionRefusedError):
-        text = f"no bus {address}: start one in another terminal with `coulombus sim --bus {address}`"
+        text = f"no bus {address}: start one in another terminal with `{address.start or f'coulombus sim --bus {address}'}`"
     except BusUnavailable as error:
         text = f"bus {address} refuses: {error}"
     except TimeoutError:

@@ -36,9 +36,9 @@ from wire.pcapng_blocks import (
     block,
     option,
 )
-from wire.pcapng_reader import Capture, read_pcapng
+from wire.pcapng_reader import Capture, iter_pcapng, read_pcapng
 
-__all__ = ["Capture", "PcapngError", "PcapngWriter", "RecordingError", "read_pcapng"]
+__all__ = ["Capture", "PcapngError", "PcapngWriter", "RecordingError", "iter_pcapng", "read_pcapng"]
 
 CAN_FRAME_BYTES = 16
 
@@ -143,6 +143,10 @@ class PcapngWriter:
             blocks["data"] = frames["word"]
         self._write(_commented(blocks, comments) if comments else blocks.tobytes())
         self.frames += count
+
+    def attach(self, name: str, content: bytes) -> None:
+        """Add an attachment between the frames: what is known only now; RecordingError as from `write`."""
+        self._write(attachment_block(name, content))
 
     def flush(self) -> None:
         """Ask the kernel to bring the file to the disk (a power cut; a killed process needs no flush)."""

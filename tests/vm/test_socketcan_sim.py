@@ -11,6 +11,7 @@ import threading
 import time
 
 import canopen
+import canopen_clients
 import pytest
 from vm_interfaces import INTERFACES, ROOT
 
@@ -33,25 +34,31 @@ def raw(interface):
 def can_socket(interface):
     opened = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
     opened.bind((interface,))
-    opened.settimeout(TIMEOUT_S)
     return opened
 
 
 def ip(*arguments):
-    subprocess.run(["ip", "link", *arguments], check=True)
+    subprocess.run(["ip", "link", *arguments], check=True, timeout=TIMEOUT_S)
+
+
+def answer(raw, can_id, wait_s):
+    """Return the data of the next frame with an identifier; TimeoutError without one, whatever else is on the bus (heartbeats never end)."""
+    deadline = time.monotonic() + wait_s
+    while (left := deadline - time.monotonic()) > 0:
+        raw.settimeout(left)
+        came, length, data = FRAME.unpack(raw.recv(16))
+        if came == can_id:
+            return data[:length]
+    raise TimeoutError(f"no frame {can_id:03X}h in {wait_s} s")
 
 
 def upload(raw, node, index, subindex):
     """Read an object by SDO, again and again while the interface is not quite up."""
     deadline = time.monotonic() + TIMEOUT_S
-    raw.settimeout(1.0)
     while time.monotonic() < deadline:
         with contextlib.suppress(TimeoutError, OSError):
             raw.send(FRAME.pack(0x600 + node, 8, struct.pack("<BHB4x", 0x40, index, subindex)))
-            while True:
-                can_id, _, data = FRAME.unpack(raw.recv(16))
-                if can_id == 0x580 + node:
-                    return data[4:]
+            return answer(raw, 0x580 + node, 5.0)[4:]
     raise TimeoutError(f"no answer of node {node}")
 
 
@@ -72,9 +79,17 @@ def test_canopen_brings_a_node_to_operational_and_sync_makes_pdos(sim, raw, inte
         node.nmt.state = "OPERATIONAL"
         node.nmt.wait_for_heartbeat(TIMEOUT_S)
         network.sync.transmit()
-        raw.settimeout(TIMEOUT_S)
-        while FRAME.unpack(raw.recv(16))[0] != 0x181:
-            pass
+        answer(raw, 0x181, TIMEOUT_S)
+    finally:
+        network.disconnect()
+
+
+@pytest.mark.parametrize("use", ["transfers", "pdos", "drive", "layer_setting"])
+def test_canopen_s_own_classes(sim, interface, use):
+    network = canopen.Network()
+    network.connect(interface="socketcan", channel=interface)
+    try:
+        getattr(canopen_clients, use)(network)
     finally:
         network.disconnect()
 

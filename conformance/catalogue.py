@@ -1,0 +1,38 @@
+"""The list of cases: ``catalogue.csv``, in the order in which they run."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.resources import files
+
+__all__ = ["Case", "catalogue"]
+
+
+@dataclass(frozen=True)
+class Case:
+    """One case: its number as text ("2.10" is not "2.1"), what it is about, and the abort codes that it accepts.
+
+    Numbers that begin with a letter are this project's own. Without `codes` any abort code is accepted where one is due.
+    """
+
+    id: str
+    name: str
+    objective: str
+    codes: tuple[int, ...]
+
+    @property
+    def own(self) -> bool:
+        """Tell whether the case is none of the 127 of the conformance test plan."""
+        return self.id[0].isalpha()
+
+
+@lru_cache(maxsize=1)
+def catalogue() -> tuple[Case, ...]:
+    """Return all cases."""
+    with files("conformance").joinpath("catalogue.csv").open(encoding="utf-8") as file:
+        return tuple(
+            Case(row["id"], row["name"], row["objective"], tuple(int(code, 16) for code in row["abort_codes"].split()))
+            for row in csv.DictReader(file)
+        )

@@ -1,0 +1,257 @@
+"""Own cases B.1 to B.10 and S.1 to S.5: what block and segmented transfers do when something goes wrong."""
+
+from __future__ import annotations
+
+from conformance.link import RTR
+from conformance.objects_of import READ_ONLY, long_object, long_text
+from conformance.registry import case
+from conformance.sdo_block import need_block, refused_size
+from conformance.sdo_client import crc16, head
+from conformance.unit import Unit
+from conformance.verdict import CaseFailed, NotApplicable, SdoAborted, where
+
+__all__: list[str] = []
+
+TEXT = b"Coulombus writes a text of more than one segment, and of a length that is not theirs."
+
+
+def begin(unit: Unit, at_least: int, size: int) -> tuple[int, int, bytes, int | None, bool]:
+    """Begin a block upload with CRC of a long object; return index, sub-index, its bytes, the said length, the CRC."""
+    need_block(unit)
+    variable, content = long_object(unit, at_least)
+    index, subindex = variable.index, variable.subindex
+    crc, said = unit.sdo.initiate_block_upload(index, subindex, crc=True, size=size)
+    unit.sdo.send(b"\xa3" + bytes(7))
+    return index, subindex, content, said, crc
+
+
+def same(index: int, subindex: int, data: bytes, content: bytes) -> None:
+    """Fail unless an upload brought what a segmented one does."""
+    if data != content:
+        raise CaseFailed(f"{where(index, subindex)} is {data!r} by block transfer, {content!r} by segments")
+
+
+@case("B.1")
+def repetition(unit: Unit) -> None:
+    """Acknowledge one segment less than came: the last one comes again, as segment 1 of the next block."""
+    index, subindex, content, said, crc = begin(unit, 15, 2)
+    block, _ = unit.sdo.read_block(index, subindex, 2)
+    segments = block[:1]
+    unit.sdo.acknowledge(1, 127)
+    block, last = unit.sdo.read_block(index, subindex, 127)
+    if not last:
+        raise CaseFailed(f"{where(index, subindex)}: the last segment is not marked")
+    segments += block
+    unit.sdo.acknowledge(len(block), 127)
+    same(index, subindex, unit.sdo.end_block_upload(index, subindex, segments, crc=crc, said=said), content)
+
+
+@case("B.2")
+def changing_size(unit: Unit) -> None:
+    """Ask for blocks of 1 segment, then 2, then 127: each block has so many."""
+    index, subindex, content, said, crc = begin(unit, 15, 1)
+    segments: list[bytes] = []
+    last = False
+    for size, following in ((1, 2), (2, 127), (127, 127)):
+        if last:
+            break
+        block, last = unit.sdo.read_block(index, subindex, size)
+        segments += block
+        unit.sdo.acknowledge(len(block), following)
+    same(index, subindex, unit.sdo.end_block_upload(index, subindex, segments, crc=crc, said=said), content)
+
+
+@case("B.3")
+def single_segments(unit: Unit) -> None:
+    """Read a long object in blocks of one segment."""
+    need_block(unit)
+    variable, content = long_object(unit)
+    data, _ = unit.sdo.block_upload(variable.index, variable.subindex, crc=True, size=1)
+    same(variable.index, variable.subindex, data, content)
+
+
+@case("B.4")
+def size_zero(unit: Unit) -> str:
+    """Ask for an upload in blocks of 0 segments."""
+    need_block(unit)
+    variable, _ = long_object(unit)
+    return refused_size(unit, variable.index, variable.subindex, 0)
+
+
+@case("B.5")
+def aborted(unit: Unit) -> None:
+    """Abort a block upload after its first segment; the next upload works."""
+    index, subindex, content, _, _ = begin(unit, 5, 1)
+    unit.sdo.read_block(index, subindex, 1)
+    unit.sdo.abort(index, subindex)
+    unit.pause(unit.timing.quiet_ns)
+    if unit.take(unit.sdo_tx):
+        raise CaseFailed("the server answers the client's abort")
+    same(index, subindex, unit.read(index, subindex), content)
+
+
+def text_object(unit: Unit) -> tuple[int, int, bytes]:
+    """Return a writable string: index, sub-index, its bytes, which are restored later."""
+    variable = long_text(unit)
+    before = unit.read(variable.index, variable.subindex)
+    unit.undo_later(variable.index, variable.subindex, before)
+    unit.dirty = True
+    return variable.index, variable.subindex, before
+
+
+@case("B.6")
+def block_download(unit: Unit) -> str:
+    """Write a text by block transfer with CRC, and read it by segments."""
+    need_block(unit)
+    index, subindex, _ = text_object(unit)
+    agreed = unit.sdo.block_download(index, subindex, TEXT, crc=True)
+    if unit.read(index, subindex) != TEXT:
+        raise CaseFailed(f"{where(index, subindex)} does not read back")
+    return where(index, subindex) + ("" if agreed else ", the server has no CRC")
+
+
+@case("B.7")
+def wrong_crc(unit: Unit) -> str:
+    """Write a text by block transfer with a wrong CRC: abort, and the old text stays."""
+    need_block(unit)
+    index, subindex, before = text_object(unit)
+    if not unit.sdo.initiate_block_download(index, subindex, len(TEXT), crc=True)[0]:
+        unit.sdo.abort(index, subindex)
+        raise NotApplicable("the server has no CRC")
+    unit.sdo.abort(index, subindex)
+    try:
+        unit.sdo.block_download(index, subindex, TEXT, crc=True, wrong_crc=True)
+    except SdoAborted as abort:
+        code = unit.judge(abort)
+    else:
+        raise CaseFailed(f"{where(index, subindex)} took a block download with a wrong CRC")
+    if unit.read(index, subindex) != before:
+        raise CaseFailed(f"{where(index, subindex)} has changed although the CRC was wrong")
+    return f"{code:08X}h"
+
+
+@case("B.8")
+def lost_segment(unit: Unit) -> None:
+    """Leave a segment of the first block out: the server acknowledges those before it, and takes the others again."""
+    need_block(unit)
+    index, subindex, _ = text_object(unit)
+    crc, size = unit.sdo.initiate_block_download(index, subindex, len(TEXT), crc=True)
+    if size < 3:
+        unit.sdo.abort(index, subindex)
+        raise NotApplicable(f"the server's blocks have {size} segments")
+    segments = [TEXT[start : start + 7].ljust(7, b"\0") for start in range(0, len(TEXT), 7)]
+    first = segments[:size]
+    for number, segment in enumerate(first, 1):
+        if number != 2:
+            unit.sdo.send(bytes((number | 0x80 * (number == len(segments)),)) + segment)
+    good, size = unit.sdo.block_acknowledged(index, subindex)
+    if good != 1:
+        raise CaseFailed(f"the server acknowledges segment {good} although segment 2 is missing")
+    position = good
+    while position < len(segments):
+        for number, segment in enumerate(segments[position : position + size], 1):
+            unit.sdo.send(bytes((number | 0x80 * (position + number == len(segments)),)) + segment)
+        good, size = unit.sdo.block_acknowledged(index, subindex)
+        if good == 0:
+            raise CaseFailed("the server does not take the segments that it asked for again")
+        position += good
+    unit.sdo.end_block_download(index, subindex, len(TEXT), crc16(TEXT) if crc else 0)
+    if unit.read(index, subindex) != TEXT:
+        raise CaseFailed(f"{where(index, subindex)} does not read back after a repetition")
+
+
+@case("B.9")
+def another_length(unit: Unit) -> str:
+    """Say more bytes than follow: abort, and the old text stays."""
+    need_block(unit)
+    index, subindex, before = text_object(unit)
+    crc, _ = unit.sdo.initiate_block_download(index, subindex, len(TEXT), crc=True)
+    try:
+        unit.sdo.send(b"\x81" + TEXT[:7])
+        unit.sdo.block_acknowledged(index, subindex)
+        unit.sdo.end_block_download(index, subindex, 7, crc16(TEXT[:7]) if crc else 0)
+    except SdoAborted as abort:
+        code = unit.judge(abort)
+    else:
+        raise CaseFailed(f"{where(index, subindex)} took 7 bytes; {len(TEXT)} were said")
+    if unit.read(index, subindex) != before:
+        raise CaseFailed(f"{where(index, subindex)} has changed although the length was wrong")
+    return f"{code:08X}h"
+
+
+@case("B.10")
+def to_read_only(unit: Unit) -> str:
+    """Begin a block download to 1000h."""
+    need_block(unit)
+    if unit.has(0x1000) and unit.variable(0x1000).access not in READ_ONLY:
+        raise NotApplicable("1000h is writable in the EDS")
+    try:
+        unit.sdo.block_download(0x1000, 0, bytes(4), crc=False)
+    except SdoAborted as abort:
+        return f"{unit.judge(abort):08X}h"
+    raise CaseFailed("1000h:00 took a block download")
+
+
+@case("S.1")
+def long_download(unit: Unit) -> str:
+    """Write a text by segments and read it back."""
+    index, subindex, _ = text_object(unit)
+    unit.sdo.download_segmented(index, subindex, TEXT)
+    if unit.read(index, subindex) != TEXT:
+        raise CaseFailed(f"{where(index, subindex)} does not read back")
+    return where(index, subindex)
+
+
+@case("S.2")
+def toggle_in_download(unit: Unit) -> str:
+    """Repeat the toggle bit in a download: abort, and the old text stays."""
+    index, subindex, before = text_object(unit)
+    request = head(0x21, index, subindex, len(TEXT).to_bytes(4, "little"))
+    unit.sdo.request(request, index, subindex, "download to")
+    unit.sdo.request(b"\x00" + TEXT[:7], index, subindex, "download segment to")
+    try:
+        unit.sdo.request(b"\x00" + TEXT[7:14], index, subindex, "download segment to")
+    except SdoAborted as abort:
+        code = unit.judge(abort)
+    else:
+        raise CaseFailed(f"download to {where(index, subindex)}: a repeated toggle bit is taken")
+    if unit.read(index, subindex) != before:
+        raise CaseFailed(f"{where(index, subindex)} has changed although the transfer was aborted")
+    return f"{code:08X}h"
+
+
+@case("S.3")
+def client_abort(unit: Unit) -> str:
+    """Abort a segmented upload: no answer; the next segment request is an error."""
+    variable, _ = long_object(unit, 8)
+    unit.sdo.initiate_upload(variable.index, variable.subindex)
+    unit.sdo.abort(variable.index, variable.subindex)
+    unit.pause(unit.timing.quiet_ns)
+    if unit.take(unit.sdo_tx):
+        raise CaseFailed("the server answers the client's abort")
+    try:
+        answer = unit.sdo.request(b"\x60" + bytes(7), variable.index, variable.subindex, "unknown command")
+    except SdoAborted as abort:
+        return f"{unit.judge(abort):08X}h"
+    raise CaseFailed(f"the transfer goes on after the client's abort: {answer.hex(' ')}")
+
+
+@case("S.4")
+def short_request(unit: Unit) -> None:
+    """Send requests of 0, 1 and 7 bytes; then the server still serves."""
+    for length in (0, 1, 7):
+        unit.send(unit.sdo_rx, b"\x40\0\x10\0\0\0\0"[:length])
+        unit.pause(unit.timing.quiet_ns // 3)
+    unit.flush()
+    unit.read(0x1000, 0)
+
+
+@case("S.5")
+def remote_request(unit: Unit) -> None:
+    """Send a remote frame with the request's identifier: no answer."""
+    unit.flush()
+    unit.send(unit.sdo_rx | RTR, length=8)
+    unit.pause(unit.timing.quiet_ns)
+    if unit.take(unit.sdo_tx):
+        raise CaseFailed("a remote frame on the SDO request's identifier is answered")
+    unit.read(0x1000, 0)

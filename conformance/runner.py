@@ -1,0 +1,247 @@
+"""The run: is the device there, may it be touched, then one case after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from conformance import (
+    drive,
+    emergency,
+    error_control,
+    lss,
+    objects,
+    others,
+    own_pdo,
+    own_transfers,
+    pdo,
+    pdo_mapping,
+    sdo,
+    sdo_block,
+    states,
+    strict_pdo,
+    strict_services,
+    strict_transfers,
+    sync,
+)
+from conformance.catalogue import Case, catalogue
+from conformance.registry import FUNCTIONS
+from conformance.unit import Unit
+from conformance.verdict import CaseFailed, NoAnswer, NotApplicable, where
+from eds.cia301 import NmtState
+from eds.cia402 import PowerState
+
+__all__ = [
+    "MODULES",
+    "ConformanceRefused",
+    "NodeMissing",
+    "Outcome",
+    "Report",
+    "WrongDevice",
+    "check_before",
+    "run",
+    "select",
+]
+
+MODULES = (objects, sdo, sdo_block, pdo, pdo_mapping, emergency, sync, error_control, others, states)
+OWN_MODULES = (own_transfers, strict_transfers, own_pdo, strict_pdo, strict_services, lss, drive)
+"""Importing them fills the registry."""
+
+Result = Literal["pass", "fail", "not_applicable"]
+FRAMES = 40
+_GIVE_UP = 3
+
+
+class NodeMissing(Exception):
+    """No node answers."""
+
+    exit_status = 5
+
+
+class ConformanceRefused(Exception):
+    """The device is at work: the run would interfere."""
+
+    exit_status = 7
+
+
+class WrongDevice(Exception):
+    """The device is not the one that the EDS describes."""
+
+    exit_status = 3
+
+
+class UnknownCase(ValueError):
+    """There is no such case."""
+
+    exit_status = 2
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a case: result, the reason or a remark, and the last frames of a failure."""
+
+    case: Case
+    result: Result
+    reason: str
+    frames: tuple[str, ...] = ()
+    seconds: float = 0.0
+
+
+@dataclass(frozen=True)
+class Report:
+    """What became of all cases."""
+
+    eds: str
+    node_id: int
+    device: str
+    outcomes: tuple[Outcome, ...]
+
+    def count(self, result: Result) -> int:
+        """Return how many cases have this result."""
+        return sum(outcome.result == result for outcome in self.outcomes)
+
+
+def select(numbers: Sequence[str]) -> list[Case]:
+    """Return the cases with these numbers, in the catalogue's order; all of them without numbers.
+
+    Raises
+    ------
+    UnknownCase
+        There is no such case.
+    """
+    cases = catalogue()
+    known = {case.id for case in cases}
+    unknown = [number for number in numbers if number not in known]
+    if unknown:
+        raise UnknownCase(f"--case {unknown[0]}: there is no such case; expected a number such as 2.10, 7.101 or L.1")
+    return [case for case in cases if not numbers or case.id in numbers]
+
+
+def check_before(unit: Unit, *, force: bool = False) -> None:
+    """Make sure that the device answers and is not at work.
+
+    Raises
+    ------
+    NodeMissing
+        Nothing answers an upload of 1000h, twice.
+    ConformanceRefused
+        It is in NMT OPERATIONAL, or a drive in Operation Enabled; not with `force`.
+    WrongDevice
+        Its profile, vendor or product is another than the EDS says; not with `force`.
+    """
+    for attempt in range(2):
+        try:
+            unit.sdo.initiate_upload(0x1000, 0)
+            break
+        except NoAnswer:
+            if attempt == 0:
+                continue
+            if unit.state() is None:
+                text = f"no node answers as node {unit.node_id} (SDO request {unit.sdo_rx:03X}h): is it on, and is the id right?"
+                raise NodeMissing(text) from None
+        except CaseFailed:
+            break
+    if force:
+        return
+    _check_identity(unit)
+    if unit.state() == NmtState.OPERATIONAL:
+        raise ConformanceRefused(
+            f"node {unit.node_id} is in NMT OPERATIONAL: a host is using it. The run resets it and changes its objects; stop the host, or --force"
+        )
+    try:
+        enabled = unit.is_drive and drive.power_state(unit) == PowerState.OPERATION_ENABLED
+    except CaseFailed:
+        enabled = False
+    if enabled:
+        raise ConformanceRefused(f"node {unit.node_id} is a drive in Operation Enabled: disable it first, or --force")
+
+
+def _check_identity(unit: Unit) -> None:
+    """Refuse a device of which the EDS is not: what it calls harmless may move something there."""
+    for index, subindex, mask, name in (
+        (0x1000, 0, 0xFFFF, "profile"),
+        (0x1018, 1, 0xFFFFFFFF, "vendor"),
+        (0x1018, 2, 0xFFFFFFFF, "product"),
+    ):
+        said = unit.default(unit.variable(index, subindex)) if unit.has(index, subindex) else None
+        if not isinstance(said, int) or not said & mask:
+            continue
+        try:
+            value = unit.number(index, subindex)
+        except CaseFailed:
+            continue
+        if (value ^ said) & mask:
+            text = f"{where(index, subindex)} is {value:08X}h, and {said:08X}h in {unit.description.path}"
+            raise WrongDevice(
+                f"node {unit.node_id} has another {name} than the EDS: {text}. Give the EDS of this device; or --force"
+            )
+
+
+def run(unit: Unit, cases: Sequence[Case], progress: Callable[[int, Case], None] = lambda n, case: None) -> Report:
+    """Run the cases, and leave the device reset, with its defaults where something was stored.
+
+    A case that raises what it should not is a failure of that case, never the end of the run; when the device does not
+    answer any more, the cases that follow fail at once.
+    """
+    device = str(unit.description.info.get("ProductName", "")) or unit.description.path
+    outcomes: list[Outcome] = []
+    silent = 0
+    unit.learn_abilities()
+    try:
+        for number, case in enumerate(cases):
+            progress(number, case)
+            if silent >= _GIVE_UP:
+                outcomes.append(Outcome(case, "fail", "not run: the device does not answer any more"))
+                continue
+            outcomes.append(_one(unit, case))
+            silent = silent + 1 if outcomes[-1].result == "fail" and not _alive(unit) else 0
+    finally:  # also when it is interrupted: a drive must not stay enabled
+        _leave(unit)
+    return Report(unit.description.path, unit.node_id, device, tuple(outcomes))
+
+
+def _one(unit: Unit, case: Case) -> Outcome:
+    start_ns = unit.link.now_ns()
+    result: Result = "pass"
+    try:
+        unit.begin(case.codes)
+        start_ns = unit.link.now_ns()
+        reason = FUNCTIONS[case.id](unit) or ""
+    except NotApplicable as why:
+        result, reason = "not_applicable", str(why)
+    except CaseFailed as why:
+        result, reason = "fail", str(why)
+    except (
+        ArithmeticError,
+        AttributeError,
+        LookupError,
+        TypeError,
+        ValueError,
+    ) as why:  # what a device sent made no sense to the case
+        result, reason = "fail", f"the device's answers make no sense: {type(why).__name__}: {why}"
+    seconds = (unit.link.now_ns() - start_ns) / 1e9
+    frames = tuple(frame.line(start_ns) for frame in list(unit.trace)[-FRAMES:]) if result == "fail" else ()
+    try:
+        unit.restore()
+    except CaseFailed as why:
+        result, reason = "fail", f"what the case changed cannot be restored: {why}"
+    return Outcome(case, result, reason, frames, seconds)
+
+
+def _alive(unit: Unit) -> bool:
+    try:
+        unit.reset()
+        unit.sdo.initiate_upload(0x1000, 0)
+    except NoAnswer:
+        return False
+    except CaseFailed:
+        return True
+    return True
+
+
+def _leave(unit: Unit) -> None:
+    if unit.stored:
+        unit.forget_stored()
+    if unit.dirty:
+        unit.reset()

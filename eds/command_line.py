@@ -1,0 +1,318 @@
+"""What the verbs of the command line have in common: options, exit statuses, errors as texts, progress."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from eds.rig import Rig
+
+__all__ = [
+    "EXIT_STATUS",
+    "MODES",
+    "PICTURE",
+    "SECONDS",
+    "OutputDirectory",
+    "OutputFile",
+    "Verbs",
+    "bus_option",
+    "buses_option",
+    "channel_option",
+    "check_mode",
+    "errors",
+    "faults_option",
+    "json_option",
+    "load",
+    "mode_option",
+    "print_json",
+    "progress",
+    "record_option",
+    "remark",
+    "rig_option",
+    "script_option",
+    "seconds_option",
+    "seed_option",
+    "set_option",
+    "table_console",
+]
+
+EXIT_STATUS = """\b
+Exit status:
+  0  ok
+  1  a check failed
+  2  usage: a wrong option or argument
+  3  configuration: rig file, EDS, law, or a device that is not what they say
+  4  bus unavailable
+  5  a node is missing
+  6  a node aborted an SDO transfer
+  7  safety: arming refused, or a trip led to the safe state
+  8  deadlines or frames lost beyond the limit
+130  interrupted (143: terminated)
+With --json, what ends a verb before its result is an object on stdout, too:
+{"event": "error", "error": TEXT, "exit_status": N}
+"""
+
+WORDS, RESULT = f"{__name__}.words", f"{__name__}.result"
+"""What a context keeps: the words behind the verb, and that the result has been printed."""
+MODES = ("active", "passive", "hybrid")
+
+
+class Failure(Exception):
+    """What ends a verb: a text and an exit status."""
+
+    def __init__(self, text: str, status: int) -> None:
+        super().__init__(text)
+        self.status = status
+
+
+class Verbs(click.Group):
+    """The verbs. What ends one before its result is told on stderr; with --json it is an object on stdout, too.
+
+    Ctrl-C is exit status 130 at any time, also while a verb still loads what it needs.
+    """
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Keep the words, to know of --json even where the rest of them is refused."""
+        ctx.meta[WORDS] = tuple(args)
+        return super().resolve_command(ctx, args)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the verb."""
+
+        def tell(text: str, status: int) -> None:
+            if "--json" in ctx.meta.get(WORDS, ()) and RESULT not in ctx.meta:
+                click.echo(json.dumps({"event": "error", "error": text, "exit_status": status}))
+
+        try:
+            try:
+                return super().invoke(ctx)
+            except KeyboardInterrupt:
+                raise Failure("interrupted", 130) from None
+        except Failure as failure:
+            tell(str(failure), failure.status)
+            click.echo(f"coulombus: {failure}", err=True)
+            sys.exit(failure.status)
+        except click.ClickException as error:
+            tell(error.format_message(), error.exit_code)
+            raise
+
+
+@contextmanager
+def errors() -> Iterator[None]:
+    """Turn every error that a user can cause into its text and its exit status, the attribute `exit_status` of its class."""
+    if sys.stderr.isatty():
+        from eds.compiled import on_compiling
+
+        on_compiling(lambda: click.echo("compiling, which takes a minute or two and is kept ...", err=True))
+    try:
+        yield
+    except BrokenPipeError:  # the reader of a pipe went away, as `head` does
+        sys.stderr.close()
+        sys.exit(0)
+    except Exception as error:
+        status = getattr(error, "exit_status", None)
+        if status is not None:
+            raise Failure(str(error), status) from error
+        if not isinstance(error, OSError):
+            raise
+        text = f"{error.filename}: {error.strerror}" if error.filename else str(error)
+        raise Failure(text, 2) from error  # a file that cannot be read or written
+
+
+def remark(texts: Iterable[str]) -> None:
+    """Say on stderr what a recording lacks, sentence by sentence (`scope.recording.Recording.remarks`)."""
+    for text in texts:
+        click.echo(f"coulombus: {text}", err=True)
+
+
+def load(rig_name: str, overrides: tuple[str, ...]) -> Rig:
+    """Load a rig and say on stderr what is allowed in it and yet may not be meant."""
+    from eds.rig import load_rig
+
+    rig = load_rig(rig_name, overrides)
+    for warning in rig.warnings:
+        click.echo(f"warning: {warning}", err=True)
+    return rig
+
+
+def check_mode(rig: Rig, rig_name: str, mode: str) -> None:
+    """Refuse a mode that the rig does not have."""
+    if mode not in rig.mode:
+        raise click.BadParameter(f"{mode!r}: rig {rig_name!r} has {', '.join(rig.mode)}", param_hint="--mode")
+
+
+def print_json(value: Any) -> None:
+    """Print a result to stdout; what goes wrong after it is told on stderr only."""
+    click.echo(json.dumps(value, indent=2, allow_nan=False))
+    context = click.get_current_context(silent=True)
+    if context is not None:
+        context.meta[RESULT] = True
+
+
+class OutputFile(click.Path):
+    """A file that will be written: what forbids it is told before anything is run for it.
+
+    Parameters
+    ----------
+    suffixes : endings of the name, one of which it must have; none: any
+    """
+
+    def __init__(self, *suffixes: str) -> None:
+        super().__init__(dir_okay=False, path_type=Path)
+        self.suffixes = suffixes
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the path; BadParameter says what is wrong with it."""
+        path = Path(str(super().convert(value, param, ctx)))
+        parent = path.absolute().parent
+        if self.suffixes and path.suffix.lower() not in self.suffixes:
+            self.fail(f"{path}: expected a name that ends in {', '.join(self.suffixes)}", param, ctx)
+        if not parent.is_dir():
+            self.fail(f"{path}: there is no directory {parent}", param, ctx)
+        if not os.access(path if path.exists() else parent, os.W_OK):
+            self.fail(f"{path}: {path if path.exists() else parent} cannot be written", param, ctx)
+        return path
+
+
+class OutputDirectory(click.Path):
+    """A directory, made where it is not there yet; what forbids it is told before anything is run for it."""
+
+    def __init__(self) -> None:
+        super().__init__(file_okay=False, path_type=Path)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the path; BadParameter says what is wrong with it."""
+        path = Path(str(super().convert(value, param, ctx)))
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            self.fail(f"{path}: cannot be made: {error.strerror}", param, ctx)
+        return path
+
+
+PICTURE = OutputFile(".png", ".svg", ".pdf")
+
+
+class _Seconds(click.ParamType):  # type: ignore[type-arg]  # generic to some versions' types only
+    """A length of time in s: a number above 0, at most a year."""
+
+    name = "seconds"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        try:
+            seconds = float(value)
+        except ValueError:
+            seconds = float("nan")
+        if not 0 < seconds <= YEAR_S:
+            self.fail(f"{value!r}: expected a number above 0, at most {YEAR_S} (a year), in s", param, ctx)
+        return seconds
+
+
+YEAR_S = 31_557_600
+SECONDS = _Seconds()
+
+mode_option = click.option(
+    "--mode", type=click.Choice(MODES), default="hybrid", show_default=True, help="Who displays the friction."
+)
+seconds_option = click.option(
+    "--seconds",
+    type=SECONDS,
+    default=None,
+    help="Length of the display.  [default: the rig's schedule]",
+)
+record_option = click.option("--record", type=OutputFile(), metavar="F.pcapng", help="Record every frame there.")
+rig_option = click.option(
+    "--rig",
+    "rig_name",
+    default="bench",
+    show_default=True,
+    metavar="R",
+    help="A packaged rig (bench, paper, two_axes) or the path of a rig file.",
+)
+set_option = click.option(
+    "--set",
+    "overrides",
+    multiple=True,
+    metavar="SECTION.KEY=V",
+    help="Set any key of the rig file, as in --set plant.inertia_kg_m2=3e-3. May be given several times.",
+)
+faults_option = click.option(
+    "--faults",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="F.toml",
+    help="A fault file: what goes wrong on the bus, and when.",
+)
+seed_option = click.option("--seed", default=0, show_default=True, help="Start of everything random.")
+bus_option = click.option(
+    "--bus", "bus_name", metavar="B", help="coulombus:NAME or socketcan:IF.  [default: coulombus:RIG]"
+)
+buses_option = click.option(
+    "--bus",
+    "bus_names",
+    multiple=True,
+    metavar="B",
+    help="coulombus:NAME or socketcan:IF; CHANNEL=B for each bus of a rig that has several.  [default: coulombus:RIG]",
+)
+channel_option = click.option(
+    "--channel",
+    metavar="C",
+    help="Only the axes on this bus of a rig that has several.  [default: all, a process each]",
+)
+script_option = click.option(
+    "--script",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    metavar="F.toml",
+    help="Switch nodes off and on, reset them, let device faults come and go at given times.",
+)
+json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON to stdout.")
+
+
+def table_console(width: int) -> Console:
+    """Return the console for a table on stdout: the terminal, or so many columns of a file or a pipe."""
+    from rich.console import Console
+
+    console = Console()
+    return console if console.is_terminal else Console(width=width)
+
+
+@contextmanager
+def progress(enabled: bool) -> Iterator[Callable[[str, float, float], None]]:
+    """Show live bars on stderr: call what is yielded with a label, the time reached and the whole time."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True)
+    if not enabled or not console.is_terminal:
+        yield lambda label, t, total: None
+        return
+    columns = (
+        TextColumn("{task.description:<8}"),
+        BarColumn(40),
+        TextColumn("{task.fields[told]}"),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=console) as bars:
+        starting = bars.add_task("starting", total=None, told="")
+        tasks: dict[str, TaskID] = {}
+
+        def report(label: str, t: float, total: float) -> None:
+            if label not in tasks:
+                bars.update(starting, visible=False)
+                tasks[label] = bars.add_task(label, total=total, told="")
+            t = min(t, total)
+            bars.update(tasks[label], completed=t, told=f"{t:5.1f} of {total:.0f} s displayed")
+
+        yield report
+        bars.update(starting, visible=False)

@@ -1,0 +1,158 @@
+"""``coulombus node``: any EDS as a live node, on a bus that is there or on one of its own.
+
+What is served is what the description says: every object with its default, PDOs, SDO, NMT, heartbeat, EMCY, LSS. There is no behaviour
+behind it unless a kind is asked for: a value stays what was written to it last.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from eds.reader import Description, read_eds
+from lab.bus_server import BusServer
+from lab.network import Heard, VirtualNetwork
+from lab.serving import run_sim
+from node.device import Device
+from node.records import KIND_BRAKE, KIND_DRIVE, KIND_GENERIC
+from node.store import FileStore, Store
+from wire.address import BusAddress
+
+__all__ = ["KINDS", "LiveNodes", "NodeError", "run_nodes"]
+
+KINDS = {"generic": KIND_GENERIC, "drive": KIND_DRIVE, "brake": KIND_BRAKE}
+BOOT_UP, SDO_RESPONSE = 0x700, 0x580
+BIT_RATE = 1_000_000
+
+
+class NodeError(ValueError):
+    """Options that do not fit together; the text says what to do."""
+
+    exit_status = 2
+
+
+@dataclass
+class LiveNodes:
+    """The descriptions that become nodes, and what is told about them.
+
+    Attributes
+    ----------
+    eds : sequence of (path, node id); None: the node id of the file, a DCF
+    bit_rate : [bit/s] of a bus that is served here; 0: that of the DCFs, else 1 Mbit/s
+    node_ids : of the nodes
+    """
+
+    eds: Sequence[tuple[Path, int | None]]
+    kind: int = KIND_GENERIC
+    store: Path | None = None
+    processing_us: float = 20.0
+    as_json: bool = False
+    bit_rate: int = 0
+    descriptions: list[Description] = field(default_factory=list)
+    told: set[tuple[str, int]] = field(default_factory=set)
+    server: BusServer | None = None
+    node_ids: list[int] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.descriptions = [read_eds(path) for path, _ in self.eds]
+        self._commission()
+        ids = self.node_ids
+        if len(set(ids)) < len(ids):
+            raise NodeError(f"node ids {', '.join(map(str, ids))}: each node needs an id of its own")
+        if self.store is not None and len(ids) > 1:
+            raise NodeError(f"--store {self.store}: one file keeps one node; start a `coulombus node` for each")
+        if self.store is not None and (self.store.is_dir() or not self.store.absolute().parent.is_dir()):
+            raise NodeError(f"--store {self.store}: expected a file, in a directory that is there")
+        for (path, _), description in zip(self.eds, self.descriptions, strict=True):
+            if description.diagnoses:
+                text = f"{len(description.diagnoses)} diagnoses, read tolerantly; see `coulombus eds check {path}`"
+                print(f"coulombus: {path}: {text}", file=sys.stderr)
+        self._devices(VirtualNetwork(capacity=len(ids)), Store)  # refused before a bus is opened
+
+    def _commission(self) -> None:
+        """Settle node ids and bit rate: what was said wins over what a DCF says."""
+        for (path, node_id), description in zip(self.eds, self.descriptions, strict=True):
+            chosen = node_id or description.node_id
+            if not chosen:
+                raise NodeError(f"{path} has no node id ([DeviceComissioning] of a DCF has one); give --node-id")
+            self.node_ids.append(chosen)
+        rates = {description.bit_rate for description in self.descriptions} - {0}
+        if len(rates) > 1 and not self.bit_rate:
+            wanted = " and ".join(map(str, sorted(rates)))
+            raise NodeError(f"the DCFs tell of {wanted} bit/s, but a bus has one bit rate; give --bitrate")
+        self.bit_rate = self.bit_rate or max(rates, default=BIT_RATE)
+
+    def make_world(self, bit_rate: int, trial: bool) -> VirtualNetwork:
+        """Return the network of the nodes, and nothing else on it; a trial keeps nothing and tells nothing."""
+        network = VirtualNetwork(bit_rate, capacity=len(self.eds))
+        if trial:
+            self._devices(network, Store)
+            return network
+        devices = self._devices(network, lambda: Store() if self.store is None else FileStore(self.store))
+        own = {BOOT_UP + device.node_id: row for row, device in enumerate(devices)}
+        own |= {SDO_RESPONSE + device.node_id: row for row, device in enumerate(devices)}
+        network.station(own, lambda frame: self._heard(devices[own[frame.can_id]], own[frame.can_id], frame))
+        return network
+
+    def _devices(self, network: VirtualNetwork, store: Callable[[], Store]) -> list[Device]:
+        devices = []
+        for node_id, description in zip(self.node_ids, self.descriptions, strict=True):
+            kept = store()
+            devices.append(network.add(description, node_id, self.kind, store=kept))
+            devices[-1].record["processing_ns"] = round(self.processing_us * 1e3)
+            if isinstance(kept, FileStore) and kept.diagnosis:
+                print(f"coulombus: {kept.diagnosis}", file=sys.stderr)
+        return devices
+
+    def _heard(self, device: Device, row: int, frame: Heard) -> None:
+        """Tell of the first boot-up of a node, and of another node that has its id."""
+        if frame.source == row:
+            if frame.can_id == BOOT_UP + device.node_id:
+                self._tell("ready", device, row, frame)
+        else:
+            self._tell("duplicate", device, row, frame)
+
+    def _tell(self, event: str, device: Device, row: int, frame: Heard) -> None:
+        if (event, row) in self.told or self.server is None:
+            return
+        self.told.add((event, row))
+        server, node_id, path = self.server, device.node_id, self.eds[row][0]
+        if self.as_json:
+            line: dict[str, object] = {"event": event, "node_id": node_id, "eds": str(path), "bus": str(server.address)}
+            if event == "ready":
+                line |= {"bitrate_bit_s": server.bit_rate, "serves_bus": serves(server)}
+            else:
+                line |= {"can_id": frame.can_id, "data": frame.data.hex()}
+            print(json.dumps(line), flush=True)
+        elif event == "ready":
+            print(f"node {node_id} ({path}) is on bus {server.address}; Ctrl-C ends it", flush=True)
+        if event == "duplicate":
+            text = f"another node on bus {server.address} has the node id {node_id}: it sent {frame.can_id:03X}h"
+            print(f"coulombus: {text} {frame.data.hex(' ')}; give one of them another id", file=sys.stderr, flush=True)
+
+
+def serves(server: BusServer) -> bool:
+    """Tell whether the virtual bus is this process' own."""
+    return server.address.kind == "coulombus" and not server.joined
+
+
+def run_nodes(nodes: LiveNodes, address: BusAddress, seconds: float | None) -> int:
+    """Serve the nodes until the time is over, or SIGINT or SIGTERM; return the exit status."""
+
+    def make() -> BusServer:
+        server = BusServer(nodes.make_world, address, nodes.bit_rate, join=True)
+        nodes.server = server
+        return server
+
+    def tell_bus(server: BusServer, as_json: bool) -> None:
+        if serves(server):
+            rate = f"{server.bit_rate / 1e6:g} Mbit/s"
+            print(
+                f"coulombus: nobody served bus {address}: it is served here, at {rate}; others may join",
+                file=sys.stderr,
+            )
+
+    return run_sim(make, seconds, priority=None, cpu=None, as_json=nodes.as_json, tell_ready=tell_bus)

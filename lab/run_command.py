@@ -1,0 +1,176 @@
+"""``coulombus run`` and ``coulombus stop``: the host on one bus or on several."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from eds.command_line import (
+    EXIT_STATUS,
+    PICTURE,
+    buses_option,
+    channel_option,
+    check_mode,
+    errors,
+    json_option,
+    load,
+    mode_option,
+    print_json,
+    progress,
+    record_option,
+    rig_option,
+    seconds_option,
+    set_option,
+)
+from lab.run_table import print_runs
+
+if TYPE_CHECKING:
+    from wire.address import BusAddress
+
+__all__ = ["run_command", "stop"]
+
+
+@click.command("run", epilog=EXIT_STATUS)
+@rig_option
+@buses_option
+@channel_option
+@mode_option
+@seconds_option
+@record_option
+@click.option(
+    "--histogram",
+    type=PICTURE,
+    metavar="F.png",
+    help="Draw wake-up and SYNC-to-RPDO times there.",
+)
+@set_option
+@click.option(
+    "--shared-machine", is_flag=True, help="Wider limits, for simulated nodes on a machine that does other work, too."
+)
+@click.option("--cpu", type=int, default=None, help="CPU for the cycle's process.  [default: the last one]")
+@json_option
+def run_command(
+    rig_name: str,
+    bus_names: tuple[str, ...],
+    channel: str | None,
+    mode: str,
+    seconds: float | None,
+    record: Path | None,
+    histogram: Path | None,
+    overrides: tuple[str, ...],
+    shared_machine: bool,
+    cpu: int | None,
+    as_json: bool,
+) -> None:
+    """Run the host alone, in real time, on a bus where the nodes are: simulated ones (`coulombus sim`) or a rig.
+
+    Ends safely when the time is over, on Ctrl-C (exit status 130), SIGTERM (143), `coulombus stop` (0), or a trip (7). After a trip nothing
+    re-arms by itself. Real-time rights are asked for; what is refused is told with the command that grants it.
+
+    \b
+    Examples:
+      coulombus sim &
+      coulombus run --mode hybrid --seconds 13 --record run.pcapng
+      coulombus run --bus socketcan:can0 --rig my-rig.toml --mode active --json
+    """
+    with errors():
+        from lab.demo import schedule_s
+        from lab.real_demo import SHARED_MACHINE
+        from lab.real_run import Signals, real_run
+        from wire.rig_buses import bus_addresses
+
+        rig = load(rig_name, (*SHARED_MACHINE, *overrides) if shared_machine else overrides)
+        addresses = bus_addresses(rig, bus_names, channel)
+        real = [str(address) for address in addresses.values() if address.kind != "coulombus"]
+        if shared_machine and real:
+            text = f"for simulated nodes only: on {real[0]} a motor could push unwatched for 50 ms; choose each limit by --set"
+            raise click.BadParameter(text, param_hint="--shared-machine")
+        check_mode(rig, rig_name, mode)
+        total = schedule_s(rig) if seconds is None else seconds
+        if channel is not None:
+            rig = rig.on(channel)
+        if len(rig.channels) > 1:
+            words = ["run", "--rig", rig_name, "--mode", mode, "--seconds", str(total), "--json"]
+            words += [word for text in overrides for word in ("--set", text)]
+            words += ["--shared-machine"] if shared_machine else []
+            sys.exit(_run_buses(words, addresses, {"--record": record, "--histogram": histogram}, mode, as_json))
+        (address,) = addresses.values()
+        with Signals() as signals, progress(not as_json) as report:
+            result = real_run(
+                rig,
+                mode,
+                total,
+                bus=address,
+                record=record,
+                histogram=histogram,
+                signals=signals,
+                progress=lambda t: report(mode, t, total),
+                cpu=cpu,
+            )
+        if as_json:
+            print_json(result.as_dict())
+        else:
+            print_runs({mode: result})
+        _say_what_to_do(result.trip, shared_machine)
+        sys.exit(result.exit_status)
+
+
+def _say_what_to_do(trip: str | None, shared_machine: bool) -> None:
+    """After a trip for want of TPDOs on a machine of one's own: what else it may be."""
+    if trip is not None and "TPDO_LOST" in trip and not shared_machine:
+        text = "if this machine does other work, too, it may have stood still for so long: --shared-machine widens the limits"
+        click.echo(f"coulombus: {text} (docs/realtime.md)", err=True)
+
+
+def _run_buses(
+    words: list[str], addresses: dict[str, BusAddress], files: dict[str, Path | None], mode: str, as_json: bool
+) -> int:
+    """Run the host on several buses, a process each; return the exit status."""
+    from lab.buses import merged, path_on, supervise
+    from lab.simulate import RunResult
+
+    def arguments(channel: str) -> list[str]:
+        there = ((option, path_on(path, channel)) for option, path in files.items() if path is not None)
+        own = [word for option, path in there for word in (option, str(path))]
+        return [*words, *own, "--channel", channel, "--bus", f"{channel}={addresses[channel]}"]
+
+    buses = supervise(list(addresses), arguments)
+    whole = merged({b.channel: b.result for b in buses}, {b.channel: b.status for b in buses})
+    if as_json:
+        print_json(whole)
+    elif "mode" in whole:
+        print_runs({mode: RunResult(**whole)})
+    status: int = whole["exit_status"]
+    return status
+
+
+@click.command(epilog=EXIT_STATUS)
+@rig_option
+@buses_option
+def stop(rig_name: str, bus_names: tuple[str, ...]) -> None:
+    """Stop the host that runs on a bus safely: motor torque 0, brake ramped off, drive disabled. Waits for its end.
+
+    \b
+    Examples:
+      coulombus stop
+      coulombus stop --bus socketcan:can0
+    """
+    with errors():
+        from eds.rig import load_rig
+        from host.control_socket import stop_host
+        from wire.address import parse_address
+        from wire.rig_buses import bus_addresses
+
+        rig = load_rig(rig_name)
+        for address in [parse_address(t.rpartition("=")[2]) for t in bus_names] or bus_addresses(rig).values():
+            result = stop_host(address)
+            if not result:
+                click.echo(f"the host on {address} ended without a word")
+            elif result["trip"]:
+                click.echo(f"the host on {address} had tripped: {result['trip']}")
+            else:
+                told = f"stopped safely after {result['cycles']} cycles in mode {result['mode']}"
+                click.echo(f"the host on {address} {told}")

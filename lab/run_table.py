@@ -1,0 +1,106 @@
+"""What runs came to, as a table for people."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from eds.command_line import table_console
+
+if TYPE_CHECKING:
+    from lab.simulate import RunResult
+
+__all__ = ["injected_lines", "print_runs", "print_verdict"]
+
+WIDTH = 200
+"""Of the table in a file or a pipe."""
+
+REAL_TIME_ROWS = ("stopped_by", "wakeup_us", "sync_to_rpdo_us", "cpu_us_per_cycle", "deadman")
+
+
+def _columns(results: dict[str, RunResult]) -> Iterator[tuple[str, RunResult]]:
+    """Yield a column for each result, for each axis of a rig that has several."""
+    from dataclasses import replace
+
+    for title, result in results.items():
+        if result.buses:
+            yield from _columns({title + f", {bus}": replace(result, **own) for bus, own in result.buses.items()})
+            continue
+        if not result.axes:
+            yield title, result
+        for axis, own in (result.axes or {}).items():
+            yield f"{title}, {axis}", replace(result, **own)
+
+
+def print_runs(results: dict[str, RunResult]) -> None:
+    """Print a column for each result, or for each axis of it."""
+    from rich.table import Table
+
+    rows: tuple[tuple[str, str, str], ...] = (
+        ("cycles displayed", "cycles", ""),
+        ("lost PDOs", "lost_pdos", ""),
+        ("missed deadlines", "missed_deadlines", ""),
+        ("hold: velocity RMS", "hold_velocity_rms_rad_s", "rad/s"),
+        ("hold: encoder peak to peak", "hold_counts_p2p", "counts"),
+        ("hold: torque flips", "torque_flips_per_s", "/s"),
+        ("hold: spectral peak", "hold_peak_Hz", "Hz"),
+        ("hold: largest push", "hold_push_Nm", "Nm"),
+        ("dwells: velocity RMS", "stick_velocity_rms_rad_s", "rad/s"),
+        ("sign check", "sign_check", ""),
+        ("recording", "recording", ""),
+        ("stopped by", "stopped_by", ""),
+        ("trip", "trip", ""),
+        ("wake-up p50 / p99 / max", "wakeup_us", "us"),
+        ("SYNC to RPDO p50 / p99 / max", "sync_to_rpdo_us", "us"),
+        ("CPU a cycle", "cpu_us_per_cycle", "us"),
+        ("dead man's switch", "deadman", ""),
+    )
+    results = dict(_columns(results))
+    table = Table(box=None, pad_edge=False)
+    table.add_column("")
+    for mode in results:
+        table.add_column(mode, justify="right", overflow="fold")
+    for label, field, unit in rows:
+        cells = []
+        for result in results.values():
+            value = getattr(result, field)
+            if isinstance(value, dict):
+                value = " / ".join(f"{part:.0f}" for part in value.values())
+            text = "-" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
+            cells.append(f"{text} {unit}".strip() if value is not None else text)
+        if field not in REAL_TIME_ROWS or any(cell != "-" for cell in cells):
+            table.add_row(label, *cells)
+    table_console(WIDTH).print(table)
+
+
+def print_verdict(holds: bool, text: str) -> None:
+    """Print whether a criterion holds, and its text."""
+    from rich.console import Console
+    from rich.markup import escape
+
+    mark = "[green]ok  [/]" if holds else "[red]FAIL[/]"
+    Console(highlight=False).print(f"{mark} {escape(text)}", soft_wrap=True)
+
+
+def injected_lines(
+    faults: Sequence[Mapping[str, Any]] | None, controllers: Mapping[str, Mapping[str, Any]] | None
+) -> Iterator[str]:
+    """Yield a line for each fault of a fault file, and for each CAN controller; a fault that never struck is told as such."""
+    for one in faults or ():
+        bus = f"bus {one['bus']}, " if "bus" in one else ""
+        if not one["times"]:
+            when = "never struck: what it waits for did not come"
+        elif one["times"] == 1:
+            when = f"once, at {one['first_s']:.6f} s"
+        else:
+            when = f"{one['times']} times, from {one['first_s']:.6f} s to {one['last_s']:.6f} s"
+        yield f"fault {one['kind']} ({bus}line {one['line']}): {when}"
+    for name, c in (controllers or {}).items():
+        counts = {
+            "errors": sum(c["errors"].values()),
+            "frames sent again": c["retransmissions"],
+            "dropped": c["dropped"],
+        }
+        counts |= {"times error passive": c["passives"], "times bus-off": c["bus_offs"]}
+        rest = "".join(f", {n} {what}" for what, n in counts.items() if n)
+        yield f"controller {name}: {c['state'].upper()} (berr-counter tx {c['tec']} rx {c['rec']}){rest}"

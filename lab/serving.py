@@ -1,0 +1,96 @@
+"""The course of ``coulombus sim``: signals in the main thread, the bus in one of its own, what is told and when."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable
+from dataclasses import asdict
+from types import FrameType
+
+from lab.bus_server import BusServer, SimResult
+from lab.run_table import injected_lines
+
+__all__ = ["PRIORITY", "run_sim"]
+
+PRIORITY = 79
+"""SCHED_FIFO priority of the bus: just below the host's."""
+
+
+def run_sim(
+    make: Callable[[], BusServer],
+    seconds: float | None,
+    *,
+    priority: int | None,
+    cpu: int | None,
+    as_json: bool,
+    tell_ready: Callable[[BusServer, bool], None] | None = None,
+) -> int:
+    """Serve until the time is over, or SIGINT or SIGTERM; tell when ready and what came of it; return the exit status.
+
+    A compiled loop does not see a signal, so it runs in a thread of its own and the main thread's handlers stop it. Until `make` has made
+    the server (the first time it compiles for half a minute) a signal ends the process at once: an exception might be swallowed by whatever
+    it interrupts, and there is nothing to clean up yet. `tell_ready` is called before the nodes are switched on; by default it tells of a bus.
+    """
+    made: list[BusServer] = []
+    over = threading.Event()
+    failure: list[BaseException] = []
+
+    def course() -> None:
+        try:
+            server.run(seconds, priority=priority, cpu=cpu, ready=lambda: (tell_ready or _tell_ready)(server, as_json))
+        except BaseException as error:
+            failure.append(error)
+        finally:
+            over.set()
+
+    def on_signal(number: int, frame: FrameType | None) -> None:
+        if not made:
+            os._exit(0)
+        made[0].stop()
+
+    before = {number: signal.signal(number, on_signal) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        server = make()
+        made.append(server)
+        thread = threading.Thread(target=course, name="bus")
+        thread.start()
+        while not over.wait(1.0):
+            pass
+        thread.join()
+    finally:
+        for one in made:
+            one.close()
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    if failure:
+        raise failure[0]
+    _tell_end(server.result, as_json)
+    return server.result.exit_status
+
+
+def _tell_ready(server: BusServer, as_json: bool) -> None:
+    for right in server.real_time.refused:
+        print(f"coulombus: {right}", file=sys.stderr)
+    if as_json:
+        line = {"event": "ready", "bus": str(server.address), "bitrate_bit_s": server.bit_rate}
+        print(json.dumps({**line, "real_time": server.real_time.as_dict()}), flush=True)
+    else:
+        rate = f" at {server.bit_rate / 1e6:g} Mbit/s" if server.bit_rate else ""
+        print(f"bus {server.address} is ready{rate}; Ctrl-C ends it", flush=True)
+
+
+def _tell_end(result: SimResult, as_json: bool) -> None:
+    for loser in result.losers:
+        text = "a client (process {pid}) did not read fast enough: {lost} frames lost to it, {delivered} delivered"
+        print("coulombus: " + text.format(**loser), file=sys.stderr)
+    if result.gone:
+        print(f"coulombus: {result.gone}", file=sys.stderr)
+    if as_json:
+        print(json.dumps({"event": "end", **asdict(result)}), flush=True)
+    else:
+        lines = [f"{result.frames} frames in {result.seconds:.1f} s, {result.clients} clients"]
+        print("\n".join((*lines, *injected_lines(result.faults, result.controllers))), flush=True)

@@ -1,0 +1,42 @@
+"""A device whose clock runs fast or slow (`wire.clock`), compiled.
+
+`on_frame`, `on_time` and `link_changed` are those of `node.core` for such a device: it is told its own time, and what it sends is ready at the bus's.
+Its `next_ns` is in its own time.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from eds.compiled import kernel
+from node import core
+from wire.clock import own_ns, to_bus
+
+__all__ = ["link_changed", "on_frame", "on_time"]
+
+
+@kernel
+def on_frame(
+    nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, can_id: int, length: int, data: int, queue: Any, header: Any
+) -> int:
+    """As `node.core.on_frame`, at `t_ns` of the bus."""
+    first, own = header[0].count, own_ns(nodes[i], t_ns)
+    wanted = core.on_frame(nodes, rpdo, tpdo, i, own, can_id, length, data, queue, header)
+    to_bus(nodes[i], queue, header, first)
+    return int(wanted)
+
+
+@kernel
+def on_time(nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, queue: Any, header: Any) -> None:
+    """As `node.core.on_time`, at `t_ns` of the bus."""
+    first, own = header[0].count, own_ns(nodes[i], t_ns)
+    core.on_time(nodes, rpdo, tpdo, i, own, queue, header)
+    to_bus(nodes[i], queue, header, first)
+
+
+@kernel
+def link_changed(nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, link: int, queue: Any, header: Any) -> None:
+    """As `node.core.link_changed`, at `t_ns` of the bus."""
+    first, own = header[0].count, own_ns(nodes[i], t_ns)
+    core.link_changed(nodes, rpdo, tpdo, i, own, link, queue, header)
+    to_bus(nodes[i], queue, header, first)

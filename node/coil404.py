@@ -1,0 +1,123 @@
+"""What the brake's driver looks after in its coil, compiled: current limit, temperature, open and short circuit, remanence.
+
+Everything is judged by what the driver measures (current, temperature) and by what it commands.
+
+- The current is limited to 2010h:01; between the warning temperature 2011h:01 and the limit 2011h:02 the share that is left
+  falls in a straight line to 2011h:04. As the brake's torque goes with its current, `limit_Nm` bounds the torque.
+- Above 2011h:02: over-temperature, until the coil is colder by 2011h:03.
+- Less than a quarter of the commanded current for 2010h:04, when that is above 2010h:03: the coil is open.
+- More current than 2010h:02: it is short.
+
+An open coil shows only while there is a command, so both coil faults stay until a set-point of 0 is sent, with the output at 0.
+
+The demagnetisation pulse: 2012h:03 after the output has gone to 0, 2012h:01 of the opposite sign for 2012h:02 takes away
+what the iron remembers. A new set-point ends it, a device fault bars it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from eds.compiled import inlined, kernel
+from node import emcy, slots
+
+__all__ = ["demagnetise", "next_deadline", "start", "watch"]
+
+_OPEN_SHARE = 0.25
+_TEMPERATURE = 1 << emcy.OVER_TEMPERATURE - emcy.FIRST_DEVICE_CAUSE
+_OPEN = 1 << emcy.COIL_OPEN - emcy.FIRST_DEVICE_CAUSE
+_SHORT = 1 << emcy.COIL_SHORT - emcy.FIRST_DEVICE_CAUSE
+_LOOK_NS = 10_000_000  # how often, without a SYNC
+
+
+@kernel
+def start(n: Any) -> None:
+    """Nothing was found yet."""
+    n.detected = 0
+    n.open_since_ns = -1
+    n.pulse_due = 0
+    n.out_reverse_A = 0.0
+
+
+@inlined
+def watch(n: Any, t_ns: int) -> None:
+    """Bring `detected` and `limit_Nm` up to what is measured; almost always there is nothing to do."""
+    measured = abs(n.in_coil_A)
+    expected = n.out_brake_Nm * n.coil_A_Nm
+    missing = expected > n.least_A and measured < _OPEN_SHARE * expected
+    if (
+        missing
+        or measured > n.short_A
+        or n.in_coil_degC > n.warm_degC
+        or n.detected
+        or n.derated
+        or n.open_since_ns >= 0
+    ):
+        _watch_temperature(n)
+        _watch_current(n, t_ns, missing, measured)
+
+
+@kernel
+def _watch_temperature(n: Any) -> None:
+    temperature = n.in_coil_degC
+    if temperature > n.hot_degC:
+        n.detected |= _TEMPERATURE
+    elif temperature < n.cooled_degC:
+        n.detected &= ~_TEMPERATURE
+    n.derated = 1 if temperature > n.warm_degC else 0
+    share = 1.0
+    if n.derated:
+        way = (min(temperature, n.hot_degC) - n.warm_degC) / max(n.hot_degC - n.warm_degC, 0.1)
+        share = 1.0 - (1.0 - n.share_left) * way
+    n.limit_Nm = share * n.max_A / n.coil_A_Nm if n.coil_A_Nm > 0.0 else math.inf
+
+
+@kernel
+def _watch_current(n: Any, t_ns: int, missing: bool, measured: float) -> None:
+    if n.detected & (_OPEN | _SHORT):
+        if n.ramping != 0 and n.out_brake_Nm == 0.0 and n.values[slots.SETPOINT] <= 0:
+            n.detected &= ~(_OPEN | _SHORT)
+            n.open_since_ns = -1
+        return
+    if measured > n.short_A:
+        n.detected |= _SHORT
+    if not missing:
+        n.open_since_ns = -1
+    elif n.open_since_ns < 0:
+        n.open_since_ns = t_ns
+    elif t_ns - n.open_since_ns >= n.open_ns:
+        n.detected |= _OPEN
+
+
+@kernel
+def demagnetise(n: Any, t_ns: int) -> None:
+    """Give the pulse its current, when it is its time."""
+    n.out_reverse_A = 0.0
+    if n.out_brake_Nm > 0.0:
+        n.pulse_due = 1
+        n.pulse_ns = t_ns + n.demag_delay_ns
+        return
+    if n.pulse_due == 0 or n.causes & emcy.DEVICE_MASK:
+        return
+    end_ns = n.pulse_ns + n.demag_ns
+    if t_ns >= end_ns:
+        n.pulse_due = 0
+        return
+    if t_ns >= n.pulse_ns:
+        n.out_reverse_A = n.demag_A
+    n.next_ns = min(n.next_ns, end_ns if t_ns >= n.pulse_ns else n.pulse_ns)
+
+
+@kernel
+def next_deadline(n: Any, t_ns: int, next_ns: int) -> int:
+    """Return the earlier of `next_ns` and what the coil needs: the pulse's edges; a look while nobody sends a SYNC."""
+    if n.demag_A > 0.0 and n.pulse_due and n.out_brake_Nm == 0.0 and n.causes & emcy.DEVICE_MASK == 0:
+        edge = n.pulse_ns if t_ns < n.pulse_ns else n.pulse_ns + n.demag_ns
+        next_ns = min(next_ns, max(edge, t_ns + 1))  # the pulse is over with the step at its end
+    if n.open_since_ns >= 0 and n.detected & _OPEN == 0:
+        end_ns = n.open_since_ns + n.open_ns
+        next_ns = min(next_ns, end_ns if end_ns > t_ns else t_ns + _LOOK_NS)
+    if n.coil_A_Nm > 0.0 and n.sync_armed == 0 and (n.out_brake_Nm > 0.0 or n.detected):
+        next_ns = min(next_ns, t_ns + _LOOK_NS)
+    return next_ns

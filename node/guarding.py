@@ -1,0 +1,56 @@
+"""Node guarding of a node, compiled (CiA 301, section 7.2.8.3.2.1): the answer to the master's remote frame, and the life time.
+
+The answer carries the NMT state and a bit that alternates, 0 in the first answer after a boot-up. When guard time (100Ch)
+times life time factor (100Dh) passes without a remote frame, the master is lost: a life guarding event. The watch begins with the
+first remote frame. A node with a heartbeat (1017h) is not guarded: one of the two at a time, and the heartbeat wins.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from eds.compiled import kernel
+from node import emcy
+from wire.frame import push
+
+__all__ = ["LOST", "answer", "late", "next_deadline", "restart"]
+
+_WAITING, _ALIVE, LOST = 0, 1, 2
+_INITIALISING = 0
+
+
+@kernel
+def restart(n: Any) -> None:
+    """Begin anew (boot-up, a changed 100Ch, 100Dh or 1017h): the watch waits for a remote frame."""
+    n.guard_toggle = 0
+    n.guard_state = _WAITING
+
+
+@kernel
+def answer(n: Any, i: int, t_ns: int, queue: Any, header: Any) -> None:
+    """Answer a remote frame on 700h + node id."""
+    if n.guard_on == 0 or n.nmt == _INITIALISING:
+        return
+    push(queue, header, i, t_ns + n.processing_ns, 0x700 + n.node_id, 1, n.guard_toggle << 7 | n.nmt)
+    n.guard_toggle ^= 1
+    if n.guard_life_ns > 0:
+        n.guard_last_ns = t_ns
+        if n.guard_state != _ALIVE:
+            n.next_ns = min(n.next_ns, t_ns + n.guard_life_ns)
+        if n.guard_state == LOST:
+            emcy.gone(n, i, t_ns, emcy.LIFE_GUARDING, queue, header)
+        n.guard_state = _ALIVE
+
+
+@kernel
+def late(n: Any, t_ns: int) -> bool:
+    """Tell whether the life time is over now."""
+    return bool(n.guard_state == _ALIVE and n.guard_life_ns > 0 and t_ns - n.guard_last_ns >= n.guard_life_ns)
+
+
+@kernel
+def next_deadline(n: Any, next_ns: int) -> int:
+    """Return the earlier of `next_ns` and the end of the life time."""
+    if n.guard_state == _ALIVE and n.guard_life_ns > 0:
+        next_ns = min(next_ns, n.guard_last_ns + n.guard_life_ns)
+    return next_ns

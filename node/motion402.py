@@ -1,0 +1,318 @@
+"""The torque of a CiA 402 drive, compiled: limits, modes of operation, slopes, velocity loop (IEC 61800-7-201).
+
+Torques in per mille of rated, speeds in counts/s, as everywhere in the drive:
+
+    limits      high = min(6072h, 6073h, 60E0h), low = -min(6072h, 6073h, 60E1h); 0 on the side on which the position is
+                beyond 607Dh or the speed beyond 6080h
+    CST (10)    demand = clip(6071h + 60B2h, low, high)
+    torque (4)  d demand / dt = +- 6087h until demand = clip(6071h, low, high)
+    speeds      d speed / dt = +- 6083h or 6084h until speed = 60FFh (profile velocity, 3); speed = 60FFh + 60B1h (CSV, 9)
+                demand = clip(Kp (speed - 606Ch) + integral, low, high),   d integral / dt = Ki (speed - 606Ch)
+
+The integral stands still while the demand is at a limit and the error pushes further (anti-windup). Kp, Ki: 2010h.
+
+A way to torque 0 that takes its time (option codes 605Ah to 605Eh, a change of the mode) is a *ramp*: `begin` starts it,
+`step` goes along it, and behind it the torque is 0 and the power state `slowing_to` follows. No ramp lasts longer than
+2006h, none outlives the supply. In the torque modes the quick stop ramp is "at once": a hand is on the handle.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from eds import cia402
+from eds.compiled import inlined, kernel
+from node import slots
+
+__all__ = [
+    "MODES",
+    "QUICK",
+    "SLOW",
+    "begin",
+    "change_mode",
+    "enter",
+    "high_limit",
+    "is_speed_mode",
+    "low_limit",
+    "next_deadline",
+    "other_mode",
+    "stop",
+    "target_bits",
+]
+
+_VELOCITY, _TORQUE = cia402.OPERATION_MODE_PROFILE_VELOCITY, cia402.OPERATION_MODE_PROFILE_TORQUE
+_CSV, _CST = cia402.OPERATION_MODE_CSV, cia402.OPERATION_MODE_CST
+_SPEED_MODES = (_VELOCITY, _CSV)
+MODES = (0, _VELOCITY, _TORQUE, _CSV, _CST)
+"""What 6060h may hold."""
+
+SLOW, QUICK, _TO_ZERO = 1, 2, 3
+"""Ramps: the slow-down ramp (6087h, 6084h), the quick stop ramp (at once, 6085h), and torque by 6087h in every mode."""
+
+_ENABLED = int(cia402.PowerState.OPERATION_ENABLED)
+_HALT = 0x0100
+_TARGET_REACHED, _SPEED_ZERO, _SLIPPAGE = 0x0400, 0x1000, 0x2000
+_LOWEST, _HIGHEST = -0x80000000, 0x7FFFFFFF
+_LONGEST_STEP_S = 0.01  # of the integral: nobody called for longer
+
+
+@inlined
+def is_speed_mode(mode: int) -> bool:
+    """Whether 60FFh is the set-point."""
+    return mode in _SPEED_MODES
+
+
+@kernel
+def _beyond(n: Any) -> int:
+    """Return +1 where nothing may push upwards, -1 downwards, 2 in neither direction: 607Dh and 6080h."""
+    position = ((n.in_position_counts + 0x80000000) & 0xFFFFFFFF) - 0x80000000
+    lowest, highest = n.values[slots.LOWEST_POSITION], n.values[slots.HIGHEST_POSITION]
+    speed = n.in_velocity_counts_s
+    up = (position >= highest and highest != _HIGHEST) or speed >= n.speed_max_counts_s
+    down = (position <= lowest and lowest != _LOWEST) or speed <= -n.speed_max_counts_s
+    return (2 if down else 1) if up else -1 if down else 0
+
+
+@inlined
+def high_limit(n: Any) -> int:
+    """Return the largest torque that is allowed now."""
+    values = n.values
+    high: int = min(min(values[slots.MAX_TORQUE], values[slots.POSITIVE_LIMIT]), values[slots.MAX_CURRENT])
+    return 0 if n.guarded and _beyond(n) > 0 else high
+
+
+@inlined
+def low_limit(n: Any) -> int:
+    """Return the most negative torque that is allowed now."""
+    values = n.values
+    low: int = -min(min(values[slots.MAX_TORQUE], values[slots.NEGATIVE_LIMIT]), values[slots.MAX_CURRENT])
+    return 0 if n.guarded and (_beyond(n) == -1 or _beyond(n) == 2) else low
+
+
+@kernel
+def stop(n: Any) -> None:
+    """Torque 0 at once, and nothing left of where it came from."""
+    n.slowing = 0
+    n.ramping = 0
+    n.integral_pm = 0.0
+    n.torque_demand_pm = 0.0
+    n.out_torque_pm = 0.0
+    n.values[slots.TORQUE_DEMAND] = 0
+    n.values[slots.VELOCITY_DEMAND] = 0
+
+
+@kernel
+def enter(n: Any, t_ns: int) -> None:
+    """Operation Enabled begins: from torque 0, and from the speed that is."""
+    n.slowing = 0
+    n.integral_pm = 0.0
+    n.speed_demand = n.in_velocity_counts_s
+    n.demand_ns = n.off_target_ns = n.moving_ns = t_ns
+
+
+@kernel
+def _take_mode(n: Any) -> None:
+    """Let the mode in 6060h act; one that is not there is none. When enabled, only the next set-point gives torque."""
+    mode = n.values[slots.MODE]
+    if mode not in MODES:
+        mode = 0
+    if mode == n.mode:
+        return
+    n.mode = mode
+    n.values[slots.MODE_DISPLAY] = mode
+    stop(n)
+    if n.power_state == _ENABLED:
+        n.setpoint_stale = 1
+        n.speed_demand = n.in_velocity_counts_s
+
+
+@kernel
+def change_mode(n: Any, t_ns: int) -> None:
+    """6060h differs from the mode that acts: change at torque 0, and go there first."""
+    if n.slowing:
+        return
+    if n.power_state == _ENABLED and n.torque_demand_pm != 0.0 and n.mode != 0:
+        begin(n, t_ns, _TO_ZERO, _ENABLED)
+    else:
+        _take_mode(n)
+
+
+@kernel
+def begin(n: Any, t_ns: int, ramp: int, state: int) -> None:
+    """Begin a ramp to torque 0, behind which `state` follows; it may end at once."""
+    n.slowing, n.slowing_to, n.slowing_ns = ramp, state, t_ns
+    n.demand_ns = t_ns
+    _slow_down(n, t_ns, 0)
+
+
+@kernel
+def _towards(present: float, target: float, change: float) -> float:
+    return min(present + change, target) if target >= present else max(present - change, target)
+
+
+@kernel
+def _slow_down(n: Any, t_ns: int, elapsed_ns: int) -> None:
+    values = n.values
+    late = t_ns - n.slowing_ns >= values[slots.SLOW_DOWN_MS] * 1_000_000
+    if late or n.in_supply_ok == 0:
+        over = True
+    elif is_speed_mode(n.mode) and n.slowing != _TO_ZERO:
+        rate = values[slots.DECELERATION] if n.slowing == SLOW else values[slots.QUICK_STOP_DECELERATION]
+        n.speed_demand = _towards(n.speed_demand, 0.0, rate * 1e-9 * elapsed_ns)
+        over = n.speed_demand == 0.0
+        if not over:
+            _control_speed(n, elapsed_ns)
+    else:
+        demand = _towards(n.torque_demand_pm, 0.0, values[slots.TORQUE_SLOPE] * 1e-9 * elapsed_ns)
+        n.torque_demand_pm = min(max(demand, float(low_limit(n))), float(high_limit(n)))
+        over = n.torque_demand_pm == 0.0 or n.slowing == QUICK
+    if over:
+        n.power_state = n.slowing_to
+        stop(n)
+        if values[slots.MODE] != n.mode:
+            _take_mode(n)
+        return
+    n.ramping = 1
+    _put_out(n)
+
+
+@inlined
+def _put_out(n: Any) -> None:
+    n.out_torque_pm = n.torque_demand_pm
+    n.values[slots.TORQUE_DEMAND] = math.floor(n.torque_demand_pm + 0.5)
+
+
+@kernel
+def _control_speed(n: Any, elapsed_ns: int) -> None:
+    """Compute the PI control of `speed_demand`."""
+    high, low = float(high_limit(n)), float(low_limit(n))
+    error = n.speed_demand - n.in_velocity_counts_s
+    if not abs(error) < math.inf:  # the speed is no number
+        n.torque_demand_pm = n.integral_pm = n.speed_demand = 0.0
+        return
+    change = n.speed_ki * error * min(elapsed_ns * 1e-9, _LONGEST_STEP_S)
+    demand = n.speed_kp * error + n.integral_pm + change
+    if (demand > high and error > 0.0) or (demand < low and error < 0.0):
+        n.limited = 1
+    else:
+        n.integral_pm += change
+    n.integral_pm = min(max(n.integral_pm, low), high)
+    n.torque_demand_pm = min(max(demand, low), high)
+    n.values[slots.VELOCITY_DEMAND] = math.floor(n.speed_demand + 0.5)
+
+
+@kernel
+def _speed_target(n: Any) -> float:
+    """Return 60FFh (and 60B1h in CSV) within 607Fh, 6080h and 607Dh."""
+    values = n.values
+    target = float(values[slots.TARGET_VELOCITY])
+    if n.mode == _CSV:
+        target += values[slots.VELOCITY_OFFSET]
+    fastest = min(float(values[slots.MAX_VELOCITY]), n.speed_max_counts_s)
+    clipped: float = min(max(target, -fastest), fastest)
+    if n.guarded:
+        beyond = _beyond(n)
+        if (clipped > 0.0 and beyond > 0) or (clipped < 0.0 and (beyond == -1 or beyond == 2)):
+            clipped = 0.0
+    n.limited = 1 if clipped != target else 0
+    return clipped
+
+
+@kernel
+def _speed_mode(n: Any, elapsed_ns: int) -> None:
+    values = n.values
+    target = _speed_target(n)
+    halted = n.mode == _VELOCITY and n.controlword & _HALT
+    if n.mode == _CSV:
+        n.speed_demand = 0.0 if n.controlword & _HALT else target
+    else:
+        present = n.speed_demand
+        if halted:
+            target = 0.0
+        faster = present == 0.0 or (target * present > 0.0 and abs(target) > abs(present))
+        rate = values[slots.ACCELERATION] if faster else values[slots.DECELERATION]
+        if halted and values[slots.HALT_OPTION] == QUICK:
+            rate = values[slots.QUICK_STOP_DECELERATION]
+        if target * present < 0.0:
+            target = 0.0  # slow down first, then the other way with the acceleration
+        n.speed_demand = _towards(present, target, rate * 1e-9 * elapsed_ns)
+    _control_speed(n, elapsed_ns)
+    n.ramping = 1  # the loop runs also when nobody calls
+
+
+@kernel
+def _profile_torque(n: Any, elapsed_ns: int) -> None:
+    values = n.values
+    high, low = high_limit(n), low_limit(n)
+    target = values[slots.TARGET_TORQUE]
+    n.limited = 1 if target > high or target < low else 0
+    target = min(max(target, low), high)
+    change = values[slots.TORQUE_SLOPE] * 1e-9 * elapsed_ns
+    if n.controlword & _HALT:
+        target = 0
+        if values[slots.HALT_OPTION] == QUICK:
+            change = abs(n.torque_demand_pm)
+    demand = _towards(n.torque_demand_pm, float(target), change)
+    n.ramping = 1 if demand != target else 0
+    # a limit that was lowered acts at once, not by the slope
+    n.torque_demand_pm = min(max(demand, float(low)), float(high))
+
+
+@kernel
+def other_mode(n: Any, t_ns: int, elapsed_ns: int) -> None:
+    """Compute the torque that acts at `t_ns` on a ramp, and in every mode but CST."""
+    if n.slowing:
+        _slow_down(n, t_ns, elapsed_ns)
+        return
+    n.limited = 0
+    if n.power_state != _ENABLED or n.in_supply_ok == 0 or n.setpoint_stale or n.mode == 0:
+        stop(n)
+        n.speed_demand = n.in_velocity_counts_s
+        return
+    if n.mode == _TORQUE:
+        _profile_torque(n, elapsed_ns)
+    else:
+        _speed_mode(n, elapsed_ns)
+    _put_out(n)
+
+
+@kernel
+def target_bits(n: Any) -> int:
+    """Return bits 10, 12 and 13 of the statusword in Operation Enabled, in every mode but CST."""
+    values = n.values
+    if n.mode == _TORQUE:
+        target = 0 if n.controlword & _HALT else values[slots.TARGET_TORQUE]
+        return _TARGET_REACHED if n.torque_demand_pm == target and not n.slowing else 0
+    if n.mode == _CSV:
+        return _SPEED_ZERO if not n.slowing and not n.controlword & _HALT else 0  # here it is "follows the command"
+    if n.mode != _VELOCITY:
+        return 0
+    bits, t_ns, speed = 0, n.demand_ns, n.in_velocity_counts_s
+    target = 0 if n.controlword & _HALT else values[slots.TARGET_VELOCITY]
+    if abs(speed - target) > values[slots.VELOCITY_WINDOW]:
+        n.off_target_ns = t_ns
+    elif t_ns - n.off_target_ns >= values[slots.VELOCITY_WINDOW_MS] * 1_000_000:
+        bits |= _TARGET_REACHED
+    if abs(speed) > values[slots.VELOCITY_THRESHOLD]:
+        n.moving_ns = t_ns
+    elif t_ns - n.moving_ns >= values[slots.VELOCITY_THRESHOLD_MS] * 1_000_000:
+        bits |= _SPEED_ZERO
+    if abs(n.speed_demand - speed) > values[slots.MAX_SLIPPAGE]:
+        bits |= _SLIPPAGE
+    return bits
+
+
+@kernel
+def next_deadline(n: Any, next_ns: int) -> int:
+    """Return the earlier of `next_ns` and the end of the ramp."""
+    values = n.values
+    end = n.slowing_ns + values[slots.SLOW_DOWN_MS] * 1_000_000
+    speeds = is_speed_mode(n.mode) and n.slowing != _TO_ZERO
+    rate = values[slots.DECELERATION if n.slowing == SLOW else slots.QUICK_STOP_DECELERATION]
+    if not speeds:
+        rate = values[slots.TORQUE_SLOPE]
+    if rate > 0:
+        left = abs(n.speed_demand if speeds else n.torque_demand_pm)
+        end = min(end, n.demand_ns + math.ceil(min(left / rate, 100.0) * 1e9) + 1)
+    return int(min(next_ns, end))

@@ -1,0 +1,68 @@
+"""Segments of SDO block uploads on their way to the bus, compiled.
+
+A block is up to 127 frames at once, more than its share of the room where frames wait for the bus. So they wait in the
+node's own ring, and leave it a few at a time: every `POLL_NS`, while fewer than `AHEAD` frames of anybody wait for the bus. At
+1 Mbit/s a frame of eight bytes lasts 110 to 135 us, so the bus never waits for them, and other stations keep their places.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from eds.compiled import kernel
+from node.records import FAR_FUTURE_NS, OUTBOX, SDO_TIMEOUT_NS
+from wire.frame import push
+
+__all__ = ["AHEAD", "POLL_NS", "drain", "forget", "put"]
+
+AHEAD = 3
+POLL_NS = 100_000
+
+
+@kernel
+def put(nodes: Any, i: int, t_ns: int, channel: int, can_id: int, words: Any) -> int:
+    """Let the segments `words` of the SDO server `channel` wait; return 0 when there is no room for them all."""
+    n = nodes[i]
+    if n.outbox_count + words.shape[0] > OUTBOX:
+        return 0
+    if n.outbox_count == 0:
+        n.outbox_next_ns = t_ns
+    for word in words:
+        k = (n.outbox_first + n.outbox_count) % OUTBOX
+        n.outbox_channel[k] = channel
+        n.outbox_id[k] = can_id
+        n.outbox_word[k] = word
+        n.outbox_count += 1
+    n.next_ns = min(n.next_ns, t_ns + 1)
+    return 1
+
+
+@kernel
+def forget(nodes: Any, i: int, channel: int) -> None:
+    """Take back what waits of the SDO server `channel` (-1: of all)."""
+    n = nodes[i]
+    kept = 0
+    for j in range(n.outbox_count):
+        k = (n.outbox_first + j) % OUTBOX
+        if channel >= 0 and n.outbox_channel[k] != channel:
+            into = (n.outbox_first + kept) % OUTBOX
+            n.outbox_channel[into] = n.outbox_channel[k]
+            n.outbox_id[into] = n.outbox_id[k]
+            n.outbox_word[into] = n.outbox_word[k]
+            kept += 1
+    n.outbox_count = kept
+    if kept == 0:
+        n.outbox_next_ns = FAR_FUTURE_NS
+
+
+@kernel
+def drain(n: Any, i: int, t_ns: int, queue: Any, header: Any) -> None:
+    """Move segments to the frame queue as far as there is room; a transfer that moves is not late."""
+    room = min(AHEAD - header[0].count - header[0].waiting, n.outbox_count)
+    for _ in range(room):
+        k = n.outbox_first
+        push(queue, header, i, t_ns + n.processing_ns, n.outbox_id[k], 8, n.outbox_word[k])
+        n.sdo_deadline_ns[n.outbox_channel[k]] = t_ns + SDO_TIMEOUT_NS
+        n.outbox_first = (k + 1) % OUTBOX
+        n.outbox_count -= 1
+    n.outbox_next_ns = t_ns + POLL_NS if n.outbox_count > 0 else FAR_FUTURE_NS

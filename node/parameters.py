@@ -1,0 +1,90 @@
+"""Parameters that survive: 1010h store, 1011h restore, 1020h verify configuration (CiA 301, sections 7.5.2.13 and 14, 24).
+
+A group is a range of objects. Store keeps the present values of the group's writable objects; they are loaded with every reset that
+gives these objects their defaults. Restore forgets the group's stored values, so the defaults return with the next such
+reset and not before. Set-points and controlwords are never stored: a device that is switched on must not move.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator, Mapping
+
+from eds.cia301 import Abort
+from node.dictionary import Dictionary, SdoAbort, decode, encode
+from node.store import Store
+
+__all__ = ["LOAD", "SAVE", "Parameters"]
+
+SAVE, LOAD = 0x65766173, 0x64616F6C
+"""The signatures "save" and "load"."""
+
+STORE, RESTORE, VERIFY = 0x1010, 0x1011, 0x1020
+
+_ALL = 1
+_GROUP: Mapping[int, str] = {
+    2: "communication",
+    3: "application",
+}  # by sub-index of 1010h and 1011h; else manufacturer's
+_RANGES: Mapping[str, range] = {
+    "communication": range(0x1000, 0x2000),
+    "manufacturer": range(0x2000, 0x6000),
+    "application": range(0x6000, 0x10000),
+}
+_WRITABLE = ("rw", "rwr", "rww")
+_NO_PARAMETERS = frozenset((0x1003, STORE, RESTORE))
+
+
+class Parameters:
+    """The stored parameters of a device; `commands` are objects that make it act (controlword, set-points)."""
+
+    def __init__(self, dictionary: Dictionary, store: Store, commands: Mapping[tuple[int, int], int]) -> None:
+        self._dictionary, self._store, self._commands = dictionary, store, commands
+        self.ignored = 0
+        """Stored values that did not fit their objects when they were loaded."""
+        number, text = dictionary.number, dictionary.description.text.encode()
+        product = f"{number(0x1018, 1):08X}-{number(0x1018, 2):08X}"
+        store.attach(f"{number(0x1000):08X}-{product}-eds {zlib.crc32(text):08x}")
+
+    def is_parameter(self, index: int, subindex: int) -> bool:
+        """Tell whether an object is stored, and verified by 1020h."""
+        if index in _NO_PARAMETERS or (index, subindex) in self._commands:
+            return False
+        return self._dictionary.description.variable(index, subindex).access in _WRITABLE
+
+    def load(self, first: int, last: int) -> None:
+        """Give the objects from `first` to `last` their stored values; one that does not fit keeps its default."""
+        for name in _RANGES:
+            for key, data in self._store.section(name).items():
+                try:
+                    index, subindex = (int(part, 16) for part in key.split(":"))
+                    if first <= index <= last and self.is_parameter(index, subindex):
+                        variable = self._dictionary.find(index, subindex)
+                        self._dictionary.check_write(index, subindex, len(data))
+                        self._dictionary[index, subindex] = decode(variable, data)
+                except (ValueError, KeyError, SdoAbort):
+                    self.ignored += 1
+
+    def command(self, index: int, subindex: int, value: int) -> None:
+        """Serve a write to 1010h or 1011h, sub-index 1 or more; nothing changes when it aborts."""
+        if value != (SAVE if index == STORE else LOAD):
+            raise SdoAbort(Abort.CANNOT_STORE)
+        names = list(_RANGES) if subindex == _ALL else [_GROUP.get(subindex, "manufacturer")]
+        try:
+            self._store.put({name: dict(self._present(name)) if index == STORE else {} for name in names})
+        except OSError as error:
+            raise SdoAbort(Abort.HARDWARE) from error
+
+    def _present(self, name: str) -> Iterator[tuple[str, bytes]]:
+        for index, entry in self._dictionary.description.objects.items():
+            if index in _RANGES[name]:
+                for subindex, variable in entry.variables.items():
+                    if self.is_parameter(index, subindex):
+                        yield f"{index:04X}:{subindex:02X}", encode(variable, self._dictionary[index, subindex])
+
+    def changed(self, index: int, subindex: int) -> None:
+        """A client changed an object: what 1020h says of the configuration holds no longer."""
+        if index != VERIFY and (VERIFY, 1) in self._dictionary and self.is_parameter(index, subindex):
+            for k in (1, 2):
+                if (VERIFY, k) in self._dictionary:
+                    self._dictionary[VERIFY, k] = 0

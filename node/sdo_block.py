@@ -1,0 +1,130 @@
+"""State of an SDO block transfer at the server (CiA 301, sections 7.2.4.3.9 to 7.2.4.3.15).
+
+A block is up to 127 segments of seven bytes, numbered from 1; its receiver acknowledges it with the number of the last segment
+that came in order, and the sender goes on behind that one, so a lost segment costs the rest of its block and no more.
+The CRC is CCITT's, polynomial x^16 + x^12 + x^5 + 1, start value 0, over the object's bytes, without the padding.
+"""
+
+from __future__ import annotations
+
+import binascii
+from collections.abc import Sequence
+
+from eds.cia301 import Abort
+from node.dictionary import SdoAbort
+
+__all__ = ["BLOCK_SEGMENTS", "BlockDownload", "BlockUpload", "crc16"]
+
+BLOCK_SEGMENTS = 127
+"""Most segments of a block."""
+
+_SEGMENT = 7
+_LAST, _NUMBER = 0x80, 0x7F
+
+
+def crc16(data: bytes | bytearray) -> int:
+    """Return the CRC of section 7.2.4.3.16; of b"123456789" it is 31C3h."""
+    return binascii.crc_hqx(data, 0)
+
+
+class BlockDownload:
+    """The receiving side of a client's download."""
+
+    def __init__(self, index: int, subindex: int, size: int | None, longest: int, crc: bool, block_size: int) -> None:
+        self.index, self.subindex, self.size = index, subindex, size
+        self.receiving = True
+        """Frames are segments; else the server waits for the end command."""
+        self._data = bytearray()
+        self._longest, self._crc, self._block_size = longest, crc, block_size
+        self._received = 0  # segments of this block that came in order
+        self._in_order = True
+
+    def segment(self, data: bytes, next_block_size: int) -> bytes | None:
+        """Take a segment; return the acknowledgement when it was the last of its block, else None.
+
+        What comes behind a gap is ignored, and an object that becomes too long is refused, at the end of the block: a client
+        that is in the middle of one does not listen.
+        """
+        number = data[0] & _NUMBER
+        last = bool(data[0] & _LAST)
+        if number == 0 or number > self._block_size:
+            raise SdoAbort(Abort.SEQUENCE)
+        if number == self._received + 1 and self._in_order:
+            self._received = number
+            if len(self._data) <= self._longest + _SEGMENT:  # enough to know that it is too long, padding or not
+                self._data += data[1:8]
+        elif number > self._received:
+            self._in_order = False  # a gap; a number that was there already is a repetition
+        if not last and number != self._block_size:
+            return None
+        if not last and len(self._data) > self._longest:  # of the last segment the end command tells the padding
+            raise SdoAbort(Abort.TOO_LONG)
+        acknowledged = self._received
+        self.receiving = not (last and self._in_order)
+        self._received, self._in_order, self._block_size = 0, True, next_block_size
+        return bytes((0xA2, acknowledged, next_block_size, 0, 0, 0, 0, 0))
+
+    def end(self, data: bytes) -> bytes:
+        """Take the end command; return the object's bytes, their length and CRC checked."""
+        padding = data[0] >> 2 & 7
+        content = bytes(self._data[: len(self._data) - padding])
+        if len(content) > self._longest:
+            raise SdoAbort(Abort.TOO_LONG)
+        if self._crc and crc16(content) != data[1] | data[2] << 8:
+            raise SdoAbort(Abort.CRC)
+        return content
+
+
+class BlockUpload:
+    """The sending side of a client's upload."""
+
+    def __init__(self, index: int, subindex: int, content: bytes, crc: bool, block_size: int) -> None:
+        self.index, self.subindex = index, subindex
+        self._content, self._crc, self._block_size = content, crc, block_size
+        self._position = 0  # of the block's first byte
+        self._sent = 0  # segments of the block that is not acknowledged yet
+        self._started = self._ended = False
+
+    def start(self) -> Sequence[bytes]:
+        """The client is ready: return the first block."""
+        if self._started:
+            raise SdoAbort(Abort.COMMAND)
+        self._started = True
+        return self.segments()
+
+    def segments(self) -> Sequence[bytes]:
+        """Return the segments of the next block."""
+        content, position = self._content, self._position
+        segments = []
+        for number in range(1, self._block_size + 1):
+            part = content[position : position + _SEGMENT]
+            position += _SEGMENT
+            last = position >= len(content)
+            segments.append(bytes((number | _LAST * last,)) + part.ljust(_SEGMENT, b"\0"))
+            if last:
+                break
+        self._sent = len(segments)
+        return segments
+
+    def acknowledge(self, number: int, block_size: int) -> bytes | None:
+        """Take the client's acknowledgement of segment `number`; return the end command when that was the last of all."""
+        if not self._started or self._ended:
+            raise SdoAbort(Abort.COMMAND)
+        if number > self._sent:
+            raise SdoAbort(Abort.SEQUENCE)
+        if not 1 <= block_size <= BLOCK_SEGMENTS:
+            raise SdoAbort(Abort.BLOCK_SIZE)
+        self._position += number * _SEGMENT
+        self._block_size = block_size
+        size = len(self._content)
+        if number == 0 or self._position < size:
+            return None
+        self._ended = True
+        padding = self._position - size
+        crc = crc16(self._content) if self._crc else 0
+        return bytes((0xC1 | padding << 2,)) + crc.to_bytes(2, "little") + bytes(5)
+
+    def check_end(self) -> None:
+        """The client says that it has all: abort unless it was told so."""
+        if not self._ended:
+            raise SdoAbort(Abort.COMMAND)

@@ -1,0 +1,134 @@
+"""The SDO servers of a device: which identifiers they listen to, and their responses on the way to the bus.
+
+1200h is there always, 1201h to 127Fh where the EDS has them and their identifiers are valid (bit 31 clear). Each has its own
+state, so several clients are served at once. A transfer that stands still is aborted by the core (`node.watch`), which finds
+its deadline and the abort frame in the node's record.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from eds.cia301 import Abort
+from eds.compiled import Entry
+from node import core, outbox
+from node.access import Access
+from node.communication import Communication
+from node.records import FAR_FUTURE_NS, SDO_TIMEOUT_NS
+from node.sdo import SdoServer, abort_frame
+from wire.frame import Records, data_bytes, data_word, push
+
+__all__ = ["SdoService"]
+
+_MEASURED = 0x2000
+"""From this index on there are objects that the device measures, to be brought up to date before they are read."""
+
+
+@dataclass
+class _Channel:
+    number: int
+    rx: int
+    tx: int
+    server: SdoServer
+
+
+class SdoService:
+    """The SDO servers of the device in row `i`; `access` is what they serve."""
+
+    def __init__(
+        self, access: Access, communication: Communication, nodes: Records, rpdo: Records, tpdo: Records, i: int
+    ) -> None:
+        self._access, self._communication = access, communication
+        self._records, self._nodes, self._i = (nodes, rpdo, tpdo, i), nodes, i
+        self._row = nodes.view(np.ndarray)[i]
+        self._deadlines = self._row["sdo_deadline_ns"]
+        self._channels: dict[int, _Channel] = {}
+        self._push = Entry(push)
+        self._refresh = Entry(core.refresh_inputs)
+
+    # identifiers
+
+    def refresh(self) -> None:
+        """Bring the channels up to 1200h to 127Fh; one that changed forgets its transfer."""
+        channels = {}
+        for number, rx, tx in self._communication.sdo_servers():
+            before = self._channels.get(rx)
+            if before is not None and (before.number, before.tx) == (number, tx):
+                channels[rx] = before
+            else:
+                self.drop(number)
+                channels[rx] = _Channel(number, rx, tx, SdoServer(self._access))
+        self._channels = channels
+        first = next(((rx, channel.tx) for rx, channel in channels.items() if channel.number == 0), (-1, -1))
+        self._row["sdo_rx_id"], self._row["sdo_tx_id"] = first
+        self._row["sdo_used"] = max((channel.number + 1 for channel in channels.values()), default=0)
+
+    def serves(self, can_id: int) -> bool:
+        """Tell whether a server listens to an identifier."""
+        return can_id in self._channels
+
+    def drop(self, number: int | None = None) -> None:
+        """Forget the open transfer of one server or of all (reset, STOPPED)."""
+        for channel in self._channels.values():
+            if number in (None, channel.number):
+                channel.server.drop()
+        if number is None:
+            self._deadlines[:] = FAR_FUTURE_NS
+        else:
+            self._deadlines[number] = FAR_FUTURE_NS
+        if self._row["outbox_count"]:
+            outbox.forget(self._nodes, self._i, -1 if number is None else number)
+
+    # requests
+
+    def serve(self, t_ns: int, can_id: int, length: int, data: int, queue: Records, header: Records) -> None:
+        """Serve a request on `can_id`."""
+        row = self._row
+        if length != 8:
+            row["dropped_length"] += 1
+            return
+        channel = self._channels[can_id]
+        server, k = channel.server, channel.number
+        was_open = server.transfer is not None
+        deadline_ns = int(self._deadlines[k])
+        if was_open and (t_ns > deadline_ns or deadline_ns == FAR_FUTURE_NS):
+            server.drop()  # the transfer that stood still: the core has told the client so, or would have now
+        if was_open and row["outbox_count"]:
+            outbox.forget(self._nodes, self._i, k)  # whatever it says, it waits for none of them any more
+        if (data >> 8 & 0xFFFF) >= _MEASURED and data & 0x60 in (0x40, 0x20):
+            self._refresh(self._nodes, self._i, t_ns)
+        access = self._access
+        access.written, access.carries = False, 0
+        response = server.request(data_bytes(data, 8))
+        if response is not None:
+            self._push(queue, header, self._i, t_ns + int(row["processing_ns"]), channel.tx, 8, data_word(response))
+        if server.burst:
+            words = np.array([data_word(segment) for segment in server.burst], np.int64)
+            if not outbox.put(self._nodes, self._i, t_ns, k, channel.tx, words):
+                self._refuse(channel, t_ns, queue, header)
+        if server.transfer is not None:
+            self._watch(channel, t_ns)
+        elif was_open:
+            self._deadlines[k] = FAR_FUTURE_NS
+        if access.written:
+            core.written(*self._records, t_ns, access.carries, queue, header)
+
+    def _refuse(self, channel: _Channel, t_ns: int, queue: Records, header: Records) -> None:
+        """No room for another block: too many clients read at once."""
+        place = channel.server.transfer or (0, 0)
+        channel.server.drop()
+        word = data_word(abort_frame(*place, Abort.MEMORY))
+        self._push(queue, header, self._i, t_ns + int(self._row["processing_ns"]), channel.tx, 8, word)
+
+    def _watch(self, channel: _Channel, t_ns: int) -> None:
+        """Let the core watch the open transfer from now on."""
+        row, k = self._row, channel.number
+        place = channel.server.transfer
+        assert place is not None
+        self._deadlines[k] = t_ns + SDO_TIMEOUT_NS
+        row["sdo_abort_id"][k] = channel.tx
+        row["sdo_abort_word"][k] = data_word(abort_frame(*place, Abort.TIMEOUT))
+        if t_ns + SDO_TIMEOUT_NS < row["next_ns"]:
+            row["next_ns"] = t_ns + SDO_TIMEOUT_NS

@@ -1,0 +1,121 @@
+"""Where a device keeps what survives a reset: in memory, or in a file that survives a power cut at any instant.
+
+What is kept are sections of named byte strings: the parameter groups of 1010h (`node.parameters`) and LSS's settings.
+
+The file is JSON behind one line that holds its length and its CRC-32. It is replaced as a whole: written beside the old one, synced,
+renamed over it, and the directory synced, so that after a power cut the file is the old one or the new one. A file that is
+torn, or of another device, is not used: `FileStore.diagnosis` says why, and the device starts with its defaults.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+
+__all__ = ["FileStore", "Sections", "Store"]
+
+Sections = dict[str, dict[str, bytes]]
+
+_MAGIC = "coulombus-store 1"
+
+
+class Store:
+    """Sections that live as long as this object: a device's memory that resets do not clear."""
+
+    def __init__(self) -> None:
+        self._sections: Sections = {}
+
+    def section(self, name: str) -> Mapping[str, bytes]:
+        """Return a section; empty where nothing is kept."""
+        return self._sections.get(name, {})
+
+    def put(self, sections: Mapping[str, Mapping[str, bytes]]) -> None:
+        """Replace these sections, all or none; an empty one is removed.
+
+        Raises
+        ------
+        OSError
+            They cannot be kept; what was kept before still is.
+        """
+        after = {**self._sections, **{name: dict(content) for name, content in sections.items()}}
+        after = {name: content for name, content in after.items() if content}
+        self._write(after)
+        self._sections = after
+
+    def _write(self, sections: Sections) -> None:
+        """Bring the sections to where they outlive the process."""
+
+    def attach(self, identity: str) -> None:
+        """Begin to serve the device `identity`; what another one left is not used."""
+
+
+class FileStore(Store):
+    """Sections that live in the file `path`.
+
+    Attributes
+    ----------
+    diagnosis
+        Why the file was not used, else None.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        super().__init__()
+        self._path = Path(path)
+        self._identity = ""
+        self.diagnosis: str | None = None
+
+    def attach(self, identity: str) -> None:
+        """Read the file, and use it if it is whole and was written by the device `identity`."""
+        self._identity, self._sections, self.diagnosis = identity, {}, None
+        try:
+            self._sections = _parse(self._path.read_bytes(), identity)
+        except FileNotFoundError:
+            pass
+        except OSError as error:
+            self.diagnosis = f"{self._path}: cannot be read ({error.strerror}); the device starts with its defaults"
+        except ValueError as error:
+            self.diagnosis = f"{self._path}: {error}; the device starts with its defaults"
+
+    def _write(self, sections: Sections) -> None:
+        beside = self._path.with_name(self._path.name + ".new")
+        file = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
+        try:
+            content = memoryview(_spell(sections, self._identity))
+            while content:
+                content = content[os.write(file, content) :]
+            os.fsync(file)
+        finally:
+            os.close(file)
+        os.replace(beside, self._path)
+        directory = os.open(self._path.parent, os.O_RDONLY)
+        try:
+            os.fsync(directory)
+        finally:
+            os.close(directory)
+
+
+def _spell(sections: Sections, identity: str) -> bytes:
+    text = {name: {key: value.hex() for key, value in content.items()} for name, content in sections.items()}
+    body = json.dumps({"device": identity, "sections": text}, indent=1, sort_keys=True).encode()
+    return f"{_MAGIC} {len(body)} {zlib.crc32(body):08x}\n".encode() + body
+
+
+def _parse(raw: bytes, identity: str) -> Sections:
+    """Return the sections of a file; ValueError says why it cannot be used."""
+    head, _, body = raw.partition(b"\n")
+    if not head.startswith(_MAGIC.encode() + b" "):
+        raise ValueError("is no store of a device")
+    if head != f"{_MAGIC} {len(body)} {zlib.crc32(body):08x}".encode():
+        raise ValueError("is torn or was changed (length or CRC differ)")
+    try:
+        content = json.loads(body)
+        device, sections = content["device"], content["sections"]
+        result = {n: {k: bytes.fromhex(v) for k, v in section.items()} for n, section in sections.items()}
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        raise ValueError(f"has a content that is not understood ({error})") from error
+    if device != identity:
+        raise ValueError(f"was written by another device ({device}), this one is {identity}")
+    return result

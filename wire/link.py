@@ -1,0 +1,60 @@
+"""A CAN controller's state and counters as ``ip -details -statistics link show`` prints them, and as a virtual bus tells them to a client."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import astuple, dataclass
+
+__all__ = ["Link"]
+
+STATES = ("ERROR-ACTIVE", "ERROR-WARNING", "ERROR-PASSIVE", "BUS-OFF", "STOPPED")
+MODES = ("LOOPBACK", "LISTEN-ONLY", "ONE-SHOT")
+BUS_OFF = 3
+_LINK = struct.Struct("<HHHHI6I12x")
+
+
+@dataclass(frozen=True)
+class Link:
+    """A controller: state (Linux's ``enum can_state``), modes (bits 0 to 2: loopback, listen only, one-shot), counters."""
+
+    state: int = 0
+    modes: int = 0
+    tec: int = 0
+    rec: int = 0
+    restart_ms: int = 0
+    restarts: int = 0
+    bus_errors: int = 0
+    arbitration_lost: int = 0
+    warnings: int = 0
+    passives: int = 0
+    bus_offs: int = 0
+
+    def pack(self) -> bytes:
+        """Return the 48 bytes that follow a bus's answer, little endian."""
+        return _LINK.pack(
+            *(min(word, 0xFFFF) for word in astuple(self)[:4]), *(min(word, 0xFFFFFFFF) for word in astuple(self)[4:])
+        )
+
+    @classmethod
+    def unpack(cls, content: bytes) -> Link | None:
+        """Return the controller that is told there, None when there is none; never raises."""
+        return cls(*_LINK.unpack_from(content)) if len(content) >= _LINK.size else None
+
+    def __str__(self) -> str:
+        """Return the lines of ``ip``."""
+        modes = ",".join(name for n, name in enumerate(MODES) if self.modes >> n & 1)
+        columns = {
+            "re-started": self.restarts,
+            "bus-errors": self.bus_errors,
+            "arbit-lost": self.arbitration_lost,
+            "error-warn": self.warnings,
+            "error-pass": self.passives,
+            "bus-off": self.bus_offs,
+        }
+        return (
+            f"can {f'<{modes}> ' if modes else ''}state {STATES[min(self.state, len(STATES) - 1)]}"
+            f" (berr-counter tx {self.tec} rx {self.rec}) restart-ms {self.restart_ms}\n"
+            + " ".join(f"{name:<10}" for name in columns).rstrip()
+            + "\n"
+            + " ".join(f"{value:<10}" for value in columns.values()).rstrip()
+        )
