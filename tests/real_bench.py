@@ -122,22 +122,24 @@ class Observer:
                 self.log += [(stamp * 1e-9, can_id, data[:length]) for stamp, can_id, length, data in found]
         return self.log[before:]
 
-    def until(self, condition, seconds=PATIENCE_S):
-        """Look until `condition(can_id, data)` holds for a frame; return its stamp [s]."""
+    def until(self, run, condition, seconds=PATIENCE_S):
+        """Look until `condition(can_id, data)` holds for a frame; return its stamp [s]. A `run` that ends before says what came of it."""
         deadline = time.monotonic() + seconds
-        while time.monotonic() < deadline:
+        ended = False
+        while time.monotonic() < deadline and not ended:
+            ended = run.poll() is not None  # before the look: what it sent last counts
             for stamp, can_id, data in self.look(0.05):
                 if condition(can_id, data):
                     return stamp
-        raise AssertionError("it did not come")
+        raise AssertionError(f"it did not come; the host ended with {result(run)}" if ended else "it did not come")
 
-    def until_enabled(self):
+    def until_enabled(self, run):
         """Look until the drive's statusword (TPDO1) says Operation Enabled."""
-        return self.until(lambda can_id, data: can_id == 0x181 and data[0] & 0x6F == 0x27)
+        return self.until(run, lambda can_id, data: can_id == 0x181 and data[0] & 0x6F == 0x27)
 
-    def until_cycling(self):
+    def until_cycling(self, run):
         """Look until the host sends SYNC."""
-        return self.until(lambda can_id, data: can_id == 0x080)
+        return self.until(run, lambda can_id, data: can_id == 0x080)
 
     def watch(self, seconds):
         """Look for so long, on the stamps' clock."""

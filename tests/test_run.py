@@ -104,7 +104,7 @@ def test_it_is_stopped_safely(how, status, by):
         Observer(BUS) as observer,
         host(BUS, mode="passive", preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN)) as run,
     ):
-        observer.until_enabled()
+        observer.until_enabled(run)
         observer.watch(0.2)
         how(run, observer)
         got, data, err = result(run)
@@ -126,7 +126,7 @@ def test_one_host_at_a_time():
         Observer(BUS) as observer,
         host(BUS, mode="passive") as first,
     ):
-        observer.until_cycling()
+        observer.until_cycling(first)
         with host(BUS, mode="passive") as second:
             status, data, err = result(second)
         assert status == 7, err
@@ -175,7 +175,7 @@ def test_without_a_bus_and_without_nodes(tmp_path):
 
 def test_a_signal_before_anything_is_armed():
     with simulation(BUS), Observer(BUS) as observer, host(BUS) as run:
-        observer.until(lambda can_id, data: can_id == 0x000)  # bring-up has begun
+        observer.until(run, lambda can_id, data: can_id == 0x000)  # bring-up has begun
         run.send_signal(signal.SIGTERM)
         status, data, _ = result(run)
         observer.watch(0.1)
@@ -199,11 +199,11 @@ def test_the_space_bar_as_dead_mans_switch():
         Observer(BUS) as observer,
         host(BUS, mode="passive", overrides=("host.deadman=key",), stdin=theirs) as run,
     ):
-        observer.until(lambda can_id, data: can_id == 0x000 and data[0] == 1)
+        observer.until(run, lambda can_id, data: can_id == 0x000 and data[0] == 1)
         observer.watch(0.5)
         assert 0x080 not in {can_id for _, can_id, _ in observer.log}  # not held: no cycle
         thread.start()
-        observer.until_enabled()
+        observer.until_enabled(run)
         observer.watch(0.5)
         over.set()
         status, data, err = result(run)

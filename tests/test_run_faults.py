@@ -41,7 +41,7 @@ def test_the_host_is_killed(mode, phase, victim):
         Observer(BUS) as observer,
         host(BUS, mode=mode, overrides=overrides) as run,
     ):
-        observer.until_enabled()
+        observer.until_enabled(run)
         observer.watch(1.7)
         assert run.poll() is None, result(run)
         (plane,) = children(run.pid)
@@ -84,7 +84,7 @@ def test_the_host_is_killed(mode, phase, victim):
 def test_the_bus_is_killed_and_comes_back():
     """The host trips; a new bus takes the dead one's place; a new run arms, with its sign check."""
     with simulation(BUS) as sim, Observer(BUS) as observer, host(BUS) as run:
-        observer.until_enabled()
+        observer.until_enabled(run)
         observer.watch(0.3)
         sim.kill()
         status, data, err = result(run)
@@ -130,7 +130,7 @@ def test_a_flood_of_unknown_identifiers():
 
         thread = threading.Thread(target=flood)
         with host(BUS, mode="passive", seconds=2.0) as run:
-            observer.until_enabled()
+            observer.until_enabled(run)
             thread.start()
             status, data, err = result(run)
         observer.look()
@@ -158,7 +158,7 @@ def test_the_disk_is_full(tmp_path):
         Observer(BUS) as observer,
         host(BUS, "--record", record, mode="passive") as run,
     ):
-        observer.until_enabled()
+        observer.until_enabled(run)
         observer.watch(0.7)
         size = record.stat().st_size
         resource.prlimit(run.pid, resource.RLIMIT_FSIZE, (size + 100_000, resource.RLIM_INFINITY))
