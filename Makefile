@@ -12,8 +12,9 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python3.14; 
 demo: $(VENV)/.run  ## the paper's experiment on the built-in virtual bus
 	@$(BIN)/coulombus demo
 
-test: $(VENV)/.dev  ## all tests
-	@$(BIN)/python -m pytest
+test: $(VENV)/.dev  ## all tests: those in virtual time side by side, then those against the wall clock, alone
+	@$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile -m "not real_time"; others=$$?; \
+	$(BIN)/python -m pytest -m real_time && exit $$others
 
 check: $(VENV)/.dev  ## lint, format, types, import contracts
 	@scripts/check

@@ -1,6 +1,50 @@
-"""Property tests draw the same examples in every run."""
+"""Property tests draw the same examples in every run. Real-time tests are done again if the machine stood still when they failed."""
 
+import os
+from pathlib import Path
+
+import pytest
 from hypothesis import settings
+from standstill import LIMIT_S, Watchers
 
 settings.register_profile("coulombus", derandomize=True, deadline=None)
 settings.load_profile("coulombus")
+
+worker = os.environ.get("PYTEST_XDIST_WORKER", "gw0")
+if worker != "gw0":  # two that compile one kernel at the same time may spoil numba's index: each has a cache of its own
+    caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    os.environ["NUMBA_CACHE_DIR"] = str(caches / "coulombus" / f"numba-{worker}")
+
+watchers = pytest.StashKey[Watchers]()
+
+
+def pytest_collection_modifyitems(session, items):
+    """A real-time test that fails while the machine stood still is no evidence: it is done again, up to three times."""
+
+    def stood_still():
+        return session.stash[watchers].longest_s() > LIMIT_S
+
+    for item in items:
+        if item.get_closest_marker("real_time"):
+            item.add_marker(pytest.mark.flaky(reruns=3, condition=stood_still))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item):
+    if item.get_closest_marker("real_time"):
+        stash = item.session.stash
+        if watchers not in stash:
+            stash[watchers] = Watchers()
+        stash[watchers].longest_s()
+    return (yield)
+
+
+def pytest_terminal_summary(terminalreporter):
+    """Tell what failed before it was done again."""
+    for report in terminalreporter.getreports("rerun"):
+        terminalreporter.write_line(f"AGAIN {report.nodeid}, the machine stood still: {report.longreprtext[-2000:]}")
+
+
+def pytest_sessionfinish(session):
+    if watchers in session.stash:
+        session.stash[watchers].close()

@@ -14,6 +14,8 @@ from wire.address import parse_address
 from wire.client import Client, pack_frame
 from wire.hello import Flags, Hello
 
+pytestmark = pytest.mark.real_time
+
 BENCH = parse_address("coulombus:bench")
 
 

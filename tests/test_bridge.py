@@ -21,6 +21,8 @@ from wire.client import Client, pack_frame
 from wire.hello import Flags, Hello
 from wire.identifiers import parse_identifiers
 
+pytestmark = pytest.mark.real_time
+
 ROOT = Path(__file__).resolve().parent.parent
 A, B = parse_address("coulombus:a"), parse_address("coulombus:b")
 PATIENCE_S = 20.0

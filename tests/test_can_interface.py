@@ -14,6 +14,8 @@ from tiny_bus import tiny_bus
 from wire.address import BusUnavailable, bus_names, parse_address
 from wire.client import BusFull, BusGone, Client, pack_frame
 
+pytestmark = pytest.mark.real_time
+
 BENCH = parse_address("coulombus:bench")
 
 

@@ -33,6 +33,8 @@ from wire.address import parse_address
 from wire.frame import frames
 from wire.hello import Hello
 
+pytestmark = pytest.mark.real_time
+
 FRAME = struct.Struct("=IB3xq")
 
 

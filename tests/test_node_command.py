@@ -21,6 +21,8 @@ from lab.network import VirtualNetwork
 from wire.address import BusAddress
 from wire.hello import Flags, connect
 
+pytestmark = pytest.mark.real_time
+
 ROOT = Path(__file__).resolve().parent.parent
 CORPUS = ROOT.parent / "shared" / "eds-corpus"
 MOTOR, BRAKE = ROOT / "eds" / "motor.eds", ROOT / "eds" / "mr_brake.eds"

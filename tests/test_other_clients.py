@@ -15,6 +15,8 @@ from eds.rig import load_rig
 from lab.sim_server import SimServer
 from wire.address import parse_address
 
+pytestmark = pytest.mark.real_time
+
 
 @pytest.fixture(scope="module", autouse=True)
 def server(tmp_path_factory):

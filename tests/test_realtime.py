@@ -13,6 +13,8 @@ import pytest
 
 from wire.realtime import RealTime, Right, set_timer_slack
 
+pytestmark = pytest.mark.real_time
+
 ROOT = Path(__file__).resolve().parent.parent
 
 

@@ -19,7 +19,7 @@ from lab.real_demo import SHARED_MACHINE
 from scope.recording import read
 from wire.client import pack_frame
 
-pytestmark = pytest.mark.skipif(JIT_DISABLED, reason="plain Python is no real-time loop")
+pytestmark = [pytest.mark.real_time, pytest.mark.skipif(JIT_DISABLED, reason="plain Python is no real-time loop")]
 BUS = "coulombus:r"
 
 

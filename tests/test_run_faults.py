@@ -17,7 +17,7 @@ from eds.compiled import JIT_DISABLED
 from scope.recording import read
 from wire.client import BusFull, pack_frame
 
-pytestmark = pytest.mark.skipif(JIT_DISABLED, reason="plain Python is no real-time loop")
+pytestmark = [pytest.mark.real_time, pytest.mark.skipif(JIT_DISABLED, reason="plain Python is no real-time loop")]
 BUS = "coulombus:r"
 ZERO_PM = 10  # 6077, per mille of rated torque
 EMCY_S = 0.1

@@ -25,6 +25,8 @@ from wire.address import BusAddress, BusUnavailable, parse_address, socket_path
 from wire.bits import frame_bits
 from wire.hello import Answer, Flags, Hello, Status, connect
 
+pytestmark = pytest.mark.real_time
+
 ROOT = Path(__file__).resolve().parent.parent
 FRAME = struct.Struct("=IB3x8s")
 EFF, RTR, ERR = 0x80000000, 0x40000000, 0x20000000

@@ -21,6 +21,8 @@ from scope.stream import stream
 from wire.address import parse_address
 from wire.client import BusGone, Client
 
+pytestmark = pytest.mark.real_time
+
 ROOT = Path(__file__).resolve().parent.parent
 BENCH = parse_address("coulombus:bench")
 PATIENCE_S = 60.0

@@ -16,6 +16,8 @@ from eds.rig import load_rig
 from scope.watch import watch
 from wire.address import parse_address
 
+pytestmark = pytest.mark.real_time
+
 ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 BENCH = parse_address("coulombus:bench")
 COMMAND = [sys.executable, "-c", "import sys, coulombus; sys.exit(coulombus.main())", "watch"]

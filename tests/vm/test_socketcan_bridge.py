@@ -9,11 +9,14 @@ import struct
 import subprocess
 import sys
 
+import pytest
 from tiny_bus import tiny_bus
 from vm_interfaces import ROOT
 
 from wire.address import parse_address
 from wire.client import Client, pack_frame
+
+pytestmark = pytest.mark.real_time
 
 FRAME = struct.Struct("=IB3x8s")
 TIMEOUT_S = 60.0

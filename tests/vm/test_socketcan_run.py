@@ -19,6 +19,8 @@ from wire.address import parse_address
 from wire.client import BusFull, BusUnavailable, Client, pack_frame
 from wire.hello import Hello
 
+pytestmark = pytest.mark.real_time
+
 PATIENCE_S = 300
 SLOW = (
     *(

@@ -15,6 +15,8 @@ import canopen_clients
 import pytest
 from vm_interfaces import INTERFACES, ROOT
 
+pytestmark = pytest.mark.real_time
+
 FRAME = struct.Struct("=IB3x8s")
 TIMEOUT_S = 60.0
 
