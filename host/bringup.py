@@ -30,6 +30,8 @@ __all__ = ["ControlPlane", "bring_up", "check_plan", "release", "shut_down"]
 
 INVALID = 1 << 31
 SETTLE_NS = 50_000_000
+LATE_HEARTBEATS = 5
+"""So many more are waited for after NMT start before a node counts as missing."""
 
 
 class ControlPlane(Protocol):
@@ -230,9 +232,14 @@ def bring_up(controllers: Controllers, plane: ControlPlane) -> None:
     if differences:
         raise DeviceMismatch("; ".join(differences))
     nmt.send_command(0x01)  # start
-    slowest_s = max(part.heartbeat_s for axis in axes for _, part in axis.devices)
-    plane.wait_ns(SETTLE_NS + round(2e9 * slowest_s))
-    for device, _ in (pair for axis in axes for pair in axis.devices):
+    devices = [pair for axis in axes for pair in axis.devices]
+    heartbeat_ns = round(1e9 * max(part.heartbeat_s for _, part in devices))
+    plane.wait_ns(SETTLE_NS + 2 * heartbeat_ns)
+    for _ in range(LATE_HEARTBEATS):
+        if all(plane.nmt_state(device.node_id) == NmtState.OPERATIONAL for device, _ in devices):
+            return
+        plane.wait_ns(heartbeat_ns)
+    for device, _ in devices:
         state = plane.nmt_state(device.node_id)
         if state != NmtState.OPERATIONAL:
             heard = "was not heard" if state is None else f"says {NmtState(state).name}"

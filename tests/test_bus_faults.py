@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import struct
 import threading
@@ -14,6 +15,7 @@ import pytest
 
 from eds.cia402 import PowerState
 from eds.rig import load_rig
+from host.errors import NodeMissing
 from lab.kernel import BRAKE, MOTOR
 from lab.run_table import injected_lines
 from lab.sim_server import SimServer
@@ -374,3 +376,20 @@ def test_error_frames_for_the_clients_that_ask_for_them(tmp_path, monkeypatch):
     mine, others = seen[0][0][2], seen[1][0][2]
     assert (mine[2] & 0x80, mine[6], mine[7]) == (0x80, 8, 0)
     assert (others[2] & 0x80, others[6], others[7]) == (0, 0, 1)
+
+
+@pytest.mark.parametrize(("seconds", "armed"), [(0.35, True), (2.0, False)])
+def test_a_late_heartbeat_is_waited_for_and_a_missing_one_is_refused(tmp_path, seconds, armed):
+    drop = f"""
+[[fault]]
+kind = "drop"
+on = {{ can_id = 0x702, every = 1 }}
+duration_s = {seconds}
+lost_for = "host"
+"""
+    with contextlib.ExitStack() as stack:
+        if not armed:
+            stack.enter_context(pytest.raises(NodeMissing, match=r"brake \(node 2\) says INITIALISING after NMT start"))
+        result = simulate("bench", "hybrid", 0.1, faults=write(tmp_path, drop))
+        assert armed
+        assert result.trip is None
