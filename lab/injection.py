@@ -11,7 +11,8 @@ from host.step import SOURCE_HOST
 from lab.network import TAP
 from sim_bus.attempt import detach
 from sim_bus.controller import STATIONS, CanState, ErrorKind
-from sim_bus.fault_file import FaultError, FaultPlan, begin_enabled, injections, install
+from sim_bus.fault_file import FaultError, FaultPlan
+from sim_bus.fault_rows import begin_enabled, injections, install
 from sim_bus.faults import NO_FRAME, fire, plan_alarm
 from sim_bus.halves import MENDING, WHOLE, join, merged_faults, split, wire_of
 from sim_bus.slow_motion import CLIENT_ROWS, CLIENTS
