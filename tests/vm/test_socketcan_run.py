@@ -75,10 +75,11 @@ def observer(interface):
         yield client
 
 
-def until(client, condition):
-    """Read until `condition(can_id, data)` holds for a frame; return its stamp [s]."""
+def until(client, condition, run=None):
+    """Read until `condition(can_id, data)` holds for a frame; return its stamp [s]. A `run` that ends before says what came of it."""
     deadline = time.monotonic() + PATIENCE_S
     while time.monotonic() < deadline:
+        assert run is None or run.poll() is None, result(run)
         client.wait(0.1)
         for stamp, can_id, length, data in client.receive():
             if condition(can_id, data[:length]):
@@ -110,7 +111,7 @@ def test_no_torque_without_a_switch_or_a_word(sim, interface):
 
 def test_the_interface_goes_down_in_mid_run(sim, interface):
     with observer(interface) as client, host(interface, seconds=60) as run:
-        until(client, enabled)
+        until(client, enabled, run)
         try:
             subprocess.run(["ip", "link", "set", interface, "down"], check=True)
             status, data, err = result(run)
@@ -135,11 +136,11 @@ def test_the_host_is_killed_under_a_flood(sim, interface):
                         break
                 time.sleep(0.01)
 
-        until(client, enabled)
+        until(client, enabled, run)
         thread = threading.Thread(target=flood)
         thread.start()
         end = time.monotonic() + 3
-        until(client, lambda can_id, data: can_id == 0x201 and time.monotonic() > end)
+        until(client, lambda can_id, data: can_id == 0x201 and time.monotonic() > end, run)
         over.set()
         thread.join()
         assert run.poll() is None, result(run)
