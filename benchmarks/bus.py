@@ -1,7 +1,8 @@
 """``python -m benchmarks bus``: the rig and its bus in virtual time against real time, without and with errors on the wire, and for hours.
 
-Both contestants run in turns in this process, bring-up and safe end included; times are CPU time, so a neighbour on the machine costs less.
-The noise hits each bit alike; how many frames it destroyed is counted from what the controllers say, and printed beside its figure.
+All contestants run in turns in this process, bring-up and safe end included; times are CPU time, so a neighbour on the machine costs less.
+The noise hits each bit alike, so about as many bits of the idle wire as bits of frames, and each of both is played with its error frame. How many
+frames it destroyed is counted from what the controllers say, how many bits it hit from what the bus says, and both are printed.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ __all__ = ["bus"]
 SIMULATED_S = 120.0
 ROUNDS = 5
 NOISE = '[[fault]]\nkind = "noise"\nrate = 1.3e-4\n'
-"""About 1 frame of 100 is destroyed."""
+"""About 1 frame of 100 is destroyed; as many strikes again hit the idle wire, and few an error frame or a bit that destroys nothing."""
 PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
 HOUR_S = 3600.0
 
@@ -43,12 +44,18 @@ def retransmissions(result: RunResult) -> int:
     return sum(int(one["retransmissions"]) for one in (result.controllers or {}).values())
 
 
-def against_real_time(show: Callable[..., None], noise: Path) -> None:
+def strikes(result: RunResult) -> int:
+    """Return how many bits were disturbed, those of the idle wire too."""
+    return sum(int(one["times"]) for one in result.faults or ())
+
+
+def against_real_time(show: Callable[..., None], noise: Path, recording: Path) -> None:
     """Show how much faster than real time the rig runs."""
     worlds: list[VirtualRig] = []
     runs: dict[str, Callable[[], RunResult]] = {
         "plain": lambda: simulate("bench", "hybrid", SIMULATED_S),
         "noisy": lambda: simulate("bench", "hybrid", SIMULATED_S, faults=noise, script=worlds.append),
+        "recorded": lambda: simulate("bench", "hybrid", SIMULATED_S, faults=noise, record=recording),
     }
     times: dict[str, list[float]] = {name: [] for name in runs}
     for function in runs.values():
@@ -61,12 +68,15 @@ def against_real_time(show: Callable[..., None], noise: Path) -> None:
             if result.trip is not None:
                 show(f"{name}: the run tripped", result.trip)
     frames = int(worlds.pop().bus["frames"][0])
-    plain, noisy = (statistics.median(times[name]) for name in ("plain", "noisy"))
-    show("simulate: host, two nodes with all services, bus, rig", f"{SIMULATED_S / plain:.0f} x", "at least 500 x")
-    share = 100 * retransmissions(result) / frames
-    show(f"... with noise that destroys {share:.2f} % of the frames", f"{SIMULATED_S / noisy:.0f} x", "at least 200 x")
+    speed = {name: f"{SIMULATED_S / statistics.median(each):.0f} x" for name, each in times.items()}
+    destroyed = retransmissions(result)
+    show("simulate: host, two nodes with all services, bus, rig", speed["plain"], "at least 500 x")
+    share = f"{100 * destroyed / frames:.2f} %"
+    show(f"... with noise that destroys {share} of the frames", speed["noisy"], "at least 200 x")
+    show("... bits that it hit: one of a destroyed frame; besides", f"{destroyed} + {strikes(result) - destroyed}")
     ratio = statistics.median(b / a for a, b in zip(times["plain"], times["noisy"], strict=True))
     show("... its time against the undisturbed run's", f"{ratio:.2f} x")
+    show("... with noise, recorded, and the figures computed from the recording", speed["recorded"])
 
 
 def long_run(show: Callable[..., None], hours: float) -> None:
@@ -93,6 +103,6 @@ def bus(show: Callable[..., None], hours: float = 0.0) -> None:
     with tempfile.TemporaryDirectory() as directory:
         noise = Path(directory) / "noise.toml"
         noise.write_text(NOISE)
-        against_real_time(show, noise)
+        against_real_time(show, noise, Path(directory) / "run.pcapng")
     if hours > 0:
         long_run(show, hours)

@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from eds.cia301 import NmtCommand
 from host.step import SOURCE_HOST
 from lab.network import TAP
@@ -143,14 +145,15 @@ class Injection:
 
     def tell(self) -> None:
         """Tell what was injected since the last time."""
-        found = []
-        for half in self._world.bus:
-            found += [
-                (int(half.told_ns[k]), int(half.told_row[k]), int(half.told_id[k])) for k in range(int(half.told))
-            ]
-            half.told = 0
-        for one in sorted(found):
-            self._tell_one(*one)
+        halves = self._world.bus.view(np.ndarray)  # a plain array answers faster than a recarray
+        if self._on_fault is not None:
+            columns = [halves[name] for name in ("told_ns", "told_row", "told_id")]
+            found: list[tuple[int, int, int]] = []
+            for half, count in enumerate(halves["told"]):
+                found += zip(*(column[half, :count].tolist() for column in columns), strict=True)
+            for one in sorted(found):
+                self._tell_one(*one)
+        halves["told"] = 0
 
     def _tell_one(self, t_ns: int, row: int, can_id: int) -> None:
         what = "" if can_id == NO_FRAME else f" {can_id & 0x1FFFFFFF:X}h"

@@ -67,9 +67,11 @@ class Recorder:
     def write(self, frames: Records) -> None:
         """Append a batch of frames with rising stamps."""
         comments: dict[int, str] = {}
-        while self._markers and self._markers[0][0] <= frames["t_ns"][-1]:
-            t_ns, _, text = heapq.heappop(self._markers)
-            row = int(np.searchsorted(frames["t_ns"], t_ns))
+        stamps, due = frames["t_ns"], []
+        while self._markers and self._markers[0][0] <= stamps[-1]:
+            due.append(heapq.heappop(self._markers))
+        rows = np.searchsorted(stamps, [t_ns for t_ns, _, _ in due]).tolist()
+        for row, (_, _, text) in zip(rows, due, strict=True):
             comments[row] = f"{comments[row]}\n{text}" if row in comments else text
         self._writer.write(frames, comments)
 

@@ -344,7 +344,7 @@ def _simulate_bus(order: _Order) -> RunResult:
     run = _Run(order)
     try:
         if order.faults is not None:
-            run.injection = Injection(run.world, order.faults, order.seed, run.mark)
+            run.injection = Injection(run.world, order.faults, order.seed, run.mark if run.recorder else None)
         if order.script is not None:
             order.script(run.world)
         run.course(order.seconds)

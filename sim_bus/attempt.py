@@ -39,7 +39,6 @@ from sim_bus.slow_motion import (
     may_start,
     run_bits,
 )
-from sim_bus.stuffing import TAIL_BITS
 from sim_bus.waiting import (
     FAR_NS,
     HELD_BACK,
@@ -152,7 +151,7 @@ def restart(bus: Any, station: int, now_ns: int) -> None:
         refresh(bus)
 
 
-@kernel
+@inlined
 def _recover(bus: Any, now_ns: int) -> None:
     """Credit the stations in bus-off with the runs of 11 recessive bits since the last dominant one."""
     for k in range(bus.on_count):
@@ -167,7 +166,7 @@ def _recover(bus: Any, now_ns: int) -> None:
             recover(c)
 
 
-@kernel
+@inlined
 def _next(bus: Any, now_ns: int) -> int:
     """Return the place of the next frame whose sender may send now, -1 when there is none."""
     place = winner(bus, now_ns)
@@ -219,6 +218,7 @@ def attempt(bus: Any, queue: Any, header: Any, now_ns: int) -> None:
         if place < 0:
             break
         can_id, source = bus.held_can_id[place], bus.held_source[place]
+        length, word = bus.held_length[place], bus.held_word[place]
         sequence = bus.held_order[place] & SEQUENCE_MASK
         if sequence == 0:  # it was on the wire before, and what has struck it then is still to come
             c = bus.stations[source & STATION_MASK]
@@ -229,8 +229,7 @@ def attempt(bus: Any, queue: Any, header: Any, now_ns: int) -> None:
                 c.owed = 0
         if sequence == 0 or sequence == HELD_BACK:
             break
-        bits = data_frame_bits(can_id, bus.held_length[place], bus.held_word[place])
-        delay_ns = strike(bus, now_ns, can_id, source, bits - INTER_FRAME_BITS - TAIL_BITS)
+        delay_ns = strike(bus, now_ns, can_id, length, word, source)
         if delay_ns == 0:
             break
         _wait_again(bus, place, first_order(can_id) | HELD_BACK, now_ns + delay_ns)
@@ -264,7 +263,7 @@ def _begin_slow(bus: Any, now_ns: int) -> None:
     bus.resume = 0
 
 
-@kernel
+@inlined
 def _lose(bus: Any) -> None:
     """Let those not hear the frame for whom a scripted fault has dropped it."""
     if bus.lost_for == NOBODY:
@@ -274,7 +273,7 @@ def _lose(bus: Any) -> None:
             bus.stations[bus.on[k]].hears = 0
 
 
-@kernel
+@inlined
 def _once_more(bus: Any) -> None:
     """Let the frame that has passed wait again, where a scripted fault duplicates it."""
     if bus.again:
@@ -283,7 +282,7 @@ def _once_more(bus: Any) -> None:
         bus.again = 0
 
 
-@kernel
+@inlined
 def _send(bus: Any, place: int, now_ns: int) -> None:
     """Put the frame at `place`, which has won the arbitration, on the wire."""
     bus.can_id = bus.held_can_id[place]
@@ -319,7 +318,7 @@ def _send(bus: Any, place: int, now_ns: int) -> None:
     bus.bits += bits
 
 
-@kernel
+@inlined
 def _contested(bus: Any, order: int) -> bool:
     """Tell whether the winner's bits matter to another station: its frame has the same arbitration field, or it sends once only."""
     for n in range(bus.ready):
@@ -341,7 +340,7 @@ def _contends(bus: Any, source: int, now_ns: int) -> bool:
     return True
 
 
-@kernel
+@inlined
 def _count_lost(bus: Any, now_ns: int) -> None:
     """Count who loses the arbitration to the bus's frame, without a look at the bits."""
     bus.stations[bus.source & STATION_MASK].contends_ns = now_ns
@@ -404,7 +403,7 @@ def _tell_given_up(bus: Any, log: Any, row: int, last: int) -> int:
     return row
 
 
-@kernel
+@inlined
 def _tell_states(bus: Any, queue: Any, header: Any, log: Any, row: int, last: int) -> int:
     """Write the controllers' changes of state; return the next row."""
     for k in range(bus.on_count):
@@ -424,7 +423,7 @@ def _tell_states(bus: Any, queue: Any, header: Any, log: Any, row: int, last: in
     return row
 
 
-@kernel
+@inlined
 def _settle(bus: Any) -> None:
     """A frame has passed: rules g and h, and the pause of an error-passive sender."""
     row = bus.source & STATION_MASK

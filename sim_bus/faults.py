@@ -17,6 +17,7 @@ from sim_bus.noise import renew
 from sim_bus.slow_motion import MAX_FLIPS, is_meant
 from sim_bus.stuffing import TAIL_BITS
 from sim_bus.waiting import FAR_NS, STATION_MASK, first_order, hold
+from wire.bits import data_frame_bits
 
 __all__ = [
     "FAULT",
@@ -151,10 +152,10 @@ def _meant(f: Any, now_ns: int, can_id: int, source: int) -> bool:
 
 
 @kernel
-def strike(bus: Any, now_ns: int, can_id: int, source: int, stuffed: int) -> int:
+def strike(bus: Any, now_ns: int, can_id: int, length: int, word: int, source: int) -> int:
     """Let the rows strike the frame that is to start; return the delay [ns] that they put it off by.
 
-    `stuffed` is the number of its bits up to the CRC sequence. What else they do is left in `flips`, `wrong_crc`, `again` and `lost_for`.
+    What else they do is left in `flips`, `wrong_crc`, `again` and `lost_for`.
     """
     delay_ns = meant = 0
     for row in range(bus.fault_count):
@@ -168,6 +169,7 @@ def strike(bus: Any, now_ns: int, can_id: int, source: int, stuffed: int) -> int
         if meant >> row & 1 == 0 or (f.kind != DELAY and delay_ns > 0):  # who is put off is struck by nothing else
             continue
         if f.kind == FLIP:
+            stuffed = data_frame_bits(can_id, length, word) - INTERMISSION_BITS - TAIL_BITS  # up to the CRC sequence
             bit = f.bit if f.bit < TAIL_BIT else stuffed + f.bit - TAIL_BIT
             if bit >= stuffed + TAIL_BITS + INTERMISSION_BITS or bus.flips >= MAX_FLIPS:  # this frame has no such bit
                 continue

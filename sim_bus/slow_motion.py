@@ -502,9 +502,10 @@ def run_bits(bus: Any) -> int:
     """Play bits until there is something to tell, or until somebody may send (`bus.slow` is 0 then); return the end of the last bit."""
     bus.passed = bus.tell = 0
     last_bit = bus.slow_bit + LONGEST_STRETCH
+    end_ns: int = bus.slow_ns + bus.slow_bit * NS // bus.bit_rate
     while True:
-        begin_ns = bus.slow_ns + bus.slow_bit * NS // bus.bit_rate
-        end_ns: int = bus.slow_ns + (bus.slow_bit + 1) * NS // bus.bit_rate
+        begin_ns = end_ns
+        end_ns = bus.slow_ns + (bus.slow_bit + 1) * NS // bus.bit_rate
         level = 1
         for k in range(bus.on_count):
             c = bus.stations[bus.on[k]]

@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 
 from eds.pdo import Entry
 from eds.rig import Rig, RigError, load_rig
+from lab.recorder import Recorder
 from scope.recording import Recording, blocks, decode_field, read
 from wire.frame import CAN_EFF_FLAG, CAN_RTR_FLAG, FRAME, data_word
-from wire.pcapng import PcapngError, PcapngWriter
+from wire.pcapng import PcapngError, PcapngWriter, read_pcapng
 
 RATIO, COUNTS = 9.587, 8192
 TORQUE = 0.180 * RATIO / 1000  # Nm at the handle for one per mille
@@ -272,3 +273,15 @@ def test_a_log_of_another_tool_is_decoded_as_the_recording_is(tmp_path: Path, ri
         assert angle.values == pytest.approx(1000 * np.arange(3) * found.scale("motor.position_rad"))
     with pytest.raises(RigError, match="--rig on the command line"):
         read(path)
+
+
+def test_a_marker_is_the_comment_of_the_first_frame_at_or_after_its_time(tmp_path, rig):
+    file = tmp_path / "r.pcapng"
+    with Recorder(file, rig, "hybrid") as recorder:
+        for t_ns, text in ((31, "later"), (10, "at its time"), (12, "second"), (11, "first"), (41, "behind the end")):
+            recorder.mark(t_ns, text)
+        for stamps in ((10, 20, 20), (30, 40)):
+            frames = np.zeros(len(stamps), FRAME)
+            frames["t_ns"] = stamps
+            recorder.write(frames)
+    assert list(read_pcapng(file).comments) == [(0, "at its time"), (1, "first\nsecond"), (4, "later")]
