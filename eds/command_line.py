@@ -6,7 +6,7 @@ import json
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -93,7 +93,8 @@ class Verbs(click.Group):
 
         def tell(text: str, status: int) -> None:
             if "--json" in ctx.meta.get(WORDS, ()) and RESULT not in ctx.meta:
-                click.echo(json.dumps({"event": "error", "error": text, "exit_status": status}))
+                with suppress(OSError):  # of a stdout that takes nothing, stderr tells
+                    click.echo(json.dumps({"event": "error", "error": text, "exit_status": status}))
 
         try:
             try:

@@ -57,6 +57,8 @@ class FileReader(DcfReader):
 
     def device_info(self, objects: Mapping[int, Object]) -> dict[str, str]:
         """Return [DeviceInfo] as written; its numbers are held against the objects."""
+        if "fileinfo" not in self.sections:
+            self.say(1, "[FileInfo] is missing", "a file of no version")
         device = self.sections.get("deviceinfo")
         if device is None:
             self.say(1, "[DeviceInfo] is missing", "a device without a name")

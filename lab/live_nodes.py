@@ -41,7 +41,7 @@ class LiveNodes:
     Attributes
     ----------
     eds : sequence of (path, node id); None: the node id of the file, a DCF
-    bit_rate : [bit/s] of a bus that is served here; 0: that of the DCFs, else 1 Mbit/s
+    bit_rate : [bit/s] that the bus should have; 0: that of the DCFs, else 1 Mbit/s where it is served here
     node_ids : of the nodes
     """
 
@@ -68,7 +68,9 @@ class LiveNodes:
             raise NodeError(f"--store {self.store}: expected a file, in a directory that is there")
         for (path, _), description in zip(self.eds, self.descriptions, strict=True):
             if description.diagnoses:
-                text = f"{len(description.diagnoses)} diagnoses, read tolerantly; see `coulombus eds check {path}`"
+                number = len(description.diagnoses)
+                found = f"{number} diagnos{'i' if number == 1 else 'e'}s"
+                text = f"{found}, read tolerantly; see `coulombus eds check {path}`"
                 print(f"coulombus: {path}: {text}", file=sys.stderr)
         self._devices(VirtualNetwork(capacity=len(ids)), Store)  # refused before a bus is opened
 
@@ -83,7 +85,7 @@ class LiveNodes:
         if len(rates) > 1 and not self.bit_rate:
             wanted = " and ".join(map(str, sorted(rates)))
             raise NodeError(f"the DCFs tell of {wanted} bit/s, but a bus has one bit rate; give --bitrate")
-        self.bit_rate = self.bit_rate or max(rates, default=BIT_RATE)
+        self.bit_rate = self.bit_rate or max(rates, default=0)
 
     def make_world(self, bit_rate: int, trial: bool) -> VirtualNetwork:
         """Return the network of the nodes, and nothing else on it; a trial keeps nothing and tells nothing."""
@@ -143,16 +145,18 @@ def run_nodes(nodes: LiveNodes, address: BusAddress, seconds: float | None) -> i
     """Serve the nodes until the time is over, or SIGINT or SIGTERM; return the exit status."""
 
     def make() -> BusServer:
-        server = BusServer(nodes.make_world, address, nodes.bit_rate, join=True)
+        server = BusServer(nodes.make_world, address, nodes.bit_rate or BIT_RATE, join=True)
         nodes.server = server
         return server
 
     def tell_bus(server: BusServer, as_json: bool) -> None:
+        rate = f"{server.bit_rate / 1e6:g} Mbit/s"
         if serves(server):
-            rate = f"{server.bit_rate / 1e6:g} Mbit/s"
-            print(
-                f"coulombus: nobody served bus {address}: it is served here, at {rate}; others may join",
-                file=sys.stderr,
-            )
+            text = f"nobody served bus {address}: it is served here, at {rate}; others may join"
+        elif server.joined and nodes.bit_rate not in (0, server.bit_rate):
+            text = f"bus {address} runs at {rate}, as its server says, and not at {nodes.bit_rate / 1e6:g} Mbit/s"
+        else:
+            return
+        print(f"coulombus: {text}", file=sys.stderr)
 
     return run_sim(make, seconds, priority=None, cpu=None, as_json=nodes.as_json, tell_ready=tell_bus)

@@ -32,7 +32,7 @@ from eds.pdo import Entry
 from eds.rig import Rig, RigError, load_rig, load_rig_text
 from eds.signals import RigPdo, Signal
 from wire.frame import Records
-from wire.log_files import WALL_CLOCK_NS, is_log, read_log
+from wire.log_files import WALL_CLOCK_NS, LogError, is_log, read_log
 from wire.pcapng import Capture, iter_pcapng, read_pcapng
 
 __all__ = ["Blocks", "PdoTable", "Recording", "Series", "Source", "blocks", "decode_field", "read", "series"]
@@ -233,8 +233,10 @@ def read(path: str | Path, rig: Rig | str | None = None) -> Recording:
 def blocks(path: str | Path, rig: Rig | str | None = None) -> Blocks:
     """Return a recording to go through, as often as needed, in a memory that does not grow with it; parameters and errors as `read`.
 
-    The file is read anew each time: it must stay as it is meanwhile.
+    The file is read anew each time: it must stay as it is meanwhile, and a pipe is refused (LogError).
     """
+    if Path(path).exists() and not Path(path).is_file():
+        raise LogError(f"{path}: it is no file, and a recording is read more than once; save it to a file first")
     return Blocks(str(path), _attached_rig(_captures(path)) if rig is None else _rig(rig))
 
 

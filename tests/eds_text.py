@@ -1,6 +1,8 @@
 """A small EDS file that has no defect, and parts to put behind it."""
 
-HEAD = """[DeviceInfo]
+HEAD = """[FileInfo]
+FileName=nobody.eds
+[DeviceInfo]
 VendorName=Nobody
 [MandatoryObjects]
 SupportedObjects=3

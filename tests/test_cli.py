@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -10,6 +13,8 @@ from click.testing import CliRunner
 
 from coulombus import main
 from scope.recording import read
+
+ROOT = Path(__file__).resolve().parent.parent
 
 
 def call(*arguments):
@@ -81,6 +86,14 @@ def test_with_json_the_reason_is_on_stdout_when_there_is_no_result(tmp_path, arg
     assert text in told["error"]
     assert text in result.stderr  # for people
     assert call(*arguments.replace("OUT", str(tmp_path)).split()).stdout == ""
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
+def test_a_stdout_that_takes_nothing_is_told_on_stderr():
+    with Path("/dev/full").open("w") as full:
+        command = [sys.executable, "-m", "coulombus", "eds", "check", "--json", str(ROOT / "eds/motor.eds")]
+        done = subprocess.run(command, cwd=ROOT, stdout=full, stderr=subprocess.PIPE, text=True)
+    assert (done.returncode, done.stderr) == (2, "coulombus: [Errno 28] No space left on device\n")
 
 
 def test_json_is_all_that_stands_on_stdout(tmp_path):

@@ -83,7 +83,6 @@ def test_a_section_of_no_known_name():
 
 def test_sections_of_cia_306_that_hold_no_object():
     names = (
-        "FileInfo",
         "Comments",
         "StandardDataTypes",
         "Tools",

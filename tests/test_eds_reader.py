@@ -369,7 +369,7 @@ def test_lists_of_objects_are_compared_with_the_sections(read):
 def test_missing_sections_and_padded_numbers_of_the_device(read):
     only = "[1000]\nParameterName=Device type\nDataType=7\nAccessType=ro\n"
     text = "\n".join(complaints(read(only, head="")))
-    for section in ("DeviceInfo", "MandatoryObjects", "OptionalObjects", "ManufacturerObjects"):
+    for section in ("FileInfo", "DeviceInfo", "MandatoryObjects", "OptionalObjects", "ManufacturerObjects"):
         assert f"[{section}] is missing" in text
     d = read(variable(), head=HEAD.replace("VendorName=Nobody", "VendorNumber=001\nProductNumber=\nRevisionNumber=x"))
     text = "\n".join(complaints(d))

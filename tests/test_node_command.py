@@ -12,6 +12,7 @@ import threading
 from pathlib import Path
 
 import canopen
+import eds_text
 import pytest
 
 from eds.reader import EdsError, read_eds
@@ -67,7 +68,7 @@ def test_two_nodes_share_a_bus_and_canopen_talks_to_them():
     try:
         assert ready["event"] == "ready"
         assert (ready["node_id"], ready["serves_bus"], ready["bitrate_bit_s"]) == (5, True, 500_000)
-        second, ready = start(BRAKE, "--node-id", 6, "--bus", "coulombus:desk")
+        second, ready = start(BRAKE, "--node-id", 6, "--bus", "coulombus:desk", "--bitrate", 250_000)
         assert (ready["node_id"], ready["serves_bus"], ready["bitrate_bit_s"]) == (6, False, 500_000)
         network = canopen.Network()
         network.connect(interface="coulombus", channel="desk")
@@ -85,8 +86,10 @@ def test_two_nodes_share_a_bus_and_canopen_talks_to_them():
         third, _ = start(MOTOR, "--node-id", 5, "--bus", "coulombus:desk")
         status, lines, err = end(third, signal.SIGINT)
         assert status == 0
+        assert "runs at" not in err  # no bit rate was asked for
         status, lines, err = end(second)
         assert (status, lines[-1]["event"]) == (0, "end")
+        assert "bus coulombus:desk runs at 0.5 Mbit/s, as its server says, and not at 0.25 Mbit/s" in err
     finally:
         status, lines, err = end(first)
     assert status == 0
@@ -120,6 +123,12 @@ def test_several_nodes_in_one_process_answer(tmp_path):
         server.stop()
         thread.join()
         server.close()
+
+
+def test_one_diagnosis_is_one(tmp_path, capsys):
+    (tmp_path / "odd.eds").write_text(eds_text.HEAD + eds_text.variable(DefaultValue="007"))
+    LiveNodes(((tmp_path / "odd.eds", 1),))
+    assert "odd.eds: 1 diagnosis, read tolerantly" in capsys.readouterr().err
 
 
 def test_mistakes_are_told(tmp_path):

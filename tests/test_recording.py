@@ -1,6 +1,7 @@
 """Recordings as arrays: hand-made bytes of the bench rig against SI values worked out by hand."""
 
 import math
+import os
 import struct
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from eds.rig import Rig, RigError, load_rig
 from lab.recorder import Recorder
 from scope.recording import Recording, blocks, decode_field, read
 from wire.frame import CAN_EFF_FLAG, CAN_RTR_FLAG, FRAME, data_word
+from wire.log_files import LogError
 from wire.pcapng import PcapngError, PcapngWriter, read_pcapng
 
 RATIO, COUNTS = 9.587, 8192
@@ -211,6 +213,13 @@ def test_a_file_that_is_no_recording(tmp_path: Path):
     (tmp_path / "a.pcapng").write_bytes(b"nothing of the kind")
     with pytest.raises(PcapngError, match="not a pcapng file"):
         read(tmp_path / "a.pcapng")
+
+
+def test_a_pipe_is_refused(tmp_path: Path):
+    """It would be read once, for the rig, and never again."""
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(LogError, match="read more than once"):
+        blocks(tmp_path / "pipe")
 
 
 def field_by_hand(data: bytes, start: int, bits: int, signed: bool) -> int:
