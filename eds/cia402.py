@@ -117,7 +117,7 @@ _S, _C = PowerState, Command
 TRANSITIONS: tuple[tuple[int, PowerState, Command, PowerState], ...] = (
     (2, _S.SWITCH_ON_DISABLED, _C.SHUTDOWN, _S.READY_TO_SWITCH_ON),
     (3, _S.READY_TO_SWITCH_ON, _C.SWITCH_ON, _S.SWITCHED_ON),
-    (3, _S.READY_TO_SWITCH_ON, _C.ENABLE_OPERATION, _S.SWITCHED_ON),  # and transition 4 with the next controlword
+    (4, _S.READY_TO_SWITCH_ON, _C.ENABLE_OPERATION, _S.OPERATION_ENABLED),  # 3 and 4 at once (table 24, note)
     (4, _S.SWITCHED_ON, _C.ENABLE_OPERATION, _S.OPERATION_ENABLED),
     (5, _S.OPERATION_ENABLED, _C.SWITCH_ON, _S.SWITCHED_ON),
     (6, _S.SWITCHED_ON, _C.SHUTDOWN, _S.READY_TO_SWITCH_ON),

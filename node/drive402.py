@@ -167,7 +167,7 @@ def connection_lost(n: Any, t_ns: int, forced: int) -> int:
 
 @kernel
 def new_controlword(n: Any, i: int, t_ns: int, queue: Any, header: Any) -> None:
-    """Act on the controlword that was written: one transition of the table at most."""
+    """Act on the controlword that was written: one row of the table at most."""
     word = n.values[slots.CONTROLWORD]
     rising = word & 0x80 and not n.controlword & 0x80
     n.controlword = word
@@ -291,7 +291,7 @@ def sample(n: Any) -> None:
     if n.power_state == _ENABLED and not n.setpoint_stale:
         if n.mode != _CST:
             word |= motion402.target_bits(n)
-        elif not n.slowing:
+        elif not n.slowing and not n.controlword & _HALT:
             word |= _FOLLOWS
     elif n.power_state == _QUICK_STOP and not n.slowing:
         word |= _TARGET_REACHED  # the quick stop is complete, and the drive stays

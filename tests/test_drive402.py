@@ -47,7 +47,7 @@ def at_state(state: int) -> Bench:
         (SOD, DISABLE_VOLTAGE, SOD),
         (SOD, QUICK_STOP, SOD),
         (RTSO, SWITCH_ON, SO),  # 3
-        (RTSO, ENABLE, SO),  # 3, and 4 with the next controlword
+        (RTSO, ENABLE, OE),  # 3, and 4 by itself
         (RTSO, QUICK_STOP, SOD),  # 7
         (RTSO, DISABLE_VOLTAGE, SOD),  # 7
         (RTSO, SHUTDOWN, RTSO),
@@ -85,14 +85,17 @@ def test_quick_stop_option_5_stays_and_can_be_left():
     assert bench.node.power_state == SOD
 
 
-def test_enabling_takes_one_transition_a_controlword():
+@pytest.mark.parametrize("supply", [1, 0])
+def test_enable_operation_in_ready_to_switch_on_is_transition_3_and_by_itself_4(supply):
     bench = motor()
+    bench.node.in_supply_ok = supply
     states = []
-    for controlword in (SHUTDOWN, ENABLE, ENABLE, ENABLE):
-        cycle(bench, setpoint(controlword))
+    for controlword in (SHUTDOWN, ENABLE, ENABLE):
+        cycle(bench, setpoint(controlword, 50))
         bench.sync()
         states.append(int(bench.node.power_state))
-    assert states == [RTSO, SO, OE, OE]
+    assert states == ([RTSO, OE, OE] if supply else [RTSO] * 3)
+    assert bench.node.out_torque_pm == 50 * supply
 
 
 def test_torque_acts_on_the_next_sync_and_only_in_operation_enabled():
@@ -269,10 +272,12 @@ def test_profile_torque_follows_the_slope():
 def test_halt_in_cst_is_torque_zero():
     bench = motor()
     enable(bench, 100)
-    cycle(bench, setpoint(ENABLE | 0x100, 100))
-    bench.sync()
-    assert bench.node.power_state == OE
-    assert bench.node.out_torque_pm == 0
+    for halt in (0, 0x100, 0):
+        cycle(bench, setpoint(ENABLE | halt, 100))
+        bench.sync()
+        assert bench.node.power_state == OE
+        assert bench.node.out_torque_pm == (0 if halt else 100)
+        assert word(bench) & 0x1000 == (0 if halt else 0x1000)  # "target torque ignored"
 
 
 @pytest.mark.parametrize("mode", [-1, 1, 2, 5, 6, 7, 8, 11])

@@ -42,10 +42,10 @@ TRANSITIONS = {
     12: (QUICK, "disable voltage", DISABLED),
     16: (QUICK, "enable operation", ENABLED),
 }
-ALSO = {  # figure 2: 7 and 10 by quick stop too; table 24, note: "enable operation" in Ready is "switch on"
+ALSO = {  # figure 2: 7 and 10 by quick stop too; table 24, note: "enable operation" in Ready is 3, and 4 by itself
     (READY, "quick stop"): DISABLED,
     (ON, "quick stop"): DISABLED,
-    (READY, "enable operation"): ON,
+    (READY, "enable operation"): ENABLED,
 }
 
 
