@@ -10,10 +10,11 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from eds.cia301 import CobId
+from eds.cia301 import Abort, CobId
+from eds.pdo import COMMUNICATION
 from node import core, guarding
 from node.communication_checks import CHECKS, CONSUMER, INVALID, PRODUCER, SDO_SERVERS
-from node.dictionary import Dictionary
+from node.dictionary import Dictionary, SdoAbort
 from node.mapping import Pdos
 from node.records import FAR_FUTURE_NS, MAX_CONSUMERS, MAX_HISTORY
 from wire.frame import Records
@@ -59,6 +60,19 @@ class Communication:
             check(self._dictionary, index, subindex, value)
         else:
             self.pdos.check(index, subindex, value)
+        self._check_receiver(index, subindex, value)
+
+    def _check_receiver(self, index: int, subindex: int, value: int) -> None:
+        """Abort where two services would hear one identifier, which `_route` gives to one of them; RPDOs may share theirs."""
+        own = _RECEIVERS.get(index)
+        if own is None or subindex != (own in (core.ROUTE_SDO, core.ROUTE_PDO)):
+            return
+        listens = {core.ROUTE_SYNC: True, core.ROUTE_TIME: bool(value & CONSUMER)}.get(own, not value & INVALID)
+        other = int(self._node["route"][value & 0x7FF])
+        if core.ROUTE_PDO <= other < core.ROUTE_CONSUMER:
+            other = core.ROUTE_PDO
+        if listens and other not in (core.ROUTE_NONE, own):
+            raise SdoAbort(Abort.PARAMETER_INCOMPATIBLE)
 
     def refresh(self, index: int, subindex: int, t_ns: int) -> None:
         """Bring the record up to an object that was written at `t_ns`."""
@@ -161,6 +175,14 @@ class Communication:
         route[CobId.LSS_RX] = core.ROUTE_LSS
         route[0x000] = core.ROUTE_NMT
 
+
+_RECEIVERS: Mapping[int, int] = {
+    0x1005: core.ROUTE_SYNC,
+    0x1012: core.ROUTE_TIME,
+    **dict.fromkeys(SDO_SERVERS, core.ROUTE_SDO),
+    **dict.fromkeys(range(COMMUNICATION["rpdo"], COMMUNICATION["rpdo"] + 512), core.ROUTE_PDO),
+}
+"""Objects whose COB-ID is one to hear (from 1200h on in sub-index 1) -> the route of its frames."""
 
 _REFRESHES: Mapping[int, Callable[[Communication, int, int], None]] = {
     0x1003: Communication._refresh_history,

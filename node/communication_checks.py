@@ -60,7 +60,7 @@ def _overflow(objects: Dictionary, index: int, subindex: int, value: int) -> Non
 
 def _emcy_id(objects: Dictionary, index: int, subindex: int, value: int) -> None:
     before = objects.number(index)
-    if value & EXTENDED or value & 0x1FFFF800 or (not value & INVALID and restricted(value & _IDENTIFIER)):
+    if value & 0x7FFFF800 or (not value & INVALID and restricted(value & _IDENTIFIER)):  # bit 30 is reserved
         raise SdoAbort(Abort.VALUE)
     if not before & INVALID and not value & INVALID and (before ^ value) & _IDENTIFIER:
         raise SdoAbort(Abort.VALUE)  # to be made invalid before the identifier changes

@@ -169,11 +169,16 @@ class Pdos:
         )
 
     def refresh(self, direction: Direction, k: int, t_ns: int) -> None:
-        """Bring the record of one PDO up to its parameters; as a new PDO, which has received and sent nothing yet."""
+        """Bring the record of one PDO up to its parameters.
+
+        An RPDO is new then, and has received nothing; a TPDO is when it did not exist, else its inhibit time goes on.
+        """
         if k >= MAX_PDOS:
             return
         layout = self.layout(direction, k)
         record, node = self._records[direction][k], self._node
+        existed = 0 <= record["cob_id"] == layout.cob_id
+        counted = existed and record["transmission"] == layout.transmission
         fill(record, layout, self._slot)
         valid = np.flatnonzero(self._records[direction]["cob_id"] >= 0)
         used = int(valid[-1]) + 1 if len(valid) else 0
@@ -190,9 +195,11 @@ class Pdos:
             if layout.event_ns == 0 or entry.index not in CONTINUOUS:
                 mask |= ((1 << entry.bits) - 1) << start
         node["tpdo_mask"][k] = mask - (1 << 64) if mask >> 63 else mask
-        node["tpdo_count"][k] = -1 if layout.sync_start and node["sync_overflow"] else 0
-        node["tpdo_ns"][k] = t_ns - layout.inhibit_ns
-        node["tpdo_due"][k] = 1
+        if not counted:
+            node["tpdo_count"][k] = -1 if layout.sync_start and node["sync_overflow"] else 0
+        if not existed:
+            node["tpdo_ns"][k] = t_ns - layout.inhibit_ns
+            node["tpdo_due"][k] = 1
         node["tpdo_used"] = used
         node["tpdo_events"] = int(np.sum(self._records["tpdo"]["transmission"][valid] >= _EVENT_MIN))
 

@@ -261,6 +261,8 @@ def test_emcy_identifier_can_be_moved_and_switched_off():
     bench = motor()
     with pytest.raises(SdoAborted, match="06090030"):
         bench.write(0x1014, 0, 0x0A1, 4)  # to be made invalid first
+    with pytest.raises(SdoAborted, match="06090030"):
+        bench.write(0x1014, 0, 0x40000081, 4)  # a reserved bit
     bench.write(0x1014, 0, 0x80000081, 4)
     bench.frame(0x201, b"\x00")
     assert bench.emcy() == []

@@ -121,6 +121,40 @@ def test_event_driven_tpdo_on_change_waits_for_the_inhibit_time():
     assert times(bench, 0x381) == [30 * MS]
 
 
+def test_a_changed_event_timer_or_transmission_type_keeps_the_inhibit_time():
+    bench = booted()
+    bench.write(0x1801, 1, INVALID | 0x281, 4)
+    bench.write(0x1801, 2, 254, 1)
+    bench.write(0x1801, 3, 500, 2)  # 50 ms
+    bench.write(0x1801, 5, 60, 2)
+    bench.write(0x1801, 1, 0x281, 4)
+    bench.nmt(1)
+    bench.until(65 * MS)
+    assert times(bench, 0x281) == [0, 60 * MS]
+    bench.write(0x1801, 5, 10, 2)
+    bench.until(115 * MS)
+    assert times(bench, 0x281) == [110 * MS]
+    bench.write(0x1801, 5, 100, 2)
+    bench.write(0x1801, 2, 255, 1)
+    bench.until(215 * MS)
+    assert times(bench, 0x281) == [210 * MS]
+
+
+def test_a_changed_transmission_type_counts_anew_and_a_changed_event_timer_does_not():
+    bench = booted()
+    bench.write(0x1800, 2, 3, 1)
+    bench.nmt(1)
+    seen = []
+    for count in range(1, 9):
+        bench.sync()
+        seen += [count] * len(bench.take(0x181))
+        if count == 2:
+            bench.write(0x1800, 5, 10, 2)
+        if count == 4:
+            bench.write(0x1800, 2, 4, 1)
+    assert seen == [3, 8]
+
+
 def test_rtr_is_answered_where_the_cob_id_allows():
     bench = booted()
     bench.write(0x1801, 1, INVALID | 0x281, 4)
@@ -207,6 +241,34 @@ def test_two_rpdos_with_one_identifier_both_act():
     bench.sync()
     assert bench.device[0x6071, 0] == 123
     assert bench.device[0x6072, 0] == 123
+
+
+@pytest.mark.parametrize(
+    ("index", "subindex", "value"), [(0x1005, 0, 0x201), (0x1012, 0, INVALID | 0x201), (0x1201, 1, 0x201)]
+)
+def test_rpdos_share_their_identifier_with_nothing_else_that_listens(index, subindex, value):
+    bench = booted()
+    bench.write(0x1201, 2, 0x6C0, 4)
+    bench.write(0x1012, 0, 0x100, 4)  # not consumed: its identifier may change
+    before = bench.number(index, subindex)
+    with pytest.raises(SdoAborted, match="06040043"):
+        bench.write(index, subindex, value, 4)
+    assert bench.number(index, subindex) == before
+    bench.write(0x1400, 1, INVALID | 0x201, 4)
+    bench.write(index, subindex, value, 4)
+    with pytest.raises(SdoAborted, match="06040043"):
+        bench.write(0x1400, 1, 0x201, 4)
+    bench.write(index, subindex, before, 4)
+    bench.write(0x1400, 1, 0x201, 4)
+
+
+def test_who_does_not_listen_takes_no_identifier_from_an_rpdo():
+    bench = booted()
+    bench.write(0x1012, 0, 0x40000201, 4)  # TIME is produced, not consumed
+    bench.write(0x1201, 1, INVALID | 0x201, 4)
+    bench.write(0x1012, 0, 0x100, 4)
+    bench.write(0x1400, 1, INVALID | 0x100, 4)
+    bench.write(0x1400, 1, 0x100, 4)
 
 
 # mapping
