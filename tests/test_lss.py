@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from node_bench import MS, Bench, enable, motor, setpoint
 
 from eds.cia305 import UNCONFIGURED, LssService
+from wire.frame import CAN_RTR_FLAG
 from node.store import FileStore, Store
 
 RX, TX = 0x7E5, 0x7E4
@@ -258,6 +259,45 @@ def test_a_node_id_may_be_taken_away_and_the_brake_still_ramps():
     assert bench.node.out_brake_Nm == 0.0
     assert bench.take() == []
     assert ask(bench, 0x4C) == answer(0x50)
+
+
+@pytest.mark.parametrize("reset", [129, 130, "power"])
+def test_a_stored_255_is_no_node_id_after_every_reset(reset):
+    bench = started(1)
+    bench.write(0x1017, 0, 10, 2)
+    bench.write(0x1800, 5, 10, 2)
+    bench.write(0x1800, 2, 254, 1)
+    bench.write(0x1010, 1, 0x65766173, 4)
+    bench.nmt(1)
+    configuring(bench)
+    assert ask(bench, 0x11, 255) == answer(0x11, 0)
+    assert ask(bench, 0x17) == answer(0x17, 0)
+    bench.run(15 * MS)
+    assert {sent.can_id for sent in bench.take()} >= {0x181, 0x701}  # until the reset it is node 1
+    for node_id in (1, 9):
+        if reset == "power":
+            bench.device.power_off()
+            bench.power_on()
+        else:
+            bench.nmt(reset, node_id)
+        bench.node_id = 255
+        for can_id in (0x000, 0x080, 0x601, 0x67F, 0x6FF, 0x701 | CAN_RTR_FLAG, 0x7FF | CAN_RTR_FLAG):
+            bench.frame(can_id, bytes((1, 0)) if can_id == 0 else b"")
+        bench.run(100 * MS)
+        bench.node.in_faults = 1
+        bench.node.next_ns = bench.t
+        bench.run(MS)
+        bench.node.in_faults = 0
+        assert (bench.take(), bench.node.nmt) == ([], 0)  # no boot-up, no heartbeat, no PDO, no EMCY
+        assert ask(bench, 0x4C) == answer(0x50)
+        configuring(bench)
+        assert ask(bench, 0x5E) == answer(0x5E, 255)
+        ask(bench, 0x11, 9)
+        ask(bench, 0x04, 0)
+        assert bench.take(0x709)[0].data == b"\0"
+        if reset == 130:  # what is pending stays: 9
+            break
+        bench.take()
 
 
 def test_heartbeats_and_sync_of_a_device_end_with_its_node_id():
