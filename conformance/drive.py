@@ -96,16 +96,13 @@ def transitions(unit: Unit, start: PowerState) -> str:
     """Take every transition that a controlword commands from a state."""
     done = []
     for number, state, command, following in TRANSITIONS:
-        wanted = following
         if state != start:
             continue
-        if command == C.ENABLE_OPERATION and state == P.READY_TO_SWITCH_ON:
-            continue  # devices may take two transitions at once
         if command == C.QUICK_STOP and state == P.OPERATION_ENABLED:
             continue  # P.5
         lead(unit, start)
         give(unit, command)
-        expect_state(unit, wanted, f"{command.name} in {state.name} (transition {number})")
+        expect_state(unit, following, f"{command.name} in {state.name} (transition {number})")
         done.append(str(number))
     give(unit, C.DISABLE_VOLTAGE)
     return f"transitions {', '.join(dict.fromkeys(done))}"

@@ -1,4 +1,4 @@
-"""Own cases L.1 to L.8: the LSS slave (CiA 305). Only services for one slave are used: others on the bus stay as they are."""
+"""Own cases L.1 to L.9: the LSS slave (CiA 305). Only services for one slave are used: others on the bus stay as they are."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from conformance.registry import case
 from conformance.unit import Unit
 from conformance.verdict import CaseFailed, NotApplicable
 from eds.cia301 import CobId, NmtCommand
-from eds.cia305 import FASTSCAN_START, LssService
+from eds.cia305 import FASTSCAN_START, UNCONFIGURED, LssService
 
 __all__: list[str] = []
 
@@ -82,6 +82,16 @@ def configure(unit: Unit) -> list[int]:
     words(unit, SELECTIVE, found)
     answer(unit, S.SWITCH_ANSWER, "switch state selective")
     return found
+
+
+def give_back(unit: Unit, found: list[int]) -> None:
+    """Give the slave of this address the node-id that it had, whatever state it is in."""
+    wait_state(unit)
+    words(unit, SELECTIVE, found)
+    unit.pause(unit.timing.quiet_ns)
+    send(unit, S.CONFIGURE_NODE_ID, bytes((unit.node_id,)))
+    unit.pause(unit.timing.quiet_ns)
+    wait_state(unit)
 
 
 @case("L.1")
@@ -227,12 +237,31 @@ def pending(unit: Unit) -> str:
         wait_state(unit)
         unit.read(0x1000, 0)
     finally:  # also when it is interrupted: the next reset would let it take effect
-        wait_state(unit)
-        words(unit, SELECTIVE, found)
-        unit.pause(unit.timing.quiet_ns)
-        send(unit, S.CONFIGURE_NODE_ID, bytes((unit.node_id,)))
-        unit.pause(unit.timing.quiet_ns)
-        wait_state(unit)
+        give_back(unit, found)
     unit.reset(NmtCommand.RESET_COMMUNICATION, must=True)
     unit.read(0x1000, 0)
     return f"node-id {other}"
+
+
+@case("L.9")
+def without_node_id(unit: Unit) -> None:
+    """Configure node-id 255 and reset the communication: no boot-up and no SDO; the old node-id brings both back."""
+    found = configure(unit)
+    try:
+        send(unit, S.CONFIGURE_NODE_ID, bytes((UNCONFIGURED,)))
+        error = answer(unit, S.CONFIGURE_NODE_ID, "configure node-id 255")[0]
+        if error:
+            raise CaseFailed(f"configure node-id 255: error code {error}, expected 0")
+        wait_state(unit)
+        unit.flush()
+        unit.nmt(NmtCommand.RESET_COMMUNICATION)
+        unit.pause(unit.timing.boot_ns)
+        unit.send(unit.sdo_rx, b"\x40\x00\x10" + bytes(5))
+        unit.pause(unit.timing.quiet_ns)
+        for can_id, what in ((CobId.HEARTBEAT + unit.node_id, "boots up"), (unit.sdo_tx, "answers an SDO request")):
+            if unit.take(can_id):
+                raise CaseFailed(f"the device {what} although it has no node-id")
+    finally:
+        give_back(unit, found)
+    unit.reset(NmtCommand.RESET_COMMUNICATION, must=True)
+    unit.read(0x1000, 0)

@@ -1,6 +1,8 @@
-"""Own cases B.1 to B.10 and S.1 to S.5: what block and segmented transfers do when something goes wrong."""
+"""Own cases B.1 to B.10, B.14 and S.1 to S.5: what block and segmented transfers do when something goes wrong."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 from conformance.link import RTR
 from conformance.objects_of import READ_ONLY, long_object, long_text
@@ -8,7 +10,7 @@ from conformance.registry import case
 from conformance.sdo_block import need_block, refused_size
 from conformance.sdo_client import crc16, head
 from conformance.unit import Unit
-from conformance.verdict import CaseFailed, NotApplicable, SdoAborted, where
+from conformance.verdict import CaseFailed, NoAnswer, NotApplicable, SdoAborted, where
 
 __all__: list[str] = []
 
@@ -99,6 +101,20 @@ def text_object(unit: Unit) -> tuple[int, int, bytes]:
     return variable.index, variable.subindex, before
 
 
+def refused(unit: Unit, transfer: Callable[[int, int], object], what: str) -> str:
+    """Let `transfer` write a text wrongly: it is aborted, and the old text stays; return the code."""
+    index, subindex, before = text_object(unit)
+    try:
+        transfer(index, subindex)
+    except SdoAborted as abort:
+        code = unit.judge(abort)
+    else:
+        raise CaseFailed(f"{where(index, subindex)} took {what}")
+    if unit.read(index, subindex) != before:
+        raise CaseFailed(f"{where(index, subindex)} has changed although {what} was aborted")
+    return f"{code:08X}h"
+
+
 @case("B.6")
 def block_download(unit: Unit) -> str:
     """Write a text by block transfer with CRC, and read it by segments."""
@@ -114,20 +130,15 @@ def block_download(unit: Unit) -> str:
 def wrong_crc(unit: Unit) -> str:
     """Write a text by block transfer with a wrong CRC: abort, and the old text stays."""
     need_block(unit)
-    index, subindex, before = text_object(unit)
-    if not unit.sdo.initiate_block_download(index, subindex, len(TEXT), crc=True)[0]:
+
+    def transfer(index: int, subindex: int) -> None:
+        agreed, _ = unit.sdo.initiate_block_download(index, subindex, len(TEXT), crc=True)
         unit.sdo.abort(index, subindex)
-        raise NotApplicable("the server has no CRC")
-    unit.sdo.abort(index, subindex)
-    try:
+        if not agreed:
+            raise NotApplicable("the server has no CRC")
         unit.sdo.block_download(index, subindex, TEXT, crc=True, wrong_crc=True)
-    except SdoAborted as abort:
-        code = unit.judge(abort)
-    else:
-        raise CaseFailed(f"{where(index, subindex)} took a block download with a wrong CRC")
-    if unit.read(index, subindex) != before:
-        raise CaseFailed(f"{where(index, subindex)} has changed although the CRC was wrong")
-    return f"{code:08X}h"
+
+    return refused(unit, transfer, "a block download with a wrong CRC")
 
 
 @case("B.8")
@@ -164,19 +175,14 @@ def lost_segment(unit: Unit) -> None:
 def another_length(unit: Unit) -> str:
     """Say more bytes than follow: abort, and the old text stays."""
     need_block(unit)
-    index, subindex, before = text_object(unit)
-    crc, _ = unit.sdo.initiate_block_download(index, subindex, len(TEXT), crc=True)
-    try:
+
+    def transfer(index: int, subindex: int) -> None:
+        crc, _ = unit.sdo.initiate_block_download(index, subindex, len(TEXT), crc=True)
         unit.sdo.send(b"\x81" + TEXT[:7])
         unit.sdo.block_acknowledged(index, subindex)
         unit.sdo.end_block_download(index, subindex, 7, crc16(TEXT[:7]) if crc else 0)
-    except SdoAborted as abort:
-        code = unit.judge(abort)
-    else:
-        raise CaseFailed(f"{where(index, subindex)} took 7 bytes; {len(TEXT)} were said")
-    if unit.read(index, subindex) != before:
-        raise CaseFailed(f"{where(index, subindex)} has changed although the length was wrong")
-    return f"{code:08X}h"
+
+    return refused(unit, transfer, f"7 bytes of which {len(TEXT)} were said")
 
 
 @case("B.10")
@@ -192,6 +198,30 @@ def to_read_only(unit: Unit) -> str:
     raise CaseFailed("1000h:00 took a block download")
 
 
+@case("B.14")
+def number_zero(unit: Unit) -> str:
+    """Send segment 0, then segment 2 as the last: abort, or neither is acknowledged; the old text stays."""
+    need_block(unit)
+    index, subindex, before = text_object(unit)
+    unit.sdo.initiate_block_download(index, subindex, 14, crc=False)
+    unit.sdo.send(b"\x00" + TEXT[:7])
+    unit.send(unit.sdo_rx, b"\x82" + TEXT[7:14])
+    how = "ignored"
+    try:
+        good, _ = unit.sdo.block_acknowledged(index, subindex)
+    except SdoAborted as abort:
+        how = f"{unit.judge(abort):08X}h"
+    except NoAnswer:
+        pass
+    else:
+        if good:
+            raise CaseFailed(f"segment {good} is acknowledged; 0 and 2 were sent")
+    unit.sdo.abort(index, subindex)
+    if unit.read(index, subindex) != before:
+        raise CaseFailed(f"{where(index, subindex)} took a segment without a number")
+    return how
+
+
 @case("S.1")
 def long_download(unit: Unit) -> str:
     """Write a text by segments and read it back."""
@@ -205,19 +235,14 @@ def long_download(unit: Unit) -> str:
 @case("S.2")
 def toggle_in_download(unit: Unit) -> str:
     """Repeat the toggle bit in a download: abort, and the old text stays."""
-    index, subindex, before = text_object(unit)
-    request = head(0x21, index, subindex, len(TEXT).to_bytes(4, "little"))
-    unit.sdo.request(request, index, subindex, "download to")
-    unit.sdo.request(b"\x00" + TEXT[:7], index, subindex, "download segment to")
-    try:
-        unit.sdo.request(b"\x00" + TEXT[7:14], index, subindex, "download segment to")
-    except SdoAborted as abort:
-        code = unit.judge(abort)
-    else:
-        raise CaseFailed(f"download to {where(index, subindex)}: a repeated toggle bit is taken")
-    if unit.read(index, subindex) != before:
-        raise CaseFailed(f"{where(index, subindex)} has changed although the transfer was aborted")
-    return f"{code:08X}h"
+
+    def transfer(index: int, subindex: int) -> None:
+        request = head(0x21, index, subindex, len(TEXT).to_bytes(4, "little"))
+        unit.sdo.request(request, index, subindex, "download to")
+        for segment in (TEXT[:7], TEXT[7:14]):
+            unit.sdo.request(b"\x00" + segment, index, subindex, "download segment to")
+
+    return refused(unit, transfer, "a repeated toggle bit")
 
 
 @case("S.3")

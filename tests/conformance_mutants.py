@@ -900,6 +900,23 @@ def lss_node_id_acts_at_once(link, can_id, data, length):
     return None if can_id == 0x601 and link.memory.get("id", 1) != 1 else (can_id, data, length)
 
 
+@takes("L.9")
+def lss_255_is_acknowledged_and_forgotten(link, can_id, data, length):
+    if can_id == 0x7E5 and data[:2] == b"\x11\xff":
+        link.sent.append(Frame(link.t, 0x7E4, b"\x11" + bytes(7), 8))
+        return None
+    return can_id, data, length
+
+
+@takes("B.14")
+def block_segment_0_is_taken_as_1(link, can_id, data, length):
+    if can_id == 0x601 and data[0] == 0 and link.memory.get("block"):
+        data = b"\x01" + data[1:]
+    if can_id == 0x601:
+        link.memory["block"] = data[0] & 0xE1 == 0xC0
+    return can_id, data, length
+
+
 @sends("P.5")
 def quick_stop_stays(link, frame):
     stays = frame.data[:4] == b"\x4b\x41\x60\x00" and frame.data[4] & 0x6F == 0x40 and link.memory.get("quick")

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from node_bench import MS, Bench, enable, motor, setpoint
 
 from eds.cia305 import UNCONFIGURED, LssService
-from wire.frame import CAN_RTR_FLAG
 from node.store import FileStore, Store
+from wire.frame import CAN_RTR_FLAG
 
 RX, TX = 0x7E5, 0x7E4
 VENDOR, PRODUCT, REVISION, SERIAL = 0x4C0, 0x402, 0x00010000, 0x12345678
