@@ -257,6 +257,8 @@ class Device:
             self._set_nmt(t_ns, NmtState.OPERATIONAL, behaviour.BY_COMMAND, queue, header)
             sent = queue["t_ns"][first : int(header["count"][0])]
             sent[:] = np.maximum(sent, ready_ns + 1)  # a PDO comes after the boot-up, whatever its identifier
+        if self.record["in_faults"]:
+            self.record["next_ns"] = t_ns + 1  # what outlives the reset is told behind the boot-up
 
     def _set_nmt(self, t_ns: int, state: int, why: int, queue: Records, header: Records) -> None:
         core.set_nmt(*self._records, t_ns, int(state), why, queue, header)

@@ -181,6 +181,16 @@ def test_the_pulse_comes_once_after_the_release_with_its_delay_and_length():
     assert (coil.bench.node.out_reverse_A, coil.out) == (0, pytest.approx(0.5))
 
 
+def test_a_fault_that_outlives_reset_node_is_told_behind_the_boot_up():
+    bench = Bench("mr_brake", 2)
+    bench.node.in_faults = 1 << 3
+    for start in (bench.power_on, lambda: bench.nmt(129)):
+        start()
+        bench.run(MS)
+        assert [sent.can_id for sent in bench.take()] == [0x702, 0x82]
+        assert bench.number(0x1001) == 0x21
+
+
 def test_no_pulse_by_default():
     coil = Coil()
     coil.run(20, 3000)

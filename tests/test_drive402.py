@@ -280,6 +280,27 @@ def test_halt_in_cst_is_torque_zero():
         assert word(bench) & 0x1000 == (0 if halt else 0x1000)  # "target torque ignored"
 
 
+@pytest.mark.parametrize("reset", [129, 130, "power"])
+def test_a_fault_that_outlives_a_reset_is_there_behind_the_boot_up(reset):
+    bench = motor()
+    bench.node.in_faults = 1
+    bench.node.next_ns = bench.t
+    bench.run(MS)
+    assert bench.emcy() == [(0x2310, 0x03, 0)]
+    if reset == "power":
+        bench.device.power_off()
+        bench.power_on()
+    else:
+        bench.nmt(reset)
+    bench.run(MS)
+    told = [] if reset == 130 else [0x81]  # its fault outlives reset communication, and was told before
+    assert [sent.can_id for sent in bench.take()] == [0x701, *told]
+    for controlword in (SHUTDOWN, SWITCH_ON, ENABLE):
+        command(bench, controlword)
+    assert bench.node.power_state == FAULT
+    assert bench.number(0x603F) == 0x2310
+
+
 @pytest.mark.parametrize("mode", [-1, 1, 2, 5, 6, 7, 8, 11])
 def test_modes_that_6502_does_not_tell_are_refused(mode):
     bench = motor()
