@@ -1,7 +1,7 @@
 """``coulombus node``: any EDS as a live node, on a bus that is there or on one of its own.
 
 What is served is what the description says: every object with its default, PDOs, SDO, NMT, heartbeat, EMCY, LSS. There is no behaviour
-behind it unless a kind is asked for: a value stays what was written to it last.
+behind it, a value stays what was written to it last, unless the file is one of our own devices' or a kind is asked for.
 """
 
 from __future__ import annotations
@@ -18,12 +18,15 @@ from lab.network import Heard, VirtualNetwork
 from lab.serving import run_sim
 from node.device import Device
 from node.records import KIND_BRAKE, KIND_DRIVE, KIND_GENERIC
+from node.slots import VENDOR_ID
 from node.store import FileStore, Store
 from wire.address import BusAddress
 
 __all__ = ["KINDS", "LiveNodes", "NodeError", "run_nodes"]
 
 KINDS = {"generic": KIND_GENERIC, "drive": KIND_DRIVE, "brake": KIND_BRAKE}
+OWN_DEVICES: dict[tuple[object, ...], int] = {(VENDOR_ID, 0x402): KIND_DRIVE, (VENDOR_ID, 0x404): KIND_BRAKE}
+"""1018h:01 and 1018h:02 of our own devices' files, and what lives behind their objects."""
 BOOT_UP, SDO_RESPONSE = 0x700, 0x580
 BIT_RATE = 1_000_000
 
@@ -41,12 +44,13 @@ class LiveNodes:
     Attributes
     ----------
     eds : sequence of (path, node id); None: the node id of the file, a DCF
+    kind : what lives behind the objects of all; None: behind our own devices' files what they are, behind others nothing
     bit_rate : [bit/s] that the bus should have; 0: that of the DCFs, else 1 Mbit/s where it is served here
     node_ids : of the nodes
     """
 
     eds: Sequence[tuple[Path, int | None]]
-    kind: int = KIND_GENERIC
+    kind: int | None = None
     store: Path | None = None
     processing_us: float = 20.0
     as_json: bool = False
@@ -103,7 +107,8 @@ class LiveNodes:
         devices = []
         for node_id, description in zip(self.node_ids, self.descriptions, strict=True):
             kept = store()
-            devices.append(network.add(description, node_id, self.kind, store=kept))
+            kind = _kind(description) if self.kind is None else self.kind
+            devices.append(network.add(description, node_id, kind, store=kept))
             devices[-1].record["processing_ns"] = round(self.processing_us * 1e3)
             if isinstance(kept, FileStore) and kept.diagnosis:
                 print(f"coulombus: {kept.diagnosis}", file=sys.stderr)
@@ -134,6 +139,12 @@ class LiveNodes:
         if event == "duplicate":
             text = f"another node on bus {server.address} has the node id {node_id}: it sent {frame.can_id:03X}h"
             print(f"coulombus: {text} {frame.data.hex(' ')}; give one of them another id", file=sys.stderr, flush=True)
+
+
+def _kind(description: Description) -> int:
+    """Return what lives behind a file's objects, as its identity object says."""
+    identity = (description.default(0x1018, part, 0) if description.has(0x1018, part) else None for part in (1, 2))
+    return OWN_DEVICES.get(tuple(identity), KIND_GENERIC)
 
 
 def serves(server: BusServer) -> bool:

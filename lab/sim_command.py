@@ -148,9 +148,9 @@ def _sim_buses(words: list[str], addresses: dict[str, BusAddress]) -> int:
 @click.option(
     "--kind",
     type=click.Choice(("generic", "drive", "brake")),
-    default="generic",
-    show_default=True,
-    help="What lives behind the objects: nothing, a CiA 402 drive, a CiA 404 brake.",
+    default=None,
+    help="What lives behind the objects: nothing, a CiA 402 drive, a CiA 404 brake.  [default: what our own devices' files describe, "
+    "else generic]",
 )
 @click.option(
     "--store",
@@ -177,7 +177,7 @@ def node_command(
     eds: tuple[Path, ...],
     node_ids: tuple[int, ...],
     bus: str,
-    kind: str,
+    kind: str | None,
     store: Path | None,
     processing_us: float,
     bitrate: int | None,
@@ -204,5 +204,6 @@ def node_command(
             raise NodeError(f"{len(eds)} EDS files and {len(node_ids)} --node-id; give one --node-id for each file")
         address = parse_address(bus)
         ids = node_ids or (None,) * len(eds)
-        nodes = LiveNodes(tuple(zip(eds, ids, strict=True)), KINDS[kind], store, processing_us, as_json, bitrate or 0)
+        behaviour = None if kind is None else KINDS[kind]
+        nodes = LiveNodes(tuple(zip(eds, ids, strict=True)), behaviour, store, processing_us, as_json, bitrate or 0)
         sys.exit(run_nodes(nodes, address, seconds))

@@ -19,6 +19,7 @@ from eds.reader import EdsError, read_eds
 from lab.bus_server import BusServer
 from lab.live_nodes import LiveNodes, NodeError
 from lab.network import VirtualNetwork
+from node.records import KIND_BRAKE, KIND_DRIVE, KIND_GENERIC
 from wire.address import BusAddress
 from wire.hello import Flags, connect
 
@@ -123,6 +124,18 @@ def test_several_nodes_in_one_process_answer(tmp_path):
         server.stop()
         thread.join()
         server.close()
+
+
+def test_our_own_files_have_their_behaviour_and_others_none(tmp_path):
+    other = tmp_path / "other.eds"
+    other.write_text(MOTOR.read_text().replace("0x000004C0", "0x000004C1"))
+
+    def kinds(kind):
+        nodes = LiveNodes(((MOTOR, 1), (BRAKE, 2), (other, 3)), kind)
+        return [device.record["kind"] for device in nodes.make_world(1_000_000, True).devices]
+
+    assert kinds(None) == [KIND_DRIVE, KIND_BRAKE, KIND_GENERIC]
+    assert kinds(KIND_GENERIC) == [KIND_GENERIC] * 3
 
 
 def test_one_diagnosis_is_one(tmp_path, capsys):
