@@ -79,6 +79,7 @@ class Account:
                     self.twice[can_id] += 1
             elif can_id & BUS_ERROR:
                 self.errors += 1
+                self.false_starts -= t_ns in self._idle  # in the first bit of an error flag: the wire was not idle
                 self.overloads += kind & OVERLOAD != 0
                 self.false_starts += kind == STUFF and not last_id & CAN_ERR_FLAG and t_ns - last_t == FALSE_START_NS
             self._last = t_ns, can_id, kind & SENDING | place << 8
