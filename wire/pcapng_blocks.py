@@ -106,7 +106,7 @@ def attachment_block(name: str, content: bytes) -> bytes:
         offset  0        8        40      44           48          52
                 magic 8 | SHA-256 | size | name's size | data size | name (UTF-8), zlib data
     """
-    label, packed = name.encode(), zlib.compress(content, 9)
+    label, packed = name.encode(), zlib.compress(content, 1)
     digest = hashlib.sha256(content).digest()
     head = ATTACHMENT_HEAD.pack(ATTACHMENT_MAGIC, digest, len(content), len(label), len(packed))
     whole = block(ATTACHMENT, head + label + packed)
