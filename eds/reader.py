@@ -40,6 +40,8 @@ ACCESS_WORDS = {
 """What some files write instead."""
 
 MOST_SUBINDICES = 0xFE
+MOST_BYTES = 1 << 26
+"""More than this is no device description, and may have no end, as a device of the system has none."""
 
 
 def read_eds(path: str | Path) -> Description:
@@ -48,13 +50,16 @@ def read_eds(path: str | Path) -> Description:
     Raises
     ------
     EdsError
-        The file cannot be opened, or describes no object at all.
+        The file cannot be opened, is too large, or describes no object at all.
     """
     try:
-        raw = Path(path).read_bytes()
+        with Path(path).open("rb") as file:
+            raw = file.read(MOST_BYTES + 1)
     except OSError as error:
         why = error.strerror or type(error).__name__
         raise EdsError(f"{path}:1: cannot be read ({why}); expected an EDS or DCF file") from error
+    if len(raw) > MOST_BYTES:
+        raise EdsError(f"{path}:1: has more than {MOST_BYTES >> 20} MiB; expected an EDS or DCF file")
     return parse_eds(raw, str(path))
 
 

@@ -383,6 +383,7 @@ def test_missing_sections_and_padded_numbers_of_the_device(read):
     [
         (lambda path: None, r"none\.eds:1: cannot be read \(No such file or directory\); expected an EDS"),
         (lambda path: path.mkdir(), r"none\.eds:1: cannot be read \(Is a directory\); expected an EDS"),
+        (lambda path: path.symlink_to("/dev/zero"), r"none\.eds:1: has more than 64 MiB; expected an EDS"),
         (lambda path: path.write_bytes(b""), r"none\.eds:1: describes no object; expected sections such as \[1000\]"),
         (lambda path: path.write_bytes(b"\x00\xff" * 999), r"none\.eds:1: describes no object"),
         (lambda path: path.write_text("[DeviceInfo]\nVendorName=x\n"), r"none\.eds:1: describes no object"),
