@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from conformance.pdo_setup import RPDO, TPDO, Unsupported, enter
-from conformance.pdo_stimuli import STIMULI, candidates
+from conformance.pdo_stimuli import STIMULI, Stimulus, candidates
 from conformance.registry import case
 from conformance.unit import PRE_OPERATIONAL, STOPPED, Unit
 from conformance.verdict import CaseFailed, NotApplicable, SdoAborted, where
@@ -49,6 +51,24 @@ def scan(unit: Unit, direction: int) -> str:
     return f"{present} PDOs"
 
 
+def each_occasion(unit: Unit, stimulus: int, check: Callable[[Stimulus], str]) -> str:
+    """Set up each TPDO that can be, start the node and `check` what makes the TPDO go; return what the checks say."""
+    reasons, done = [], []
+    for k in candidates(unit):
+        try:
+            occasion = STIMULI[stimulus](unit, k)
+            unit.flush()
+            unit.start()
+            done.append(check(occasion))
+        except (Unsupported, NotApplicable) as reason:
+            reasons.append(str(reason))
+        unit.restore()
+        unit.reset()
+    if not done:
+        raise NotApplicable(reasons[0])
+    return ", ".join(done)
+
+
 @case("3.3", stimulus=0)
 @case("3.4", stimulus=1)
 @case("3.5", stimulus=2)
@@ -57,21 +77,12 @@ def scan(unit: Unit, direction: int) -> str:
 @case("3.8", stimulus=5)
 def operational(unit: Unit, stimulus: int) -> str:
     """Set up each TPDO that can be, start the node, and check that it comes when and only when it is due."""
-    reasons, done = [], []
-    for k in candidates(unit):
-        try:
-            occasion = STIMULI[stimulus](unit, k)
-            unit.flush()
-            unit.start()
-            remark = occasion.check()
-            done.append(occasion.name + (f" ({remark})" if remark else ""))
-        except (Unsupported, NotApplicable) as reason:
-            reasons.append(str(reason))
-        unit.restore()
-        unit.reset()
-    if not done:
-        raise NotApplicable(reasons[0])
-    return ", ".join(done)
+
+    def check(occasion: Stimulus) -> str:
+        remark = occasion.check()
+        return occasion.name + (f" ({remark})" if remark else "")
+
+    return each_occasion(unit, stimulus, check)
 
 
 @case("3.9", stimulus=0, state=STOPPED)
@@ -88,27 +99,18 @@ def operational(unit: Unit, stimulus: int) -> str:
 @case("3.20", stimulus=5, state=PRE_OPERATIONAL)
 def silent(unit: Unit, stimulus: int, state: NmtState) -> str:
     """Show in OPERATIONAL that the occasion makes the TPDO go; then that it does not in another state."""
-    reasons, done = [], []
-    for k in candidates(unit):
-        try:
-            occasion = STIMULI[stimulus](unit, k)
-            unit.flush()
-            unit.start()
-            if not occasion.control():
-                raise NotApplicable(f"{occasion.name} does not come in OPERATIONAL either: see 3.{3 + stimulus}")
-            enter(unit, state)
-            unit.pause(unit.timing.quiet_ns)
-            unit.flush()
-            occasion.poke(state)
-            unit.pause(unit.timing.quiet_ns)
-            frames = unit.take(occasion.can_id)
-            if frames:
-                raise CaseFailed(f"{occasion.name} comes {len(frames)} times in NMT state {state.name}")
-            done.append(occasion.name)
-        except (Unsupported, NotApplicable) as reason:
-            reasons.append(str(reason))
-        unit.restore()
-        unit.reset()
-    if not done:
-        raise NotApplicable(reasons[0])
-    return ", ".join(done)
+
+    def check(occasion: Stimulus) -> str:
+        if not occasion.control():
+            raise NotApplicable(f"{occasion.name} does not come in OPERATIONAL either: see 3.{3 + stimulus}")
+        enter(unit, state)
+        unit.pause(unit.timing.quiet_ns)
+        unit.flush()
+        occasion.poke(state)
+        unit.pause(unit.timing.quiet_ns)
+        frames = unit.take(occasion.can_id)
+        if frames:
+            raise CaseFailed(f"{occasion.name} comes {len(frames)} times in NMT state {state.name}")
+        return occasion.name
+
+    return each_occasion(unit, stimulus, check)
