@@ -6,16 +6,29 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 from standstill import LIMIT_S, Watchers
+from tiny_bus import tiny_bus
 
 settings.register_profile("coulombus", derandomize=True, deadline=None)
 settings.load_profile("coulombus")
 
 worker = os.environ.get("PYTEST_XDIST_WORKER", "gw0")
 if worker != "gw0":  # two that compile one kernel at the same time may spoil numba's index: each has a cache of its own
-    caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    os.environ["NUMBA_CACHE_DIR"] = str(caches / "coulombus" / f"numba-{worker}")
+    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    os.environ["NUMBA_CACHE_DIR"] = f"{os.environ.get('NUMBA_CACHE_DIR') or home / 'coulombus' / 'numba'}-{worker}"
 
 watchers = pytest.StashKey[Watchers]()
+
+
+@pytest.fixture
+def private_sockets(tmp_path, monkeypatch):
+    """The built-in buses of this test are its own."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+
+
+@pytest.fixture
+def bus(private_sockets):
+    with tiny_bus() as bus:
+        yield bus
 
 
 def pytest_collection_modifyitems(session, items):

@@ -21,16 +21,11 @@ from wire.client import Client, pack_frame
 from wire.hello import Flags, Hello
 from wire.identifiers import parse_identifiers
 
-pytestmark = pytest.mark.real_time
+pytestmark = [pytest.mark.real_time, pytest.mark.usefixtures("private_sockets")]
 
 ROOT = Path(__file__).resolve().parent.parent
 A, B = parse_address("coulombus:a"), parse_address("coulombus:b")
 PATIENCE_S = 20.0
-
-
-@pytest.fixture(autouse=True)
-def runtime(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
 
 
 @contextmanager

@@ -14,20 +14,9 @@ from tiny_bus import tiny_bus
 from wire.address import BusUnavailable, bus_names, parse_address
 from wire.client import BusFull, BusGone, Client, pack_frame
 
-pytestmark = pytest.mark.real_time
+pytestmark = [pytest.mark.real_time, pytest.mark.usefixtures("private_sockets")]
 
 BENCH = parse_address("coulombus:bench")
-
-
-@pytest.fixture(autouse=True)
-def runtime(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-
-
-@pytest.fixture
-def bus():
-    with tiny_bus() as bus:
-        yield bus
 
 
 def opened(**options):

@@ -33,14 +33,9 @@ from wire.address import parse_address
 from wire.frame import frames
 from wire.hello import Hello
 
-pytestmark = pytest.mark.real_time
+pytestmark = [pytest.mark.real_time, pytest.mark.usefixtures("private_sockets")]
 
 FRAME = struct.Struct("=IB3xq")
-
-
-@pytest.fixture(autouse=True)
-def private_sockets(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
 
 
 class Plane:

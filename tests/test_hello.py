@@ -15,13 +15,10 @@ from wire.hello import Answer, BusUnavailable, Flags, Hello, Status, connect, gr
 from wire.link import STATES, Link
 from wire.rig_buses import one_bus
 
+pytestmark = pytest.mark.usefixtures("private_sockets")
+
 BENCH = parse_address("coulombus:bench")
 words = st.integers(0, 2**32 - 1)
-
-
-@pytest.fixture(autouse=True)
-def runtime(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
 
 
 def test_bytes_of_a_hello():

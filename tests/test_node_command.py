@@ -23,18 +23,13 @@ from node.records import KIND_BRAKE, KIND_DRIVE, KIND_GENERIC
 from wire.address import BusAddress
 from wire.hello import Flags, connect
 
-pytestmark = pytest.mark.real_time
+pytestmark = [pytest.mark.real_time, pytest.mark.usefixtures("private_sockets")]
 
 ROOT = Path(__file__).resolve().parent.parent
 CORPUS = ROOT.parent / "shared" / "eds-corpus"
 MOTOR, BRAKE = ROOT / "eds" / "motor.eds", ROOT / "eds" / "mr_brake.eds"
 FRAME = struct.Struct("=IB3x8s")
 TIMEOUT_S = 60.0
-
-
-@pytest.fixture(autouse=True)
-def private_directory(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
 
 
 def command(*arguments):

@@ -9,7 +9,6 @@ import can
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from tiny_bus import tiny_bus
 
 from coulombus import main
 from eds.rig import load_rig
@@ -25,6 +24,8 @@ from wire.log_files import LogError
 from wire.pcapng import PcapngError, PcapngWriter
 from wire.player import NOTHING, load_tape, play
 
+pytestmark = pytest.mark.usefixtures("private_sockets")
+
 EFF, RTR, ERR = 0x80000000, 0x40000000, 0x20000000
 ROWS = [  # (ms, identifier, data): host, motor, brake, host's heartbeat, extended, remote, error frame
     (1.0, 0x080, b""),
@@ -38,17 +39,6 @@ ROWS = [  # (ms, identifier, data): host, motor, brake, host's heartbeat, extend
     (3.0, 0x080, b""),
 ]
 GOOD = [row for row in ROWS if not row[1] & ERR]
-
-
-@pytest.fixture(autouse=True)
-def runtime(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-
-
-@pytest.fixture
-def bus():
-    with tiny_bus() as bus:
-        yield bus
 
 
 def frames(rows=ROWS):

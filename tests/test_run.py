@@ -19,13 +19,12 @@ from lab.real_demo import SHARED_MACHINE
 from scope.recording import read
 from wire.client import pack_frame
 
-pytestmark = [pytest.mark.real_time, pytest.mark.skipif(JIT_DISABLED, reason="plain Python is no real-time loop")]
+pytestmark = [
+    pytest.mark.real_time,
+    pytest.mark.usefixtures("private_sockets"),
+    pytest.mark.skipif(JIT_DISABLED, reason="plain Python is no real-time loop"),
+]
 BUS = "coulombus:r"
-
-
-@pytest.fixture(autouse=True)
-def private_sockets(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
 
 
 def test_a_run_is_recorded_and_measured(tmp_path):

@@ -17,15 +17,14 @@ from eds.compiled import JIT_DISABLED
 from scope.recording import read
 from wire.client import BusFull, pack_frame
 
-pytestmark = [pytest.mark.real_time, pytest.mark.skipif(JIT_DISABLED, reason="plain Python is no real-time loop")]
+pytestmark = [
+    pytest.mark.real_time,
+    pytest.mark.usefixtures("private_sockets"),
+    pytest.mark.skipif(JIT_DISABLED, reason="plain Python is no real-time loop"),
+]
 BUS = "coulombus:r"
 ZERO_PM = 10  # 6077, per mille of rated torque
 EMCY_S = 0.1
-
-
-@pytest.fixture(autouse=True)
-def private_sockets(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,6 @@ import time
 from pathlib import Path
 
 import pytest
-from tiny_bus import tiny_bus
 
 from eds.rig import load_rig
 from scope.recording import read
@@ -21,23 +20,12 @@ from scope.stream import stream
 from wire.address import parse_address
 from wire.client import BusGone, Client
 
-pytestmark = pytest.mark.real_time
+pytestmark = [pytest.mark.real_time, pytest.mark.usefixtures("private_sockets")]
 
 ROOT = Path(__file__).resolve().parent.parent
 BENCH = parse_address("coulombus:bench")
 PATIENCE_S = 60.0
 SENT = [(0x181, bytes(range(8))), (0x80000123, b"x"), (0x20000004, bytes(8)), (0x080, b"")]
-
-
-@pytest.fixture(autouse=True)
-def runtime(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-
-
-@pytest.fixture
-def bus():
-    with tiny_bus() as bus:
-        yield bus
 
 
 def watching(**options):
