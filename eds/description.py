@@ -65,6 +65,15 @@ class Variable:
         return (self.low is None or self.low <= value) and (self.high is None or value <= self.high)
 
     @property
+    def whole(self) -> tuple[int, int] | None:
+        """Least and largest number that the data type holds; None where it is no integer, or not known."""
+        data_type = DATA_TYPES.get(self.data_type)
+        if data_type is None or data_type.kind not in ("int", "bool"):
+            return None
+        half = 1 << data_type.bits - 1
+        return (-half, half - 1) if data_type.signed else (0, 2 * half - 1)
+
+    @property
     def bits(self) -> int:
         """Width of the data type; 0 where it is not fixed or not known."""
         data_type = DATA_TYPES.get(self.data_type)

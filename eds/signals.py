@@ -20,7 +20,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from eds.pdo import Entry, PdoLayout, entry_of
+from eds.pdo import PDO_BITS, Entry, PdoLayout, entry_of
 from eds.reader import Description
 
 if TYPE_CHECKING:
@@ -148,22 +148,26 @@ def deadman_object(deadman: str, descriptions: Mapping[str, Description]) -> tup
         bits = sum(_entry(description, i, sub, "tpdo").bits for i, sub, _ in mapped)
         if any((index, subindex) == (i, sub) for owner, _, _, o in PDO_MAP if owner == node for i, sub, _ in o):
             raise ValueError(f"{index:04X}h:{subindex} of the {node} is mapped already; it is no switch")
-        if bits + entry.bits > 64:
-            raise ValueError(f"{index:04X}h:{subindex} of the {node} has {entry.bits} bits; {64 - bits} are left")
+        if bits + entry.bits > PDO_BITS:
+            raise ValueError(f"{index:04X}h:{subindex} of the {node} has {entry.bits} bits; {PDO_BITS - bits} are left")
         return node, number, index, subindex
     raise ValueError(f"no EDS file describes {index:04X}h:{subindex}")
 
 
 def shortcomings(description: Description, node: str) -> Iterator[str]:
     """Yield what an EDS file lacks for the PDOs of `node`, each with file:line."""
-    for owner, direction, _, objects in PDO_MAP:
+    for owner, direction, number, objects in PDO_MAP:
+        bits = {}
         for index, subindex, name in objects if owner == node else ():
             try:
-                _entry(description, index, subindex, direction)
+                bits[index, subindex] = _entry(description, index, subindex, direction).bits
                 if node == "brake":
                     _block_scale(description, index, subindex, _unit(name))
             except ValueError as error:
                 yield str(error)
+        if sum(bits.values()) > PDO_BITS:
+            wide = " and ".join(f"{index:04X}h:{subindex} in {width} bits" for (index, subindex), width in bits.items())
+            yield f"{description.path} describes {wide}, which the host maps into {direction.upper()}{number}; at most {PDO_BITS} bits fit"
 
 
 def _unit(name: str) -> str:

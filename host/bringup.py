@@ -1,34 +1,32 @@
 """Bring-up over SDO: know the devices, configure them, read everything back, start them. Then, and only then, the cycle may begin.
 
-Nothing is assumed of a drive's defaults: PDOs are always mapped anew, inhibit times set to 0, limits written and read back. Every
-difference is collected and told at once; with any of them the host refuses to go on.
+What is written and read back stands in `host.device_plan`, made from EDS and rig file. What is wrong with it is told before anything is
+sent, all of it at once; every difference of the devices is collected and told at once, too. With any of them the host refuses to go on.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import Protocol
 
 import canopen
 from canopen.sdo import SdoAbortedError, SdoCommunicationError
 
 from eds.cia301 import NmtState, abort_text
-from eds.cia402 import OPERATION_MODE_CST, STATE_OF_STATUSWORD, PowerState
-from eds.reader import Description, Value
+from eds.cia402 import STATE_OF_STATUSWORD, PowerState
+from eds.own_devices import MANUFACTURER, is_own
+from eds.reader import Value, Variable
 from eds.rig import Rig
-from eds.rig_model import Brake, Motor
-from eds.signals import RigPdo
-from host.controller import Controller
 from host.controllers import Controllers
+from host.device_plan import DevicePlan, device_plans, names_modes_without_cst
 from host.errors import DeviceMismatch, NodeMissing, SdoAborted
 from host.records import Image
+from host.settings import Setting, encoded
 from wire.plan_rig import plans
 
-__all__ = ["ControlPlane", "bring_up", "check_plan", "release", "shut_down"]
+__all__ = ["ControlPlane", "bring_up", "check_plan", "plans_of", "release", "shut_down"]
 
-INVALID = 1 << 31
 SETTLE_NS = 50_000_000
 LATE_HEARTBEATS = 5
 """So many more are waited for after NMT start before a node counts as missing."""
@@ -46,25 +44,14 @@ class ControlPlane(Protocol):
         """Return the NMT state that the node's last heartbeat told, None when it was never heard."""
 
 
-@dataclass(frozen=True)
-class Setting:
-    """One object to write and read back."""
-
-    index: int
-    subindex: int
-    value: int
-    optional: bool = False
-    """True: a device without the object is accepted."""
-
-
 class _Device:
     """SDO access to one node, with sizes from its EDS and errors in words."""
 
-    def __init__(
-        self, plane: ControlPlane, name: str, node_id: int, description: Description, timeout_s: float
-    ) -> None:
-        self.name, self.node_id, self.description = name, node_id, description
-        self.node = canopen.RemoteNode(node_id, canopen.ObjectDictionary())
+    def __init__(self, plane: ControlPlane, plan: DevicePlan, timeout_s: float) -> None:
+        self.plan, self.description = plan, plan.description
+        self.name, self.node_id = plan.name, plan.node_id
+        self.node = canopen.RemoteNode(self.node_id, canopen.ObjectDictionary())
+        self.identity = (0, 0)
         plane.network.add_node(self.node)
         self.node.sdo.RESPONSE_TIMEOUT = timeout_s
 
@@ -82,114 +69,113 @@ class _Device:
             f"{self.name} (node {self.node_id}) does not answer SDO: check power, cable, bit rate and node id"
         )
 
-    def read(self, index: int, subindex: int) -> int:
-        """Return the object's value; numbers are signed as the EDS says."""
+    def upload(self, index: int, subindex: int) -> bytes:
+        """Return the object as the device sends it."""
         try:
-            data = self.node.sdo.upload(index, subindex)
+            with self.node.sdo.open(index, subindex, "rb", buffering=0) as stream:
+                data = bytes(stream.read())
+                unsized = stream.size is None and stream.exp_data is not None
         except (SdoAbortedError, SdoCommunicationError) as error:
             raise self._guard(index, subindex, error) from None
+        return _without_fill(data, self._variable(index, subindex)) if unsized else data
+
+    def _variable(self, index: int, subindex: int) -> Variable | None:
+        return self.description.variable(index, subindex) if self.description.has(index, subindex) else None
+
+    def number(self, index: int, subindex: int) -> int:
+        """Return an unsigned object of 32 bits, as 1000h, 1018h and 6502h are.
+
+        Raises
+        ------
+        DeviceMismatch
+            it has another length
+        """
+        data = self.upload(index, subindex)
+        if len(data) != 4:
+            raise DeviceMismatch(
+                f"{self._where(index, subindex)} has {len(data)} bytes in the device; expected 4, an UNSIGNED32"
+            )
         return int.from_bytes(data, "little")
 
-    def write(self, index: int, subindex: int, value: int) -> None:
-        """Write the object in the size that the EDS declares."""
-        size = (self.description.variable(index, subindex).bits + 7) // 8
+    def write(self, setting: Setting) -> None:
+        """Write the object in the size that the EDS declares; an object of a maker's own only where the maker is this project.
+
+        Raises
+        ------
+        DeviceMismatch, OverflowError
+            a device of another maker, a value that does not fit: nothing was sent
+        """
+        index, subindex = setting.index, setting.subindex
+        if index in MANUFACTURER and not is_own(self.plan.role, self.identity):
+            vendor, product = self.identity
+            raise DeviceMismatch(
+                f"{self._where(index, subindex)} is the maker's own object, and the device is not ours "
+                f"(1018h: vendor {vendor:#010x}, product {product:#010x}); take the EDS file of this very device"
+            )
+        data = encoded(self.description.variable(index, subindex), setting.value)
         try:
-            self.node.sdo.download(index, subindex, (value & ((1 << 8 * size) - 1)).to_bytes(size, "little"))
+            self.node.sdo.download(index, subindex, data)
         except (SdoAbortedError, SdoCommunicationError) as error:
             raise self._guard(index, subindex, error) from None
 
-    def configure(self, settings: Iterator[Setting]) -> list[str]:
-        """Write every setting in its order, then read all of them back; return the differences in words."""
-        written = {}
-        for setting in settings:
-            if not self.description.has(setting.index, setting.subindex):
-                if not setting.optional:
-                    raise DeviceMismatch(
-                        f"{self._where(setting.index, setting.subindex)} is needed, but {self.description.path} does not have it"
-                    )
-                continue
-            self.write(setting.index, setting.subindex, setting.value)
-            written[setting.index, setting.subindex] = setting.value  # the last value of an object counts
+    def identify(self) -> list[str]:
+        """Read device type (1000h) and identity (1018h); return how they differ from the EDS and the rig file."""
+        part = self.plan.part
+        expected: dict[tuple[int, int], tuple[str, str, Value]] = {
+            (0x1000, 0): ("device type", "the EDS file", self.description.default(0x1000, 0, self.node_id)),
+            (0x1018, 1): ("vendor id", "the rig file", part.vendor_id),
+            (0x1018, 2): ("product code", "the rig file", part.product_code),
+        }
+        differences, there = [], {}
+        for (index, subindex), (what, source, value) in expected.items():
+            there[index, subindex] = self.number(index, subindex)
+            if isinstance(value, int) and there[index, subindex] != value:
+                differences.append(
+                    f"{self.name} (node {self.node_id}): {what} {index:04X}h:{subindex:02X} is {there[index, subindex]:#010x}, "
+                    f"{source} says {value:#010x}"
+                )
+        self.identity = there[0x1018, 1], there[0x1018, 2]
+        return differences
+
+    def check_modes(self) -> None:
+        """Refuse a drive whose supported drive modes 6502h lack the one that is needed."""
+        if not self.description.has(0x6502):
+            return
+        modes = self.number(0x6502, 0)
+        if names_modes_without_cst(modes):
+            raise DeviceMismatch(
+                f"{self.name}: supported drive modes 6502h = {modes:#010x} do not include cyclic synchronous torque"
+            )
+
+    def configure(self) -> list[str]:
+        """Write every setting in its order, then read all of them back, whole; return the differences in words."""
+        for setting in self.plan.writes:
+            self.write(setting)
         differences = []
-        for (index, subindex), value in written.items():
-            bits = self.description.variable(index, subindex).bits
-            there = self.read(index, subindex)
-            if there != value & ((1 << bits) - 1):
-                differences.append(f"{self._where(index, subindex)}: wrote {value:#x}, reads back {there:#x}")
+        for (index, subindex), value in self.plan.read_backs:
+            variable = self.description.variable(index, subindex)
+            wanted, there = encoded(variable, value), self.upload(index, subindex)
+            if len(there) != len(wanted):
+                differences.append(
+                    f"{self._where(index, subindex)} has {len(there)} bytes in the device, {len(wanted)} in {self.description.path}"
+                )
+            elif there != wanted:
+                found = int.from_bytes(there, "little", signed=value < 0 or _signed(variable))
+                differences.append(f"{self._where(index, subindex)}: wrote {value:#x}, reads back {found:#x}")
         return differences
 
 
-def _pdo_settings(pdo: RigPdo, deadline_ms: int) -> Iterator[Setting]:
-    """The prescribed procedure: invalid, no entries, parameters, entries, their number, valid (CiA 301, 7.5.2.36)."""
-    layout = pdo.layout
-    receive = layout.direction == "rpdo"
-    communication = (0x1400 if receive else 0x1800) + layout.number - 1
-    mapping = communication + 0x200
-    yield Setting(communication, 1, layout.cob_id | INVALID)
-    yield Setting(mapping, 0, 0)
-    yield Setting(communication, 2, layout.transmission)
-    if receive:
-        yield Setting(communication, 5, deadline_ms)
-    else:
-        yield Setting(communication, 3, 0, optional=True)
-        yield Setting(communication, 5, 0, optional=True)
-        yield Setting(communication, 6, 0, optional=True)
-    for i, entry in enumerate(layout.entries, start=1):
-        yield Setting(mapping, i, entry.index << 16 | entry.subindex << 8 | entry.bits)
-    yield Setting(mapping, 0, len(layout.entries))
-    yield Setting(communication, 1, layout.cob_id)
+def _signed(variable: Variable) -> bool:
+    return variable.whole is not None and variable.whole[0] < 0
 
 
-def _unused_pdos(description: Description, pdos: tuple[RigPdo, ...]) -> Iterator[Setting]:
-    """Switch every PDO off that the rig does not use: a default PDO would load the bus unplanned."""
-    used = {(pdo.layout.direction, pdo.layout.number) for pdo in pdos}
-    for base, direction in ((0x1400, "rpdo"), (0x1800, "tpdo")):
-        for number in range(1, 513):
-            index = base + number - 1
-            if description.has(index, 1) and (direction, number) not in used:
-                default = description.default(index, 1, 0)
-                if isinstance(default, int) and not default & INVALID:
-                    yield Setting(index, 1, default | INVALID)
-
-
-def _common_settings(rig: Rig, part: Motor | Brake) -> Iterator[Setting]:
-    """Heartbeats both ways and the loss of SYNC."""
-    timeout_ms = round(part.heartbeat_timeout_s * 1000)
-    yield Setting(0x1016, 1, rig.host.node_id << 16 | timeout_ms)
-    yield Setting(0x1017, 0, round(part.heartbeat_s * 1000))
-    yield Setting(0x1005, 0, 0x80)
-    yield Setting(0x2002, 0, round(part.sync_timeout_s * 1e6), optional=True)
-
-
-def _motor_settings(rig: Rig, limit_pm: int) -> Iterator[Setting]:
-    yield Setting(0x6060, 0, OPERATION_MODE_CST)
-    yield Setting(0x6071, 0, 0)
-    yield Setting(0x6072, 0, limit_pm)
-    yield Setting(0x2001, 0, round(rig.motor.setpoint_zero_cycles * rig.bus.period_s * 1e6), optional=True)
-
-
-def _brake_settings(rig: Rig) -> Iterator[Setting]:
-    yield Setting(0x6340, 1, 1)
-    yield Setting(0x7341, 1, 0)
-    yield Setting(0x2001, 0, round(rig.brake.hold_s * 1e6), optional=True)
-    yield Setting(0x2005, 0, round(rig.brake.ramp_s * 1e6), optional=True)
-
-
-def _identity(device: _Device, part: Motor | Brake) -> list[str]:
-    """Compare device type (1000) and identity (1018) with the EDS and the rig file."""
-    expected: dict[tuple[int, int], tuple[str, Value]] = {
-        (0x1000, 0): ("device type", device.description.default(0x1000, 0, device.node_id)),
-        (0x1018, 1): ("vendor id", part.vendor_id),
-        (0x1018, 2): ("product code", part.product_code),
-    }
-    differences = []
-    for (index, subindex), (what, value) in expected.items():
-        there = device.read(index, subindex)
-        if isinstance(value, int) and there != value:
-            differences.append(
-                f"{device.name} (node {device.node_id}): {what} {index:04X}h:{subindex:02X} is {there:#010x}, the rig file says {value:#010x}"
-            )
-    return differences
+def _without_fill(data: bytes, variable: Variable | None) -> bytes:
+    """Return an expedited upload of no told size without the bytes behind the object's own, if those only extend its number."""
+    size = (variable.bits + 7) // 8 if variable is not None else 0
+    if not 0 < size < len(data) or variable is None:
+        return data
+    sign = _signed(variable) and data[size - 1] & 0x80
+    return data[:size] if data[size:] == (b"\xff" if sign else b"\0") * (len(data) - size) else data
 
 
 def check_plan(rig: Rig) -> None:
@@ -205,7 +191,16 @@ def check_plan(rig: Rig) -> None:
             raise DeviceMismatch(planned.verdict())
 
 
-def bring_up(controllers: Controllers, plane: ControlPlane) -> None:
+def plans_of(controllers: Controllers) -> tuple[DevicePlan, ...]:
+    """Return what bring-up does to each device of all axes: drive and brake of the first, of the second ..."""
+    return tuple(
+        plan
+        for controller in controllers
+        for plan in device_plans(controller.rig, controllers.mode, int(controller.control["motor_limit_pm"][0]))
+    )
+
+
+def bring_up(controllers: Controllers, plane: ControlPlane) -> tuple[str, ...]:
     """Make all nodes ready for the cycle: identified, configured, read back, OPERATIONAL.
 
     Parameters
@@ -213,72 +208,49 @@ def bring_up(controllers: Controllers, plane: ControlPlane) -> None:
     controllers : whose rig it is; the drives' own torque limits 6072h are theirs
     plane : the control plane's network; the nodes are on the bus and powered
 
+    Returns
+    -------
+    tuple of str
+        What was not written, as a device has no such object or is not ours, and what the host loses by that.
+
     Raises
     ------
     NodeMissing, SdoAborted, DeviceMismatch
-        nothing was armed; the nodes are left in PRE-OPERATIONAL
+        nothing was armed; the nodes are left in PRE-OPERATIONAL, or nothing was sent where EDS and rig file do not fit
     """
     check_plan(controllers.rig)
+    found = plans_of(controllers)
+    _refuse(text for plan in found for text in plan.problems)
     nmt = plane.network.nmt
     nmt.send_command(0x80)  # enter PRE-OPERATIONAL
     plane.wait_ns(SETTLE_NS)
-    axes = [_Axis(controller, plane) for controller in controllers]
-    differences = [text for axis in axes for text in axis.identity()]
-    if differences:
-        raise DeviceMismatch("; ".join(differences))
-    for axis in axes:
-        axis.check_modes()
-    differences = [text for axis in axes for text in axis.configure()]
-    if differences:
-        raise DeviceMismatch("; ".join(differences))
+    timeout_s = controllers.rig.host.sdo_timeout_s
+    devices = [_Device(plane, plan, timeout_s) for plan in found]
+    _refuse([text for device in devices for text in device.identify()])
+    for device in devices:
+        if device.plan.role == "motor":
+            device.check_modes()
+    _refuse([text for device in devices for text in device.configure()])
     nmt.send_command(0x01)  # start
-    devices = [pair for axis in axes for pair in axis.devices]
-    heartbeat_ns = round(1e9 * max(part.heartbeat_s for _, part in devices))
+    heartbeat_ns = round(1e9 * max(plan.part.heartbeat_s for plan in found))
     plane.wait_ns(SETTLE_NS + 2 * heartbeat_ns)
     for _ in range(LATE_HEARTBEATS):
-        if all(plane.nmt_state(device.node_id) == NmtState.OPERATIONAL for device, _ in devices):
-            return
+        if all(plane.nmt_state(plan.node_id) == NmtState.OPERATIONAL for plan in found):
+            break
         plane.wait_ns(heartbeat_ns)
-    for device, _ in devices:
-        state = plane.nmt_state(device.node_id)
+    for plan in found:
+        state = plane.nmt_state(plan.node_id)
         if state != NmtState.OPERATIONAL:
             heard = "was not heard" if state is None else f"says {NmtState(state).name}"
-            raise NodeMissing(f"{device.name} (node {device.node_id}) {heard} after NMT start; OPERATIONAL is expected")
+            raise NodeMissing(f"{plan.name} (node {plan.node_id}) {heard} after NMT start; OPERATIONAL is expected")
+    return tuple(text for plan in found for text in plan.losses)
 
 
-class _Axis:
-    """Drive and brake of one axis, and what each is to be set to."""
-
-    def __init__(self, controller: Controller, plane: ControlPlane) -> None:
-        rig = controller.rig
-        self._rig, self._limit_pm = rig, int(controller.control["motor_limit_pm"][0])
-        timeout_s = rig.host.sdo_timeout_s
-        motor = _Device(plane, f"{rig.prefix}motor", rig.motor.node_id, rig.description("motor"), timeout_s)
-        brake = _Device(plane, f"{rig.prefix}brake", rig.brake.node_id, rig.description("brake"), timeout_s)
-        self._motor = motor
-        self.devices: tuple[tuple[_Device, Motor | Brake], ...] = ((motor, rig.motor), (brake, rig.brake))
-
-    def identity(self) -> list[str]:
-        return [text for device, part in self.devices for text in _identity(device, part)]
-
-    def check_modes(self) -> None:
-        device = self._motor
-        modes = device.read(0x6502, 0) if device.description.has(0x6502) else 1 << (OPERATION_MODE_CST - 1)
-        if not modes >> (OPERATION_MODE_CST - 1) & 1:
-            raise DeviceMismatch(
-                f"{device.name}: supported drive modes 6502h = {modes:#010x} do not include cyclic synchronous torque"
-            )
-
-    def configure(self) -> list[str]:
-        return [text for device, part in self.devices for text in device.configure(self._settings(device, part))]
-
-    def _settings(self, device: _Device, part: Motor | Brake) -> Iterator[Setting]:
-        pdos = tuple(pdo for pdo in self._rig.pdos() if pdo.node == device.name)
-        yield from _unused_pdos(device.description, pdos)
-        yield from _common_settings(self._rig, part)
-        yield from _motor_settings(self._rig, self._limit_pm) if device is self._motor else _brake_settings(self._rig)
-        for pdo in pdos:
-            yield from _pdo_settings(pdo, round(part.setpoint_fault_s * 1000))
+def _refuse(differences: Iterable[str]) -> None:
+    """Raise DeviceMismatch with all differences at once, where there are any."""
+    text = "; ".join(differences)
+    if text:
+        raise DeviceMismatch(text)
 
 
 def release(controllers: Controllers, plane: ControlPlane) -> None:
@@ -292,10 +264,12 @@ def release(controllers: Controllers, plane: ControlPlane) -> None:
     disabled = all(drive == PowerState.SWITCH_ON_DISABLED for drive in drives)
     if not (controllers.done and controllers.trip is None and disabled):
         return
-    for controller in controllers:
-        for part in (controller.rig.motor, controller.rig.brake):
-            with suppress(SdoAbortedError, SdoCommunicationError):  # then it says so: nothing is lost by that
-                plane.network[part.node_id].sdo.download(0x1016, 1, bytes(4))
+    for plan in plans_of(controllers):
+        data = encoded(
+            plan.description.variable(0x1016, 1), 0
+        )  # bring-up wrote there: it is an integer that can be written
+        with suppress(SdoAbortedError, SdoCommunicationError):  # then it says so: nothing is lost by that
+            plane.network[plan.node_id].sdo.download(0x1016, 1, data)
 
 
 def shut_down(plane: ControlPlane) -> None:

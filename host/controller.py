@@ -9,6 +9,7 @@ from typing import Any
 
 from eds.codec import PDO
 from eds.pdo import fill
+from eds.reader import Description
 from eds.rig import Rig
 from eds.signals import RigPdo, Signal
 from host.laws import LAW, LAW_STATE, MOTION, LawError, load_law
@@ -78,6 +79,15 @@ TRIP_TEXT = {
 
 def _cycles(seconds: float, period_s: float) -> int:
     return max(1, round(seconds / period_s))
+
+
+def _most(description: Description, index: int, subindex: int) -> float:
+    """Return the largest number that an object takes, by its type and its HighLimit; infinite where it is not described."""
+    if not description.has(index, subindex):
+        return math.inf
+    variable = description.variable(index, subindex)
+    most = math.inf if variable.whole is None else variable.whole[1]
+    return min(most, math.inf if variable.high is None else variable.high)
 
 
 def _slot_of(slots: dict[tuple[int, int], int]) -> Callable[[int, int], int]:
@@ -169,8 +179,7 @@ class Controller:
         c["motor_limit_pm"] = self.motor_limit_pm(float(c["Nm_pm"]))
         c["motor_rate_Nm"] = limits.torque_rate_Nm_s * T
         c["brake_limit_Nm"] = limits.brake_torque_Nm
-        setpoint = rig.description("brake").variable(0x7300, 1)
-        c["brake_limit_raw"] = min(setpoint.high if setpoint.high is not None else INT16_MAX, INT16_MAX)
+        c["brake_limit_raw"] = min(_most(rig.description("brake"), 0x7300, 1), INT16_MAX)
         c["speed_limit"], c["jump_counts"] = limits.speed_rad_s, limits.encoder_jump_counts
         c["net_work_J"] = limits.net_work_J
         c["net_work_cycles"] = _cycles(limits.net_work_window_s, T)
@@ -203,11 +212,14 @@ class Controller:
     def motor_limit_pm(self, Nm_pm: float) -> int:
         """Return the motor's torque limit in per mille, rounded down: what the drive's 6072h is set to."""
         limit = math.floor(self.rig.motor_limit_Nm(self.mode) / abs(Nm_pm) + 1e-9)
-        high = self.rig.description("motor").variable(0x6072, 0).high
-        if high is not None and limit > high:
-            most = high * abs(Nm_pm)
+        motor = self.rig.description("motor")
+        highs = {index: _most(motor, index, 0) for index in (0x6072, 0x6071)}  # without 6072h bring-up refuses
+        index = min(highs, key=lambda index: highs[index])
+        if limit > highs[index]:
+            most = highs[index] * abs(Nm_pm)
             raise self.rig.mistake(
-                f"mode.{self.mode}.motor_limit_Nm", f"at most {most:.4g}: the drive's 6072h ends at {high} per mille"
+                f"mode.{self.mode}.motor_limit_Nm",
+                f"at most {most:.4g}: the drive's {index:04X}h ends at {highs[index]:g} per mille",
             )
         return limit
 

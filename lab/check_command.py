@@ -24,7 +24,10 @@ __all__ = ["check"]
 @set_option
 @json_option
 def check(rig_name: str, overrides: tuple[str, ...], as_json: bool) -> None:
-    """Check a rig file, its EDS files, its PDO layout and whether a cycle fits on the bus; nothing is run.
+    """Check a rig file, its EDS files, its PDO layout, what bring-up will set, and whether a cycle fits on the bus; nothing is run.
+
+    A line "FAIL" is what bring-up would refuse: an object that is missing, read-only or too narrow for its value, another identity.
+    "lost" is what bring-up leaves out, as the device is not ours or has no such object; "open" is what the device itself is asked.
 
     \b
     Examples:
@@ -33,6 +36,7 @@ def check(rig_name: str, overrides: tuple[str, ...], as_json: bool) -> None:
     """
     with errors():
         from host.controller import Controller
+        from host.device_plan import DevicePlan, device_plans
         from wire.plan_rig import plans
 
         rig = load(rig_name, overrides)
@@ -40,11 +44,18 @@ def check(rig_name: str, overrides: tuple[str, ...], as_json: bool) -> None:
         buses = plans(rig)
         fits = all(planned.fits for planned in buses.values())
         planned = next((planned for planned in buses.values() if not planned.fits), buses[rig.channels[0]])
-        limits = {
-            axis.prefix + mode: int(Controller(axis, mode).control["motor_limit_pm"][0])
-            for axis in rig.axes
-            for mode in rig.mode
-        }
+        limits: dict[str, int] = {}
+        devices: list[DevicePlan] = []
+        for axis in rig.axes:
+            for mode in axis.mode:
+                limit_pm = int(Controller(axis, mode).control["motor_limit_pm"][0])
+                limits[axis.prefix + mode] = limit_pm
+                devices += device_plans(axis, mode, limit_pm)
+        problems = [
+            *dict.fromkeys(text for device in devices for text in device.problems)
+        ]  # each mode has its own limit
+        questions = [*dict.fromkeys(text for device in devices for text in device.questions)]
+        losses = [*dict.fromkeys(text for device in devices for text in device.losses)]
         if as_json:
             print_json(
                 {
@@ -58,6 +69,9 @@ def check(rig_name: str, overrides: tuple[str, ...], as_json: bool) -> None:
                     "late": list(planned.reasons),
                     "latest_rpdo_s": planned.latest_rpdo_ns * 1e-9,
                     "motor_limit_per_mille": limits,
+                    "problems": problems,
+                    "questions": questions,
+                    "losses": losses,
                     "frames": [
                         {"name": m.name, "can_id": m.can_id, "bytes": m.length, "bits": m.bits}
                         for one in buses.values()
@@ -89,9 +103,15 @@ def check(rig_name: str, overrides: tuple[str, ...], as_json: bool) -> None:
                 )
             for mode, limit in limits.items():
                 click.echo(f"mode {mode}: drive torque limit 6072h = {limit} per mille")
+            for text in losses:
+                click.echo(f"lost: {text}")
+            for text in questions:
+                click.echo(f"open: {text}")
+            for text in problems:
+                click.echo(f"FAIL: {text}")
             for planned in buses.values():
                 if not planned.fits:
                     click.echo(f"FAIL: {planned.verdict()}")
-            if fits:
-                click.echo("ok")
-        sys.exit(0 if fits else 1)
+            if fits and not problems:
+                click.echo("ok, if the devices answer what is open above" if questions else "ok")
+        sys.exit(0 if fits and not problems else 1)

@@ -12,20 +12,20 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from eds.own_devices import PRODUCTS, VENDOR_ID, told_identity
 from eds.reader import Description, read_eds
 from lab.bus_server import BusServer
 from lab.network import Heard, VirtualNetwork
 from lab.serving import run_sim
 from node.device import Device
 from node.records import KIND_BRAKE, KIND_DRIVE, KIND_GENERIC
-from node.slots import VENDOR_ID
 from node.store import FileStore, Store
 from wire.address import BusAddress
 
 __all__ = ["KINDS", "LiveNodes", "NodeError", "run_nodes"]
 
 KINDS = {"generic": KIND_GENERIC, "drive": KIND_DRIVE, "brake": KIND_BRAKE}
-OWN_DEVICES: dict[tuple[object, ...], int] = {(VENDOR_ID, 0x402): KIND_DRIVE, (VENDOR_ID, 0x404): KIND_BRAKE}
+OWN_DEVICES = {(VENDOR_ID, PRODUCTS["motor"]): KIND_DRIVE, (VENDOR_ID, PRODUCTS["brake"]): KIND_BRAKE}
 """1018h:01 and 1018h:02 of our own devices' files, and what lives behind their objects."""
 BOOT_UP, SDO_RESPONSE = 0x700, 0x580
 BIT_RATE = 1_000_000
@@ -143,8 +143,7 @@ class LiveNodes:
 
 def _kind(description: Description) -> int:
     """Return what lives behind a file's objects, as its identity object says."""
-    identity = (description.default(0x1018, part, 0) if description.has(0x1018, part) else None for part in (1, 2))
-    return OWN_DEVICES.get(tuple(identity), KIND_GENERIC)
+    return OWN_DEVICES.get(told_identity(description), KIND_GENERIC)
 
 
 def serves(server: BusServer) -> bool:

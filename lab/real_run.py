@@ -112,6 +112,7 @@ class _RealRun:
         self.zero_ns = time.monotonic_ns()
         self.k = Controllers(rig, mode)
         self.failure: str | None = None
+        self.losses: tuple[str, ...] = ()
         self.stopped_by: str | None = None
         self.recorder: Recorder | None = None
         self._waiting: np.ndarray[Any, Any] | None = None
@@ -193,7 +194,9 @@ class _RealRun:
         else:
             self.say(f"dead man's switch: {self.deadman}")
         self._touched = True
-        bring_up(self.k, self.control)
+        self.losses = bring_up(self.k, self.control)
+        for text in self.losses:
+            self.say(text)
         now = time.monotonic_ns()
         self.mark(now, f"run {self.k.mode}")
         self.mark(now, f"deadman {self.deadman}")
@@ -370,6 +373,7 @@ class _RealRun:
             stopped_by=self.stopped_by,
             trip_ns=k.trip_ns - self.zero_ns if k.trip_ns else None,
             axes=axis_results(k, figures),
+            losses=list(self.losses) or None,
         )
 
     def histograms(self) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:

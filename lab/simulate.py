@@ -77,6 +77,8 @@ class RunResult:
 
     faults: list[dict[str, Any]] | None = None
     """What each fault of a fault file came to: kind, line, times, first_s, last_s."""
+    losses: list[str] | None = None
+    """What bring-up left out, as a device is not ours or has no such object, and what the host loses by that."""
     controllers: dict[str, dict[str, Any]] | None = None
     """State and error counters of each node's CAN controller at the end, where there was a fault file."""
 
@@ -121,6 +123,7 @@ class _Run:
         self.record, self.progress = order.record, order.progress
         self.recorder = Recorder(self.record, rig, mode, seed) if self.record is not None else None
         self.failure: str | None = None
+        self.losses: tuple[str, ...] = ()
         on_frames, truth = self._write if self.recorder else None, order.truth is not None
         self.world = VirtualRig(rig, mode, seed=seed, truth=truth, on_frames=on_frames)
         if self.recorder:
@@ -159,7 +162,7 @@ class _Run:
     def course(self, seconds: float) -> None:
         """Power on, bring up, arm, display for `seconds` from Operation Enabled on, and end safely."""
         world, k, rig = self.world, self.k, self.world.rig
-        world.bring_up()
+        self.losses = world.bring_up()
         self.mark(world.t_ns, f"run {k.mode}")
         world.start_host()
         arming_ns = round(2e9 * (rig.limits.still_timeout_s + 1))
@@ -224,6 +227,7 @@ class _Run:
             trip_ns=int(bus_ns(self.world.host_clock, k.trip_ns)) if k.trip_ns else None,
             axes=axis_results(k, figures),
             faults=None if self.injection is None else self.injection.results(),
+            losses=list(self.losses) or None,
             controllers=None if self.injection is None else controllers_of(self.world),
         )
 

@@ -219,11 +219,11 @@ class VirtualRig(VirtualNetwork):
         if record["powered"]:
             record["next_ns"] = own_ns(record, self.t_ns)
 
-    def bring_up(self) -> None:
-        """Switch the nodes on and bring them up over SDO, as `host.bringup` does on a rig."""
+    def bring_up(self) -> tuple[str, ...]:
+        """Switch the nodes on and bring them up over SDO, as `host.bringup` does on a rig; return what was left out."""
         self.power_on()
         self.wait_ns(BOOT_NS)
-        bring_up(self.controllers, self)
+        return bring_up(self.controllers, self)
 
     def start_host(self) -> None:
         """Begin the host's cycle on the next whole period."""

@@ -8,12 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from eds.own_devices import MANUFACTURER, VENDOR_ID
 from node.records import KIND_BRAKE, KIND_DRIVE, KIND_GENERIC
 
 __all__ = ["CORE_SLOTS", "FALLBACK", "FIRST_FREE", "MANUFACTURER", "VENDOR_ID"]
-
-MANUFACTURER, VENDOR_ID = range(0x2000, 0x6000), 0x4C0
-"""Objects that each maker defines as he likes, and 1018h:01 of the files in which they mean what is said here."""
 
 # every kind
 ERROR_REGISTER = 0

@@ -194,6 +194,6 @@ def test_what_the_recording_needs_is_compiled_before_the_nodes_are_touched(monke
     run.address, run.say = SimpleNamespace(kind="coulombus"), lambda text: None
     run.control = SimpleNamespace(check_alone=lambda at: None)
     seen = []
-    monkeypatch.setattr(real_run, "bring_up", lambda k, control: seen.append(run.plane.batches))
+    monkeypatch.setattr(real_run, "bring_up", lambda k, control: seen.append(run.plane.batches) or ())
     run.prepare()
     assert seen == [1]
