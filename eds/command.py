@@ -34,8 +34,8 @@ def check_command(files: Sequence[str], node_id: int, pdos: bool, as_json: bool)
     """Say everything that is wrong with EDS or DCF files, and what is assumed instead.
 
     A line is FILE:LINE: SEVERITY: what; assumed what. A warning has one sensible reading; after an error something is missing;
-    "refused" is what cannot be read right and is never guessed: a PDO map, or a file without objects. Ends with 0 when every file can
-    be used, warnings or not, and with 3 when one is refused or cannot be opened.
+    "refused" is what cannot be read right and is never guessed: a PDO, which is then not valid at start while everything else is used, or a
+    file without objects. Ends with 0 when every file can be used, warnings or not, and with 3 when one is refused or cannot be opened.
 
     \b
     Examples:
@@ -74,7 +74,7 @@ def _check(file: str, node_id: int) -> dict[str, Any]:
         result["refused"] = [_refusal(file, str(error))]
         return result
     return result | {
-        "readable": not report.refusals,
+        "readable": True,
         "objects": len(report.description.objects),
         "pdos": len(report.pdos),
         "diagnoses": [
@@ -102,13 +102,16 @@ def _print(result: dict[str, Any], pdos: bool) -> None:
     file = result["file"]
     for d in result["diagnoses"]:
         click.echo(f"{file}:{d['line']}: {d['severity']}: {d['text']}; assumed {d['assumed']}")
+    without = "; the PDO is not valid at start" if result["readable"] else ""
     for r in result["refused"]:
-        click.echo(f"{file}:{r['line']}: refused: {r['text']}")
+        click.echo(f"{file}:{r['line']}: refused: {r['text']}{without}")
     if pdos:
         for drawing in result["drawn"]:
             click.echo(f"\n{drawing}")
     count = Counter(d["severity"] for d in result["diagnoses"])
     verdict = "readable" if result["readable"] else "refused"
+    if result["readable"] and result["refused"]:
+        verdict += f" but for {_number(len(result['refused']), 'PDO')}"
     told = f"{_number(count['error'], 'error')}, {_number(count['warning'], 'warning')}"
     size = f"{_number(result['objects'], 'object')}, {_number(result['pdos'], 'PDO')}"
     click.echo(f"{file}: {verdict}: {size}, {told}")

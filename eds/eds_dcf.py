@@ -5,11 +5,15 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 
-from eds.description import Value, Variable
+from eds.description import Variable
 from eds.eds_sections import Section
 from eds.eds_values import ValueReader
 
 __all__ = ["COMMISSIONING", "DcfReader"]
+
+COMMUNICATION = range(0x1000, 0x2000)
+COB_ID_FLAGS = 1 << 31 | 1 << 30
+"""What a COB-ID has beside its identifier: not valid (of SYNC and TIME: is produced), no RTR."""
 
 COMMISSIONING = ("devicecomissioning", "devicecommissioning")
 """The first spelling is CiA's."""
@@ -21,6 +25,11 @@ class DcfReader(ValueReader):
     """Puts configured values in the place of defaults; `node_id` is that of [DeviceComissioning], 0 where there is none."""
 
     node_id = 0
+
+    def __init__(self, path: str, raw: bytes) -> None:
+        super().__init__(path, raw)
+        self.going: list[int] = []
+        """Lines of the values that go with the node id, as their defaults do."""
 
     def commissioning(self) -> tuple[int, int]:
         """Return node id and bit rate [bit/s] of a DCF's [DeviceComissioning] (CiA's spelling); 0 where there is none."""
@@ -67,20 +76,32 @@ class DcfReader(ValueReader):
         why = self.ambiguous(section, key) or why
         if why:
             return replace(variable, default=None, unreadable=why) if section.pdo_parameter else variable
-        if value is None or self.follows(variable, section, key, value, relative):
+        if value is None:
             return variable
+        if variable.node_relative and not relative and isinstance(variable.default, int) and isinstance(value, int):
+            return self.related(variable, section, key, value)
         return replace(variable, default=value, node_relative=relative, unreadable="")
 
-    def follows(self, variable: Variable, section: Section, key: str, value: Value, relative: bool) -> bool:
-        """Tell whether a value goes with the node id: the default for the DCF's own one, or what no client can write."""
-        if not variable.node_relative or relative or not isinstance(variable.default, int):
-            return False
-        usual = self.node_id > 0 and value == variable.default + self.node_id
-        if variable.access in ("ro", "const") and not usual:
-            text = f"{section.what(key)}={section.get(key)} cannot be written"
-            self.say(section.at(key), text, f"$NODEID+0x{variable.default:X}")
-            return True
-        return usual
+    def related(self, variable: Variable, section: Section, key: str, value: int) -> Variable:
+        """Return the variable with a constant where the default goes with the node id.
+
+        What is the default for the DCF's own node id goes with another one, too: a file that is used with another node id moves all its
+        identifiers or none. Bits 30 and 31 of a COB-ID (no RTR, not valid) are settings of their own and no part of the identifier.
+        """
+        assert isinstance(variable.default, int)
+        usual, said = variable.default + self.node_id, f"{section.what(key)}={section.get(key)}"
+        cob_id = variable.index in COMMUNICATION and variable.bits == 32
+        goes = self.node_id > 0 and not (value ^ usual) & ~(COB_ID_FLAGS if cob_id else 0)
+        if variable.access in ("ro", "const") and not (goes and value == usual):
+            self.say(section.at(key), f"{said} cannot be written", f"$NODEID+0x{variable.default:X}")
+            return variable
+        if goes:
+            self.going.append(section.at(key))
+            return replace(variable, default=value - self.node_id)
+        text = f"{said} is another identifier than the default $NODEID+0x{variable.default:X}"
+        at = f" for the node id {self.node_id}" if self.node_id else ", and the file tells no node id"
+        self.say(section.at(key), text + at, f"0x{value:X} with every node id")
+        return replace(variable, default=value, node_relative=False, unreadable="")
 
     def check_values(self) -> None:
         """Say that the file is a DCF, and which of its values stand in other files."""
@@ -95,3 +116,11 @@ class DcfReader(ValueReader):
         if values:
             text = f"the file is a DCF, with {len(values)} configured value{'s' * (len(values) > 1)}"
             self.say(min(values), text, "that the device starts with them")
+        if self.going:
+            count = len(self.going)
+            text = f"{count} configured value{'s are' if count > 1 else ' is'} what the default is for the node id {self.node_id}"
+            self.say(
+                min(self.going),
+                text,
+                "that with another node id they move" if count > 1 else "that with another node id it moves",
+            )

@@ -6,7 +6,7 @@ torque is a wrong torque. Times are nanoseconds inside; 1800h:3 counts 100 us an
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -14,7 +14,7 @@ from eds.cia301 import DATA_TYPES, DUMMY_TYPES, predefined
 from eds.codec import MAX_FIELDS
 from eds.reader import Description, EdsError, Variable
 
-__all__ = ["Entry", "PdoLayout", "entry_of", "fill", "layouts", "read_layout"]
+__all__ = ["Entry", "PdoLayout", "entry_of", "fill", "layouts", "read_layout", "unreadable"]
 
 Direction = Literal["rpdo", "tpdo"]
 
@@ -95,13 +95,26 @@ def layouts(description: Description, node_id: int) -> tuple[PdoLayout, ...]:
     EdsError
         A default map or identifier cannot be read right; nothing is guessed, dropped or shifted.
     """
+    return tuple(read_layout(description, node_id, direction, number) for direction, number in _described(description))
+
+
+def unreadable(description: Description, node_id: int) -> dict[int, str]:
+    """Return why a PDO cannot be read right, by the index of its communication parameter; such a PDO is not valid at start."""
+    found = {}
+    for direction, number in _described(description):
+        try:
+            read_layout(description, node_id, direction, number)
+        except EdsError as error:
+            found[COMMUNICATION[direction] + number - 1] = str(error)
+    return found
+
+
+def _described(description: Description) -> Iterator[tuple[Direction, int]]:
     directions: tuple[Direction, ...] = ("rpdo", "tpdo")
-    return tuple(
-        read_layout(description, node_id, direction, number)
-        for direction in directions
-        for number in range(1, PDO_COUNT + 1)
-        if description.has(COMMUNICATION[direction] + number - 1)
-    )
+    for direction in directions:
+        for number in range(1, PDO_COUNT + 1):
+            if description.has(COMMUNICATION[direction] + number - 1):
+                yield direction, number
 
 
 def read_layout(description: Description, node_id: int, direction: Direction, number: int) -> PdoLayout:

@@ -21,6 +21,7 @@ from eds.cia301 import ARRAY, DATA_TYPES, DEFSTRUCT, DEFTYPE, DOMAIN, RECORD, VA
 from eds.description import Description, Diagnosis, EdsError, Object, Severity, Value, Variable
 from eds.eds_file import FileReader
 from eds.eds_sections import OBJECT_SECTION, PDO_PARAMETERS, Section, number_of
+from eds.regular_file import NoRegularFile, read_regular
 
 __all__ = ["Description", "Diagnosis", "EdsError", "Object", "Value", "Variable", "parse_eds", "read_eds"]
 
@@ -50,16 +51,14 @@ def read_eds(path: str | Path) -> Description:
     Raises
     ------
     EdsError
-        The file cannot be opened, is too large, or describes no object at all.
+        The path is no regular file (a FIFO, a device: told at once), cannot be opened, is too large, or describes no object at all.
     """
     try:
-        with Path(path).open("rb") as file:
-            raw = file.read(MOST_BYTES + 1)
+        raw = read_regular(path, MOST_BYTES)
     except OSError as error:
         why = error.strerror or type(error).__name__
-        raise EdsError(f"{path}:1: cannot be read ({why}); expected an EDS or DCF file") from error
-    if len(raw) > MOST_BYTES:
-        raise EdsError(f"{path}:1: has more than {MOST_BYTES >> 20} MiB; expected an EDS or DCF file")
+        what = why if isinstance(error, NoRegularFile) else f"cannot be read ({why})"
+        raise EdsError(f"{path}:1: {what}; expected an EDS or DCF file") from error
     return parse_eds(raw, str(path))
 
 

@@ -17,6 +17,7 @@ from typing import Any, Literal
 from pydantic import Field, PrivateAttr, ValidationError
 
 from eds.reader import Description
+from eds.regular_file import read_regular
 from eds.rig_axes import check_axes, split_axes
 from eds.rig_checks import check, remarks
 from eds.rig_errors import RigError, Source, dotted, nearest, shown
@@ -31,6 +32,8 @@ from eds.toml_lines import Key, read_toml
 __all__ = ["Rig", "RigError", "RigNode", "known_rigs", "load_rig", "load_rig_text", "packaged_rig"]
 
 HYBRID_MARGIN = 1.2
+MOST_BYTES = 1 << 24
+"""No rig file is larger."""
 
 
 class RigFile(Section):
@@ -304,7 +307,7 @@ def load_rig(name_or_path: str, overrides: Sequence[str] = ()) -> Rig:
             raise RigError([f"--rig {name_or_path}: no rig of this name; {wanted}{hint}"])
         path = packaged_rig(name_or_path)
     try:
-        raw = path.read_bytes()
+        raw = read_regular(path, MOST_BYTES)
     except OSError as error:
         known_names = ", ".join(known_rigs())
         reason = f"cannot be read ({error.strerror}); expected a rig file, or one of the rigs {known_names}"

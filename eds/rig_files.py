@@ -8,7 +8,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from eds.reader import Description, EdsError, parse_eds, read_eds
+from eds.reader import MOST_BYTES, Description, EdsError, parse_eds, read_eds
+from eds.regular_file import read_regular
 from eds.rig_errors import Source, nearest
 from eds.signals import deadman_object, shortcomings
 
@@ -22,7 +23,7 @@ def _find(name: str, rig_path: str, package: Path | None) -> tuple[Path | None, 
     """Look for a file beside the rig file, in the package, in the current folder; return it and where was looked."""
     folders = [Path(rig_path).parent, *([package] if package else []), Path()]
     tried = list(dict.fromkeys(folder / name for folder in folders))
-    return next((path for path in tried if path.is_file()), None), tried
+    return next((path for path in tried if path.exists()), None), tried  # a FIFO is found, and refused when it is read
 
 
 def read_descriptions(
@@ -111,7 +112,7 @@ def _read_schedule(phase: dict[str, Any], key: tuple[str, int], source: Source) 
 def _rows(path: Path, columns: tuple[list[float], list[float]]) -> Iterator[str]:
     """Read a schedule into `columns`; yield the mistakes, each with file:line."""
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        lines = read_regular(path, MOST_BYTES).decode("utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "no UTF-8"
         yield f"{path}:1: cannot be read ({reason}); expected a CSV file with the columns t_s,torque_Nm"

@@ -68,7 +68,9 @@ class LiveNodes:
             raise NodeError(f"node ids {', '.join(map(str, ids))}: each node needs an id of its own")
         if self.store is not None and len(ids) > 1:
             raise NodeError(f"--store {self.store}: one file keeps one node; start a `coulombus node` for each")
-        if self.store is not None and (self.store.is_dir() or not self.store.absolute().parent.is_dir()):
+        if self.store is not None and (
+            (self.store.exists() and not self.store.is_file()) or not self.store.absolute().parent.is_dir()
+        ):
             raise NodeError(f"--store {self.store}: expected a file, in a directory that is there")
         for (path, _), description in zip(self.eds, self.descriptions, strict=True):
             if description.diagnoses:
@@ -76,7 +78,9 @@ class LiveNodes:
                 found = f"{number} diagnos{'i' if number == 1 else 'e'}s"
                 text = f"{found}, read tolerantly; see `coulombus eds check {path}`"
                 print(f"coulombus: {path}: {text}", file=sys.stderr)
-        self._devices(VirtualNetwork(capacity=len(ids)), Store)  # refused before a bus is opened
+        for device in self._devices(VirtualNetwork(capacity=len(ids)), Store):  # refused before a bus is opened
+            for text in device.unreadable:
+                print(f"coulombus: {text}; the PDO is not valid at start, everything else is served", file=sys.stderr)
 
     def _commission(self) -> None:
         """Settle node ids and bit rate: what was said wins over what a DCF says."""
@@ -85,6 +89,12 @@ class LiveNodes:
             if not chosen:
                 raise NodeError(f"{path} has no node id ([DeviceComissioning] of a DCF has one); give --node-id")
             self.node_ids.append(chosen)
+            if chosen != description.node_id and description.node_id:
+                told = f"is a DCF for the node id {description.node_id} and is served as {chosen}"
+                print(
+                    f"coulombus: {path}: {told}; which identifiers go with it tells `coulombus eds check {path}`",
+                    file=sys.stderr,
+                )
         rates = {description.bit_rate for description in self.descriptions} - {0}
         if len(rates) > 1 and not self.bit_rate:
             wanted = " and ".join(map(str, sorted(rates)))

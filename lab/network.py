@@ -177,7 +177,7 @@ class VirtualNetwork:
         Raises
         ------
         eds.reader.EdsError
-            the file is no EDS, or a default PDO map of it cannot be read right
+            the file is no EDS
         ValueError
             the network has no room, or the node id is taken or out of range
         """

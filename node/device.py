@@ -13,7 +13,6 @@ import numpy as np
 
 from eds.cia301 import CobId, NmtCommand, NmtState
 from eds.cia305 import UNCONFIGURED
-from eds.pdo import layouts
 from eds.reader import Description, Value
 from node import behaviour, brake404, coil404, core, drive402, guarding
 from node.access import Access
@@ -67,8 +66,6 @@ class Device:
     ------
     ValueError
         The node id or the kind is out of range.
-    eds.reader.EdsError
-        A default PDO map of the EDS cannot be read right.
     """
 
     def __init__(
@@ -86,7 +83,6 @@ class Device:
             raise ValueError(f"node id {node_id}; expected 1 to 127, or {UNCONFIGURED} for none")
         if kind not in (KIND_GENERIC, KIND_DRIVE, KIND_BRAKE):
             raise ValueError(f"kind {kind}; expected KIND_GENERIC, KIND_DRIVE or KIND_BRAKE of node.records")
-        layouts(description, 1 if node_id == UNCONFIGURED else node_id)
         self.description, self.node_id, self.kind = description, node_id, kind
         self._records = (nodes, rpdo, tpdo, i)
         self._nodes, self._i = nodes, i
@@ -102,6 +98,11 @@ class Device:
         self.lss = Lss(self.dictionary, node_id, nodes, i, self.store, self._reset_communication)
         self._now = 0
         self._load(0x0000, 0)
+
+    @property
+    def unreadable(self) -> tuple[str, ...]:
+        """Why a PDO of the EDS cannot be read right, each with file:line; it is not valid at start, everything else is served."""
+        return tuple(self.dictionary.unreadable.values())
 
     # values
 

@@ -13,7 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from eds.cia301 import DATA_TYPES, Abort, DataType, abort_text, predefined
+from eds.cia305 import UNCONFIGURED
 from eds.codec import real_bits, real_value
+from eds.pdo import COB_ID_INVALID, unreadable
 from eds.reader import Description, Object, Value, Variable
 from node import slots
 from node.records import SPARE_SLOTS
@@ -23,6 +25,9 @@ __all__ = ["Dictionary", "SdoAbort", "decode", "encode"]
 MAX_STRING = 4096
 MAX_DOMAIN = 4 << 20
 """Bytes that a client may write to a string and to a domain; CiA 301 sets no limit, memory does."""
+
+MAP_OFFSET = 0x200
+"""From a PDO's communication parameter to its map."""
 
 _HISTORY = 0x1003  # its entries are there or not, and are the core's
 _OCTETS = DATA_TYPES[0x000A]
@@ -49,11 +54,16 @@ class Dictionary:
         self._slots = {key: slot for key, slot in core.items() if self._is_meant(key)}
         self._absent = {slot for key, slot in core.items() if key not in self._slots}
         self._next = slots.FIRST_FREE
+        self._read_for, self.unreadable = 0, dict[int, str]()
+        """Index of a PDO's communication parameter -> why the EDS' default cannot be read right: the PDO is not valid, and maps nothing."""
         self._store: dict[tuple[int, int], Value] = {}
         self.reset(0x0000, 0xFFFF)
 
     def reset(self, first: int, last: int) -> None:
         """Give the objects from index `first` to `last` the defaults of the EDS."""
+        if self._read_for != self.node_id:
+            self._read_for = self.node_id
+            self.unreadable = unreadable(self.description, 1 if self.node_id == UNCONFIGURED else self.node_id)
         for slot in self._absent:
             self.values[slot] = self._fallback.get(slot, 0)
         for index, entry in self.description.objects.items():
@@ -63,6 +73,12 @@ class Dictionary:
 
     def default(self, index: int, subindex: int) -> Value:
         """Return the EDS' default; where there is none, CiA 301's, and else the zero of its type."""
+        value = self._told(index, subindex)
+        if index in self.unreadable and subindex == 1:
+            return int(value) | COB_ID_INVALID if isinstance(value, int) else COB_ID_INVALID
+        return 0 if index - MAP_OFFSET in self.unreadable and subindex == 0 else value
+
+    def _told(self, index: int, subindex: int) -> Value:
         value = self.description.default(index, subindex, self.node_id)
         if value is not None:
             return value

@@ -15,11 +15,15 @@ import zlib
 from collections.abc import Mapping
 from pathlib import Path
 
+from eds.regular_file import read_regular
+
 __all__ = ["FileStore", "Sections", "Store"]
 
 Sections = dict[str, dict[str, bytes]]
 
 _MAGIC = "coulombus-store 1"
+MOST_BYTES = 1 << 28
+"""No store is larger."""
 
 
 class Store:
@@ -71,7 +75,7 @@ class FileStore(Store):
         """Read the file, and use it if it is whole and was written by the device `identity`."""
         self._identity, self._sections, self.diagnosis = identity, {}, None
         try:
-            self._sections = _parse(self._path.read_bytes(), identity)
+            self._sections = _parse(read_regular(self._path, MOST_BYTES), identity)
         except FileNotFoundError:
             pass
         except OSError as error:

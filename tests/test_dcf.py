@@ -118,12 +118,23 @@ def test_files_beside_a_dcf_are_told():
     assert told(d) == ["warning: [2000] DownloadFile=firmware.bin is another file; assumed no value"]
 
 
+GOES = (
+    "warning: 1 configured value is what the default is for the node id 17; assumed that with another node id it moves"
+)
+
+
+def stays(value, default="0x200", where="for the node id 17"):
+    what = f"is another identifier than the default $NODEID+{default} {where}"
+    return f"warning: [2000] ParameterValue={value} {what}; assumed {value} with every node id"
+
+
 @pytest.mark.parametrize(
     ("access", "written", "at_9", "complaint"),
     [
-        ("rw", "0x211", 0x209, []),  # what the default is for the node id of the file
-        ("rw", "0x212", 0x212, []),
-        ("ro", "0x211", 0x209, []),
+        ("rw", "0x211", 0x209, [GOES]),  # what the default is for the node id of the file
+        ("rw", "0x212", 0x212, [stays("0x212")]),
+        ("rw", "0x40000211", 0x40000211, [stays("0x40000211")]),  # no COB-ID: all bits count
+        ("ro", "0x211", 0x209, [GOES]),
         ("ro", "0x212", 0x209, ["warning: [2000] ParameterValue=0x212 cannot be written; assumed $NODEID+0x200"]),
         ("rw", "$NODEID+0x300", 0x309, []),
     ],
@@ -133,6 +144,55 @@ def test_what_goes_with_the_node_id_goes_with_another_one_too(access, written, a
     d = parse(COMMISSIONED + body)
     assert set(told(d)) == {dcf(), *complaint}
     assert d.default(0x2000, 0, NODE) == at_9
+
+
+COB_IDS = {
+    0x1400: ("$NODEID+0x200", "0x211"),
+    0x1401: ("$NODEID+0x80000300", "0x311"),
+    0x1800: ("$NODEID+0x40000180", "0x191"),
+    0x1801: ("$NODEID+0x40000280", "0x40000291"),
+    0x1802: ("$NODEID+0x40000380", "0x80000391"),
+    0x1803: ("$NODEID+0x480", "0xC0000491"),
+}
+"""Identifiers of node 17: default, and configured value; bits 30 and 31 are set in one of them, in both or in none."""
+
+
+def identifiers(commissioned, cob_ids=COB_IDS):
+    rows = ((f"{index:X}", *pair) for index, pair in cob_ids.items())
+    return parse(
+        commissioned
+        + "".join(
+            numbered(index, "P", ("5", "DefaultValue=1"), ("7", f"DefaultValue={default}\nParameterValue={value}"))
+            for index, default, value in rows
+        )
+    )
+
+
+@pytest.mark.parametrize("node_id", [1, 9, 17, 127])
+def test_with_another_node_id_all_identifiers_move_and_the_bits_beside_them_stay(node_id):
+    d = identifiers(COMMISSIONED)
+    found = {index: d.default(index, 1, node_id) for index in COB_IDS}
+    assert found == {index: int(value, 0) - 17 + node_id for index, (_, value) in COB_IDS.items()}
+    assert (
+        "6 configured values are what the default is for the node id 17; assumed that with another node id they move"
+        in [f"{x.text}; assumed {x.assumed}" for x in d.diagnoses]
+    )
+
+
+@pytest.mark.parametrize(
+    ("commissioned", "value", "where"),
+    [
+        (COMMISSIONED, "0x192", "for the node id 17"),
+        (COMMISSIONED, "0x20000191", "for the node id 17"),  # bit 29 is a longer identifier
+        ("", "0x191", "and the file tells no node id"),
+    ],
+)
+def test_an_identifier_that_does_not_move_is_told(commissioned, value, where):
+    d = identifiers(commissioned, {0x1800: ("$NODEID+0x40000180", value)})
+    assert d.default(0x1800, 1, 9) == int(value, 0)
+    where = where if where.startswith("for") else f", {where}"
+    text = f"[1800sub1] ParameterValue={value} is another identifier than the default $NODEID+0x40000180"
+    assert any(x.text.replace(text, "").strip(" ,") == where.strip(" ,") for x in d.diagnoses if text in x.text)
 
 
 # PDOs

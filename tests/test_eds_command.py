@@ -47,12 +47,13 @@ def test_a_warning_does_not_refuse(run):
     )
 
 
-def test_a_map_that_cannot_be_read_right_is_refused(run):
+def test_a_map_that_cannot_be_read_right_is_refused_and_the_rest_of_the_file_is_not(run):
     status, out = run("bad.eds")
     line = (HEAD + PDO).split("\n").index("[1600sub1]") + 1
-    assert status == 3
+    assert status == 0
     assert f"bad.eds:{line}: refused: 1600h:1 maps 2000h:0 in 16 bits, but INTEGER32 has 32; expected" in out
-    assert out.endswith("bad.eds: refused: 6 objects, 0 PDOs, 0 errors, 4 warnings\n")
+    assert "; the PDO is not valid at start\n" in out
+    assert out.endswith("bad.eds: readable but for 1 PDO: 6 objects, 0 PDOs, 0 errors, 4 warnings\n")
 
 
 @pytest.mark.parametrize(
@@ -109,7 +110,7 @@ def test_json(run):
         "text": "[2000] DefaultValue=007 is zero-padded",
         "assumed": "7",
     }
-    assert (bad["readable"], bad["refused"][0]["text"][:7]) == (False, "1600h:1")
+    assert (bad["readable"], bad["refused"][0]["text"][:7]) == (True, "1600h:1")
     assert (none["readable"], none["refused"][0]["line"]) == (False, 1)
 
 

@@ -1,8 +1,10 @@
 """The EDS reader: one quirk at a time in a few lines of EDS, then every file of the corpus of real ones."""
 
 import logging
+import os
 import random
 import re
+import socket
 from pathlib import Path
 
 import pytest
@@ -378,18 +380,33 @@ def test_missing_sections_and_padded_numbers_of_the_device(read):
     assert d.info["VendorNumber"] == "001"
 
 
+def bind(path):
+    with socket.socket(socket.AF_UNIX) as one:
+        one.bind(path)
+
+
+def longer_than(path, size):
+    with path.open("wb") as file:
+        file.truncate(size)
+
+
 @pytest.mark.parametrize(
     ("make", "match"),
     [
         (lambda path: None, r"none\.eds:1: cannot be read \(No such file or directory\); expected an EDS"),
-        (lambda path: path.mkdir(), r"none\.eds:1: cannot be read \(Is a directory\); expected an EDS"),
-        (lambda path: path.symlink_to("/dev/zero"), r"none\.eds:1: has more than 64 MiB; expected an EDS"),
+        (lambda path: path.mkdir(), r"none\.eds:1: is a directory, not a regular file; expected an EDS"),
+        (lambda path: path.symlink_to("/dev/zero"), r"none\.eds:1: is a device, not a regular file; expected an EDS"),
+        (lambda path: os.mkfifo(path), r"none\.eds:1: is a FIFO, not a regular file; expected an EDS"),
+        (lambda path: bind("none.eds"), r"none\.eds:1: is a socket, not a regular file; expected an EDS"),
+        (lambda path: longer_than(path, (64 << 20) + 1), r"none\.eds:1: has more than 64 MiB; expected an EDS"),
         (lambda path: path.write_bytes(b""), r"none\.eds:1: describes no object; expected sections such as \[1000\]"),
         (lambda path: path.write_bytes(b"\x00\xff" * 999), r"none\.eds:1: describes no object"),
         (lambda path: path.write_text("[DeviceInfo]\nVendorName=x\n"), r"none\.eds:1: describes no object"),
     ],
 )
-def test_what_cannot_be_read_at_all_is_refused(tmp_path, make, match):
+def test_what_cannot_be_read_at_all_is_refused(tmp_path, make, match, monkeypatch):
+    """At once: a FIFO, say, would be waited for."""
+    monkeypatch.chdir(tmp_path)  # the name of a socket is short
     make(tmp_path / "none.eds")
     with pytest.raises(EdsError, match=match):
         read_eds(tmp_path / "none.eds")

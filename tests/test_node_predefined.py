@@ -118,3 +118,37 @@ def test_identifiers_that_are_not_where_cia_301_has_them_are_told():
             for d in check(parse_eds((HEAD + text).encode(), "odd.eds"), NODE).diagnoses
         ]
         assert complaint in lines
+
+
+UNREADABLE = {
+    "no number of entries": record("1800", (0, 5, 2), (1, 7, "0x189"), (2, 5, 255))
+    + record("1A00", (0, 5, None), (1, 7, "0x20000010")),
+    "an object that is not there": record("1800", (0, 5, 2), (1, 7, "0x189"), (2, 5, 255))
+    + record("1A00", (0, 5, 1), (1, 7, "0x20010010")),
+    "an identifier that is none": record("1800", (0, 5, 2), (1, 7, "0x1zz"), (2, 5, 255))
+    + record("1A00", (0, 5, 1), (1, 7, "0x20000010")),
+}
+
+
+@pytest.mark.parametrize("name", UNREADABLE)
+def test_a_pdo_that_cannot_be_read_is_not_valid_at_start_and_the_rest_is_served(name):
+    """Nothing is guessed of it; a client maps it anew. A reset and 1011h bring back what was at start."""
+    network, device, station = node(BARE + UNREADABLE[name])
+    assert len(device.unreadable) == 1
+    assert device.unreadable[0].startswith("bare.eds:")
+    station.send(0x000, bytes((1, NODE)))
+    network.wait_ns(5_000_000)
+    assert [frame.can_id for frame in station.take() if frame.can_id < 0x580] == [0x289]  # the other PDO
+    assert read(station, 0x1800, 1) & 0x80000000
+    assert read(station, 0x1A00, 0) & 0xFF == 0
+    for index, subindex, value, size in ((0x1A00, 1, 0x20000010, 4), (0x1A00, 0, 1, 1), (0x1800, 1, 0x189, 4)):
+        station.send(
+            0x600 + NODE,
+            bytes((0x23 | (4 - size) << 2, index & 0xFF, index >> 8, subindex)) + value.to_bytes(4, "little"),
+        )
+        assert station.wait_for(0x580 + NODE, 5_000_000).data[0] == 0x60
+    network.wait_ns(5_000_000)
+    assert [frame.data for frame in station.take(0x189)] == [b"\x07\x00"]
+    station.send(0x000, bytes((129, NODE)))
+    network.wait_ns(5_000_000)
+    assert read(station, 0x1800, 1) & 0x80000000

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -362,5 +363,23 @@ def test_names_and_paths(tmp_path: Path) -> None:
         RigError, match=r"nowhere\.toml: cannot be read \(No such file or directory\); expected a rig file"
     ):
         load_rig("nowhere.toml")
-    with pytest.raises(RigError, match=r"cannot be read \(Is a directory\)"):
+    with pytest.raises(RigError, match=r"cannot be read \(is a directory, not a regular file\)"):
         load_rig(f"{tmp_path}/")
+
+
+def test_what_is_no_regular_file_is_refused_at_once_and_not_waited_for(tmp_path: Path) -> None:
+    """Nobody writes to these FIFOs: reading one would never end."""
+    rig = tmp_path / "rig.toml"
+    for name in ("fifo.toml", "fifo.eds", "fifo.csv"):
+        os.mkfifo(tmp_path / name)
+    with pytest.raises(RigError, match=r"fifo\.toml: cannot be read \(is a FIFO, not a regular file\)"):
+        load_rig(str(tmp_path / "fifo.toml"))
+    with pytest.raises(RigError, match=r"cannot be read \(is a device, not a regular file\)"):
+        load_rig("/dev/zero")
+    for name, kind in (("fifo.eds", "a FIFO"), ("/dev/zero", "a device"), (str(tmp_path), "a directory")):
+        rig.write_text(changed(('eds = "motor.eds" ', f'eds = "{name}" ')))
+        with pytest.raises(RigError, match=f"motor.eds: .* is {kind}, not a regular file; expected an EDS or DCF file"):
+            load_rig(str(rig))
+    rig.write_text(BENCH + '\n[[phase]]\nkind = "file"\npath = "fifo.csv"\n')
+    with pytest.raises(RigError, match=r"fifo\.csv:1: cannot be read \(is a FIFO, not a regular file\)"):
+        load_rig(str(rig))
