@@ -138,9 +138,10 @@ def predefined(index: int, subindex: int, node_id: int) -> int | None:
     """Return the default that CiA 301 gives a communication object of the node; None where it leaves it to the device.
 
     Identifiers are those of the pre-defined connection set (section 7.3.5), with four PDOs of each direction; further PDOs are not
-    valid. A PDO's transmission type is 255.
+    valid. A PDO's transmission type is 255. 1F80h (CiA 302-2) says, as a device without it does, that an NMT master starts the device.
     """
     fixed = {
+        (0x1F80, 0): 0x04,
         (0x1005, 0): CobId.SYNC,
         (0x1012, 0): CobId.TIME,
         (0x1014, 0): CobId.EMCY + node_id,

@@ -133,7 +133,7 @@ def errors() -> Iterator[None]:
 
 
 def remark(texts: Iterable[str]) -> None:
-    """Say on stderr what a recording lacks, sentence by sentence (`scope.recording.Recording.remarks`)."""
+    """Say on stderr what a recording or a run lacks, sentence by sentence (`scope.recording.Recording.remarks`, `RunResult.losses`)."""
     for text in texts:
         click.echo(f"coulombus: {text}", err=True)
 

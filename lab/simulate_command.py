@@ -21,6 +21,7 @@ from eds.command_line import (
     print_json,
     progress,
     record_option,
+    remark,
     rig_option,
     script_option,
     seconds_option,
@@ -98,6 +99,7 @@ def simulate_command(
                 faults=faults,
                 progress=lambda t: report(mode, t, total),
             )
+        remark(result.losses or ())
         if as_json:
             print_json(result.as_dict())
         else:

@@ -6,11 +6,14 @@ import random
 import struct
 
 import pytest
+from eds_text import HEAD, variable
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from node_bench import MS, US, Bench, SdoAborted, motor, setpoint
 
+from eds.reader import parse_eds
 from node import slots
+from node.records import KIND_BRAKE, KIND_DRIVE, KIND_GENERIC
 from wire.frame import CAN_RTR_FLAG
 
 INVALID = 0x80000000
@@ -191,6 +194,101 @@ def test_tpdos_are_ready_after_the_processing_time():
     bench.run(MS)
     bench.sync()
     assert [(s.can_id, s.t_ns) for s in bench.take()] == [(0x181, MS + 35_000), (0x281, MS + 35_000)]
+
+
+EVENT_PDO = """[{parameter}]
+ParameterName=P
+ObjectType=0x9
+SubNumber=6
+[{parameter}sub0]
+ParameterName=N
+DataType=5
+AccessType=const
+DefaultValue=5
+[{parameter}sub1]
+ParameterName=C
+DataType=7
+AccessType=rw
+DefaultValue=$NODEID+0x{cob_id:X}
+[{parameter}sub2]
+ParameterName=T
+DataType=5
+AccessType=rw
+DefaultValue={kind}
+[{parameter}sub3]
+ParameterName=I
+DataType=6
+AccessType=rw
+DefaultValue={inhibit}
+[{parameter}sub5]
+ParameterName=E
+DataType=6
+AccessType=rw
+DefaultValue=0
+[{mapping}]
+ParameterName=M
+ObjectType=0x9
+SubNumber=2
+[{mapping}sub0]
+ParameterName=N
+DataType=5
+AccessType=rw
+DefaultValue=1
+[{mapping}sub1]
+ParameterName=E
+DataType=7
+AccessType=rw
+DefaultValue=0x20000010
+"""
+
+
+def events(*, start_up=None):
+    """A device with four event-driven TPDOs: both transmission types, with and without an inhibit time, none with a timer."""
+    rows = ((254, 0), (255, 0), (254, 5000), (255, 65535))
+    text = HEAD + variable(PDOMapping="1", DefaultValue="0")
+    for k, (kind, inhibit) in enumerate(rows):
+        parameter, mapping = f"{0x1800 + k:X}", f"{0x1A00 + k:X}"
+        text += EVENT_PDO.format(
+            parameter=parameter, mapping=mapping, cob_id=0x180 + 0x100 * k, kind=kind, inhibit=inhibit
+        )
+    if start_up is not None:
+        text += f"[1F80]\nParameterName=S\nDataType=7\nAccessType=rw\nDefaultValue={start_up}\n"
+    return parse_eds(text.encode(), "events.eds")
+
+
+EVENT_IDS = [0x185, 0x285, 0x385, 0x485]
+
+
+@pytest.mark.parametrize("kind", [KIND_GENERIC, KIND_DRIVE, KIND_BRAKE])
+@pytest.mark.parametrize("start_up", [None, "4", ""])
+@pytest.mark.parametrize("waited_ns", [0, 1, 3 * MS, 700 * MS])
+def test_event_driven_tpdos_are_sent_once_at_every_start_the_first_one_too(kind, start_up, waited_ns):
+    """Without a timer nothing else would ever send them: no value changes here. The inhibit time of the last start is over with it."""
+    bench = Bench("", 5, kind, events(start_up=start_up))
+    bench.power_on()
+    assert [s.can_id for s in bench.take()] == [0x705]
+    for leave in (128, 2, 129, 130, 128):
+        bench.run(waited_ns)
+        assert bench.take() == []
+        bench.nmt(1)
+        assert [(s.can_id, s.data) for s in bench.take()] == [(can_id, b"\0\0") for can_id in EVENT_IDS]
+        bench.nmt(1)  # it is started already: no event
+        bench.run(3 * MS)
+        assert bench.take() == []
+        bench.nmt(leave)
+        bench.take(0x705)
+
+
+def test_a_device_that_starts_by_itself_sends_its_event_driven_tpdos_behind_the_boot_up():
+    """1F80h with bit 2 clear: the first NMT start finds it OPERATIONAL and is no start any more; the next one is."""
+    bench = Bench("", 5, KIND_GENERIC, events(start_up="0"))
+    bench.power_on()
+    assert [s.can_id for s in sorted(bench.take(), key=lambda s: s.t_ns)] == [0x705, *EVENT_IDS]
+    bench.nmt(1)
+    assert bench.take() == []
+    bench.nmt(128)
+    bench.nmt(1)
+    assert [s.can_id for s in bench.take()] == EVENT_IDS
 
 
 # reception
