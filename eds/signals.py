@@ -167,7 +167,10 @@ def shortcomings(description: Description, node: str) -> Iterator[str]:
                 yield str(error)
         if sum(bits.values()) > PDO_BITS:
             wide = " and ".join(f"{index:04X}h:{subindex} in {width} bits" for (index, subindex), width in bits.items())
-            yield f"{description.path} describes {wide}, which the host maps into {direction.upper()}{number}; at most {PDO_BITS} bits fit"
+            yield (
+                f"{description.path} describes {wide}, which the host maps into {direction.upper()}{number}; "
+                f"at most {PDO_BITS} bits fit, take a device with narrower ones"
+            )
 
 
 def _unit(name: str) -> str:
@@ -178,7 +181,9 @@ def _unit(name: str) -> str:
 def _entry(description: Description, index: int, subindex: int, direction: Direction) -> Entry:
     """Return the entry that maps an object; ValueError says what the EDS file lacks."""
     if not description.has(index, subindex):
-        raise ValueError(f"{description.path} describes no {index:04X}h:{subindex}, which the host maps")
+        raise ValueError(
+            f"{description.path} describes no {index:04X}h:{subindex}, which the host maps; take a device that has it"
+        )
     variable = description.variable(index, subindex)
     where = f"{description.path}:{variable.line}: {index:04X}h:{subindex}"
     entry = entry_of(variable)

@@ -151,7 +151,8 @@ def test_a_device_that_lacks_the_objects_is_refused_with_all_of_them() -> None:
     with pytest.raises(RigError) as caught:
         load_rig("bench", ["motor.eds=mr_brake.eds"])
     assert [error.rpartition(" describes no ")[2] for error in caught.value.errors] == [
-        f"{name}h:0, which the host maps" for name in ("6040", "6071", "6041", "6064", "6077", "606C")
+        f"{name}h:0, which the host maps; take a device that has it"
+        for name in ("6040", "6071", "6041", "6064", "6077", "606C")
     ]
 
 
