@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
+from itertools import accumulate
 from pathlib import Path
 from typing import Any, Literal
 
@@ -111,6 +112,11 @@ class Rig(RigFile):
     def axis(self) -> str:
         """The axis' name, "" where the rig has only one; its signals are then called NAME.motor.position_rad."""
         return self._axis
+
+    @property
+    def phase_starts_s(self) -> tuple[float, ...]:
+        """When each phase of the schedule begins, and when the last one ends [s]."""
+        return tuple(accumulate((phase.duration_s for phase in self.phases), initial=0.0))
 
     @property
     def prefix(self) -> str:

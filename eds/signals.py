@@ -18,13 +18,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal, Protocol
 
 from eds.pdo import PDO_BITS, Entry, PdoLayout, entry_of
 from eds.reader import Description
-
-if TYPE_CHECKING:
-    from eds.rig import Rig
+from eds.rig_model import Brake, Bus, Host, Mechanics, Motor
 
 __all__ = ["PDO_MAP", "RigPdo", "Signal", "rig_pdos", "shortcomings"]
 
@@ -102,7 +100,24 @@ class RigPdo:
         return f"{self.layout.direction.upper()}{self.layout.number}"
 
 
-def rig_pdos(rig: Rig) -> tuple[RigPdo, ...]:
+class Parts(Protocol):
+    """What the PDOs of an axis follow from (`eds.rig.Rig`)."""
+
+    bus: Bus
+    motor: Motor
+    brake: Brake
+    host: Host
+    mechanics: Mechanics
+
+    @property
+    def prefix(self) -> str:
+        """What stands before the names of the axis' nodes and signals."""
+
+    def description(self, node: Node) -> Description:
+        """Return the EDS file of "motor" or "brake"."""
+
+
+def rig_pdos(rig: Parts) -> tuple[RigPdo, ...]:
     """Return the PDOs of `rig`, whose EDS files have no `shortcomings`."""
     found = []
     switch = deadman_object(rig.host.deadman, {node: rig.description(node) for node, _ in DEADMAN_PDO})
@@ -196,7 +211,7 @@ def _entry(description: Description, index: int, subindex: int, direction: Direc
     return entry
 
 
-def _signal(rig: Rig, node: Node, index: int, subindex: int, name: str) -> Signal:
+def _signal(rig: Parts, node: Node, index: int, subindex: int, name: str) -> Signal:
     unit = _unit(name)
     scale = 1.0
     if node == "motor" and unit:

@@ -10,7 +10,7 @@ import numpy as np
 from eds.codec import PDO
 from eds.rig import Rig
 from host.controller import Controller
-from host.laws import LAW, LAW_STATE, MOTION
+from host.laws import LAW, LAW_STATE, MOTION, load_law
 from host.records import CONTROL, DRIVE_PDOS, HOST, Phase, Trip
 from wire.frame import Records
 
@@ -32,6 +32,11 @@ def new_section(name: str, axes: int) -> Records:
     """Return the array `name` of so many axes, all zero."""
     dtype, shape = SECTIONS[name]
     return np.zeros((axes, *shape), dtype).view(np.recarray)
+
+
+def unused_law() -> Any:
+    """Return a compiled law, for kernels that are called without a host and need an argument of its type."""
+    return load_law("host.laws:coulomb")
 
 
 class Controllers:

@@ -32,7 +32,7 @@ import heapq
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Protocol, Self
 
 import numpy as np
 
@@ -40,8 +40,7 @@ from eds.cia301 import NmtCommand
 from eds.cia305 import UNCONFIGURED
 from eds.compiled import JIT_DISABLED
 from eds.reader import Description, read_eds
-from host.controllers import SECTIONS, new_section
-from host.laws import load_law
+from host.controllers import SECTIONS, new_section, unused_law
 from host.step import SOURCE_HOST
 from lab.agenda import IDENTIFIERS, new_deadlines, new_wants
 from lab.interrupts import InterruptsHeld
@@ -56,9 +55,6 @@ from sim_bus.plant import PLANT, TRUTH_COLUMNS
 from sim_bus.waiting import withdraw
 from wire.clock import own_ns, to_bus
 from wire.frame import CAN_RTR_FLAG, Records, data_bytes, data_word, frames, new_queue, new_records, push
-
-if TYPE_CHECKING:
-    from lab.injection import Injection
 
 __all__ = ["CanopenNetwork", "Heard", "Station", "VirtualNetwork"]
 
@@ -95,10 +91,26 @@ def without_mechanics(devices: int) -> Mechanics:
         truth=np.zeros((0, 1, len(TRUTH_COLUMNS))),
         host=(
             *(idle[name] for name in ("control", "host", "rpdos", "tpdos")),
-            *(np.zeros(IDENTIFIERS, np.int64), load_law("host.laws:coulomb")),
+            *(np.zeros(IDENTIFIERS, np.int64), unused_law()),
             *(idle[name] for name in ("motion", "law", "state")),
         ),
     )
+
+
+class Injected(Protocol):
+    """The faults on the bus, as the network needs them (`lab.injection.Injection`)."""
+
+    def act(self) -> None:
+        """Do what a frame has triggered and the bus cannot do itself."""
+
+    def tell(self) -> None:
+        """Tell what was injected since the last time."""
+
+    def enabled(self, t_ns: int) -> None:
+        """The drive has entered Operation Enabled."""
+
+    def results(self) -> list[dict[str, Any]]:
+        """Return what each fault came to."""
 
 
 class VirtualNetwork:
@@ -123,7 +135,7 @@ class VirtualNetwork:
             raise ValueError(f"capacity {capacity}; expected 0 to {MOST_DEVICES} devices")
         self.exits = dict.fromkeys(Exit, 0)
         self.devices: list[Device] = []
-        self.injection: Injection | None = None
+        self.injection: Injected | None = None
         self._on_frames = on_frames
         self._stations: list[Station] = []
         self._script: list[tuple[int, int, Callable[[Any], None]]] = []

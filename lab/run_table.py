@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 from eds.command_line import table_console
 
 if TYPE_CHECKING:
     from lab.simulate import RunResult
 
-__all__ = ["injected_lines", "print_runs", "print_verdict"]
+__all__ = ["print_runs", "print_verdict"]
 
 WIDTH = 200
 """Of the table in a file or a pipe."""
@@ -80,27 +80,3 @@ def print_verdict(holds: bool, text: str) -> None:
 
     mark = "[green]ok  [/]" if holds else "[red]FAIL[/]"
     Console(highlight=False).print(f"{mark} {escape(text)}", soft_wrap=True)
-
-
-def injected_lines(
-    faults: Sequence[Mapping[str, Any]] | None, controllers: Mapping[str, Mapping[str, Any]] | None
-) -> Iterator[str]:
-    """Yield a line for each fault of a fault file, and for each CAN controller; a fault that never struck is told as such."""
-    for one in faults or ():
-        bus = f"bus {one['bus']}, " if "bus" in one else ""
-        if not one["times"]:
-            when = "never struck: what it waits for did not come"
-        elif one["times"] == 1:
-            when = f"once, at {one['first_s']:.6f} s"
-        else:
-            when = f"{one['times']} times, from {one['first_s']:.6f} s to {one['last_s']:.6f} s"
-        yield f"fault {one['kind']} ({bus}line {one['line']}): {when}"
-    for name, c in (controllers or {}).items():
-        counts = {
-            "errors": sum(c["errors"].values()),
-            "frames sent again": c["retransmissions"],
-            "dropped": c["dropped"],
-        }
-        counts |= {"times error passive": c["passives"], "times bus-off": c["bus_offs"]}
-        rest = "".join(f", {n} {what}" for what, n in counts.items() if n)
-        yield f"controller {name}: {c['state'].upper()} (berr-counter tx {c['tec']} rx {c['rec']}){rest}"

@@ -12,7 +12,7 @@ from dataclasses import asdict
 from types import FrameType
 
 from lab.bus_server import BusServer, SimResult
-from lab.run_table import injected_lines
+from sim_bus.fault_lines import injected_lines
 
 __all__ = ["PRIORITY", "run_sim"]
 

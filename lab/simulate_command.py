@@ -28,7 +28,8 @@ from eds.command_line import (
     seed_option,
     set_option,
 )
-from lab.run_table import injected_lines, print_runs, print_verdict
+from lab.run_table import print_runs, print_verdict
+from sim_bus.fault_lines import injected_lines
 
 if TYPE_CHECKING:
     from lab.demo import Demo

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import canopen
 
-from wire.frame import data_word, push
-
-if TYPE_CHECKING:
-    from lab.network import VirtualNetwork
+from wire.frame import Records, data_word, push
 
 __all__ = ["CanopenNetwork", "Heard", "Station"]
 
@@ -30,12 +27,27 @@ class Heard:
     """Number of the station that sent it: a device's row, a station's `number`, -1 the host."""
 
 
+class Bus(Protocol):
+    """What a station needs of its network (`lab.network.VirtualNetwork`)."""
+
+    @property
+    def t_ns(self) -> int:
+        """The present."""
+
+    @property
+    def queue(self) -> tuple[Records, Records]:
+        """What was asked to be sent, and its header."""
+
+    def run_until(self, t_ns: int, condition: Callable[[], bool] | None = None) -> None:
+        """Let time pass until `t_ns`, or until `condition` holds."""
+
+
 class Station:
     """A participant written in Python; made by `VirtualNetwork.station`."""
 
     def __init__(
         self,
-        network: VirtualNetwork,
+        network: Bus,
         number: int,
         can_ids: frozenset[int] | None,
         on_frame: Callable[[Heard], None] | None,

@@ -7,7 +7,7 @@ seed gives the same bytes.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -25,9 +25,6 @@ from sim_bus.plant import COIL_INTACT, COIL_OPEN, COIL_SHORT, PLANT, TRUTH_COLUM
 from wire.clock import own_ns, set_clock
 from wire.frame import Records, new_records
 
-if TYPE_CHECKING:
-    from lab.sim_script import Entry
-
 __all__ = ["VirtualRig"]
 
 BLOCK_KNOTS = 8000
@@ -37,6 +34,21 @@ COIL_STATES = {"coil_open": COIL_OPEN, "coil_short": COIL_SHORT}
 """Faults that are the coil's: the driver finds them by what it measures."""
 
 BOOT_NS = 1_000_000  # power-on to the first SDO: both boot-ups are on the bus
+
+
+class Planned(Protocol):
+    """What happens to the rig at a time (`lab.sim_script.Entry`)."""
+
+    @property
+    def t_ns(self) -> int:
+        """When, counted from `after`."""
+
+    @property
+    def after(self) -> str:
+        """What the time counts from: "start" or "enabled"."""
+
+    def act(self, world: Any) -> None:
+        """Do it now."""
 
 
 class VirtualRig(VirtualNetwork):
@@ -70,7 +82,7 @@ class VirtualRig(VirtualNetwork):
         self._had, self._events = 0, list[tuple[int, ...]]()
         self.on_host: Callable[[Records, Records, Records], None] | None = None
         """Called with each batch, after `on_frames`: which of its frames the host received, rows of `host.trace.EVENT`, what the host asked for."""
-        self._waiting: list[Entry] = []
+        self._waiting: list[Planned] = []
 
         n = len(rig.axes)
         knots = TRUTH_BLOCK_KNOTS if truth else BLOCK_KNOTS
@@ -197,7 +209,7 @@ class VirtualRig(VirtualNetwork):
 
     # the rig
 
-    def plan(self, script: Sequence[Entry]) -> None:
+    def plan(self, script: Sequence[Planned]) -> None:
         """Take the entries of a script file: those that wait for Operation Enabled until then."""
         self._waiting = [entry for entry in script if entry.after == "enabled"]
         for entry in script:

@@ -29,8 +29,9 @@ from node.behaviour import (
     sample,
     step,
 )
-from node.records import FAR_FUTURE_NS, KIND_GENERIC, LINK_ACTIVE, LINK_OFF, LINK_PASSIVE, LINK_RECOVERED
+from node.records import FAR_FUTURE_NS, KIND_GENERIC
 from wire.frame import CAN_RTR_FLAG, push
+from wire.link import LINK_ACTIVE, LINK_OFF, LINK_PASSIVE, LINK_RECOVERED
 
 __all__ = [
     "ROUTE_CONSUMER",
@@ -284,7 +285,7 @@ def forget_connections(nodes: Any, i: int, t_ns: int, queue: Any, header: Any) -
 
 @kernel
 def link_changed(nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, link: int, queue: Any, header: Any) -> None:
-    """Act on what the node's CAN controller tells (`node.records.LINK_...`).
+    """Act on what the node's CAN controller tells (`wire.link.LINK_...`).
 
     Bus-off is a communication error: the fault reaction, and what 1029h:01 says, as without heartbeats. Its EMCY can go out
     when the controller is back only (8140h), and as the error is gone then, "error reset" follows unless a drive holds its fault.

@@ -18,10 +18,6 @@ __all__ = [
     "KIND_BRAKE",
     "KIND_DRIVE",
     "KIND_GENERIC",
-    "LINK_ACTIVE",
-    "LINK_OFF",
-    "LINK_PASSIVE",
-    "LINK_RECOVERED",
     "MAX_CONSUMERS",
     "MAX_HISTORY",
     "MAX_PDOS",
@@ -47,8 +43,6 @@ SDO_TIMEOUT_NS = 1_000_000_000
 """An SDO transfer that stands still for so long is aborted (0504 0000h)."""
 
 KIND_GENERIC, KIND_DRIVE, KIND_BRAKE = 0, 1, 2
-LINK_ACTIVE, LINK_PASSIVE, LINK_OFF, LINK_RECOVERED = 1, 2, 3, 4
-"""What a node's CAN controller tells it: error active (again), error passive, bus-off, back from bus-off."""
 
 _I, _F = np.int64, np.float64
 

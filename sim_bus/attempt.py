@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from eds.compiled import inlined, kernel
-from node.records import LINK_ACTIVE, LINK_OFF, LINK_PASSIVE, LINK_RECOVERED
 from sim_bus.controller import (
     BUS_OFF,
     PASSIVE_LEVEL,
@@ -53,6 +52,7 @@ from sim_bus.waiting import (
     withdraw,
 )
 from wire.bits import data_frame_bits
+from wire.link import LINK_ACTIVE, LINK_OFF, LINK_PASSIVE, LINK_RECOVERED
 
 __all__ = [
     "ATTEMPT_FIELDS",

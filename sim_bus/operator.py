@@ -44,7 +44,7 @@ class Operator:
         self._hand = rig.operator
         self._phases = rig.phases
         self._F_s = rig.mode[mode].F_s_Nm
-        self.starts_s = np.concatenate(([0.0], np.cumsum([phase.duration_s for phase in rig.phases])))
+        self.starts_s = np.array(rig.phase_starts_s)
 
     def torque_Nm(self, t: Floats, start_s: float | None, end_s: float | None = None) -> Floats:
         r"""Return f_h [Nm] at the absolute times `t` [s] when the schedule began at `start_s` (None: it has not), and was left at `end_s`.

@@ -17,11 +17,11 @@ from eds.cia402 import PowerState
 from eds.rig import load_rig
 from host.errors import NodeMissing
 from lab.kernel import BRAKE, MOTOR
-from lab.run_table import injected_lines
 from lab.sim_server import SimServer
 from lab.simulate import simulate
 from scope.recording import read
 from sim_bus.fault_file import FaultError, read_faults
+from sim_bus.fault_lines import injected_lines
 from wire.address import BusAddress
 from wire.frame import CAN_ERR_FLAG
 from wire.hello import Answer, Flags, Hello, connect

@@ -5,11 +5,13 @@ from __future__ import annotations
 import struct
 from dataclasses import astuple, dataclass
 
-__all__ = ["Link"]
+__all__ = ["LINK_ACTIVE", "LINK_OFF", "LINK_PASSIVE", "LINK_RECOVERED", "Link"]
 
 STATES = ("ERROR-ACTIVE", "ERROR-WARNING", "ERROR-PASSIVE", "BUS-OFF", "STOPPED")
 MODES = ("LOOPBACK", "LISTEN-ONLY", "ONE-SHOT")
 BUS_OFF = 3
+LINK_ACTIVE, LINK_PASSIVE, LINK_OFF, LINK_RECOVERED = 1, 2, 3, 4
+"""What a CAN controller tells its node: error active (again), error passive, bus-off, back from bus-off."""
 _LINK = struct.Struct("<HHHHI6I12x")
 
 
