@@ -38,8 +38,9 @@ def source_key(root: Path) -> str:
     """Hash of all Python sources under `root` that may hold or feed a kernel, with the interpreter's version."""
     digest = hashlib.sha256(sys.version.encode())
     for package in KERNEL_PACKAGES:
-        for path in sorted((root / package).glob("*.py")):
-            digest.update(path.name.encode() + b"\0" + path.read_bytes())
+        folder = root / package
+        for path in sorted(folder.rglob("*.py")):
+            digest.update(str(path.relative_to(folder)).encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:16]
 
 

@@ -65,7 +65,12 @@ def test_the_key_follows_every_source(tmp_path):
     (tmp_path / "node" / "core.py").write_text("a = 1\n")
     one = source_key(tmp_path)
     (tmp_path / "node" / "core.py").write_text("a = 2\n")
-    assert len({empty, one, source_key(tmp_path)}) == 3
+    two = source_key(tmp_path)
+    (tmp_path / "node" / "deeper").mkdir()
+    (tmp_path / "node" / "deeper" / "core.py").write_text("a = 1\n")
+    three = source_key(tmp_path)
+    (tmp_path / "node" / "deeper" / "core.py").write_text("a = 2\n")
+    assert len({empty, one, two, three, source_key(tmp_path)}) == 5
 
 
 def test_old_caches_are_removed_and_an_unwritable_place_is_left_alone(tmp_path):
