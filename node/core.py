@@ -16,7 +16,7 @@ from __future__ import annotations
 from typing import Any
 
 from eds.compiled import borrowed, inlined, kernel
-from node import emcy, expedited, guarding, outbox, pdo, watch
+from node import emcy, expedited, guarding, outbox, pdo, segments, watch
 from node.behaviour import (
     BY_ITSELF,
     BY_RESET,
@@ -145,6 +145,8 @@ def handle(
         return 0
     if n.nmt == _STOPPED:
         n.dropped_unknown += 1
+        return 0
+    if n.segments_open > 0 and segments.collect(n, t_ns, can_id, length, data):
         return 0
     return 0 if expedited.answer(n, i, t_ns, can_id, length, data, queue, header) else 1
 

@@ -13,6 +13,7 @@ from wire.clock import CLOCK_FIELDS, NEVER_NS
 from wire.frame import Records
 
 __all__ = [
+    "BLOCK_SEGMENTS",
     "EMCY_WAITING",
     "FAR_FUTURE_NS",
     "KIND_BRAKE",
@@ -35,6 +36,7 @@ SPARE_SLOTS = 256  # for objects that a PDO maps later, however many the EDS des
 MAX_PDOS = 64  # of each direction
 MAX_CONSUMERS = 127  # entries of 1016h that are watched
 MAX_SDO_SERVERS = 128  # 1200h to 127Fh
+BLOCK_SEGMENTS = 127  # most segments of a block of an SDO block transfer
 OUTBOX = 1024  # segments of block uploads that wait to be sent
 MAX_HISTORY = 8  # entries of 1003h
 EMCY_WAITING = 8  # EMCY messages that wait for the end of the inhibit time
@@ -140,6 +142,13 @@ NODE = np.dtype(
         ("sdo_deadline_ns", _I, (MAX_SDO_SERVERS,)),
         ("sdo_abort_id", _I, (MAX_SDO_SERVERS,)),
         ("sdo_abort_word", _I, (MAX_SDO_SERVERS,)),
+        # segments of block downloads that the core collects; Python opens and closes a channel's row
+        ("segments_open", _I),  # how many rows are open
+        ("segments_id", _I, (MAX_SDO_SERVERS,)),  # identifier of the requests; 0: closed
+        ("segments_next", _I, (MAX_SDO_SERVERS,)),  # number of the segment that comes next
+        ("segments_last", _I, (MAX_SDO_SERVERS,)),  # number of the block's last segment
+        ("segments_count", _I, (MAX_SDO_SERVERS,)),  # collected and not yet taken by Python
+        ("segments_word", _I, (MAX_SDO_SERVERS, BLOCK_SEGMENTS)),
         # what the core uploads by itself, sorted by key
         ("sdo_rx_id", _I),  # of the first server; -1: none
         ("sdo_tx_id", _I),

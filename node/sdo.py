@@ -71,6 +71,16 @@ class SdoServer:
         """(index, sub-index) of the transfer that is open."""
         return (self._open.index, self._open.subindex) if self._open else None
 
+    @property
+    def expected(self) -> tuple[int, int]:
+        """Number of the segment of a block download that comes next, and of the block's last; (0, 0): none is expected."""
+        return self._open.expected if isinstance(self._open, BlockDownload) else (0, 0)
+
+    def take(self, content: bytes) -> None:
+        """Take the data of segments of a block download that came as `expected` says, before its last."""
+        if isinstance(self._open, BlockDownload):
+            self._open.take(content)
+
     def drop(self) -> None:
         """Forget the open transfer (time-out, reset)."""
         self._open, self.burst = None, ()

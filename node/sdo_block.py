@@ -12,11 +12,9 @@ from collections.abc import Sequence
 
 from eds.cia301 import Abort
 from node.dictionary import SdoAbort
+from node.records import BLOCK_SEGMENTS
 
 __all__ = ["BLOCK_SEGMENTS", "BlockDownload", "BlockUpload", "crc16"]
-
-BLOCK_SEGMENTS = 127
-"""Most segments of a block."""
 
 _SEGMENT = 7
 _LAST, _NUMBER = 0x80, 0x7F
@@ -39,6 +37,20 @@ class BlockDownload:
         self._received = 0  # segments of this block that came in order
         self._in_order = True
 
+    @property
+    def expected(self) -> tuple[int, int]:
+        """Number of the segment that comes next, and of the block's last; (0, 0) behind a gap or the last of all."""
+        return (self._received + 1, self._block_size) if self.receiving and self._in_order else (0, 0)
+
+    def take(self, content: bytes) -> None:
+        """Take segments that came in their order, from `expected` on, none of them the block's last."""
+        self._received += len(content) // _SEGMENT
+        self._keep(content)
+
+    def _keep(self, content: bytes) -> None:
+        if len(self._data) <= self._longest + _SEGMENT:  # enough to know that it is too long, padding or not
+            self._data += content
+
     def segment(self, data: bytes, next_block_size: int) -> bytes | None:
         """Take a segment; return the acknowledgement when it was the last of its block, else None.
 
@@ -51,8 +63,7 @@ class BlockDownload:
             raise SdoAbort(Abort.SEQUENCE)
         if number == self._received + 1 and self._in_order:
             self._received = number
-            if len(self._data) <= self._longest + _SEGMENT:  # enough to know that it is too long, padding or not
-                self._data += data[1:8]
+            self._keep(data[1:8])
         elif number > self._received:
             self._in_order = False  # a gap; a number that was there already is a repetition
         if not last and number != self._block_size:

@@ -60,6 +60,9 @@ class SdoService:
             else:
                 self.drop(number)
                 channels[rx] = _Channel(number, rx, tx, SdoServer(self._access))
+        for rx, before in self._channels.items():
+            if channels.get(rx) is not before:
+                self._close_segments(before.number)
         self._channels = channels
         first = next(((rx, channel.tx) for rx, channel in channels.items() if channel.number == 0), (-1, -1))
         self._row["sdo_rx_id"], self._row["sdo_tx_id"] = first
@@ -74,10 +77,9 @@ class SdoService:
         for channel in self._channels.values():
             if number in (None, channel.number):
                 channel.server.drop()
-        if number is None:
-            self._deadlines[:] = FAR_FUTURE_NS
-        else:
-            self._deadlines[number] = FAR_FUTURE_NS
+        which = slice(None) if number is None else number
+        self._deadlines[which] = FAR_FUTURE_NS
+        self._close_segments(which)
         if self._row["outbox_count"]:
             outbox.forget(self._nodes, self._i, -1 if number is None else number)
 
@@ -91,6 +93,8 @@ class SdoService:
             return
         channel = self._channels[can_id]
         server, k = channel.server, channel.number
+        if row["segments_id"][k]:
+            self._take_segments(channel)
         was_open = server.transfer is not None
         deadline_ns = int(self._deadlines[k])
         if was_open and (t_ns > deadline_ns or deadline_ns == FAR_FUTURE_NS):
@@ -110,10 +114,37 @@ class SdoService:
                 self._refuse(channel, t_ns, queue, header)
         if server.transfer is not None:
             self._watch(channel, t_ns)
+            self._open_segments(channel)
         elif was_open:
             self._deadlines[k] = FAR_FUTURE_NS
         if access.written:
             core.written(*self._records, t_ns, access.carries, queue, header)
+
+    def _take_segments(self, channel: _Channel) -> None:
+        """Give the server what the core collected, and close the channel's row."""
+        row, k = self._row, channel.number
+        count = int(row["segments_count"][k])
+        if count:
+            channel.server.take(
+                row["segments_word"][k, :count].astype("<i8").view(np.uint8).reshape(-1, 8)[:, 1:].tobytes()
+            )
+        self._close_segments(k)
+
+    def _close_segments(self, which: int | slice) -> None:
+        """Let the core collect no segments any more for one server or for all."""
+        self._row["segments_id"][which] = 0
+        self._row["segments_open"] = np.count_nonzero(self._row["segments_id"])
+
+    def _open_segments(self, channel: _Channel) -> None:
+        """Let the core collect the segments that the server expects, where it expects any."""
+        following, last = channel.server.expected
+        if following >= last:
+            return
+        row, k = self._row, channel.number
+        row["segments_next"][k], row["segments_last"][k] = following, last
+        row["segments_count"][k] = 0
+        row["segments_id"][k] = channel.rx
+        row["segments_open"] += 1
 
     def _refuse(self, channel: _Channel, t_ns: int, queue: Records, header: Records) -> None:
         """No room for another block: too many clients read at once."""

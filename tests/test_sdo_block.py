@@ -326,6 +326,146 @@ def test_a_block_leaves_room_on_the_bus_for_others():
     assert bench.take(0x581) == []
 
 
+def count_services(bench: Bench) -> list[bytes]:
+    """Let every frame that Python serves be listed."""
+    served: list[bytes] = []
+    service = bench.device.service
+
+    def counted(t_ns, can_id, length, data, queue, header):
+        served.append(data.to_bytes(8, "little", signed=True))
+        service(t_ns, can_id, length, data, queue, header)
+
+    bench.device.service = counted
+    return served
+
+
+def test_python_serves_a_block_s_beginning_and_end_and_no_segment_between():
+    bench = powered()
+    served = count_services(bench)
+    text = bytes(65 + k % 26 for k in range(4000))  # 572 segments: four blocks of 127, and one of 64
+    assert block_download(bench, 0x2004, text) == 0
+    assert [data[0] for data in served] == [0xC6, 127, 127, 127, 127, 0x80 | 64, 0xC1 | 4 << 2]
+    assert bench.upload(0x2004) == text
+    assert bench.node.segments_open == 0
+
+
+def test_behind_a_lost_segment_python_serves_the_rest_of_the_block_only():
+    bench = powered()
+    served = count_services(bench)
+    text = bytes(65 + k % 26 for k in range(889 * 3))
+    assert block_download(bench, 0x2004, text, lose={227}) == 0  # the second block's segment 100
+    assert [data[0] for data in served[:30]] == [0xC6, 127, *range(101, 128), 127]
+    assert bench.upload(0x2004) == text
+
+
+def test_each_segment_that_the_core_collects_puts_the_time_out_off():
+    bench = powered()
+    send(bench, bytes.fromhex("c604200016000000"))
+    for number in (1, 2, 3):
+        bench.run(SDO_TIMEOUT_NS - MS)
+        assert send(bench, bytes((number,)) + b"abcdefg") == []
+    assert send(bench, b"\x84h") == [bytes.fromhex("a2047f0000000000")]
+    assert send(bench, b"\xd9" + crc_bitwise(b"abcdefg" * 3 + b"h").to_bytes(2, "little"))[0][0] == 0xA1
+
+
+@pytest.mark.parametrize("ending", ["time-out", "abort", "reset", "stopped", "new request"])
+def test_what_the_core_collected_goes_with_its_transfer(ending):
+    bench = powered()
+    before = bench.upload(0x2004)
+    send(bench, bytes.fromhex("c604200015000000"))
+    assert send(bench, b"\x01abcdefg") == []
+    assert bench.node.segments_open == 1
+    if ending == "time-out":
+        bench.run(2 * SDO_TIMEOUT_NS)
+    elif ending == "abort":
+        send(bench, b"\x80" + head(0x2004) + bytes.fromhex("00000008"))
+    elif ending == "new request":
+        assert code(send(bench, b"\x00abcdefg")[0]) == 0x05040003  # in a block every frame is a segment
+    else:
+        bench.nmt(0x81 if ending == "reset" else 0x02)
+        bench.nmt(0x80)
+    bench.take()
+    assert code(send(bench, b"\x02hijklmn")[0]) == 0x05040001
+    assert bench.node.segments_open == 0
+    assert bench.upload(0x2004) == before
+    assert block_download(bench, 0x2004, b"once more, from its beginning") == 0
+    assert bench.upload(0x2004) == b"once more, from its beginning"
+
+
+def test_two_servers_collect_beside_each_other():
+    bench = powered()
+    bench.write(0x1201, 1, 0x6D0, 4)
+    bench.write(0x1201, 2, 0x580, 4)
+    texts = {0x601: (0x581, b"left " * 20), 0x6D0: (0x580, b"right" * 20)}
+    for rx in texts:
+        bench.frame(rx, bytes.fromhex("c204200064000000"))
+    bench.take()
+    for number in range(1, 15):
+        for rx, (_, text) in texts.items():
+            bench.frame(rx, bytes((number,)) + text[7 * number - 7 : 7 * number])
+    assert bench.node.segments_open == 2
+    assert bench.take() == []
+    for rx, (tx, text) in texts.items():
+        bench.frame(rx, b"\x8f" + text[98:].ljust(7, b"\0"))
+        bench.frame(rx, bytes((0xC1 | 5 << 2,)).ljust(8, b"\0"))
+        assert [sent.data[:2] for sent in bench.take(tx)] == [b"\xa2\x0f", b"\xa1\0"]
+        assert bench.upload(0x2004) == text
+
+
+def test_a_server_whose_identifier_changes_forgets_what_was_collected_for_it():
+    bench = powered()
+    bench.write(0x1201, 1, 0x6D0, 4)
+    bench.write(0x1201, 2, 0x580, 4)
+    bench.frame(0x6D0, bytes.fromhex("c204200064000000"))
+    bench.frame(0x6D0, b"\x01abcdefg")
+    assert bench.node.segments_open == 1
+    bench.write(0x1201, 1, 0x800006D0, 4)
+    assert bench.node.segments_open == 0
+    bench.write(0x1201, 1, 0x6D0, 4)
+    bench.take()
+    bench.frame(0x6D0, b"\x02hijklmn")
+    assert [code(sent.data) for sent in bench.take(0x580)] == [0x05040001]
+
+
+_PIECES = tuple(
+    bytes.fromhex(text) for text in (
+        "c604200010000000", "c204200032000000", "c004200000000000", "c100000000000000", "d500000000000000",
+        "8004200000000008", "4000100000000000", "4004200000000000", "6000000000000000", "2b17100032000000",
+    )
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_with_and_without_the_core_s_collecting_a_node_sends_the_same_bytes(seed, monkeypatch):
+    """Random downloads: gaps, repetitions, numbers that are none, pauses over the time-out, lengths, other requests."""
+    rng = random.Random(seed)
+    benches = [powered(), powered()]
+    plain = next(iter(benches[1].device._sdo._channels.values())).server
+    plain.__class__ = type("Plain", (type(plain),), {"expected": (0, 0)})
+    size = rng.choice((3, 10, 127))
+    for bench in benches:
+        next(iter(bench.device._sdo._channels.values())).server.block_size = size
+    number = collected = 0
+    for _ in range(600):
+        number = number % size + 1 if rng.random() < 0.9 else rng.randrange(1, size + 1)
+        data = bytes((number | 0x80 * (rng.random() < 0.03),)) + rng.randbytes(7)
+        if not plain.transfer or rng.random() < 0.03:
+            data, number = rng.choice(_PIECES), 0
+        if rng.random() < 0.01:
+            data = data[: rng.randrange(8)]
+        pause = rng.choice((1, 1, 1, 1, 1, 1, 1, 600, 1100)) * MS
+        for bench in benches:
+            bench.run(pause)
+            bench.frame(0x601, data)
+        collected += int(benches[0].node.segments_open)
+        first, second = (bench.take() for bench in benches)
+        assert first == second
+    assert collected > 100
+    for bench in benches:
+        send(bench, b"\x80" + head(0x2004) + bytes.fromhex("00000008"))
+    assert benches[0].upload(0x2004) == benches[1].upload(0x2004)
+
+
 class Wire(canopen.Network):
     """canopen's network without a thread: what it sends reaches the device, and the answers its subscribers, at once."""
 

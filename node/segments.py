@@ -1,0 +1,38 @@
+"""Segments of SDO block downloads on their way in, compiled: Python enters for a block's beginning and end, not for each segment.
+
+Python (`node.sdo_service`) opens a server's row of the record while the server receives a block in order. `collect` then takes the
+segments that come in their order. The block's last segment, a gap, a repetition, an abort and a frame after the transfer's deadline
+are Python's. It takes what was collected first, so its answers are the same as if it had seen every frame.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from eds.compiled import kernel
+from node.records import FAR_FUTURE_NS, SDO_TIMEOUT_NS
+
+__all__ = ["collect"]
+
+_LAST_OR_ABORT = 0x80
+
+
+@kernel
+def collect(n: Any, t_ns: int, can_id: int, length: int, data: int) -> bool:
+    """Keep the frame if it is the next segment of a block that is open, and not its last; tell whether it was."""
+    if length != 8 or data & _LAST_OR_ABORT:
+        return False
+    for k in range(n.sdo_used):
+        if n.segments_id[k] != can_id:
+            continue
+        number, deadline_ns = data & 0x7F, n.sdo_deadline_ns[k]
+        if number != n.segments_next[k] or number >= n.segments_last[k]:
+            return False
+        if deadline_ns == FAR_FUTURE_NS or t_ns > deadline_ns:
+            return False
+        n.segments_word[k, n.segments_count[k]] = data
+        n.segments_count[k] += 1
+        n.segments_next[k] = number + 1
+        n.sdo_deadline_ns[k] = t_ns + SDO_TIMEOUT_NS  # next_ns is not later than the old one
+        return True
+    return False
