@@ -65,7 +65,7 @@ def conformance(
 
     127 cases of a conformance test plan and cases of our own (ids that begin with a letter): pass, fail, or not applicable with the
     reason. The run resets the device, changes its objects, stores and restores them; at the end it has its defaults. Nothing is
-    moved: target torque stays 0. Exits with 1 when a case failed.
+    moved: target torque stays 0. Exits with 1 when a case failed, or the tester itself did in one. What an interrupted run has is written.
 
     \b
     Examples:
@@ -102,7 +102,9 @@ def conformance(
             write_junit(report, junit)
         if report_path is not None:
             write_report(report, report_path)
-        sys.exit(1 if report.count("fail") else 0)
+        if report.ended_by is not None:
+            raise report.ended_by
+        sys.exit(1 if report.count("fail") + report.count("error") else 0)
 
 
 @contextmanager
@@ -154,13 +156,13 @@ def _print(report: Report) -> None:
     table = Table(box=None, pad_edge=False)
     for head in ("case", "", "result", "reason"):
         table.add_column(head, overflow="fold")
-    colour = {"pass": "green", "fail": "bold red", "not_applicable": "dim"}
+    colour = {"pass": "green", "fail": "bold red", "not_applicable": "dim", "error": "bold magenta"}
     for one in report.outcomes:
         result = f"[{colour[one.result]}]{WORDS[one.result]}[/]"
         table.add_row(one.case.id, escape(one.case.name), result, escape(one.reason))
     console.print(table)
     for one in report.outcomes:
-        if one.result == "fail":
+        if one.result in ("fail", "error"):
             console.print(
                 f"\n[bold]{one.case.id} {escape(one.case.name)}[/]: {escape(one.case.objective)}\n{escape(one.reason)}"
             )

@@ -41,6 +41,18 @@ def need_drive(unit: Unit) -> None:
         raise NotApplicable("1000h is not of CiA 402, or 6040h and 6041h are not in the EDS")
 
 
+def no_fault(unit: Unit) -> None:
+    """A drive whose fault stays, as without mains or encoder, has no other state to show."""
+    if power_state(unit) != P.FAULT:
+        return
+    for word in (b"\0\0", b"\x80\0", b"\0\0"):
+        unit.put(0x6040, 0, word)
+        unit.pause(20 * MS)
+    if power_state(unit) == P.FAULT:
+        code = f" (603Fh is {unit.number(0x603F):04X}h)" if unit.has(0x603F) else ""
+        raise NotApplicable(f"the drive has a fault that cannot be reset{code}")
+
+
 def power_state(unit: Unit) -> PowerState | None:
     """Return the state that the statusword tells; None when it tells none."""
     found = int(STATE_OF_STATUSWORD[unit.number(0x6041) & 0x7F])
@@ -66,6 +78,7 @@ def expect_state(unit: Unit, wanted: PowerState, what: str) -> None:
 def no_torque(unit: Unit) -> None:
     """Target torque 0, a torque mode, and the least limit."""
     need_drive(unit)
+    no_fault(unit)
     unit.need_writable(0x6071)
     modes = unit.number(0x6502) if unit.has(0x6502) else 0
     mode = next((m for m in (OPERATION_MODE_CST, OPERATION_MODE_PROFILE_TORQUE) if modes >> m - 1 & 1), None)
@@ -113,6 +126,7 @@ def after_reset(unit: Unit) -> None:
     """Reset: Switch On Disabled, and 6077h is 0 where there is one."""
     need_drive(unit)
     unit.reset()
+    no_fault(unit)
     expect_state(unit, P.SWITCH_ON_DISABLED, "a reset")
     if unit.has(0x6077) and unit.number(0x6077):
         raise CaseFailed(f"torque actual value is {unit.number(0x6077)} without power")

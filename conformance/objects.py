@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from conformance.objects_of import LONGEST, READ_ONLY, is_command, is_output, is_parameter
+from conformance.objects_of import LONGEST, NOT_NOW, READ_ONLY, is_command, is_output, is_parameter
 from conformance.registry import case
 from conformance.sdo import RW, beyond
 from conformance.unit import Unit, encode, is_signed
 from conformance.verdict import CaseFailed, NotApplicable, SdoAborted, where
 from eds.cia301 import ARRAY, VAR, Abort, NmtCommand
 from eds.reader import Variable
-
-STATE_CODES = (Abort.DEVICE_STATE, Abort.LOCAL_CONTROL, Abort.CANNOT_STORE)
-"""A parameter may refuse its own value for the state that the device is in."""
 
 ABSENT_NOW = (Abort.NO_DATA, Abort.NO_SUBINDEX)
 NO_WRITE, NO_SCAN = 0x1, 0x2
@@ -45,7 +42,7 @@ def readable(unit: Unit, operational: bool) -> str:
         try:
             data = unit.sdo.upload_up_to(v.index, v.subindex, LONGEST)
         except SdoAborted as abort:
-            if abort.code == Abort.NO_DATA or (v.index == 0x1003 and abort.code in ABSENT_NOW):
+            if abort.code in NOT_NOW or (v.index == 0x1003 and abort.code in ABSENT_NOW):
                 continue
             raise CaseFailed(f"AccessType={v.access}, but {abort}") from None
         if data is not None and v.bits and len(data) != (v.bits + 7) // 8:
@@ -62,7 +59,7 @@ def different(unit: Unit, v: Variable) -> str | None:
     try:
         data = unit.sdo.upload_up_to(v.index, v.subindex, LONGEST)
     except SdoAborted as abort:
-        return None if abort.code in ABSENT_NOW else str(abort)
+        return None if abort.code in (*ABSENT_NOW, *NOT_NOW) else str(abort)
     if data is None:
         return None
     wanted = encode(v, default)
@@ -197,7 +194,7 @@ def write_back(unit: Unit) -> str:
         try:
             unit.put(v.index, v.subindex, data)
         except SdoAborted as abort:
-            if abort.code not in STATE_CODES:
+            if abort.code not in NOT_NOW:
                 raise CaseFailed(f"AccessType={v.access}, but {abort}") from None
             refused += 1
             continue

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from conformance.unit import Unit
 from conformance.verdict import NotApplicable, SdoAborted
+from eds.cia301 import Abort
 from eds.reader import Variable
 
 __all__ = [
     "LONGEST",
+    "NOT_NOW",
     "READ_ONLY",
+    "REFUSED",
     "is_command",
     "is_output",
     "is_parameter",
     "keeps",
     "long_object",
     "long_objects",
-    "long_text",
+    "long_texts",
     "volatile",
 ]
 
@@ -23,6 +26,16 @@ LONGEST = 2000
 """Objects of more bytes (a whole EDS as 1021h) would take seconds by segments; they are only begun."""
 
 READ_ONLY = ("ro", "const")
+REFUSED = (
+    *(Abort.VALUE, Abort.VALUE_HIGH, Abort.VALUE_LOW, Abort.ACCESS, Abort.READ_ONLY, Abort.GENERAL),
+    *(Abort.PARAMETER_INCOMPATIBLE, Abort.INTERNAL_INCOMPATIBLE),
+    *(Abort.CANNOT_STORE, Abort.LOCAL_CONTROL, Abort.DEVICE_STATE),
+)
+"""How a value is refused that does not fit, or not now: CiA 301 leaves the choice where it names no code."""
+
+NOT_NOW = (Abort.CANNOT_STORE, Abort.LOCAL_CONTROL, Abort.DEVICE_STATE, Abort.NO_DATA)
+"""An object may refuse an access for the state that the device is in."""
+
 _COMMANDS = (0x1003, 0x1010, 0x1011, 0x1023, 0x1F50, 0x1F51, 0x1F80)
 """A write of these does something; the cases that test them do it."""
 
@@ -67,16 +80,19 @@ def volatile(unit: Unit) -> tuple[int, int, int]:
 
 def long_objects(unit: Unit) -> list[tuple[Variable, bytes]]:
     """Return the objects whose content has more than four bytes (and at most `LONGEST`), with it."""
-    found = []
+    found, aborted = [], []
     for variable in unit.variables():
         if variable.access == "wo" or 0 < variable.bits <= 32:
             continue
         try:
             content = unit.sdo.upload_up_to(variable.index, variable.subindex, LONGEST)
-        except SdoAborted:
+        except SdoAborted as abort:
+            aborted.append(abort)
             continue
         if content is not None and len(content) > 4:
             found.append((variable, content))
+    if not found and any(abort.code not in NOT_NOW for abort in aborted):
+        raise next(abort for abort in aborted if abort.code not in NOT_NOW)
     if not found:
         raise NotApplicable("the device has no object of more than four bytes")
     return found
@@ -90,9 +106,9 @@ def long_object(unit: Unit, at_least: int = 5) -> tuple[Variable, bytes]:
     return min(found, key=lambda one: len(one[1]))
 
 
-def long_text(unit: Unit) -> Variable:
-    """Return a writable string of any length."""
-    for variable in unit.variables(0x2000):
-        if variable.access == "rw" and variable.data_type in (0x0009, 0x000A):
-            return variable
-    raise NotApplicable("the EDS has no writable string from 2000h on")
+def long_texts(unit: Unit) -> list[Variable]:
+    """Return the writable strings of the manufacturer."""
+    found = [v for v in unit.variables(0x2000) if v.access == "rw" and v.data_type in (0x0009, 0x000A)]
+    if not found:
+        raise NotApplicable("the EDS has no writable string from 2000h on")
+    return found

@@ -4,26 +4,15 @@ from __future__ import annotations
 
 from conformance.objects_of import volatile
 from conformance.registry import case
-from conformance.unit import Unit, encode
+from conformance.unit import ON_COMMAND, Unit, encode
 from conformance.verdict import CaseFailed, NotApplicable, SdoAborted, where
 
 __all__: list[str] = []
 
 SAVE, LOAD = b"save", b"load"
 STORE, RESTORE = 0x1010, 0x1011
-ON_COMMAND = 0x1
 RESTRICTED = (0x000, 0x001, 0x07F, 0x101, 0x180, 0x581, 0x5FF, 0x601, 0x67F, 0x6E0, 0x6FF, 0x701, 0x77F, 0x780, 0x7FF)
 """Ends of the ranges of table 38."""
-
-
-def need(unit: Unit, index: int, subindex: int = 1) -> None:
-    """The object, and its ability to work on command (bit 0)."""
-    unit.need(index, subindex)
-    if (index, subindex) not in unit.abilities:
-        raise CaseFailed(f"{where(index, subindex)} cannot be read")
-    value = unit.abilities[index, subindex]
-    if not value & ON_COMMAND:
-        raise NotApplicable(f"{where(index, subindex)} is {value:08X}h: not on command")
 
 
 def change(unit: Unit) -> tuple[int, int, bytes, bytes]:
@@ -54,7 +43,7 @@ def is_now(unit: Unit, index: int, subindex: int, wanted: bytes, when: str) -> N
 @case("8.3", index=RESTORE)
 def taken(unit: Unit, index: int) -> None:
     """Read the ability, and write the signature; the ability reads as before."""
-    need(unit, index)
+    unit.need_ability(index)
     command(unit, index, 1)
     value = unit.number(index, 1)
     if value != unit.abilities[index, 1]:
@@ -69,7 +58,7 @@ def taken(unit: Unit, index: int) -> None:
 @case("8.4", index=RESTORE)
 def wrong_signature(unit: Unit, index: int) -> str:
     """Write signatures that are none: refused, and nothing is stored."""
-    need(unit, index)
+    unit.need_ability(index)
     place = change(unit) if index == STORE else None
     wrong = (b"SAVE", b"evas", b"load") if index == STORE else (b"LOAD", b"daol", b"save")
     unit.stored = unit.dirty = True
@@ -83,7 +72,7 @@ def wrong_signature(unit: Unit, index: int) -> str:
 @case("8.5")
 def store(unit: Unit) -> str:
     """Change a parameter, store, change it again, reset: what was stored is there."""
-    need(unit, STORE)
+    unit.need_ability(STORE)
     index, subindex, before, data = change(unit)
     command(unit, STORE, 1)
     unit.put(index, subindex, before)
@@ -95,7 +84,7 @@ def store(unit: Unit) -> str:
 @case("8.6")
 def store_groups(unit: Unit) -> str:
     """The communication group, 1010h:02, in the same way; then a change that is not stored is lost with a reset."""
-    need(unit, STORE, 2)
+    unit.need_ability(STORE, 2)
     index, subindex, before, data = change(unit)
     command(unit, STORE, 2)
     unit.put(index, subindex, before)
@@ -111,8 +100,8 @@ def store_groups(unit: Unit) -> str:
 
 
 def _restore(unit: Unit, group: int) -> str:
-    need(unit, STORE)
-    need(unit, RESTORE, group)
+    unit.need_ability(STORE)
+    unit.need_ability(RESTORE, group)
     index, subindex, before, data = change(unit)
     command(unit, STORE, 1)
     unit.reset()
@@ -139,7 +128,7 @@ def restore_groups(unit: Unit) -> str:
 @case("8.9")
 def verify_configuration(unit: Unit) -> None:
     """Write date and time to 1020h, store, write others, reset: the stored ones are there."""
-    need(unit, STORE)
+    unit.need_ability(STORE)
     unit.need_writable(0x1020, 1)
     wanted = {1: (14_000).to_bytes(4, "little"), 2: (43_200_000).to_bytes(4, "little")}
     for subindex, data in wanted.items():

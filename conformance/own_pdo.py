@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from conformance.errors import emcy_id
 from conformance.link import Frame
+from conformance.objects_of import REFUSED
 from conformance.pdo_setup import RPDO, Unsupported, arm, event_type, length_of, mapped, numbers, remappable, sync
 from conformance.pdo_stimuli import candidates
 from conformance.registry import case
 from conformance.unit import MS, Unit, encode
 from conformance.verdict import CaseFailed, NotApplicable, where
-from eds.cia301 import Abort
 
 __all__: list[str] = []
 
@@ -133,7 +133,6 @@ def reserved_types(unit: Unit) -> str:
             cob_id = unit.number(index, 1)
             if not cob_id & 1 << 31:
                 unit.write(index, 1, cob_id | 1 << 31)
-            codes = (Abort.VALUE, Abort.VALUE_HIGH, Abort.GENERAL)
-            refused = [unit.refused(index, 2, encode(unit.variable(index, 2), kind), codes) for kind in (241, 251)]
+            refused = [unit.refused(index, 2, encode(unit.variable(index, 2), kind), REFUSED) for kind in (241, 251)]
             return ", ".join(f"{code:08X}h" for code in refused)
     raise NotApplicable("no TPDO's transmission type can be written")

@@ -11,6 +11,7 @@ from conformance.pdo_setup import (
     Unsupported,
     arm,
     disable,
+    fits,
     length_of,
     mappable,
     mapped,
@@ -240,7 +241,7 @@ def too_long(unit: Unit) -> str:
 @case("3.31", direction=TPDO, access=_OUTPUT, taken=False)
 def map_one(unit: Unit, direction: int, access: tuple[str, ...], taken: bool) -> str:
     """Map an object of this access type, alone: taken, or refused at the entry or at the count."""
-    found = [v for v in unit.variables() if v.pdo_mappable and v.access in access and 0 < v.bits <= 64]
+    found = [v for v in unit.variables() if v.pdo_mappable and v.access in access and fits(unit, v.bits)]
     if not found:
         raise NotApplicable(f"the EDS has no mappable object of access {' or '.join(access)}")
     return _map_one(unit, direction, found, taken=taken)
@@ -291,6 +292,8 @@ def dummies(unit: Unit) -> str:
     disable(unit, RPDO, k)
     for code in types:
         bits = DATA_TYPES[code].bits
+        if not fits(unit, bits):
+            continue
         words = [code << 16 | bits]
         if objects and bits % 8 == 0 and bits + objects[0].bits <= 64 and unit.has(RPDO + 0x200 + k, 2):
             words.append(mapped(objects[0]))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from conformance.unit import MS, OPERATIONAL, STOPPED, Unit
-from conformance.verdict import CaseFailed, NotApplicable, SdoAborted, where
+from conformance.verdict import CaseFailed, NoAnswer, NotApplicable, SdoAborted, where
 from eds.cia301 import CobId, NmtState
 from eds.reader import Variable
 
@@ -22,6 +22,7 @@ __all__ = [
     "arm",
     "enter",
     "event_type",
+    "fits",
     "length_of",
     "mappable",
     "mapped",
@@ -73,11 +74,18 @@ def mapped(variable: Variable) -> int:
 def mappable(unit: Unit, direction: int) -> list[Variable]:
     """Return the variables of fixed width that may be mapped in a direction."""
     access = WRITABLE if direction == RPDO else READABLE
-    return [v for v in unit.variables() if v.pdo_mappable and v.access in access and 0 < v.bits <= 64]
+    return [v for v in unit.variables() if v.pdo_mappable and v.access in access and fits(unit, v.bits)]
+
+
+def fits(unit: Unit, bits: int) -> bool:
+    """Tell whether an entry of a map may have so many bits, by [DeviceInfo] Granularity."""
+    return 0 < bits <= 64 and unit.granularity > 0 and bits % unit.granularity == 0
 
 
 def remappable(unit: Unit, direction: int) -> list[int]:
-    """Return the PDOs whose map may be written, by the EDS."""
+    """Return the PDOs whose map may be written, by the EDS; none where its Granularity is 0."""
+    if not unit.granularity:
+        return []
     return [
         k
         for k in numbers(unit, direction)
@@ -258,7 +266,7 @@ class Event:
         index = self.word >> 16
         if self.k not in remappable(self.unit, TPDO):
             return False, f"TPDO {self.k + 1} has a fixed map without {where(index, 0)}"
-        if not self.unit.variable(index).pdo_mappable:
+        if not self.unit.variable(index).pdo_mappable or not fits(self.unit, self.word & 0xFF):
             return False, f"{where(index, 0)} cannot be mapped"
         return True, ""
 
@@ -279,7 +287,7 @@ class Event:
             if not self.unit.is_drive:
                 self.possible, self.why = False, str(reason)
                 return ()
-        return (self.word,) if self.k in remappable(self.unit, TPDO) else ()
+        return (self.word,) if self.k in remappable(self.unit, TPDO) and fits(self.unit, self.word & 0xFF) else ()
 
     def fire_and_see(self) -> None:
         """Cause one change in OPERATIONAL.
@@ -294,6 +302,19 @@ class Event:
         self.fire()
         if self.unit.read(index, subindex) == before:
             raise NotApplicable(f"no event can be caused over the bus: {where(index, subindex)} does not change")
+
+    def need_frame(self, came: bool, what: str) -> None:
+        """Fail when a change made no TPDO go, if it is an event of the device's profile.
+
+        What an event is, CiA 301 leaves to the profile and the manufacturer (section 7.5.2.37). A drive's statusword in its
+        TPDO is one of CiA 402; the error register of another device may be none.
+        """
+        if came:
+            return
+        if self.unit.is_drive:
+            raise NoAnswer(f"no {what}")
+        place = where(self.word >> 16, self.word >> 8 & 0xFF)
+        raise NotApplicable(f"no {what}: a change of {place} is no event here, which is left to the device")
 
     def fire(self, state: NmtState = OPERATIONAL) -> None:
         """Cause one change."""

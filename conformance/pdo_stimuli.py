@@ -8,9 +8,20 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 
 from conformance.link import RTR, Frame
-from conformance.pdo_setup import TPDO, Event, Unsupported, arm, event_type, length_of, numbers, sync, write_overflow
+from conformance.pdo_setup import (
+    NO_RTR,
+    TPDO,
+    Event,
+    Unsupported,
+    arm,
+    event_type,
+    length_of,
+    numbers,
+    sync,
+    write_overflow,
+)
 from conformance.unit import MS, OPERATIONAL, Unit
-from conformance.verdict import CaseFailed, NotApplicable
+from conformance.verdict import CaseFailed, NoAnswer, NotApplicable
 from eds.cia301 import NmtState
 
 __all__ = ["STIMULI", "Stimulus"]
@@ -70,6 +81,8 @@ class ByRequest(Stimulus):
     """A remote frame asks for the TPDO, of type 253 where the device takes that."""
 
     def set_up(self) -> int:
+        cob_id = self.unit.number(TPDO + self.k, 1)
+        self.promised = not cob_id & NO_RTR
         try:
             return arm(self.unit, self.k, 253, rtr=True)
         except Unsupported:
@@ -84,7 +97,12 @@ class ByRequest(Stimulus):
             self.unit.pause(_CALM_NS)
             self.unit.flush()
             self.poke(OPERATIONAL)
-            self.of_length([self.unit.expect(self.can_id, f"{self.name} after a remote frame")])
+            frame = self.unit.wait(self.can_id)
+            if frame is None and not self.promised:
+                raise NotApplicable(f"{self.name} answers no remote frame, and bit 30 of its COB-ID says so by default")
+            if frame is None:
+                raise NoAnswer(f"no {self.name} ({self.can_id:03X}h) after a remote frame")
+            self.of_length([frame])
         return None
 
 
@@ -109,8 +127,9 @@ class ByEvent(Stimulus):
             self.unit.pause(self.unit.timing.quiet_ns)
             self.unit.flush()
             self.event.fire_and_see()
-            frame = self.unit.expect(self.can_id, f"{self.name} after an event")
-            self.of_length([frame])
+            frame = self.unit.wait(self.can_id)
+            self.event.need_frame(frame is not None, f"{self.name} after an event")
+            self.of_length([frame] if frame else [])
         return None
 
 
@@ -197,6 +216,7 @@ class BySyncAfterEvent(Stimulus):
             if self.unit.take(self.can_id):
                 raise CaseFailed(f"{self.name} of type 0 comes with the event, before the SYNC")
             frames = self.syncs(2)
+            self.event.need_frame(bool(frames), f"{self.name} of type 0 with 2 SYNCs after an event")
             if len(frames) != 1:
                 raise CaseFailed(f"{self.name} of type 0: {len(frames)} frames with 2 SYNCs after an event, expected 1")
         return None

@@ -12,23 +12,26 @@ from conformance.runner import Outcome, Report
 
 __all__ = ["WORDS", "as_dict", "junit", "markdown", "summary", "write_junit", "write_report"]
 
-WORDS = {"pass": "pass", "fail": "FAIL", "not_applicable": "not applicable"}
+WORDS = {"pass": "pass", "fail": "FAIL", "not_applicable": "not applicable", "error": "ERROR of the tester"}
+_SHOWN = ("fail", "error")
 _ILLEGAL = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 def as_dict(report: Report) -> dict[str, Any]:
-    """Return the report as JSON has it; the frames are those of a failure."""
+    """Return the report as JSON has it; the frames are those of a failure or an error."""
     return {
         "passed": report.count("pass"),
         "failed": report.count("fail"),
         "not_applicable": report.count("not_applicable"),
+        "errors": report.count("error"),
+        "complete": report.ended_by is None,
         "cases": [
             {
                 "id": one.case.id,
                 "name": one.case.name,
                 "result": one.result,
                 "reason": one.reason,
-                **({"frames": list(one.frames)} if one.result == "fail" else {}),
+                **({"frames": list(one.frames)} if one.result in _SHOWN else {}),
             }
             for one in report.outcomes
         ],
@@ -42,7 +45,10 @@ def summary(report: Report) -> str:
     counts = (
         f"{report.count('pass')} passed, {report.count('fail')} failed, {report.count('not_applicable')} not applicable"
     )
-    return f"{counts} ({passed} passed of the {len(listed)} listed cases)"
+    if errors := report.count("error"):
+        counts += f", {errors} ended by an error of the tester"
+    counts += f" ({passed} passed of the {len(listed)} listed cases)"
+    return counts if report.ended_by is None else f"{counts}; the run was ended before its last case"
 
 
 def junit(report: Report) -> ElementTree.Element:
@@ -53,14 +59,15 @@ def junit(report: Report) -> ElementTree.Element:
         tests=str(len(report.outcomes)),
         failures=str(report.count("fail")),
         skipped=str(report.count("not_applicable")),
-        errors="0",
+        errors=str(report.count("error")),
         time=f"{sum(one.seconds for one in report.outcomes):.3f}",
     )
     for one in report.outcomes:
         name = f"{one.case.id} {one.case.name}"
         test = ElementTree.SubElement(suite, "testcase", classname="conformance", name=name, time=f"{one.seconds:.3f}")
-        if one.result == "fail":
-            failure = ElementTree.SubElement(test, "failure", message=_legal(one.reason))
+        if one.result in _SHOWN:
+            kind = "failure" if one.result == "fail" else "error"
+            failure = ElementTree.SubElement(test, kind, message=_legal(one.reason))
             failure.text = _legal("\n".join((one.reason, *one.frames)))
         elif one.result == "not_applicable":
             ElementTree.SubElement(test, "skipped", message=_legal(one.reason))
@@ -111,7 +118,7 @@ def page(report: Report) -> str:
     title = text(f"Conformance of {report.device}, node {report.node_id}")
     style = (
         "body{font-family:sans-serif;margin:2em}td,th{padding:.2em .8em;text-align:left;vertical-align:top}"
-        ".fail{background:#fdd}.pass{background:#efe}.not_applicable{color:#666}pre{background:#f4f4f4;padding:1em}"
+        ".fail{background:#fdd}.error{background:#fed}.pass{background:#efe}.not_applicable{color:#666}pre{background:#f4f4f4;padding:1em}"
     )
     return (
         f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</title><style>{style}</style>\n'
@@ -127,7 +134,7 @@ def write_report(report: Report, path: Path) -> None:
 
 
 def _failures(report: Report) -> list[Outcome]:
-    return [one for one in report.outcomes if one.result == "fail"]
+    return [one for one in report.outcomes if one.result in _SHOWN]
 
 
 def _cell(text: str) -> str:

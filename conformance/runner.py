@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 from conformance import (
@@ -31,6 +33,7 @@ from conformance.unit import Unit
 from conformance.verdict import CaseFailed, NoAnswer, NotApplicable, where
 from eds.cia301 import NmtState
 from eds.cia402 import PowerState
+from wire.address import BusUnavailable
 
 __all__ = [
     "MODULES",
@@ -48,7 +51,7 @@ MODULES = (objects, sdo, sdo_block, pdo, pdo_mapping, emergency, sync, error_con
 OWN_MODULES = (own_transfers, strict_transfers, own_pdo, strict_pdo, strict_services, lss, drive)
 """Importing them fills the registry."""
 
-Result = Literal["pass", "fail", "not_applicable"]
+Result = Literal["pass", "fail", "not_applicable", "error"]
 FRAMES = 40
 _GIVE_UP = 3
 
@@ -79,7 +82,10 @@ class UnknownCase(ValueError):
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a case: result, the reason or a remark, and the last frames of a failure."""
+    """What became of a case: result, the reason or a remark, and the last frames of a failure or an error.
+
+    An `error` is the tester's own: it says nothing about the device.
+    """
 
     case: Case
     result: Result
@@ -96,6 +102,8 @@ class Report:
     node_id: int
     device: str
     outcomes: tuple[Outcome, ...]
+    ended_by: BaseException | None = None
+    """What ended the run before its last case: an interrupt, or a bus that went away."""
 
     def count(self, result: Result) -> int:
         """Return how many cases have this result."""
@@ -132,7 +140,7 @@ def check_before(unit: Unit, *, force: bool = False) -> None:
     """
     for attempt in range(2):
         try:
-            unit.sdo.initiate_upload(0x1000, 0)
+            unit.read(0x1000, 0)
             break
         except NoAnswer:
             if attempt == 0:
@@ -181,14 +189,16 @@ def _check_identity(unit: Unit) -> None:
 def run(unit: Unit, cases: Sequence[Case], progress: Callable[[int, Case], None] = lambda n, case: None) -> Report:
     """Run the cases, and leave the device reset, with its defaults where something was stored.
 
-    A case that raises what it should not is a failure of that case, never the end of the run; when the device does not
-    answer any more, the cases that follow fail at once.
+    A case that raises what it should not is an error of the tester in that case, never the end of the run; when the device does
+    not answer any more, the cases that follow fail at once. An interrupt and a bus that goes away end the run; what
+    came of the cases before is returned, with what ended it.
     """
     device = str(unit.description.info.get("ProductName", "")) or unit.description.path
     outcomes: list[Outcome] = []
     silent = 0
-    unit.learn_abilities()
+    ended_by: BaseException | None = None
     try:
+        unit.learn_abilities()
         for number, case in enumerate(cases):
             progress(number, case)
             if silent >= _GIVE_UP:
@@ -196,9 +206,13 @@ def run(unit: Unit, cases: Sequence[Case], progress: Callable[[int, Case], None]
                 continue
             outcomes.append(_one(unit, case))
             silent = silent + 1 if outcomes[-1].result == "fail" and not _alive(unit) else 0
-    finally:  # also when it is interrupted: a drive must not stay enabled
+    except (KeyboardInterrupt, SystemExit, BusUnavailable) as why:
+        ended_by = why
+    try:  # also when it is interrupted: a drive must not stay enabled
         _leave(unit)
-    return Report(unit.description.path, unit.node_id, device, tuple(outcomes))
+    except (KeyboardInterrupt, SystemExit, BusUnavailable) as why:
+        ended_by = ended_by or why
+    return Report(unit.description.path, unit.node_id, device, tuple(outcomes), ended_by)
 
 
 def _one(unit: Unit, case: Case) -> Outcome:
@@ -212,27 +226,34 @@ def _one(unit: Unit, case: Case) -> Outcome:
         result, reason = "not_applicable", str(why)
     except CaseFailed as why:
         result, reason = "fail", str(why)
-    except (
-        ArithmeticError,
-        AttributeError,
-        LookupError,
-        TypeError,
-        ValueError,
-    ) as why:  # what a device sent made no sense to the case
-        result, reason = "fail", f"the device's answers make no sense: {type(why).__name__}: {why}"
+    except BusUnavailable:
+        raise
+    except Exception as why:  # whatever a device sends, a case has to judge it by itself
+        result, reason = "error", _own_error(why)
     seconds = (unit.link.now_ns() - start_ns) / 1e9
-    frames = tuple(frame.line(start_ns) for frame in list(unit.trace)[-FRAMES:]) if result == "fail" else ()
+    shown = result in ("fail", "error")
+    frames = tuple(frame.line(start_ns) for frame in list(unit.trace)[-FRAMES:]) if shown else ()
     try:
         unit.restore()
     except CaseFailed as why:
         result, reason = "fail", f"what the case changed cannot be restored: {why}"
+    except BusUnavailable:
+        raise
+    except Exception as why:
+        result, reason = "error", _own_error(why)
     return Outcome(case, result, reason, frames, seconds)
+
+
+def _own_error(why: Exception) -> str:
+    place = traceback.extract_tb(why.__traceback__)[-1]
+    text = f"{type(why).__name__}: {why} ({Path(place.filename).name}, line {place.lineno})"
+    return f"the tester itself failed, and says nothing about the device: {text}; please report it with the frames"
 
 
 def _alive(unit: Unit) -> bool:
     try:
         unit.reset()
-        unit.sdo.initiate_upload(0x1000, 0)
+        unit.read(0x1000, 0)
     except NoAnswer:
         return False
     except CaseFailed:

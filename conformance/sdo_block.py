@@ -17,8 +17,8 @@ def need_block(unit: Unit) -> None:
     try:
         unit.sdo.initiate_block_upload(0x1000, 0, crc=False)
     except SdoAborted as abort:
-        if abort.code == Abort.COMMAND:
-            raise NotApplicable("the server refuses block transfers (05040001h)") from None
+        if abort.code in (Abort.COMMAND, Abort.GENERAL, Abort.ACCESS):
+            raise NotApplicable(f"the server refuses block transfers ({abort.code:08X}h)") from None
         raise
     unit.sdo.abort(0x1000, 0)
 

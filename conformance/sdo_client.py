@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
-from conformance.verdict import CaseFailed, NoAnswer, SdoAborted, where
+from conformance.verdict import CaseFailed, NoAnswer, NotApplicable, SdoAborted, where
+from eds.cia301 import Abort
 
 __all__ = ["SdoClient", "crc16", "head"]
 
@@ -36,11 +38,22 @@ class SdoClient:
         Sends eight bytes to the server, after all that waits from it has been thrown away.
     wait
         Returns the server's next eight bytes, or None after the time-out.
+    stream
+        Sends eight bytes, and keeps what waits: a server may acknowledge or abort in the middle of a block.
+    width
+        Returns the bytes of an object's type, 0 where it has any number: of an expedited upload that does not tell its own.
     """
 
-    def __init__(self, send: Callable[[bytes], None], wait: Callable[[], bytes | None]) -> None:
-        self.send = send
-        self._wait = wait
+    def __init__(
+        self,
+        send: Callable[[bytes], None],
+        wait: Callable[[], bytes | None],
+        stream: Callable[[bytes], None],
+        width: Callable[[int, int], int] = lambda index, subindex: 0,
+    ) -> None:
+        self.send, self.stream = send, stream
+        self._wait, self._width = wait, width
+        self._other: tuple[int, int] | None = None
 
     # single messages
 
@@ -68,10 +81,22 @@ class SdoClient:
         """Return the server's next message; an abort raises `SdoAborted`."""
         answer = self.answer(f"{what} {where(index, subindex)}")
         if answer[0] == 0x80:
-            if answer[1:4] != head(0, index, subindex)[1:4] and what != "unknown command":
-                raise CaseFailed(f"abort of {what} {where(index, subindex)} names {_named(answer)}")
+            place = (int.from_bytes(answer[1:3], "little"), answer[3])
+            if place not in ((index, subindex), self._other) and what != "unknown command":
+                raise CaseFailed(f"abort of {what} {where(index, subindex)} names {where(*place)}")
+            if place == self._other:
+                index, subindex = place
             raise SdoAborted(index, subindex, int.from_bytes(answer[4:], "little"), what)
         return answer
+
+    @contextmanager
+    def named(self, other: tuple[int, int]) -> Iterator[None]:
+        """Let an abort name `other` too: the object of a transfer that a new one finds open."""
+        self._other = other
+        try:
+            yield
+        finally:
+            self._other = None
 
     def abort(self, index: int, subindex: int, code: int = 0x08000000) -> None:
         """Abort the open transfer; a server does not answer that."""
@@ -86,31 +111,42 @@ class SdoClient:
     def upload_up_to(self, index: int, subindex: int, most: int) -> bytes | None:
         """Read an object, or only learn that it has more than `most` bytes: None."""
         answer = self.initiate_upload(index, subindex)
-        if answer[0] & 0x03 == 0x01 and int.from_bytes(answer[4:], "little") > most:
-            self.abort(index, subindex)
-            return None
-        return self.upload(index, subindex)
+        return self._go_on(answer, index, subindex, most)[0]
 
     def upload_as(self, index: int, subindex: int) -> tuple[bytes, bool]:
         """Read an object; return its bytes and whether they came by segments."""
-        answer = self.initiate_upload(index, subindex)
+        data, segmented = self._go_on(self.initiate_upload(index, subindex), index, subindex, _LONGEST)
+        if data is None:
+            raise CaseFailed(f"upload of {where(index, subindex)} has no end")
+        return data, segmented
+
+    def _go_on(self, answer: bytes, index: int, subindex: int, most: int) -> tuple[bytes | None, bool]:
+        """Go on with an upload that has begun, to its end; or abort it when it has more than `most` bytes: None.
+
+        It is never begun a second time before its end: a server may abort the new one as well as the old one.
+        """
         if answer[0] & 0x02:
-            size = 4 - (answer[0] >> 2 & 3) if answer[0] & 0x01 else 4
-            if any(answer[4 + size :]):
-                raise CaseFailed(f"upload of {where(index, subindex)}: bytes without data are not 0: {answer.hex(' ')}")
-            return answer[4 : 4 + size], False
+            return self.expedited(answer, index, subindex), False
         size_said = int.from_bytes(answer[4:], "little") if answer[0] & 0x01 else None
         data, toggle, last = b"", 0, False
         while not last:
+            if max(size_said or 0, len(data)) > most:
+                self.abort(index, subindex)
+                return None, True
             segment, last = self.upload_segment(index, subindex, toggle)
             data += segment
             toggle ^= 0x10
-            if len(data) > _LONGEST:
-                self.abort(index, subindex)
-                raise CaseFailed(f"upload of {where(index, subindex)} has no end")
         if size_said is not None and size_said != len(data):
             raise CaseFailed(f"upload of {where(index, subindex)}: {size_said} bytes were said, {len(data)} came")
         return data, True
+
+    def expedited(self, answer: bytes, index: int, subindex: int) -> bytes:
+        """Return the data of an expedited response: as many bytes as it tells, else as its type has.
+
+        CiA 301 does not say what the bytes without data are.
+        """
+        told = 4 - (answer[0] >> 2 & 3) if answer[0] & 0x01 else 0
+        return answer[4 : 4 + (told or min(self._width(index, subindex) or 4, 4))]
 
     def initiate_upload(self, index: int, subindex: int) -> bytes:
         """Initiate an upload and return the checked response."""
@@ -231,9 +267,20 @@ class SdoClient:
         return self.end_block_upload(index, subindex, segments, crc=agreed, said=said), agreed
 
     def initiate_block_download(self, index: int, subindex: int, size: int, *, crc: bool) -> tuple[bool, int]:
-        """Initiate a block download of `size` bytes; return whether the server has a CRC, and its block size."""
+        """Initiate a block download of `size` bytes; return whether the server has a CRC, and its block size.
+
+        Raises
+        ------
+        NotApplicable
+            The server refuses the command: it has no block downloads, which is allowed.
+        """
         request = head(0xC2 | 0x04 * crc, index, subindex, size.to_bytes(4, "little"))
-        answer = self.request(request, index, subindex, "block download to")
+        try:
+            answer = self.request(request, index, subindex, "block download to")
+        except SdoAborted as abort:
+            if abort.code != Abort.COMMAND:
+                raise
+            raise NotApplicable("the server refuses block downloads (05040001h)") from None
         if answer[0] & 0xFB != 0xA0:
             raise CaseFailed(
                 f"block download to {where(index, subindex)}: command {answer[0]:02X}h, expected A0h or A4h"
@@ -268,7 +315,7 @@ class SdoClient:
             block = segments[position : position + size]
             for number, segment in enumerate(block, 1):
                 last = position + number == len(segments)
-                self.send(bytes((number | 0x80 * last,)) + segment)
+                self.stream(bytes((number | 0x80 * last,)) + segment)
             good, size = self.block_acknowledged(index, subindex)
             if good > len(block):
                 raise CaseFailed(f"block download to {where(index, subindex)}: {good} of {len(block)} acknowledged")

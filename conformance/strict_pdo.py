@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from conformance.errors import emcy_id
 from conformance.link import RTR
-from conformance.objects_of import READ_ONLY
+from conformance.objects_of import READ_ONLY, REFUSED
 from conformance.own_pdo import HARMLESS
 from conformance.pdo_mapping import clear, first
 from conformance.pdo_setup import (
@@ -19,6 +19,7 @@ from conformance.pdo_setup import (
     arm,
     disable,
     event_type,
+    fits,
     mappable,
     mapped,
     numbers,
@@ -38,7 +39,6 @@ CALM_NS = 10 * MS
 DEADLINE_MS = 50
 WINDOW_MS = 20
 DUMMY = 0x0005
-REFUSED = (Abort.VALUE, Abort.DEVICE_STATE, Abort.ACCESS, Abort.GENERAL)
 
 
 class Harmless:
@@ -126,8 +126,8 @@ def synchronous_types(unit: Unit) -> str:
 @case("R.7")
 def behind_a_dummy(unit: Unit) -> str:
     """Map one byte of a dummy before the object: the value is taken from behind it."""
-    if DUMMY not in unit.description.dummies:
-        raise NotApplicable("[DummyUsage] of the EDS has no UNSIGNED8")
+    if DUMMY not in unit.description.dummies or not fits(unit, DATA_TYPES[DUMMY].bits):
+        raise NotApplicable("[DummyUsage] of the EDS has no UNSIGNED8, or its Granularity allows none in a map")
     rpdo = Harmless(unit, 255, gap=[DUMMY << 16 | DATA_TYPES[DUMMY].bits])
     unit.start()
     rpdo.send(b"\xa5" + rpdo.data(31))
@@ -190,8 +190,7 @@ def reserved_types(unit: Unit) -> str:
         if any(unit.variable(RPDO + k, sub).access in READ_ONLY for sub in (1, 2)):
             continue
         disable(unit, RPDO, k)
-        codes = (Abort.VALUE, Abort.VALUE_HIGH, Abort.GENERAL)
-        return ", ".join(f"{unit.refused(RPDO + k, 2, kind, codes):08X}h" for kind in (241, 252, 253))
+        return ", ".join(f"{unit.refused(RPDO + k, 2, kind, REFUSED):08X}h" for kind in (241, 252, 253))
     raise NotApplicable("no RPDO's transmission type can be written")
 
 
@@ -280,7 +279,7 @@ def both_event_types(unit: Unit) -> str:
         unit.pause(unit.timing.quiet_ns)
         unit.flush()
         event.fire_and_see()
-        unit.expect(can_id, f"TPDO {k + 1} of type {transmission} after an event")
+        event.need_frame(unit.wait(can_id) is not None, f"TPDO {k + 1} of type {transmission} after an event")
         done.append(str(transmission))
         unit.restore()
         unit.reset()
@@ -367,7 +366,7 @@ def wrong_entries(unit: Unit) -> str:
     for what, word, codes in (
         ("an absent object", absent << 16 | 8, (Abort.NO_OBJECT, Abort.NOT_MAPPABLE, Abort.GENERAL)),
         ("more bits than the object has", mapped(wide) + 8, (Abort.NOT_MAPPABLE, Abort.PDO_LENGTH, Abort.GENERAL)),
-        ("1018h:01", 0x10180120, (Abort.NOT_MAPPABLE, Abort.GENERAL)),
+        ("1018h:01", 0x10180120, (Abort.NOT_MAPPABLE, Abort.ACCESS, Abort.GENERAL)),
         ("a dummy in a TPDO", DUMMY << 16 | 8, (Abort.NO_OBJECT, Abort.NOT_MAPPABLE, Abort.GENERAL)),
     ):
         if word >> 16 == DUMMY and not dummy:

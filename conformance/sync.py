@@ -30,8 +30,8 @@ def produce(unit: Unit, overflow: int | None = None) -> None:
     unit.need_writable(0x1006)
     if overflow is not None:
         write_overflow(unit, overflow)
-    unit.write(0x1006, 0, PERIOD_MS * 1000)
     try:
+        unit.write(0x1006, 0, PERIOD_MS * 1000)
         unit.write(0x1005, 0, cob_id | PRODUCER)
     except SdoAborted as abort:
         raise NotApplicable(f"the device refuses to produce SYNC: {abort}") from None
@@ -167,6 +167,7 @@ def check_counter(frames: list[Frame], overflow: int, first: int | None = None) 
 
 def store(unit: Unit) -> None:
     """Store all parameters; `Unit.restore` loads the defaults again."""
+    unit.need_ability(0x1010)
     unit.stored = unit.dirty = True
     unit.sdo.download(0x1010, 1, b"save")
 

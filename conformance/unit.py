@@ -22,6 +22,8 @@ __all__ = ["MS", "Timing", "Unit", "encode"]
 MS = 1_000_000
 _INBOX = 20_000
 _TRACE = 400
+ON_COMMAND = 0x1
+"""Bit of 1010h and 1011h."""
 _OBJ_FLAGS = re.compile(r"(?ims)^\[([0-9a-f]{4})(?:sub([0-9a-f]{1,2}))?\]([^\[]*?)^ObjFlags\s*=\s*(\w+)")
 
 
@@ -31,6 +33,8 @@ class Timing:
 
     answer_ns: int = 1000 * MS
     quiet_ns: int = 60 * MS
+    settle_ns: int = 20 * MS
+    """After an NMT command: a device may take it in its main loop, and lose what comes before it has."""
     boot_ns: int = 5000 * MS
     case_ns: int = 60_000 * MS
 
@@ -38,7 +42,8 @@ class Timing:
     def of(cls, timeout_s: float) -> Timing:
         """Return the waits that follow from the time-out of an answer."""
         answer_ns = int(timeout_s * 1e9)
-        return cls(answer_ns, min(60 * MS, answer_ns), 5 * answer_ns, 60 * answer_ns)
+        quiet_ns, settle_ns = min(60 * MS, answer_ns), min(20 * MS, answer_ns)
+        return cls(answer_ns, quiet_ns, settle_ns, 5 * answer_ns, 60 * answer_ns)
 
 
 class Unit:
@@ -55,14 +60,17 @@ class Unit:
         self._undo: list[tuple[int, int, bytes]] = []
         self._deadline_ns = link.now_ns() + timing.case_ns
         self.dirty = True
-        self.stored = self._late = False
+        self.stored = self._late = self._changed_state = False
+        self._again: bytes | None = None
+        self.rooms: dict[tuple[int, int], int] = {}
+        """How many bytes a writable text was found to hold."""
         self.abilities: dict[tuple[int, int], int] = {}
         self.channel(self._default_id(1, CobId.SDO_RX), self._default_id(2, CobId.SDO_TX))
 
     def channel(self, request_id: int, response_id: int) -> None:
         """Use these identifiers for SDO."""
         self.sdo_rx, self.sdo_tx = request_id, response_id
-        self.sdo = SdoClient(self._send_sdo, self._wait_sdo)
+        self.sdo = SdoClient(self._send_sdo, self._wait_sdo, self._stream_sdo, self._width)
 
     def _default_id(self, subindex: int, otherwise: int) -> int:
         value = self.description.default(0x1200, subindex, self.node_id) if self.has(0x1200, subindex) else None
@@ -141,12 +149,25 @@ class Unit:
         while self._next(self.link.now_ns()) is not None:
             pass
         self.take(self.sdo_tx)
+        self._again, self._changed_state = data if self._changed_state else None, False
         self.send(self.sdo_rx, data)
+
+    def _stream_sdo(self, data: bytes) -> None:
+        """Send a segment of a block; what the server says meanwhile is kept, and may be followed by more."""
+        self.send(self.sdo_rx, data)
+        self._late = True
 
     def _wait_sdo(self) -> bytes | None:
         frame = self.wait(self.sdo_tx)
-        self._late = frame is None
+        if frame is None and self._again is not None:  # the first request after a change of the NMT state
+            again, self._again, self._late = self._again, None, True
+            self._send_sdo(again)
+            frame = self.wait(self.sdo_tx)
+        self._late |= frame is None
         return None if frame is None else frame.data
+
+    def _width(self, index: int, subindex: int) -> int:
+        return (self.variable(index, subindex).bits + 7) // 8 if self.has(index, subindex) else 0
 
     def read(self, index: int, subindex: int = 0) -> bytes:
         """Read an object."""
@@ -207,9 +228,11 @@ class Unit:
     # NMT
 
     def nmt(self, command: int) -> None:
-        """Send an NMT command to the device alone."""
+        """Send an NMT command to the device alone, and give it the time to follow; its first SDO request may come twice."""
         self.dirty = True
         self.send(CobId.NMT, bytes((command, self.node_id)))
+        self._changed_state = command != NmtCommand.STOP
+        self.pause(self.timing.settle_ns)
 
     def start(self) -> None:
         """Make it OPERATIONAL."""
@@ -306,6 +329,34 @@ class Unit:
             except ValueError:  # the reader has told it
                 continue
         return found
+
+    @cached_property
+    def granularity(self) -> int:
+        """[DeviceInfo] Granularity: of how many bits the entries of a PDO's map are multiples; 0: no map can be written.
+
+        Bits where the file does not say it, or says what is none of 0 to 64.
+        """
+        said = {key.lower(): value for key, value in self.description.info.items()}.get("granularity", "").strip()
+        try:
+            bits = int(said, 0)
+        except ValueError:
+            return 1
+        return bits if 0 <= bits <= 64 else 1
+
+    def need_ability(self, index: int, subindex: int = 1) -> None:
+        """Make sure that 1010h or 1011h works on command (bit 0 of what it can do).
+
+        Raises
+        ------
+        NotApplicable
+            It does not, or is not in the EDS.
+        """
+        self.need(index, subindex)
+        if (index, subindex) not in self.abilities:
+            raise CaseFailed(f"{where(index, subindex)} cannot be read")
+        value = self.abilities[index, subindex]
+        if not value & ON_COMMAND:
+            raise NotApplicable(f"{where(index, subindex)} is {value:08X}h: not on command")
 
     @property
     def is_drive(self) -> bool:

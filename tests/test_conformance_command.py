@@ -8,12 +8,13 @@ from xml.etree import ElementTree
 import canopen
 import pytest
 from click.testing import CliRunner
-from conformance_bench import EDS, VirtualLink, description, new_unit, run_cases
+from conformance_bench import EDS, KIND_OF, VirtualLink, description, new_unit, run_cases
 from tiny_bus import tiny_bus
 
 from conformance import link as link_module
 from conformance.catalogue import catalogue
 from conformance.link import RTR, BusLink, Frame
+from conformance.registry import FUNCTIONS
 from conformance.report import as_dict, summary, write_junit, write_report
 from conformance.runner import ConformanceRefused, NodeMissing, WrongDevice, check_before, run, select
 from conformance.unit import Timing, Unit
@@ -65,7 +66,8 @@ def mixed_report():
 
 def test_json_has_the_agreed_keys():
     report = as_dict(mixed_report())
-    assert report.keys() == {"passed", "failed", "not_applicable", "cases"}
+    assert report.keys() == {"passed", "failed", "not_applicable", "errors", "complete", "cases"}
+    assert (report["errors"], report["complete"]) == (0, True)
     results = {one["id"]: one["result"] for one in report["cases"]}
     assert results["2.1"] == "fail"
     assert results["2.5"] == "pass"
@@ -200,8 +202,9 @@ def test_an_interrupted_run_leaves_the_drive_disabled():
             unit.stored = True
             raise KeyboardInterrupt
 
-    with pytest.raises(KeyboardInterrupt):
-        run(unit, select(["2.1", "2.3"]), interrupt)
+    report = run(unit, select(["2.1", "2.3"]), interrupt)
+    assert isinstance(report.ended_by, KeyboardInterrupt)
+    assert [one.case.id for one in report.outcomes] == ["2.1"]
     assert unit.number(0x6041) & 0x6F == 0x40
 
 
@@ -221,9 +224,88 @@ def test_a_bus_that_goes_away_ends_the_run():
     """Even where the run has something to set right at its end: the exit status is that of the bus."""
     unit = new_unit("motor", VanishingLink)
     unit.stored = True
-    with pytest.raises(BusUnavailable, match="is gone") as caught:
-        run(unit, select([]))
-    assert caught.value.exit_status == 4
+    report = run(unit, select([]))
+    assert isinstance(report.ended_by, BusUnavailable)
+    assert report.ended_by.exit_status == 4
+    assert len(report.outcomes) < 5
+
+
+def _broken(unit):
+    unit.read(0x1000)
+    return unit.no_such_thing
+
+
+def test_what_the_tester_cannot_do_is_an_error_and_no_failure_of_the_device(monkeypatch, tmp_path):
+    monkeypatch.setitem(FUNCTIONS, "2.3", _broken)
+    report = run(new_unit("motor"), select(["2.1", "2.3", "2.5"]))
+    assert [one.result for one in report.outcomes] == ["pass", "error", "pass"]
+    assert "the tester itself failed" in report.outcomes[1].reason
+    assert "AttributeError" in report.outcomes[1].reason
+    assert "test_conformance_command.py" in report.outcomes[1].reason
+    as_json = as_dict(report)
+    assert (as_json["passed"], as_json["failed"], as_json["errors"]) == (2, 0, 1)
+    assert as_json["cases"][1]["frames"][-1].endswith("581  [8]  43 00 10 00 92 01 02 00")
+    assert "1 ended by an error of the tester" in summary(report)
+    write_junit(report, tmp_path / "r.xml")
+    suite = ElementTree.parse(tmp_path / "r.xml").getroot()[0]
+    assert (suite.get("failures"), suite.get("errors")) == ("0", "1")
+    assert "AttributeError" in suite[1].find("error").get("message")
+    for ending in ("md", "html"):
+        write_report(report, tmp_path / f"r.{ending}")
+        assert (tmp_path / f"r.{ending}").read_text().count("AttributeError") >= 2
+
+
+def test_an_error_while_a_case_is_undone_is_one_of_the_tester(monkeypatch):
+    unit = new_unit("motor")
+    monkeypatch.setattr(unit, "restore", lambda: {}["nothing"])
+    assert run(unit, select(["2.1"])).outcomes[0].result == "error"
+
+
+class NodeLink(VirtualLink):
+    """A node in virtual time in the place of a bus."""
+
+    def __init__(self, address):
+        super().__init__(description("motor"), 1, KIND_OF["motor"])
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, kind, error, trace):
+        """There is nothing to close."""
+
+
+@pytest.fixture
+def node_link(monkeypatch):
+    monkeypatch.setattr("conformance.link.BusLink", NodeLink)
+    return ("--bus", "coulombus:t", "--node", "1", "--eds", str(EDS / "motor.eds"))
+
+
+@pytest.mark.parametrize(("broken", "status"), [((), 0), (("2.3",), 1)])
+def test_an_error_of_the_tester_has_the_exit_status_of_a_failure(node_link, monkeypatch, broken, status):
+    for number in broken:
+        monkeypatch.setitem(FUNCTIONS, number, _broken)
+    result = invoke(*node_link, "--case", "2.1", "--case", "2.3")
+    assert result.exit_code == status, result.output
+    assert ("ERROR of the tester" in result.output) == bool(broken)
+
+
+@pytest.mark.parametrize(
+    ("why", "status"), [(KeyboardInterrupt(), 130), (SystemExit(143), 143), (BusUnavailable("the bus is gone"), 4)]
+)
+def test_a_run_that_is_ended_writes_what_it_has(node_link, monkeypatch, tmp_path, why, status):
+    def ended(unit):
+        raise why
+
+    monkeypatch.setitem(FUNCTIONS, "2.5", ended)
+    files = {name: tmp_path / name for name in ("r.xml", "r.md")}
+    cases = ("--case", "2.1", "--case", "2.3", "--case", "2.5", "--case", "2.6")
+    result = invoke(*node_link, *cases, "--json", "--junit", str(files["r.xml"]), "--report", str(files["r.md"]))
+    assert result.exit_code == status, result.output
+    told = json.loads(result.stdout)
+    assert told["complete"] is False
+    assert [one["id"] for one in told["cases"]] == ["2.1", "2.3"]
+    assert [test.get("name").split()[0] for test in ElementTree.parse(files["r.xml"]).getroot()[0]] == ["2.1", "2.3"]
+    assert "the run was ended before its last case" in files["r.md"].read_text()
 
 
 def test_nonsense_fails_and_does_not_stop_the_run():
