@@ -15,11 +15,11 @@ __all__: list[str] = []
 
 @case("5.1")
 def identifier(unit: Unit) -> None:
-    """Read 1014h and compare it with 80h + node-id and with the EDS."""
-    unit.need(0x1014)
-    value = unit.number(0x1014)
-    if value != 0x80 + unit.node_id:
-        raise CaseFailed(f"1014h is {value:08X}h, expected {0x80 + unit.node_id:08X}h")
+    """Read 1014h and compare it with the EDS, or with 80h + node-id where that gives no default."""
+    said = unit.default(unit.need(0x1014))
+    value, wanted = unit.number(0x1014), said if isinstance(said, int) else 0x80 + unit.node_id
+    if value != wanted:
+        raise CaseFailed(f"1014h is {value:08X}h, expected {wanted:08X}h")
 
 
 @case("5.2")

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 
 from conformance.link import RTR, Frame
-from conformance.pdo_setup import RPDO, HeartbeatOfTester, Unsupported, arm, length_of, numbers
+from conformance.pdo_setup import EXTENDED, INVALID, RPDO, HeartbeatOfTester, Unsupported, arm, length_of, numbers
 from conformance.unit import MS, Unit
 from conformance.verdict import CaseFailed, NotApplicable
 from eds.cia301 import CobId
@@ -17,9 +17,12 @@ GUARD_MS = 100
 
 
 def emcy_id(unit: Unit) -> int:
-    """Return the identifier of the device's EMCY."""
+    """Return the identifier of the device's EMCY; where 1014h is not valid, or of 29 bits, the case does not apply."""
     unit.need(0x1014)
-    return unit.number(0x1014) & 0x7FF
+    cob_id = unit.number(0x1014)
+    if cob_id & (INVALID | EXTENDED):
+        raise NotApplicable(f"1014h is {cob_id:08X}h: no EMCY of 11 bits")
+    return cob_id & 0x7FF
 
 
 def _by_heartbeat(unit: Unit) -> Callable[[], None]:

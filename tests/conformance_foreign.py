@@ -273,7 +273,7 @@ def a_block_download_is_refused_with_its_first_segment(link, can_id, data, lengt
     return can_id, data, length
 
 
-@foreign("4.1", "4.2", "4.7", "4.8", way="sends")
+@foreign("3.21", "4.1", "4.2", "4.7", "4.8", "P.1", way="sends")
 def objects_cannot_be_read_in_this_state(link, frame):
     if frame.can_id == 0x581 and frame.data[1:4] in (b"\x77\x60\0", b"\x64\x60\0") and frame.data[0] & 0x40:
         return with_data(frame, abort(place(frame.data), Abort.DEVICE_STATE))
@@ -299,7 +299,7 @@ for code in (Abort.PARAMETER_INCOMPATIBLE, Abort.LOCAL_CONTROL, Abort.CANNOT_STO
     FOREIGN.append(
         Foreign(
             f"refuses_with_{code:08X}",
-            ("T.2", "T.7", "T.8", "R.10", "S.12", "Y.4", "Y.5", "E.2"),
+            ("T.2", "T.7", "T.8", "R.10", "S.12", "Y.4", "Y.5", "E.2", "P.8", "P.10"),
             sends=_other_codes(code),
         )
     )
@@ -383,7 +383,28 @@ def a_change_of_the_error_register_is_no_event(link, frame):
     return None if frame.can_id in range(0x181, 0x500) and frame.length == 1 else frame
 
 
+@foreign("R.6")
+def an_rpdo_that_waits_outlives_stopped(link, can_id, data, length):
+    if can_id == 0x000 and data[0] == 2 and link.memory.get("last"):
+        link.memory["stopped"] = True
+    elif can_id == 0x080 and link.memory.pop("stopped", False):
+        VirtualLink.send(link, *link.memory["last"])
+    elif can_id in (0x201, 0x301, 0x401, 0x501):
+        link.memory["last"] = (can_id, data, length)
+    return can_id, data, length
+
+
 # EMCY
+
+
+@foreign("5.1", "5.2", eds=lambda text: text.replace("=$NODEID+0x80\n", "=$NODEID+0x80000080\n"))
+def no_emcy_is_sent_by_default(link, can_id, data, length):
+    return can_id, data, length
+
+
+@foreign("5.4", "5.5", "E.1", "E.3", "7.106", "H.1", expected=NOT, eds=FOREIGN[-1].eds)
+def no_emcy_is_sent_by_default_(link, can_id, data, length):
+    return can_id, data, length
 
 
 @foreign("5.2", "5.3", "5.5", "E.8", way="sends")
