@@ -39,7 +39,10 @@ def compare(bus: str, eds: Path) -> Report:
         with BusLink(address) as link:
             unit = Unit(link, read_eds(eds), NODE_ID, Timing.of(0.3))
             check_before(unit, force=True)
-            return run(unit, select(()), lambda n, case: _tell(n, case))
+            report = run(unit, select(()), lambda n, case: _tell(n, case))
+        if report.ended_by is not None:
+            raise report.ended_by
+        return report
     finally:
         network.disconnect()
 
