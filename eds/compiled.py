@@ -2,9 +2,9 @@
 
 Numba's disk cache looks at the file of the function that it compiles, not at the files of the functions which that one
 calls: an edited callee is served stale. Hence the cache directory is keyed by a hash of every source file that may hold
-a kernel. An edit anywhere gives a new directory; the oldest ones are removed.
+a kernel. An edit anywhere gives a new directory; `eds.kernel_cache` says where it stands, and which old ones are removed.
 
-Import this module before `numba`. ``NUMBA_CACHE_DIR`` set by the user wins (the hash is appended to it all the same);
+Import this module before `numba`. ``NUMBA_CACHE_DIR`` set by the user wins (ours are sub-directories of it all the same);
 ``NUMBA_DISABLE_JIT=1`` runs every kernel as plain Python.
 
 Two ways make a call cheap for the few calls that every frame makes. A call that passes five arrays costs about 25 ns: an array is a structure of
@@ -18,18 +18,26 @@ the cost of a plain call) and never caches a kernel whose tuple holds a function
 from __future__ import annotations
 
 import hashlib
-import os
-import shutil
 import sys
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
-__all__ = ["CACHE_DIR", "JIT_DISABLED", "Entry", "borrowed", "inlined", "kernel", "on_compiling", "source_key"]
+from eds.kernel_cache import choose
+
+__all__ = [
+    "CACHE_DIR",
+    "JIT_DISABLED",
+    "Entry",
+    "borrowed",
+    "cached",
+    "inlined",
+    "kernel",
+    "on_compiling",
+    "source_key",
+]
 
 KERNEL_PACKAGES = ("eds", "wire", "node", "sim_bus", "host", "lab", "analysis")
-KEPT_CACHES = 4
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -44,40 +52,8 @@ def source_key(root: Path) -> str:
     return digest.hexdigest()[:16]
 
 
-def _base_directory() -> Path:
-    named = os.environ.get("NUMBA_CACHE_DIR")
-    if named:
-        return Path(named)
-    home = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
-    return Path(home) / "coulombus" / "numba"
-
-
-def _prepare_cache() -> Path:
-    key = source_key(Path(__file__).resolve().parent.parent)
-    base = _base_directory()
-    if base.name == key:  # a child process inherits the directory that its parent chose
-        return base
-    directory = base / key
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=directory):
-            pass
-        os.utime(directory)
-    except OSError:
-        mine = Path(tempfile.gettempdir()) / f"coulombus-{os.getuid()}"
-        mine.mkdir(exist_ok=True, mode=0o700)
-        if mine.is_symlink() or mine.stat().st_uid != os.getuid() or mine.stat().st_mode & 0o077:
-            mine = Path(tempfile.mkdtemp(prefix="coulombus-"))  # somebody else's: what is cached is run
-        directory = mine / key
-        directory.mkdir(exist_ok=True)
-    others = (p for p in directory.parent.iterdir() if p != directory and len(p.name) == 16 and p.is_dir())
-    for stale in sorted(others, key=lambda p: p.stat().st_mtime, reverse=True)[KEPT_CACHES - 1 :]:
-        shutil.rmtree(stale, ignore_errors=True)
-    os.environ["NUMBA_CACHE_DIR"] = str(directory)
-    return directory
-
-
-CACHE_DIR = _prepare_cache()
+CACHE_DIR = choose(source_key(Path(__file__).resolve().parent.parent))
+"""Where the machine code is kept; None where no place can be written."""
 
 import numba  # noqa: E402  (only now does numba read NUMBA_CACHE_DIR)
 from numba.core import cgutils, event, types  # noqa: E402
@@ -85,7 +61,10 @@ from numba.core.imputils import impl_ret_untracked  # noqa: E402
 from numba.extending import intrinsic  # noqa: E402
 from numba.np.arrayobj import make_array  # noqa: E402
 
-numba.config.CACHE_DIR = str(CACHE_DIR)
+from eds.kernel_files import KernelCache, keep_interrupts  # noqa: E402
+
+numba.config.CACHE_DIR = str(CACHE_DIR or "")
+keep_interrupts()
 JIT_DISABLED = bool(numba.config.DISABLE_JIT)
 
 
@@ -109,19 +88,27 @@ def on_compiling(tell: Callable[[], None]) -> None:
     event.register("numba:compile", _First(tell))
 
 
+def cached(compiled: F) -> F:
+    """Let what `numba.njit` returned be kept on disk; return it."""
+    dispatcher: Any = compiled
+    if not JIT_DISABLED and CACHE_DIR is not None:
+        dispatcher._cache = KernelCache(dispatcher.py_func)
+    return compiled
+
+
 def kernel(function: F) -> F:
     """Compile `function` on its first call: no GIL, cached on disk, C's arithmetic errors (no exceptions).
 
     Inside a kernel all integers are int64: mixing int64 with uint64 gives float64.
     """
-    compiled: F = numba.njit(nogil=True, cache=True, error_model="numpy")(function)
-    return compiled
+    compiled: F = numba.njit(nogil=True, error_model="numpy")(function)
+    return cached(compiled)
 
 
 def inlined(function: F) -> F:
     """Compile `function` as `kernel` does, but into each of its callers."""
-    compiled: F = numba.njit(nogil=True, cache=True, error_model="numpy", inline="always")(function)
-    return compiled
+    compiled: F = numba.njit(nogil=True, error_model="numpy", inline="always")(function)
+    return cached(compiled)
 
 
 if JIT_DISABLED:

@@ -37,7 +37,7 @@ from typing import Any
 
 import numpy as np
 
-from eds.compiled import JIT_DISABLED
+from eds.compiled import JIT_DISABLED, cached
 
 import numba  # isort: skip  (after eds.compiled, which names the cache directory)
 
@@ -167,7 +167,8 @@ def compile_law(function: Callable[..., Any], cache: bool = False) -> Any:
         return guarded
     options = {"nogil": True, "error_model": "numpy"}
     if cache:
-        dispatcher = numba.njit(_signature(), cache=True, **options)(function)
+        dispatcher = cached(numba.njit(**options)(function))
+        dispatcher.compile(_signature().args)
     else:
         with _bounds_checked():
             inner = numba.njit(**options)(function)
