@@ -14,6 +14,7 @@ from eds.command_line import (
     PICTURE,
     OutputDirectory,
     errors,
+    force_option,
     json_option,
     print_json,
     remark,
@@ -365,9 +366,12 @@ def _map(rig: Rig, options: dict[str, Any]) -> None:
 @click.argument("file", type=click.Path(exists=True, dir_okay=False, path_type=Path))
 @click.option("--rig", "rig_name", metavar="R", help="Decode with this rig instead of the attached one.")
 @click.option("--figure", type=PICTURE, metavar="F", help="Write the plot there (.png, .svg, .pdf).")
+@force_option
 @click.option("--axis", metavar="A", help="Which axis of a rig that has several.")
 @json_option
-def identify_command(file: Path, rig_name: str | None, figure: Path | None, axis: str | None, as_json: bool) -> None:
+def identify_command(
+    file: Path, rig_name: str | None, figure: Path | None, overwrite: bool, axis: str | None, as_json: bool
+) -> None:
     """Identify friction from a recording by least squares: Coulomb, viscous, and Stribeck where the data carry it.
 
     What is felt at the handle comes first, the device's own friction (the motor's torque added) second, each with its 95 % confidence
@@ -381,6 +385,7 @@ def identify_command(file: Path, rig_name: str | None, figure: Path | None, axis
     """
     with errors():
         from analysis.identify import identify, lines
+        from eds.output_file import new_file
         from eds.rig import load_rig
         from scope.recording import blocks
 
@@ -393,7 +398,8 @@ def identify_command(file: Path, rig_name: str | None, figure: Path | None, axis
         if figure is not None:
             from analysis.figures_rig import write_identification
 
-            write_identification(figure, found)
+            with new_file(figure, force=overwrite) as path:
+                write_identification(path, found)
             _tell_paths([figure])
         if as_json:
             print_json(found.as_dict())

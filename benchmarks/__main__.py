@@ -56,7 +56,7 @@ def simulation() -> None:
             simulate("bench", "hybrid", SIMULATED_S)
 
         def recorded() -> None:
-            simulate("bench", "hybrid", SIMULATED_S, record=path)
+            simulate("bench", "hybrid", SIMULATED_S, record=path, force=True)
 
         plain()
         recorded()

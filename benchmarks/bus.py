@@ -55,7 +55,7 @@ def against_real_time(show: Callable[..., None], noise: Path, recording: Path) -
     runs: dict[str, Callable[[], RunResult]] = {
         "plain": lambda: simulate("bench", "hybrid", SIMULATED_S),
         "noisy": lambda: simulate("bench", "hybrid", SIMULATED_S, faults=noise, script=worlds.append),
-        "recorded": lambda: simulate("bench", "hybrid", SIMULATED_S, faults=noise, record=recording),
+        "recorded": lambda: simulate("bench", "hybrid", SIMULATED_S, faults=noise, record=recording, force=True),
     }
     times: dict[str, list[float]] = {name: [] for name in runs}
     for function in runs.values():

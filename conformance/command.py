@@ -40,6 +40,12 @@ LONGEST_TIMEOUT_S = 60.0
     is_flag=True,
     help="Also on a device in NMT OPERATIONAL, a drive in Operation Enabled, or one that is not the EDS's.",
 )
+@click.option(
+    "--overwrite",
+    is_flag=True,
+    is_eager=True,
+    help="Replace reports that exist; else they are refused. --force is about the device.",
+)
 @click.option("--junit", type=OutputFile(), metavar="F.xml", help="Write JUnit XML there.")
 @click.option(
     "--report",
@@ -57,6 +63,7 @@ def conformance(
     timeout: float,
     seed: int,
     force: bool,
+    overwrite: bool,
     junit: Path | None,
     report_path: Path | None,
     as_json: bool,
@@ -78,6 +85,7 @@ def conformance(
         from conformance.report import as_dict, write_junit, write_report
         from conformance.runner import check_before, run, select
         from conformance.unit import Timing, Unit
+        from eds.output_file import new_file
         from eds.reader import read_eds
         from wire.address import parse_address
 
@@ -99,9 +107,11 @@ def conformance(
         else:
             _print(report)
         if junit is not None:
-            write_junit(report, junit)
+            with new_file(junit, force=overwrite) as path:
+                write_junit(report, path)
         if report_path is not None:
-            write_report(report, report_path)
+            with new_file(report_path, force=overwrite) as path:
+                write_report(report, path)
         if report.ended_by is not None:
             raise report.ended_by
         sys.exit(1 if report.count("fail") + report.count("error") else 0)

@@ -12,12 +12,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from eds.exit_status import STATUSES
+from eds.output_file import is_stream, reason_against
+
 if TYPE_CHECKING:
     from rich.console import Console
 
     from eds.rig import Rig
 
 __all__ = [
+    "CPU",
     "EXIT_STATUS",
     "MODES",
     "PICTURE",
@@ -31,6 +35,7 @@ __all__ = [
     "check_mode",
     "errors",
     "faults_option",
+    "force_option",
     "json_option",
     "load",
     "mode_option",
@@ -46,21 +51,13 @@ __all__ = [
     "table_console",
 ]
 
-EXIT_STATUS = """\b
-Exit status:
-  0  ok
-  1  a check failed
-  2  usage: a wrong option or argument
-  3  configuration: rig file, EDS, law, or a device that is not what they say
-  4  bus unavailable
-  5  a node is missing
-  6  a node aborted an SDO transfer
-  7  safety: arming refused, or a trip led to the safe state
-  8  deadlines or frames lost beyond the limit
-130  interrupted (143: terminated)
-With --json, what ends a verb before its result is an object on stdout, too:
+EXIT_STATUS = (
+    "\b\nExit status:\n"
+    + "".join(f"{status:>3}  {text}\n" for status, text in STATUSES.items())
+    + """With --json, what ends a verb before its result is an object on stdout, too:
 {"event": "error", "error": TEXT, "exit_status": N}
 """
+)
 
 WORDS, RESULT = f"{__name__}.words", f"{__name__}.result"
 """What a context keeps: the words behind the verb, and that the result has been printed."""
@@ -163,27 +160,34 @@ def print_json(value: Any) -> None:
 
 
 class OutputFile(click.Path):
-    """A file that will be written: what forbids it is told before anything is run for it.
+    """A file that will be written: what forbids it is told before anything is run for it. See `eds.output_file`.
+
+    A file that exists is refused unless the verb's parameter `overwrite` is given (`force_option`).
 
     Parameters
     ----------
     suffixes : endings of the name, one of which it must have; none: any
+    dash : whether ``-`` may stand for the standard output
     """
 
-    def __init__(self, *suffixes: str) -> None:
+    def __init__(self, *suffixes: str, dash: bool = False) -> None:
         super().__init__(dir_okay=False, path_type=Path)
-        self.suffixes = suffixes
+        self.suffixes, self.dash = suffixes, dash
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the path; BadParameter says what is wrong with it."""
+        if self.dash and str(value) in ("-", "/dev/stdout"):
+            return Path("-")
         path = Path(str(super().convert(value, param, ctx)))
-        parent = path.absolute().parent
-        if self.suffixes and path.suffix.lower() not in self.suffixes:
+        pipe = ".pcapng" in self.suffixes and is_stream(path)  # it may have any name
+        if self.suffixes and path.suffix.lower() not in self.suffixes and not pipe:
             self.fail(f"{path}: expected a name that ends in {', '.join(self.suffixes)}", param, ctx)
-        if not parent.is_dir():
-            self.fail(f"{path}: there is no directory {parent}", param, ctx)
-        if not os.access(path if path.exists() else parent, os.W_OK):
-            self.fail(f"{path}: {path if path.exists() else parent} cannot be written", param, ctx)
+        force = None if ctx is None else next((p for p in ctx.command.params if p.name == "overwrite"), None)
+        remedy = "choose another name" + (f", or replace it with {force.opts[0]}" if force else "")
+        given = ctx is not None and bool(ctx.params.get("overwrite"))
+        reason = reason_against(path, force=given, remedy=remedy)
+        if reason is not None:
+            self.fail(reason, param, ctx)
         return path
 
 
@@ -221,8 +225,21 @@ class _Seconds(click.ParamType):  # type: ignore[type-arg]  # generic to some ve
         return seconds
 
 
+class _Cpu(click.ParamType):  # type: ignore[type-arg]
+    """The number of a CPU that this process may use."""
+
+    name = "cpu"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        allowed = sorted(os.sched_getaffinity(0))
+        if not str(value).isdecimal() or int(value) not in allowed:
+            self.fail(f"{value!r}: this process may use the CPUs {', '.join(map(str, allowed))}", param, ctx)
+        return int(value)
+
+
 YEAR_S = 31_557_600
 SECONDS = _Seconds()
+CPU = _Cpu()
 
 mode_option = click.option(
     "--mode", type=click.Choice(MODES), default="hybrid", show_default=True, help="Who displays the friction."
@@ -233,7 +250,12 @@ seconds_option = click.option(
     default=None,
     help="Length of the display.  [default: the rig's schedule]",
 )
-record_option = click.option("--record", type=OutputFile(), metavar="F.pcapng", help="Record every frame there.")
+record_option = click.option(
+    "--record", type=OutputFile(".pcapng"), metavar="F.pcapng", help="Record every frame there, in a new file."
+)
+force_option = click.option(
+    "--force", "overwrite", is_flag=True, is_eager=True, help="Replace files that exist; else they are refused."
+)
 rig_option = click.option(
     "--rig",
     "rig_name",
@@ -251,7 +273,7 @@ set_option = click.option(
 )
 faults_option = click.option(
     "--faults",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=click.Path(path_type=Path),
     metavar="F.toml",
     help="A fault file: what goes wrong on the bus, and when.",
 )
@@ -273,7 +295,7 @@ channel_option = click.option(
 )
 script_option = click.option(
     "--script",
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    type=click.Path(path_type=Path),
     metavar="F.toml",
     help="Switch nodes off and on, reset them, let device faults come and go at given times.",
 )

@@ -9,7 +9,9 @@ import os
 import stat
 from pathlib import Path
 
-__all__ = ["NoRegularFile", "read_regular"]
+__all__ = ["MOST_BYTES", "NoRegularFile", "read_regular", "require_regular"]
+
+MOST_BYTES = 1 << 26
 
 KINDS = (
     (stat.S_ISDIR, "a directory"),
@@ -24,7 +26,16 @@ class NoRegularFile(OSError):
     """The path is no regular file, or a larger one than is read; `strerror` says which."""
 
 
-def read_regular(path: str | Path, most_bytes: int) -> bytes:
+def require_regular(path: str | Path) -> None:
+    """Raise what `read_regular` raises of anything but a regular file; open nothing."""
+    try:
+        mode = os.stat(path).st_mode
+    except ValueError:
+        raise NoRegularFile(0, "has a zero in its name", str(path)) from None
+    _require_regular(path, mode)
+
+
+def read_regular(path: str | Path, most_bytes: int = MOST_BYTES) -> bytes:
     """Return the bytes of a regular file.
 
     Raises
@@ -34,11 +45,7 @@ def read_regular(path: str | Path, most_bytes: int) -> bytes:
     OSError
         It cannot be read.
     """
-    try:
-        mode = os.stat(path).st_mode
-    except ValueError:
-        raise NoRegularFile(0, "has a zero in its name", str(path)) from None
-    _require_regular(path, mode)
+    require_regular(path)
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # what stands there may have changed since
     with open(descriptor, "rb") as file:
         _require_regular(path, os.fstat(descriptor).st_mode)

@@ -28,12 +28,11 @@ from eds.rig_plant import Operator, Phase, Plant
 from eds.rig_text import apply_override, emit
 from eds.rig_words import explain
 from eds.signals import RigPdo, rig_pdos
-from eds.toml_lines import Key, read_toml
+from eds.toml_lines import MOST_CHARACTERS, Key, read_toml
 
 __all__ = ["Rig", "RigError", "RigNode", "known_rigs", "load_rig", "load_rig_text", "packaged_rig"]
 
 HYBRID_MARGIN = 1.2
-MOST_BYTES = 1 << 24
 """No rig file is larger."""
 
 
@@ -99,6 +98,18 @@ class Rig(RigFile):
     _axis: str = PrivateAttr("")
     _axes: tuple[Rig, ...] = PrivateAttr(())
     _values: dict[str, Any] | None = PrivateAttr(None)
+    _attached: bool = PrivateAttr(False)
+    _law_named: bool = PrivateAttr(False)
+
+    @property
+    def law_of_recording(self) -> bool:
+        """Whether nobody but a recording names the law: then it is run only if it is one of the project's own."""
+        return self._attached and not self._law_named
+
+    @property
+    def law_directory(self) -> Path:
+        """Where the file of a law is looked for before the current folder: beside the rig file, never beside a recording."""
+        return Path() if self._attached else Path(self._path).parent
 
     @property
     def axes(self) -> tuple[Rig, ...]:
@@ -151,7 +162,15 @@ class Rig(RigFile):
     @property
     def alone(self) -> Rig:
         """The axis as a rig of its own, whose nodes and signals have no axis in their names."""
-        return load_rig_text(self.effective(), self.path, self.eds_texts) if self._axis else self
+        if not self._axis:
+            return self
+        return self._marks(load_rig_text(self.effective(), self.path, self.eds_texts, attached=self._attached))
+
+    def _marks(self, rig: Rig) -> Rig:
+        """Return `rig`, of which as much was said as of this one."""
+        for one in (rig, *rig._axes):
+            one._attached, one._law_named = self._attached, self._law_named
+        return rig
 
     def on(self, channel: str) -> Rig:
         """Return the rig as it is on the bus `channel`: the axes that hang there and no other."""
@@ -160,7 +179,9 @@ class Rig(RigFile):
         there = [axis for axis in self.axes if axis.bus.channel == channel]
         if not there or self._values is None:
             raise KeyError(f"the rig has no bus '{channel}'; it has {', '.join(self.channels)}")
-        return _together(there, self._values | {"axis": {a.axis: self._values["axis"][a.axis] for a in there}})
+        return self._marks(
+            _together(there, self._values | {"axis": {a.axis: self._values["axis"][a.axis] for a in there}})
+        )
 
     @property
     def name(self) -> str:
@@ -227,10 +248,21 @@ class Rig(RigFile):
         """Return the rig with further overrides, as ``--set`` takes them."""
         if not overrides:
             return self
-        rig = _named(load_rig_text(self.effective(), self.path, self.eds_texts, overrides), self._axis)
+        found = load_rig_text(self.effective(), self.path, self.eds_texts, overrides, attached=self._attached)
+        rig = self._marks(_named(found, self._axis))
+        named = any(text.partition("=")[0].strip().endswith("law.function") for text in overrides)
+        for one in (rig, *rig._axes):
+            one._law_named |= named
         for one in (rig, *rig._axes):  # `mistake` says where a value came from
             one._text, one._overrides = self._text, (*self._overrides, *overrides)
         return rig
+
+    def with_law(self, name: str) -> Rig:
+        """Return the rig with another law, for all its axes."""
+        own = [
+            axis for axis in self._axes if self._values and "function" in self._values["axis"][axis.axis].get("law", ())
+        ]
+        return self.variant(f'law.function="{name}"', *(f'axis.{axis.axis}.law.function="{name}"' for axis in own))
 
     def mistake(self, key: str, expected: str) -> RigError:
         """Return the error that says where `key` stands, what stands there, and what was `expected`, for later checks."""
@@ -264,7 +296,8 @@ class Rig(RigFile):
         return self
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _reload, (self.effective(), self.path, dict(self.eds_texts), self._axis)
+        said = (self._attached, self._law_named)
+        return _reload, (self.effective(), self.path, dict(self.eds_texts), self._axis, said)
 
 
 def _named(rig: Rig, axis: str) -> Rig:
@@ -275,8 +308,11 @@ def _named(rig: Rig, axis: str) -> Rig:
     return rig
 
 
-def _reload(text: str, path: str, eds_texts: Mapping[str, str], axis: str) -> Rig:
-    return _named(load_rig_text(text, path, eds_texts), axis)
+def _reload(text: str, path: str, eds_texts: Mapping[str, str], axis: str, said: tuple[bool, bool]) -> Rig:
+    rig = _named(load_rig_text(text, path, eds_texts, attached=said[0]), axis)
+    for one in (rig, *rig._axes):
+        one._law_named = said[1]
+    return rig
 
 
 def packaged_rig(name: str) -> Path:
@@ -313,7 +349,7 @@ def load_rig(name_or_path: str, overrides: Sequence[str] = ()) -> Rig:
             raise RigError([f"--rig {name_or_path}: no rig of this name; {wanted}{hint}"])
         path = packaged_rig(name_or_path)
     try:
-        raw = read_regular(path, MOST_BYTES)
+        raw = read_regular(path, MOST_CHARACTERS)
     except OSError as error:
         known_names = ", ".join(known_rigs())
         reason = f"cannot be read ({error.strerror}); expected a rig file, or one of the rigs {known_names}"
@@ -331,18 +367,24 @@ def load_rig(name_or_path: str, overrides: Sequence[str] = ()) -> Rig:
 
 
 def load_rig_text(
-    text: str, name: str, eds_texts: Mapping[str, str] | None = None, overrides: Sequence[str] = ()
+    text: str,
+    name: str,
+    eds_texts: Mapping[str, str] | None = None,
+    overrides: Sequence[str] = (),
+    *,
+    attached: bool = False,
 ) -> Rig:
     """Load a rig from its text; `name` stands in for the file in errors, and gives the folder for relative paths.
 
-    With `eds_texts` (by the names that the rig file has for them) no file is read, as a recording needs it.
+    With `eds_texts` (by the names that the rig file has for them) no EDS file is read. With `attached` the text is of a recording, perhaps a
+    stranger's: no file is read at all, and its law is run only if it is one of the project's own, or named by an override.
 
     Raises
     ------
     RigError
         With every mistake that was found.
     """
-    return _load(text, name, eds_texts, overrides, [])
+    return _load(text, name, {} if attached and eds_texts is None else eds_texts, overrides, [], attached)
 
 
 def _load(
@@ -351,6 +393,7 @@ def _load(
     eds_texts: Mapping[str, str] | None,
     overrides: Sequence[str],
     broken: Sequence[tuple[float, str]],
+    attached: bool = False,
 ) -> Rig:
     document = read_toml(text)
     source = Source(path, document, found=list(broken))
@@ -366,11 +409,13 @@ def _load(
             del values["axis"][name]
     axes = split_axes(values, source)
     if axes is None:
-        rig = _validated(values, source, eds_texts)
+        rig = _validated(values, source, eds_texts, attached)
         source.raise_all()
-        return _finished(rig, text, overrides, source, values)
+        rig = _finished(rig, text, overrides, source, values)
+        rig._attached = attached
+        return rig
     sources = {name: source.of_axis(name) for name in axes}
-    rigs = [_validated(axes[name], sources[name], eds_texts) for name in axes]
+    rigs = [_validated(axes[name], sources[name], eds_texts, attached) for name in axes]
     check_axes(axes, sources)
     for one in sources.values():
         source.found += one.found
@@ -380,11 +425,12 @@ def _load(
         assert rig is not None
         rig._axis = name
         found.append(_finished(rig, text, overrides, sources[name], axes[name]))
-    whole = _finished(
-        _validated(axes[found[0].axis], sources[found[0].axis], eds_texts), text, overrides, source, values
-    )
+    first = _validated(axes[found[0].axis], sources[found[0].axis], eds_texts, attached)
+    whole = _finished(first, text, overrides, source, values)
     whole._axes, whole._values = tuple(found), values
     whole._warnings = tuple(dict.fromkeys(warning for rig in found for warning in rig.warnings))
+    for rig_of_axis in (whole, *found):
+        rig_of_axis._attached = attached
     return whole
 
 
@@ -399,9 +445,11 @@ def _together(axes: Sequence[Rig], values: dict[str, Any]) -> Rig:
     return whole
 
 
-def _validated(values: dict[str, Any], source: Source, eds_texts: Mapping[str, str] | None) -> Rig | None:
+def _validated(
+    values: dict[str, Any], source: Source, eds_texts: Mapping[str, str] | None, attached: bool = False
+) -> Rig | None:
     """Return the rig of one axis; None when it is refused. Mistakes are noted in `source`."""
-    read_schedules(values, source)
+    read_schedules(values, source, attached=attached)
     rig: Rig | None = None
     try:
         rig = Rig.model_validate(values)

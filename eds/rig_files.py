@@ -8,7 +8,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from eds.reader import MOST_BYTES, Description, EdsError, parse_eds, read_eds
+from eds.reader import Description, EdsError, parse_eds, read_eds
 from eds.regular_file import read_regular
 from eds.rig_errors import Source, nearest
 from eds.signals import deadman_object, shortcomings
@@ -73,13 +73,19 @@ def _from_file(name: str, rig_path: str) -> Description:
     )
 
 
-def read_schedules(values: Mapping[str, Any], source: Source) -> None:
-    """Fill in `t_s`, `torque_Nm` and `duration_s` of the phases of kind "file"; mistakes are noted in `source`."""
+def read_schedules(values: Mapping[str, Any], source: Source, *, attached: bool = False) -> None:
+    """Fill in `t_s`, `torque_Nm` and `duration_s` of the phases of kind "file"; mistakes are noted in `source`.
+
+    Of a rig that is `attached` to a recording no file is read: the recording has the schedule's values.
+    """
     phases = values.get("phase")
     for i, phase in enumerate(phases if isinstance(phases, list) else ()):
         if not isinstance(phase, dict) or phase.get("kind") != "file":
             continue
-        if not phase.keys() & set(COLUMNS):
+        if not phase.keys() & set(COLUMNS) and attached:
+            source.say(("phase", i, "path"), "the schedule's values are not attached; expected t_s and torque_Nm")
+            source.wrong.update(("phase", i, column) for column in (*COLUMNS, *({"duration_s"} - phase.keys())))
+        elif not phase.keys() & set(COLUMNS):
             _read_schedule(phase, ("phase", i), source)
         times = phase.get("t_s")
         if "duration_s" not in phase and isinstance(times, list) and times and type(times[-1]) in (int, float):
@@ -112,7 +118,7 @@ def _read_schedule(phase: dict[str, Any], key: tuple[str, int], source: Source) 
 def _rows(path: Path, columns: tuple[list[float], list[float]]) -> Iterator[str]:
     """Read a schedule into `columns`; yield the mistakes, each with file:line."""
     try:
-        lines = read_regular(path, MOST_BYTES).decode("utf-8-sig").splitlines()
+        lines = read_regular(path).decode("utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "no UTF-8"
         yield f"{path}:1: cannot be read ({reason}); expected a CSV file with the columns t_s,torque_Nm"

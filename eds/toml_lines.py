@@ -11,18 +11,28 @@ import tomllib
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
-__all__ = ["Document", "Key", "read_toml", "split_key"]
+__all__ = ["MOST_CHARACTERS", "Document", "Key", "read_toml", "split_key"]
 
 Key: TypeAlias = tuple[str | int, ...]
 """Path of a value: ("mode", "active", "F_s_Nm"), or ("phase", 1, "kind") in an array of tables."""
 
 MOST_ERRORS = 50
+MOST_CHARACTERS, MOST_LINES = 1 << 24, 10_000
+MOST_LETTERS, MOST_PARTS, MOST_NESTED = 500, 16, 32
 
 _PART = r"""(?:[A-Za-z0-9_-]+|"(?:[^"\\]|\\.)*"|'[^']*')"""
 _DOTTED = rf"{_PART}(?:\s*\.\s*{_PART})*"
 _KEY = re.compile(rf"\s*({_DOTTED})\s*=(.*)")
 _HEADER = re.compile(rf"\s*(\[\[?)\s*({_DOTTED})\s*\]\]?\s*(?:#.*)?$")
 _AT_LINE = re.compile(r"\s*\(at line (\d+), column (\d+)\)$|\s*\(at end of document\)$")
+
+_TOKENS = re.compile(
+    r'''"""(?:[^\\]|\\.)*?"""|'{3}.*?'{3}|"(?:[^"\\\n]|\\.)*"|'[^'\n]*'|\#[^\n]*'''
+    rf"|(?P<dotted>(?:[A-Za-z0-9_-]{{1,99}}[ \t]?\.[ \t]?){{{MOST_PARTS}}})"
+    rf"|(?P<word>[A-Za-z0-9_+-]{{{MOST_LETTERS}}})|[A-Za-z0-9_+-]+|(?P<opening>[\[{{])|(?P<closing>[\]}}])",
+    re.DOTALL,
+)
+"""Texts and comments, words, and brackets."""
 
 _HINTS = (
     (r"$|#", "a value behind the ="),
@@ -79,11 +89,37 @@ def split_key(dotted: str) -> list[str] | None:
     return [part[1:-1] if part[0] in "\"'" else part for part in re.findall(_PART, dotted)]
 
 
+def _excess(text: str) -> tuple[int, str] | None:
+    """Return line and text of the first thing that no file of ours has, and that would keep a reader busy for minutes."""
+    if len(text) > MOST_CHARACTERS:
+        return 1, f"{len(text)} characters; expected at most {MOST_CHARACTERS}"
+    if text.count("\n") > MOST_LINES:
+        return MOST_LINES + 1, f"{text.count(chr(10))} lines; expected at most {MOST_LINES}"
+    depth = 0
+    for found in _TOKENS.finditer(text):
+        what = found.lastgroup
+        if what is None:  # a text or a comment
+            continue
+        depth += (what == "opening") - (what == "closing" and depth > 0)
+        if what in ("word", "dotted") or depth > MOST_NESTED:
+            line = text.count("\n", 0, found.start()) + 1
+            told = {
+                "word": f"a number or a name of more than {MOST_LETTERS} characters; expected a shorter one",
+                "dotted": f"a key of more than {MOST_PARTS} parts; expected SECTION.KEY",
+            }
+            nested = f"more than {MOST_NESTED} brackets within each other; expected a list of values"
+            return line, f"'{_short(found[0])}' begins {told[what]}" if what in told else nested
+    return None
+
+
 def read_toml(text: str) -> Document:
     """Read `text`; nothing is raised, see `Document.problems`."""
+    excess = _excess(text)
+    if excess is not None:
+        return Document(broken={()}, problems=[excess])
     lines = text.replace("\r\n", "\n").split("\n")
     document = Document()
-    for _ in range(MOST_ERRORS):
+    for _ in range(max(3, min(MOST_ERRORS, 50_000 // len(lines)))):
         try:
             document.values = tomllib.loads("\n".join(lines))
             break

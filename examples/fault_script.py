@@ -30,7 +30,7 @@ def main() -> None:
             world.at(world.enabled_ns + AFTER_ENABLED_NS, power_off)
 
     path = Path("fault.pcapng")
-    result = simulate("bench", "hybrid", 13.0, record=path, script=lambda world: world.at(MS, look))
+    result = simulate("bench", "hybrid", 13.0, record=path, script=lambda world: world.at(MS, look), force=True)
     print(f"exit status {result.exit_status}: {result.trip}")
 
     recording = read(path)

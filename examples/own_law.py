@@ -26,7 +26,7 @@ def main() -> None:
     here = Path(__file__).resolve()
     path = Path("own_law.pcapng")
     overrides = (f"law.function={here}:stribeck", "law.user=[0.5]", "mode.hybrid.F_d_Nm=1.5")
-    result = simulate("bench", "hybrid", 13.0, record=path, overrides=overrides)
+    result = simulate("bench", "hybrid", 13.0, record=path, overrides=overrides, force=True)
     print(f"trip: {result.trip}; hold: {result.hold_counts_p2p} counts peak to peak")
 
     recording = read(path)

@@ -22,7 +22,7 @@ def main() -> None:
     options = parser.parse_args()
 
     path = options.out / f"{options.mode}.pcapng"
-    result = simulate("bench", options.mode, options.seconds, record=path)
+    result = simulate("bench", options.mode, options.seconds, record=path, force=True)
     print(f"{result.cycles} cycles, {result.lost_pdos} PDOs lost, trip: {result.trip}")
     print(f"hold: {result.hold_counts_p2p} counts peak to peak, {result.torque_flips_per_s:.1f} torque flips a second")
 

@@ -6,7 +6,7 @@ from coulombus import read, simulate
 
 out = Path("out")
 out.mkdir(exist_ok=True)
-result = simulate("two_axes", mode="hybrid", seconds=6.0, record=out / "two_axes.pcapng")
+result = simulate("two_axes", mode="hybrid", seconds=6.0, record=out / "two_axes.pcapng", force=True)
 for recording in read(out / "two_axes.pcapng").axes:  # one recording for each axis, with the signals' plain names
     held = recording["brake.setpoint_Nm"].values.max()
     push = abs(recording["brake.handle_torque_Nm"].values).max()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 from eds.codec import PDO
@@ -12,7 +11,7 @@ from eds.pdo import fill
 from eds.reader import Description
 from eds.rig import Rig
 from eds.signals import RigPdo, Signal
-from host.laws import LAW, LAW_STATE, MOTION, LawError, load_law
+from host.laws import LAW, LAW_STATE, MOTION, OWN_LAWS, LawError, load_law
 from host.records import CONTROL, DRIVE_PDOS, HOST, Image, Phase, SignResult, Trip
 from wire.frame import Records, new_records
 
@@ -102,13 +101,21 @@ class Controller:
     control, host : one-record arrays of CONTROL and HOST
     rpdos, tpdos : PDO arrays; what the host sends, and what it waits for
     law_function, motion, law, state : the friction law as a function pointer, and its three records
+
+    Raises
+    ------
+    eds.rig.RigError
+        the law cannot be loaded, or only a recording names it and it is none of the project's own; or a limit that the drive cannot take
     """
 
     def __init__(self, rig: Rig, mode: str) -> None:
         self.rig = rig
         self.mode = mode
+        if rig.law_of_recording and rig.law.function not in OWN_LAWS:
+            wanted = f"{' or '.join(OWN_LAWS)}: any other law that only a recording names is a stranger's program, and is not run"
+            raise rig.mistake("law.function", f"{wanted}; if you trust it, name it yourself: --law FILE.py:FUNCTION")
         try:
-            self.law_function: Any = load_law(rig.law.function, Path(rig.path).parent)
+            self.law_function: Any = load_law(rig.law.function, rig.law_directory)
         except LawError as error:
             raise rig.mistake("law.function", f"a friction law; {error}") from error
         self.motion = new_records(MOTION)

@@ -125,7 +125,7 @@ class DataPlane:
             "memory_fd": self.shared.fd,
             "axes": self.shared.axes,
             "law": rig.law.function,
-            "law_directory": str(Path(rig.path).parent.absolute()),
+            "law_directory": str(rig.law_directory.absolute()),
             "priority": priority,
             "cpu": cpu,
         }

@@ -41,7 +41,10 @@ from eds.compiled import JIT_DISABLED, cached
 
 import numba  # isort: skip  (after eds.compiled, which names the cache directory)
 
-__all__ = ["LAW", "LAW_STATE", "MOTION", "LawError", "coulomb", "karnopp", "load_law"]
+__all__ = ["LAW", "LAW_STATE", "MOTION", "OWN_LAWS", "LawError", "coulomb", "find_law", "karnopp", "load_law"]
+
+OWN_LAWS = ("host.laws:karnopp", "host.laws:coulomb")
+"""The project's own laws: of all laws that a recording may name these alone run without being named again."""
 
 MOTION = np.dtype(
     [
@@ -235,7 +238,7 @@ def _why_not(function: Any, error: Exception) -> str:
     return f"{place.filename}:{place.line}: {said}" if place is not None else f"{_line(function)}: {said}"
 
 
-def _find(place: str, directory: Path | None) -> Path:
+def find_law(place: str, directory: Path | None) -> Path:
     """Return the law's file: beside the rig file, else in the current folder, as EDS files are looked for."""
     tried = [folder / place for folder in (directory, Path()) if folder is not None]
     found = next((path for path in tried if path.is_file()), None)
@@ -261,7 +264,7 @@ def load_law(name: str, directory: Path | None = None) -> Any:
     )  # a decorator with a signature compiles at once
     try:
         if place.endswith(".py"):
-            path = _find(place, directory)
+            path = find_law(place, directory)
             spec = importlib.util.spec_from_file_location(f"coulombus_law_{path.stem}", path)
             if spec is None or spec.loader is None:
                 raise LawError(f"law {name!r}: {path} is not a Python file")
@@ -275,6 +278,8 @@ def load_law(name: str, directory: Path | None = None) -> Any:
     except LawError as error:
         raise LawError(f"law {name!r}: {error}") from None
     except Exception as error:
+        if hasattr(error, "exit_status"):  # a signal's: it interrupts, and is no mistake of the law
+            raise
         raise LawError(f"law {name!r}: {place} cannot be imported: {error}") from error
     own = {n: f for n, f in vars(module).items() if callable(f) and getattr(f, "__module__", "") == module.__name__}
     function = own.get(attribute, getattr(module, attribute, None))
@@ -299,4 +304,6 @@ def load_law(name: str, directory: Path | None = None) -> Any:
     try:
         return compile_law(plain, cache=own_law)
     except Exception as error:  # numba raises many kinds
+        if hasattr(error, "exit_status"):
+            raise
         raise LawError(f"law {name!r} does not compile: {_why_not(plain, error)}; see docs/laws.md") from error

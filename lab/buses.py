@@ -7,6 +7,7 @@ supervisor passes signals on, and when one ends other than well it ends the othe
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -50,6 +51,12 @@ class BusProcess:
         return found if isinstance(found, dict) else None
 
 
+def _environment() -> dict[str, str]:
+    """Return the environment of a process that finds this project wherever it stands."""
+    root = str(Path(__file__).resolve().parent.parent)
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH"))))}
+
+
 def supervise(
     channels: Sequence[str], arguments: Callable[[str], Sequence[str]], tell: Callable[[str, str], None] | None = None
 ) -> list[BusProcess]:
@@ -85,8 +92,16 @@ def supervise(
     before = {number: signal.signal(number, on_signal) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         for channel in channels:
-            command = [sys.executable, "-m", "coulombus", *arguments(channel)]
-            process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
+            command = [
+                sys.executable,
+                "-P",
+                "-m",
+                "coulombus",
+                *arguments(channel),
+            ]  # -P: no module of the current folder
+            process = subprocess.Popen(
+                command, stdout=subprocess.PIPE, text=True, start_new_session=True, env=_environment()
+            )
             buses.append(BusProcess(channel, process))
             if wanted:
                 end(wanted)

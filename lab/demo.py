@@ -104,7 +104,7 @@ def judge(rig: Rig, results: dict[str, RunResult]) -> tuple[Criterion, ...]:
 
 
 def run_demo(rig: Rig, directory: Path, *, seed: int = 0, progress: Callable[[str, float], None] | None = None) -> Demo:
-    """Run both modes through the rig's schedule; write the recordings, the figure and ``demo.json`` under `directory`."""
+    """Run both modes through the rig's schedule; write recordings and ``demo.json`` under `directory`, in place of former ones."""
     directory.mkdir(parents=True, exist_ok=True)
     seconds = schedule_s(rig)
     results = {}
@@ -114,7 +114,9 @@ def run_demo(rig: Rig, directory: Path, *, seed: int = 0, progress: Callable[[st
             if progress is not None:
                 progress(mode, t_s)
 
-        results[mode] = simulate(rig, mode, seconds, record=directory / f"{mode}.pcapng", seed=seed, progress=report)
+        results[mode] = simulate(
+            rig, mode, seconds, record=directory / f"{mode}.pcapng", seed=seed, progress=report, force=True
+        )
     demo = Demo(results, judge(rig, results))
     (directory / "demo.json").write_text(json.dumps(as_dict(demo), indent=2) + "\n")
     return demo

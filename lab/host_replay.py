@@ -1,8 +1,10 @@
 """``coulombus replay FILE --host``: the controller on a recording's inputs, held against the recording's outputs.
 
-Without overrides every SYNC, heartbeat and RPDO must come out bit for bit; the first one that does not is shown signal by signal. With another
-law, or other values of the rig file, differences are expected: then the difference of each commanded signal is given as RMS. The rig does
-not react to what is computed here, so this tells what another law would have asked for, not what would have come of it.
+Without overrides every SYNC, heartbeat and RPDO must come out bit for bit; the first one that does not is shown signal by signal. So must
+it with a law that is named anew, if its source is the recorded one. A law of the user's own runs only if it is named so: a recording may be
+a stranger's, and its law is a program. With another law, or other values of the rig file, differences are expected: then the difference of
+each commanded signal is given as RMS. The rig does not react to what is computed here, so this tells what another law would have asked for,
+not what would have come of it.
 """
 
 from __future__ import annotations
@@ -18,6 +20,8 @@ from eds.cia301 import CobId
 from eds.rig import Rig
 from eds.signals import RigPdo
 from host.controllers import Controllers
+from host.law_source import law_source, recorded_sha256
+from host.laws import OWN_LAWS
 from host.replay import Inputs, Sent, own_identifiers, replay
 from host.trace import EVENT, TRACE, Event, Moment, unpack, unpack_sent
 from scope.recording import Recording, decode_field, read
@@ -63,6 +67,8 @@ class HostReplay:
     difference: Difference | None = None
     rms: dict[str, float] | None = None
     """With overrides: RMS difference of each signal that the host commands [its unit]."""
+    judged: bool = True
+    """Whether all must come out the same: without overrides, and with a law that is the recorded one."""
     recorded_trip: str | None = None
     computed_trip: str | None = None
     remarks: tuple[str, ...] = ()
@@ -70,7 +76,7 @@ class HostReplay:
     @property
     def exit_status(self) -> int:
         """Exit status of the command: 1 when something came out otherwise that should not."""
-        return 1 if self.rms is None and self.difference is not None else 0
+        return 1 if self.judged and self.difference is not None else 0
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
@@ -82,7 +88,8 @@ def host_replay(path: str | Path, overrides: Sequence[str] = (), rig: Rig | None
 
     Parameters
     ----------
-    overrides : ``SECTION.KEY=VALUE`` of the rig file; differences are then measured, not held to be mistakes
+    overrides : ``SECTION.KEY=VALUE`` of the rig file; differences are then measured, not held to be mistakes; `law.function` with the
+        source that is attached is no such override
     rig : this one and not the attached one
 
     Raises
@@ -104,14 +111,31 @@ def host_replay(path: str | Path, overrides: Sequence[str] = (), rig: Rig | None
         raise ReplayError(f"{path}: the overrides change the PDOs, whose recorded words would mean something else")
     controllers = Controllers(chosen, mode)
     known = _known(recording, controllers)
+    law_remarks, same_law = _compare_laws(recording, chosen)
+    others = [text for text in overrides if text.partition("=")[0].strip() != "law.function"]
     check = _Check(recording, controllers, known, keep=bool(overrides))
     result = check.result
-    result.mode, result.inputs, result.remarks = mode, len(known.inputs.frames), recording.remarks
+    result.judged = not others and (same_law or not overrides)
+    result.mode, result.inputs, result.remarks = mode, len(known.inputs.frames), (*recording.remarks, *law_remarks)
     check.run(known.inputs)
     trips = [text[len("trip ") :] for _, text in recording.markers if text.startswith("trip ")]
     result.recorded_trip = trips[0] if trips else None
     result.computed_trip = controllers.trip
     return result
+
+
+def _compare_laws(recording: Recording, chosen: Rig) -> tuple[tuple[str, ...], bool]:
+    """Return what is to be told of the law, and whether its source is the recorded one."""
+    now, recorded = law_source(chosen), recorded_sha256(recording.capture.attachments)
+    name = recording.rig.law.function
+    if now is None or recorded is None:
+        text = f"{recording.path}: whether {chosen.law.function} is the recorded law {name} is not known: no SHA-256 of its source is attached"
+        own = chosen.law.function == name and name in OWN_LAWS  # as in recordings of earlier versions
+        return () if own else (text,), own
+    if now.sha256 == recorded:
+        return (), True
+    text = f"{recording.path}: the law is {chosen.law.function} with the SHA-256 {now.sha256}, recorded was {name} with {recorded}"
+    return (text,), False
 
 
 class _Known(NamedTuple):

@@ -10,6 +10,7 @@ import json
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 from eds.own_devices import PRODUCTS, VENDOR_ID, told_identity
@@ -78,7 +79,10 @@ class LiveNodes:
                 found = f"{number} diagnos{'i' if number == 1 else 'e'}s"
                 text = f"{found}, read tolerantly; see `coulombus eds check {path}`"
                 print(f"coulombus: {path}: {text}", file=sys.stderr)
-        for device in self._devices(VirtualNetwork(capacity=len(ids)), Store):  # refused before a bus is opened
+        kept = Store if self.store is None else partial(FileStore, self.store)
+        for device in self._devices(
+            VirtualNetwork(capacity=len(ids)), kept, tell=False
+        ):  # refused before a bus is opened
             for text in device.unreadable:
                 print(f"coulombus: {text}; the PDO is not valid at start, everything else is served", file=sys.stderr)
 
@@ -113,14 +117,16 @@ class LiveNodes:
         network.station(own, lambda frame: self._heard(devices[own[frame.can_id]], own[frame.can_id], frame))
         return network
 
-    def _devices(self, network: VirtualNetwork, store: Callable[[], Store]) -> list[Device]:
+    def _devices(self, network: VirtualNetwork, store: Callable[[], Store], *, tell: bool = True) -> list[Device]:
         devices = []
         for node_id, description in zip(self.node_ids, self.descriptions, strict=True):
             kept = store()
             kind = _kind(description) if self.kind is None else self.kind
             devices.append(network.add(description, node_id, kind, store=kept))
             devices[-1].record["processing_ns"] = round(self.processing_us * 1e3)
-            if isinstance(kept, FileStore) and kept.diagnosis:
+            if isinstance(kept, FileStore) and kept.foreign:
+                raise NodeError(f"--store {kept.diagnosis}; such a file is not replaced: name another one")
+            if tell and isinstance(kept, FileStore) and kept.diagnosis:
                 print(f"coulombus: {kept.diagnosis}", file=sys.stderr)
         return devices
 

@@ -127,6 +127,7 @@ def run_real_demo(
                 histogram=directory / f"{mode}-timing.png",
                 signals=signals,
                 progress=report,
+                force=True,
             )
             if signals is not None and signals.number:
                 raise Interrupted(signals.number)

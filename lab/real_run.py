@@ -19,6 +19,7 @@ from typing import Any
 import can
 import numpy as np
 
+from eds.output_file import new_file
 from eds.rig import Rig
 from host.bringup import bring_up, check_plan, release, shut_down
 from host.control_plane import RealControlPlane
@@ -105,6 +106,7 @@ class _RealRun:
         say: Callable[[str], None],
         priority: int | None,
         cpu: int | None,
+        force: bool,
     ) -> None:
         self.rig, self.address, self.record = rig, address, record
         self.signals, self.progress, self.say = signals, progress, say
@@ -131,7 +133,7 @@ class _RealRun:
             self.control = RealControlPlane(rig, address)
             self._stack.callback(self.control.close)
             if record is not None:
-                self.recorder = Recorder(record, rig, mode)
+                self.recorder = Recorder(record, rig, mode, force=force)
         except BaseException:
             self._stack.close()
             raise
@@ -398,6 +400,7 @@ def real_run(
     say: Callable[[str], None] = _say,
     priority: int | None = PRIORITY,
     cpu: int | None = None,
+    force: bool = False,
 ) -> RunResult:
     """Run the host on a bus and return what came of it.
 
@@ -413,13 +416,14 @@ def real_run(
     say : called with remarks for people
     priority : of SCHED_FIFO for the data plane, None: ask for no real-time right
     cpu : for the data plane; default is the last one that this process may use
+    force : replace `record` and `histogram` where they exist
 
     Raises
     ------
     wire.address.BusUnavailable, host.errors.HostError
         nothing was armed
     wire.pcapng.RecordingError
-        the recording cannot be created
+        the recording cannot be created, or exists
     """
     check_plan(rig)
     run = _RealRun(
@@ -432,6 +436,7 @@ def real_run(
         say=say,
         priority=priority,
         cpu=default_cpu() if cpu is None else cpu,
+        force=force,
     )
     try:
         try:
@@ -445,7 +450,8 @@ def real_run(
         if histogram is not None:
             from lab.histogram import draw_histograms
 
-            draw_histograms(*run.histograms(), histogram)
+            with new_file(histogram, force=force) as path:
+                draw_histograms(*run.histograms(), path)
         return result
     finally:
         run.close()

@@ -1,4 +1,4 @@
-"""A run's recording: frames as they come, the rig and EDS files attached, markers as comments of the frames that follow them."""
+"""A run's recording: frames as they come, the rig, EDS files and the law attached, markers as comments of the frames that follow them."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from types import TracebackType
 import numpy as np
 
 from eds.rig import Rig
+from host.law_source import law_source
 from host.trace import NAME, SENT, pack, pack_sent
 from wire.frame import Records
 from wire.pcapng import PcapngWriter
@@ -32,7 +33,7 @@ def project_version() -> str:
 
 
 class Recorder:
-    """Writes frames to a pcapng file; a marker is the comment of the first frame at or after its time.
+    """Writes frames to a pcapng file, a new one unless `force` is given; a marker is the comment of the first frame at or after its time.
 
     Raises
     ------
@@ -40,7 +41,9 @@ class Recorder:
         the file cannot be written (from the constructor, `write` and `close`); what was written before stays readable
     """
 
-    def __init__(self, path: Path, rig: Rig, mode: str, seed: int | None = None, *, bus: str = "") -> None:
+    def __init__(
+        self, path: Path, rig: Rig, mode: str, seed: int | None = None, *, bus: str = "", force: bool = False
+    ) -> None:
         attachments = {
             "rig.toml": rig.effective().encode(),
             "mode": mode.encode(),
@@ -51,7 +54,9 @@ class Recorder:
         if bus:
             attachments["bus"] = bus.encode()
         attachments |= {name: text.encode() for name, text in rig.eds_texts.items()}
-        self._writer = PcapngWriter(path, attachments=attachments)
+        law = None if bus else law_source(rig)  # of a bus alone nobody asked a law
+        attachments |= {} if law is None else law.attachments
+        self._writer = PcapngWriter(path, attachments=attachments, force=force)
         self._markers: list[tuple[int, int, str]] = []
         self._marked = 0
         self._traces = self._sents = 0

@@ -50,7 +50,11 @@ class NotToTheRig(Exception):
 @click.option("--to-rig", is_flag=True, help="Let the host's frames go to a real interface: they move the motor.")
 @click.option("--priority", type=click.IntRange(0, 99), default=70, show_default=True, help="SCHED_FIFO; 0: ordinary.")
 @click.option("--rig", "rig_name", metavar="R", help="This rig instead of the attached one.")
-@click.option("--law", metavar="M:F", help="With --host: what this law would have commanded.")
+@click.option(
+    "--law",
+    metavar="M:F",
+    help="With --host: what this law would have commanded. A law of one's own runs only if it is named here.",
+)
 @click.option("--set", "overrides", multiple=True, metavar="SECTION.KEY=V", help="With --host: other values.")
 @json_option
 def replay(**options: Any) -> None:
@@ -118,7 +122,7 @@ def _host_lines(found: HostReplay) -> list[str]:
     one = found.difference
     if one is None:
         lines.append(f"identical: {counts}")
-    elif found.rms is None:
+    elif found.judged:
         lines.append(f"FAIL at {one.t_s:.6f} s, cycle {one.cycle}: {one.name} (before that the same: {counts})")
     else:
         lines.append(f"the first difference is at {one.t_s:.6f} s, cycle {one.cycle}: {one.name}")

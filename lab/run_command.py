@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING
 import click
 
 from eds.command_line import (
+    CPU,
     EXIT_STATUS,
     PICTURE,
     buses_option,
     channel_option,
     check_mode,
     errors,
+    force_option,
     json_option,
     load,
     mode_option,
@@ -40,6 +42,7 @@ __all__ = ["run_command", "stop"]
 @mode_option
 @seconds_option
 @record_option
+@force_option
 @click.option(
     "--histogram",
     type=PICTURE,
@@ -50,7 +53,7 @@ __all__ = ["run_command", "stop"]
 @click.option(
     "--shared-machine", is_flag=True, help="Wider limits, for simulated nodes on a machine that does other work, too."
 )
-@click.option("--cpu", type=int, default=None, help="CPU for the cycle's process.  [default: the last one]")
+@click.option("--cpu", type=CPU, default=None, help="CPU for the cycle's process.  [default: the last one]")
 @json_option
 def run_command(
     rig_name: str,
@@ -59,6 +62,7 @@ def run_command(
     mode: str,
     seconds: float | None,
     record: Path | None,
+    overwrite: bool,
     histogram: Path | None,
     overrides: tuple[str, ...],
     shared_machine: bool,
@@ -77,6 +81,8 @@ def run_command(
       coulombus run --bus socketcan:can0 --rig my-rig.toml --mode active --json
     """
     with errors():
+        from eds.output_file import check as check_output
+        from lab.buses import path_on
         from lab.demo import schedule_s
         from lab.real_demo import SHARED_MACHINE
         from lab.real_run import Signals, real_run
@@ -96,7 +102,11 @@ def run_command(
             words = ["run", "--rig", rig_name, "--mode", mode, "--seconds", str(total), "--json"]
             words += [word for text in overrides for word in ("--set", text)]
             words += ["--shared-machine"] if shared_machine else []
-            sys.exit(_run_buses(words, addresses, {"--record": record, "--histogram": histogram}, mode, as_json))
+            words += ["--force"] if overwrite else []
+            files = {"--record": record, "--histogram": histogram}
+            for path in (path_on(path, channel) for path in files.values() if path for channel in addresses):
+                check_output(path, force=overwrite)  # of all buses before the first one starts
+            sys.exit(_run_buses(words, addresses, files, mode, as_json))
         (address,) = addresses.values()
         with Signals() as signals, progress(not as_json) as report:
             result = real_run(
@@ -109,6 +119,7 @@ def run_command(
                 signals=signals,
                 progress=lambda t: report(mode, t, total),
                 cpu=cpu,
+                force=overwrite,
             )
         if as_json:
             print_json(result.as_dict())

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from eds.command_line import (
+    CPU,
     EXIT_STATUS,
     MODES,
     SECONDS,
@@ -17,6 +18,7 @@ from eds.command_line import (
     channel_option,
     errors,
     faults_option,
+    force_option,
     json_option,
     rig_option,
     script_option,
@@ -41,13 +43,14 @@ __all__ = ["node_command", "sim"]
 @script_option
 @click.option(
     "--record",
-    type=OutputFile(),
+    type=OutputFile(".pcapng"),
     metavar="F.pcapng",
     help="Record every frame there, at its end of frame in the bus's own time; `replay --virtual` holds it against virtual time.",
 )
+@force_option
 @click.option("--unpaced", is_flag=True, help="Frames take no time: for measurements.")
 @click.option("--priority", type=click.IntRange(0, 99), default=79, show_default=True, help="SCHED_FIFO; 0: ordinary.")
-@click.option("--cpu", type=click.IntRange(0), default=None, help="Keep the bus on this CPU.")
+@click.option("--cpu", type=CPU, default=None, help="Keep the bus on this CPU.")
 @set_option
 @seed_option
 @faults_option
@@ -60,6 +63,7 @@ def sim(
     seconds: float | None,
     script: Path | None,
     record: Path | None,
+    overwrite: bool,
     unpaced: bool,
     priority: int,
     cpu: int | None,
@@ -117,7 +121,15 @@ def sim(
 
         def make() -> SimServer:
             return SimServer(
-                rig, address, mode=chosen, seed=seed, script=entries, unpaced=unpaced, record=record, faults=plan
+                rig,
+                address,
+                mode=chosen,
+                seed=seed,
+                script=entries,
+                unpaced=unpaced,
+                record=record,
+                faults=plan,
+                force=overwrite,
             )
 
         sys.exit(run_sim(make, seconds, priority=priority or None, cpu=cpu, as_json=as_json))

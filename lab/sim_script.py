@@ -14,13 +14,14 @@ A node has the faults that FAULTS names for it. "clear" takes the cause away; th
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eds.cia301 import NmtCommand
+from eds.regular_file import read_regular
+from eds.toml_lines import MOST_CHARACTERS, read_toml
 from lab.kernel import BRAKE, MOTOR
 
 if TYPE_CHECKING:
@@ -80,9 +81,14 @@ def read_script(path: Path) -> tuple[Entry, ...]:
         The file is no TOML, or an entry is not as above.
     """
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ScriptError(f"{path}: {error}") from None
+        document = read_toml(read_regular(path, MOST_CHARACTERS).decode())
+    except OSError as error:
+        raise ScriptError(f"{path}: the script cannot be read ({error.strerror or error})") from None
+    except UnicodeDecodeError as error:
+        raise ScriptError(f"{path}: {error}; save the file as UTF-8") from None
+    if document.problems:
+        raise ScriptError("\n".join(f"{path}:{line}: {problem}" for line, problem in document.problems))
+    table = document.values
     entries = table.pop("at", [])
     if table or not isinstance(entries, list):
         other = "; a fault file is given by --faults" if {"fault", "noise", "seed"} & set(table) else ""

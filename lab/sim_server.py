@@ -71,6 +71,7 @@ class SimServer(BusServer):
     unpaced : frames take no time
     record : a recording of every frame, stamped with its end of frame in the bus's own time from power-on
     faults : what goes wrong on the bus, and when
+    force : replace `record` where it exists
 
     Raises
     ------
@@ -93,10 +94,11 @@ class SimServer(BusServer):
         unpaced: bool = False,
         record: Path | None = None,
         faults: FaultPlan | None = None,
+        force: bool = False,
     ) -> None:
         if faults is not None and (unpaced or address.kind == "socketcan"):
             raise FaultError(f"{faults.path}: a bus without bit times has no faults; leave --unpaced and socketcan out")
-        recorder = None if record is None else Recorder(record, rig, mode, seed, bus=PACED)
+        recorder = None if record is None else Recorder(record, rig, mode, seed, bus=PACED, force=force)
 
         def make_world(bit_rate: int, trial: bool) -> PacedRig:
             return PacedRig(rig, mode, seed, bit_rate, None if trial or recorder is None else recorder.write)

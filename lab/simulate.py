@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from eds.output_file import check as check_output
+from eds.output_file import open_new
 from eds.rig import Rig, load_rig
 from host.bringup import check_plan, release, shut_down
 from host.controllers import Controllers
@@ -121,7 +123,7 @@ class _Run:
     def __init__(self, order: _Order) -> None:
         rig, mode, seed = order.rig, order.mode, order.seed
         self.record, self.progress = order.record, order.progress
-        self.recorder = Recorder(self.record, rig, mode, seed) if self.record is not None else None
+        self.recorder = Recorder(self.record, rig, mode, seed, force=order.force) if self.record is not None else None
         self.failure: str | None = None
         self.losses: tuple[str, ...] = ()
         on_frames, truth = self._write if self.recorder else None, order.truth is not None
@@ -244,6 +246,7 @@ def simulate(
     script: Callable[[VirtualRig], None] | None = None,
     faults: FaultPlan | str | os.PathLike[str] | None = None,
     progress: Callable[[float], None] | None = None,
+    force: bool = False,
 ) -> RunResult:
     """Run the rig in virtual time and return what came of it.
 
@@ -259,13 +262,14 @@ def simulate(
     script : called before power-on; plans faults with ``world.at(t_ns, action)``
     faults : a fault file (docs/bus.md): what goes wrong on the bus, and when
     progress : called with the display's time in s every 0.25 s of it
+    force : replace `record` and `truth` where they exist
 
     Raises
     ------
     host.errors.HostError
         a node is missing, refuses a value or is not what the rig file says; nothing was armed
     eds.rig.RigError, host.laws.LawError, wire.pcapng.RecordingError
-        the rig file, the law or the recording's path is wrong
+        the rig file, the law or the recording's path is wrong, or the recording exists
     sim_bus.fault_file.FaultError
         the fault file is wrong
     """
@@ -276,13 +280,15 @@ def simulate(
     if not (math.isfinite(seconds) and seconds > 0):
         raise ValueError(f"seconds {seconds!r}: expected a number above 0")
     check_plan(chosen)
+    for path in (Path(one) for one in (record, truth) if one is not None):
+        for channel in chosen.channels:  # known before the first bus is run
+            check_output(path_on(path, channel) if len(chosen.channels) > 1 else path, force=force)
     if truth is not None:
         size = seconds / chosen.plant.step_s * 8 * len(TRUTH_COLUMNS)
         if size > TRUTH_BYTES:
             raise TruthError(
                 f"{truth}: {size / 1e9:.0f} GB of truth; show less than {seconds:g} s, or raise plant.step_s"
             )
-        _save(Path(truth))  # whether it can be written is better known before the run
     if wrong is not None and len(chosen.channels) == 1:
         wrong = wrong.on(chosen.channels[0], chosen.channels)
     order = _Order(
@@ -295,6 +301,7 @@ def simulate(
         script=script,
         faults=wrong,
         progress=progress,
+        force=force,
     )
     return _simulate_bus(order) if len(chosen.channels) == 1 else _simulate_buses(order)
 
@@ -312,6 +319,7 @@ class _Order:
     script: Callable[[VirtualRig], None] | None
     faults: FaultPlan | None
     progress: Callable[[float], None] | None
+    force: bool
 
     def on(self, channel: str, stop_ns: int | None) -> _Order:
         """Return what that is on one bus, whose host is stopped at `stop_ns`; it has files of its own."""
@@ -337,14 +345,16 @@ def _simulate_buses(order: _Order) -> RunResult:
     results = {channel: _simulate_bus(one) for channel, one in orders.items()}
     trips = {result.trip_ns: channel for channel, result in results.items() if result.trip_ns}
     if trips:
-        first = min(trips)
-        results = {c: r if c == trips[first] else _simulate_bus(order.on(c, first)) for c, r in results.items()}
+        first, again = min(trips), replace(order, force=True)  # its files are those of the first time
+        results = {c: r if c == trips[first] else _simulate_bus(again.on(c, first)) for c, r in results.items()}
     told = {channel: result.as_dict() for channel, result in results.items()}
     return RunResult(**merged(told, {channel: result.exit_status for channel, result in results.items()}))
 
 
 def _simulate_bus(order: _Order) -> RunResult:
     """Run the axes of one bus."""
+    if order.truth is not None:  # whether it can be written is better known before the run
+        _create(order.truth, force=order.force)
     run = _Run(order)
     try:
         if order.faults is not None:
@@ -361,12 +371,21 @@ def _simulate_bus(order: _Order) -> RunResult:
     return run.result()
 
 
-def _save(path: Path, arrays: Mapping[str, Any] | None = None) -> None:
+def _create(path: Path, *, force: bool) -> None:
     try:
-        with path.open("ab" if arrays is None else "wb") as file:  # given a name, numpy would append .npz to it
-            if arrays is not None:
-                np.savez(file, **arrays)
+        os.close(open_new(path, force=force))
     except OSError as error:
-        raise TruthError(
-            f"{path}: the truth cannot be written ({error.strerror or error}); name a file with room for it"
-        ) from error
+        raise _no_truth(path, error) from error
+
+
+def _save(path: Path, arrays: Mapping[str, Any]) -> None:
+    try:
+        with path.open("wb") as file:  # given a name, numpy would append .npz to it
+            np.savez(file, **arrays)
+    except OSError as error:
+        raise _no_truth(path, error) from error
+
+
+def _no_truth(path: Path, error: OSError) -> TruthError:
+    reason = error.strerror or error
+    return TruthError(f"{path}: the truth cannot be written ({reason}); name a file with room for it")

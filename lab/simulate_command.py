@@ -15,6 +15,7 @@ from eds.command_line import (
     check_mode,
     errors,
     faults_option,
+    force_option,
     json_option,
     load,
     mode_option,
@@ -42,6 +43,7 @@ __all__ = ["demo", "simulate_command"]
 @mode_option
 @seconds_option
 @record_option
+@force_option
 @seed_option
 @faults_option
 @set_option
@@ -58,6 +60,7 @@ def simulate_command(
     mode: str,
     seconds: float | None,
     record: Path | None,
+    overwrite: bool,
     seed: int,
     faults: Path | None,
     overrides: tuple[str, ...],
@@ -99,6 +102,7 @@ def simulate_command(
                 script=lambda world: world.plan(entries),
                 faults=faults,
                 progress=lambda t: report(mode, t, total),
+                force=overwrite,
             )
         remark(result.losses or ())
         if as_json:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eds.rig import Rig
+from host.laws import OWN_LAWS
 from host.step import SOURCE_HOST
 from lab.host_replay import ReplayError
 from lab.senders import senders
@@ -102,6 +103,10 @@ def virtual_replay(path: str | Path, rig: Rig | None = None) -> VirtualReplay:
             f"{path}: faults of a fault file struck in it ({struck}), and what they did to the bits is not in a recording: --virtual checks "
             "recordings without faults; --host checks this one"
         )
+    if recording.rig.law_of_recording and recording.rig.law.function not in OWN_LAWS:
+        recording = replace(
+            recording, rig=recording.rig.with_law(OWN_LAWS[0])
+        )  # nobody asks it: the host's frames are the recorded ones
     seed, mode = (attachments[name].decode(errors="replace") for name in ("seed", "mode"))
     if not seed.isdecimal() or mode not in recording.rig.mode:
         raise ReplayError(

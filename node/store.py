@@ -9,10 +9,12 @@ torn, or of another device, is not used: `FileStore.diagnosis` says why, and the
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import zlib
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 
 from eds.regular_file import read_regular
@@ -63,29 +65,39 @@ class FileStore(Store):
     ----------
     diagnosis
         Why the file was not used, else None.
+    foreign
+        Whether something else than a device's store stands there, or what cannot be read: it is not replaced.
     """
 
     def __init__(self, path: str | Path) -> None:
         super().__init__()
         self._path = Path(path)
         self._identity = ""
+        self.foreign = False
         self.diagnosis: str | None = None
 
     def attach(self, identity: str) -> None:
         """Read the file, and use it if it is whole and was written by the device `identity`."""
-        self._identity, self._sections, self.diagnosis = identity, {}, None
+        self._identity, self._sections, self.diagnosis, self.foreign = identity, {}, None, False
         try:
-            self._sections = _parse(read_regular(self._path, MOST_BYTES), identity)
+            raw = read_regular(self._path, MOST_BYTES)
+            self.foreign = bool(raw.strip(b"\0\n")) and not _MAGIC.encode().startswith(raw[: len(_MAGIC)])
+            self._sections = _parse(raw, identity)
         except FileNotFoundError:
             pass
         except OSError as error:
+            self.foreign = True
             self.diagnosis = f"{self._path}: cannot be read ({error.strerror}); the device starts with its defaults"
         except ValueError as error:
             self.diagnosis = f"{self._path}: {error}; the device starts with its defaults"
 
     def _write(self, sections: Sections) -> None:
+        if self.foreign:
+            raise OSError(errno.EEXIST, "is no store of a device, and is not replaced", str(self._path))
         beside = self._path.with_name(self._path.name + ".new")
-        file = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
+        with suppress(FileNotFoundError):
+            beside.unlink()  # what a power cut left; a link is not followed
+        file = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o644)
         try:
             content = memoryview(_spell(sections, self._identity))
             while content:

@@ -14,6 +14,7 @@ from eds.command_line import (
     OutputFile,
     bus_option,
     errors,
+    force_option,
     load,
     remark,
     rig_option,
@@ -70,9 +71,11 @@ def decode(file: Path, rig_name: str | None, as_json: bool) -> None:
 @click.option(
     "--pcapng",
     "pcapng",
+    type=OutputFile(".pcapng", dash=True),
     metavar="F",
     help="Show nothing; write the frames there as they come: - for stdout, a named pipe, or a file.",
 )
+@force_option
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line to stdout.")
 def watch(
     rig_name: str,
@@ -81,7 +84,8 @@ def watch(
     channel: str | None,
     seconds: float | None,
     interval: float | None,
-    pcapng: str | None,
+    pcapng: Path | None,
+    overwrite: bool,
     as_json: bool,
 ) -> None:
     """Show a bus live: PDOs by name in SI units with rate and age, states of the nodes, emergencies, losses.
@@ -108,7 +112,14 @@ def watch(
 
         if as_json or interval is not None:
             raise click.UsageError("--pcapng shows nothing: leave --json and --interval out")
-        stream(rig, address, pcapng, seconds=seconds, say=lambda text: click.echo(f"coulombus: {text}", err=True))
+        stream(
+            rig,
+            address,
+            str(pcapng),
+            seconds=seconds,
+            say=lambda text: click.echo(f"coulombus: {text}", err=True),
+            force=overwrite,
+        )
 
 
 @click.command(epilog=EXIT_STATUS)
@@ -122,7 +133,8 @@ def watch(
     metavar="F.dbc",
     help="Write the file there.  [default: stdout]",
 )
-def dbc(rig_name: str, overrides: tuple[str, ...], channel: str | None, out: Path | None) -> None:
+@force_option
+def dbc(rig_name: str, overrides: tuple[str, ...], channel: str | None, out: Path | None, overwrite: bool) -> None:
     """Write a DBC file of the rig's PDOs and services, for cantools, SavvyCAN, PlotJuggler.
 
     \b
@@ -132,6 +144,7 @@ def dbc(rig_name: str, overrides: tuple[str, ...], channel: str | None, out: Pat
       candump -L can0 | cantools decode bench.dbc
     """
     with errors():
+        from eds.output_file import new_file
         from eds.rig import load_rig
         from scope.dbc import dbc_text
         from wire.rig_buses import one_bus
@@ -141,7 +154,5 @@ def dbc(rig_name: str, overrides: tuple[str, ...], channel: str | None, out: Pat
             sys.stdout.write(text)
             sys.stdout.flush()
             return
-        try:
-            out.write_text(text, encoding="cp1252", errors="replace")  # what readers of DBC files expect
-        except OSError as error:
-            raise click.BadParameter(f"{out}: {error.strerror}", param_hint="-o / --out") from None
+        with new_file(out, force=overwrite) as path:
+            path.write_text(text, encoding="cp1252", errors="replace")  # what readers of DBC files expect

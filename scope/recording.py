@@ -312,7 +312,7 @@ def _attached_rig(captures: Iterable[Capture]) -> Rig:
         damaged = f" ({'; '.join(warnings)})" if warnings else ""
         raise RigError([f"{capture.path}: no {RIG} is attached, so its PDOs have no meaning{damaged}; {give}"])
     try:
-        return load_rig_text(texts.pop(RIG), f"{capture.path}[{RIG}]", texts)
+        return load_rig_text(texts.pop(RIG), f"{capture.path}[{RIG}]", texts, attached=True)
     except RigError as error:
         remedy = f"{capture.path}: its attached rig cannot be read by this version; {give}"
         raise RigError([*error.errors, remedy]) from error

@@ -33,12 +33,14 @@ def stream(
     *,
     seconds: float | None = None,
     say: Callable[[str], None] = lambda text: None,
+    force: bool = False,
 ) -> int:
     """Write what the bus carries until a signal, for `seconds`, or until the reader of a pipe goes away; return the number of frames.
 
     Parameters
     ----------
     path : a file, a named pipe, or ``-`` for the standard output; rig and EDS files are attached in front
+    force : replace a file that exists
 
     Raises
     ------
@@ -50,9 +52,12 @@ def stream(
     attachments = {"rig.toml": rig.effective().encode()}
     attachments |= {name: text.encode() for name, text in rig.eds_texts.items()}
     with Client(address, Hello(Flags.LISTEN_ONLY | Flags.ERRORS)) as client:
-        place = STDOUT if path == "-" else path
+        place, force = (STDOUT, True) if path == "-" else (path, force)
         try:
-            with PcapngWriter(place, attachments=attachments, interface=str(address)) as writer, StopSignals() as stop:
+            with (
+                PcapngWriter(place, attachments=attachments, interface=str(address), force=force) as writer,
+                StopSignals() as stop,
+            ):
                 _copy(client, writer, stop, None if seconds is None else time.monotonic() + seconds)
                 frames = writer.frames
         except RecordingError as error:

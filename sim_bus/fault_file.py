@@ -31,7 +31,8 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, field_validator, model_validator
 
-from eds.toml_lines import Document, Key, read_toml
+from eds.regular_file import read_regular
+from eds.toml_lines import MOST_CHARACTERS, Document, Key, read_toml
 from sim_bus.fault_words import mistakes
 from sim_bus.faults import MAX_FAULTS, TAIL_BIT
 
@@ -348,7 +349,7 @@ def read_faults(path: Path) -> FaultPlan:
         it cannot be read, or holds a mistake; the text has a line for each, with file and line
     """
     try:
-        raw = path.read_bytes()
+        raw = read_regular(path, MOST_CHARACTERS)
     except OSError as error:
         raise FaultError(f"{path}: the fault file cannot be read ({error.strerror or error})") from None
     try:

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
+import pickle
 import struct
+import sys
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from coulombus import main
-from eds.rig import load_rig
+from eds.rig import RigError, load_rig
 from host.trace import EVENT, TRACE, Event, Moment, pack, pack_sent, unpack, unpack_sent
 from lab.host_replay import ReplayError, host_replay
 from lab.simulate import simulate
+from scope.recording import read
 from wire.frame import FRAME
 from wire.pcapng import PcapngWriter, read_pcapng
 
@@ -256,3 +260,108 @@ def test_events_and_what_was_sent_as_attachments():
     attached = {"host.sent.0": pack_sent(sent[:2]), "host.sent.1": pack_sent(sent[2:])}
     assert unpack_sent(attached).tolist() == sent.tolist()
     assert unpack_sent({"mode": b"hybrid"}) is None
+
+
+STRANGE = """from pathlib import Path
+
+Path({witness!r}).touch()
+
+
+def law(motion, law, state):
+    return 0.0
+"""
+
+
+@pytest.fixture
+def strangers(recorded, tmp_path, monkeypatch):
+    """Return a recording whose rig names a law, by its name; what the law's file leaves behind when it is run."""
+    witness = tmp_path / "it-ran"
+    (tmp_path / "evil.py").write_text(STRANGE.format(witness=str(witness)))
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def make(name):
+        capture = read_pcapng(recorded)
+        rig = capture.attachments["rig.toml"].decode().replace("host.laws:karnopp", name)
+        assert name in rig
+        with PcapngWriter(
+            tmp_path / "theirs.pcapng", attachments=capture.attachments | {"rig.toml": rig.encode()}
+        ) as writer:
+            writer.write(capture.frames, dict(capture.comments))
+        return tmp_path / "theirs.pcapng", witness
+
+    return make
+
+
+@pytest.mark.parametrize("name", ["evil.py:law", "HERE/evil.py:law", "evil:law", "os:system", "host.laws:load_law"])
+def test_a_law_that_only_a_recording_names_is_not_run(strangers, tmp_path, name):
+    path, witness = strangers(name.replace("HERE", str(tmp_path)))
+    done = CliRunner().invoke(main, ["replay", str(path), "--host"])
+    assert done.exit_code == 3, done.output
+    assert "name it yourself: --law" in done.output
+    with pytest.raises(RigError, match="--law"):  # nor in a run of its rig
+        simulate(read(path).rig, "active", 0.01)
+    with pytest.raises(RigError, match="--law"):
+        simulate(pickle.loads(pickle.dumps(read(path).rig.variant("limits.still_s=0.2"))), "active", 0.01)
+    assert CliRunner().invoke(main, ["decode", str(path)]).exit_code == 0
+    assert CliRunner().invoke(main, ["identify", str(path)]).exit_code == 1  # no strokes in it
+    assert not witness.exists()
+    assert "evil" not in sys.modules
+
+
+def test_the_law_that_the_user_names_runs_and_not_the_one_beside_the_recording(strangers, tmp_path, monkeypatch):
+    path, witness = strangers("evil.py:law")
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "evil.py").write_text(STRANGE.format(witness=str(tmp_path / "mine-ran")))
+    monkeypatch.chdir(tmp_path / "mine")
+    for given in (("--law", "evil.py:law"), ("--set", "law.function=evil.py:law")):
+        done = CliRunner().invoke(main, ["replay", str(path), "--host", *given])
+        assert done.exit_code == 0, done.output
+        assert (tmp_path / "mine-ran").exists()
+        (tmp_path / "mine-ran").unlink()
+    assert not witness.exists()
+
+
+def test_a_schedule_that_a_recording_names_is_not_read(recorded, tmp_path):
+    capture = read_pcapng(recorded)
+    rig = capture.attachments["rig.toml"].decode() + '\n[[phase]]\nkind = "file"\npath = "/etc/passwd"\n'
+    with PcapngWriter(tmp_path / "a.pcapng", attachments=capture.attachments | {"rig.toml": rig.encode()}) as writer:
+        writer.write(capture.frames, {})
+    with pytest.raises(RigError, match="the schedule's values are not attached") as refused:
+        read(tmp_path / "a.pcapng")
+    assert "root" not in str(refused.value)
+
+
+OWN = "def law(motion, law, state):\n    state.brake_Nm = law.F_d\n    return {} * motion.v_rad_s\n"
+
+
+def test_a_law_of_the_user_is_attached_and_a_changed_one_is_told(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    own, path = tmp_path / "own.py", tmp_path / "own.pcapng"
+    own.write_text(OWN.format("0.2"))
+    simulate("bench", "active", 0.05, record=path, overrides=("law.function=own.py:law",))
+    attachments = read_pcapng(path).attachments
+    assert attachments["host.law.py"] == own.read_bytes()
+    assert attachments["host.law.sha256"].decode() == hashlib.sha256(own.read_bytes()).hexdigest()
+    assert host_replay_by_law(path, "own.py:law") == (0, "", True)
+    own.write_text(OWN.format("0.3"))
+    status, told, judged = host_replay_by_law(path, "own.py:law")
+    assert (status, judged) == (0, False)
+    assert hashlib.sha256(own.read_bytes()).hexdigest() in told
+    assert attachments["host.law.sha256"].decode() in told
+
+
+def host_replay_by_law(path, law):
+    done = CliRunner().invoke(main, ["replay", str(path), "--host", "--json", "--law", law])
+    return done.exit_code, done.stderr, json.loads(done.stdout)["judged"]
+
+
+def test_another_version_of_our_own_law_is_told(recorded, tmp_path):
+    assert not host_replay(recorded).remarks
+    capture = read_pcapng(recorded)
+    other = capture.attachments | {"host.law.sha256": b"0" * 64}
+    with PcapngWriter(tmp_path / "a.pcapng", attachments=other) as writer:
+        writer.write(capture.frames, dict(capture.comments))
+    (told,) = host_replay(tmp_path / "a.pcapng").remarks
+    assert "host.laws:karnopp" in told
+    assert "0" * 64 in told

@@ -23,6 +23,7 @@ from hypothesis import strategies as st
 import wire.pcapng
 from wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, FRAME, data_word
 from wire.pcapng import PcapngError, PcapngWriter, RecordingError, read_pcapng
+from wire.pcapng_blocks import attachment_block
 
 ROOT = Path(__file__).resolve().parent.parent
 needs_tshark = pytest.mark.skipif(shutil.which("tshark") is None, reason="tshark is not installed")
@@ -356,6 +357,41 @@ def test_a_damaged_attachment_is_left_out_and_said(tmp_path: Path):
 
 
 # ------------------------------------------------------------------------------------------------ full disks
+
+
+def test_a_recording_is_not_overwritten_unless_asked(tmp_path: Path):
+    path = tmp_path / "a.pcapng"
+    with PcapngWriter(path, attachments={"a": b"first"}):
+        pass
+    before = path.read_bytes()
+    with pytest.raises(RecordingError, match=r"a\.pcapng exists; .*--force"):
+        PcapngWriter(path, attachments={})
+    assert path.read_bytes() == before
+    with PcapngWriter(path, attachments={"a": b"second"}, force=True):
+        pass
+    assert read_pcapng(path).attachments == {"a": b"second"}
+    (tmp_path / "link.pcapng").symlink_to(tmp_path / "nowhere")
+    with pytest.raises(RecordingError, match="exists"):
+        PcapngWriter(tmp_path / "link.pcapng", attachments={})
+
+
+def test_attachments_that_unpack_to_gigabytes_are_left_out_and_said(tmp_path: Path):
+    """60 attachments of 64 MB, 3.8 MB in the file."""
+    path, zeros = tmp_path / "bomb.pcapng", bytes(64 << 20)
+    with PcapngWriter(path, attachments={"small": b"kept"}) as writer:
+        one = attachment_block("zeros", zeros)
+        for n in range(60):
+            os.write(writer._fd, one.replace(b"zeros", b"zer%02d" % n))
+        writer.write(records([(0, 1, b"")]))
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    capture = read_pcapng(path)
+    grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+    assert grown < 400 << 10  # KiB
+    assert capture.attachments["small"] == b"kept"
+    assert sum(map(len, capture.attachments.values())) <= (128 << 20) + 4 * path.stat().st_size
+    (told,) = capture.warnings
+    assert "left out from here on" in told
+    assert len(capture.frames) == 1
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")

@@ -6,9 +6,11 @@ import os
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 from node_bench import Bench, SdoAborted
 
 import node.store
+from coulombus import main
 from node.store import FileStore
 
 SAVE, LOAD = b"save", b"load"
@@ -164,7 +166,7 @@ def test_the_file_of_another_device_is_not_used(tmp_path: Path):
     assert str(path) in store.diagnosis
 
 
-@pytest.mark.parametrize("content", [b"", b"\n", b"hello\n{}", b"coulombus-store 1 2 a3830348\n{}", bytes(300)])
+@pytest.mark.parametrize("content", [b"", b"\n", b"coulombus-store 1 2 a3830348\n{}", bytes(300)])
 def test_a_foreign_file_is_not_used(tmp_path: Path, content):
     path = tmp_path / "a.store"
     path.write_bytes(content)
@@ -326,3 +328,33 @@ def test_a_put_that_fails_keeps_what_was(tmp_path: Path, monkeypatch):
     assert store.section("communication") == {"1017:00": b"\x01\x00"}
     store.attach("device")
     assert store.section("communication") == {"1017:00": b"\x01\x00"}
+
+
+def test_what_is_written_beside_follows_no_link(tmp_path: Path):
+    theirs = tmp_path / "theirs"
+    theirs.write_text("mine")
+    (tmp_path / "store.new").symlink_to(theirs)
+    store = FileStore(tmp_path / "store")
+    store.attach("it")
+    store.put({"communication": {"1017:00": b"\x01\x00"}})
+    assert theirs.read_text() == "mine"
+    assert not (tmp_path / "store.new").exists()
+    again = FileStore(tmp_path / "store")
+    again.attach("it")
+    assert again.section("communication")["1017:00"] == b"\x01\x00"
+
+
+def test_another_kind_of_file_is_not_replaced(tmp_path: Path):
+    path = tmp_path / "rig.toml"
+    path.write_text("[rig]\n")
+    store = FileStore(path)
+    store.attach("it")
+    assert store.foreign
+    with pytest.raises(OSError, match="is no store of a device"):
+        store.put({"communication": {"1017:00": b"\x01\x00"}})
+    assert path.read_text() == "[rig]\n"
+    done = CliRunner().invoke(
+        main, ["node", "eds/motor.eds", "--node-id", "1", "--bus", "coulombus:none", "--store", str(path)]
+    )
+    assert done.exit_code == 2
+    assert "is not replaced: name another one" in done.output

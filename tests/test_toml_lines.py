@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import re
+from collections.abc import Callable
 from pathlib import Path
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from eds.rig import RigError, load_rig_text
+from eds.rig import RigError, load_rig, load_rig_text
 from eds.toml_lines import read_toml
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -61,3 +64,41 @@ def test_a_damaged_file_is_read_or_refused_with_lines(data: st.DataObject) -> No
         place = re.match(r"r\.toml:(\d+): ", mistake)
         assert place, mistake
         assert 1 <= int(place[1]) <= text.count("\n") + 1
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("x = " + "[" * 100_000 + "]" * 100_000, "more than 32 brackets within each other"),
+        ("x = " + "{a=" * 100_000, "more than 32 brackets within each other"),
+        ("x = " + "9" * 5_000, "a number or a name of more than 500 characters"),
+        ("k" * 100_000 + " = 1", "a number or a name of more than 500 characters"),
+        (".".join("a" * 50_000) + " = 1", "a key of more than 16 parts"),
+        ("[" + ". ".join("a" * 50_000) + "]", "a key of more than 16 parts"),
+        ("x\n" * 100_000, "lines; expected at most 10000"),
+        ("#" * (1 << 25), "characters; expected at most"),
+    ],
+    ids=["nested", "inline", "digits", "key", "parts", "header", "lines", "long"],
+)
+def test_what_would_keep_a_reader_busy_for_minutes_is_refused_at_once(text: str, told: str) -> None:
+    document = read_toml("a = 1\n" + text)
+    ((line, problem),) = document.problems
+    assert told in problem
+    assert line in (1, 2, 10_001)
+    assert document.is_broken(("a",))
+
+
+def test_long_texts_and_comments_and_deep_texts_are_read() -> None:
+    text = (
+        f'# {"x" * 10_000}\na = "{"[" * 10_000}" # {"]" * 1000}\nb = \'{"y" * 10_000}\'\nc = """\n{"z" * 10_000}\n"""\n'
+    )
+    document = read_toml(text)
+    assert document.problems == []
+    assert set(document.values) == {"a", "b", "c"}
+
+
+@pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/zero"), lambda path: path.mkdir()])
+def test_a_rig_file_without_an_end_is_refused(tmp_path: Path, make: Callable[[Path], None]) -> None:
+    make(tmp_path / "rig.toml")
+    with pytest.raises(RigError, match=r"rig\.toml: cannot be read"):
+        load_rig(str(tmp_path / "rig.toml"))

@@ -173,3 +173,16 @@ def test_frames_are_recorded_by_their_age_too(tmp_path, monkeypatch):
         server.close()
     assert whole[0] == 2
     assert result.seconds < PATIENCE_S  # it was not the end that wrote them
+
+
+def test_a_law_that_the_recording_names_is_not_run(recorded, tmp_path):
+    """The frames of the host are the recorded ones: nodes and bus need no law."""
+    (tmp_path / "evil.py").write_text(
+        f"open({str(tmp_path / 'it-ran')!r}, 'w')\ndef law(motion, law, state):\n    return 0.0\n"
+    )
+    capture = read_pcapng(recorded)
+    rig = capture.attachments["rig.toml"].decode().replace("host.laws:karnopp", "evil.py:law")
+    with PcapngWriter(tmp_path / "a.pcapng", attachments=capture.attachments | {"rig.toml": rig.encode()}) as writer:
+        writer.write(capture.frames, dict(capture.comments))
+    assert virtual_replay(tmp_path / "a.pcapng").identical
+    assert not (tmp_path / "it-ran").exists()

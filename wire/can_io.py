@@ -64,8 +64,8 @@ class PcapngMessageReader(MessageReader):
 class PcapngMessageWriter(SizedMessageWriter):
     """Write python-can's messages to a pcapng file that Wireshark and ``coulombus decode --rig R`` read.
 
-    Messages are handed over in batches of 0.1 s, so of a killed program no more than that is missing. CAN FD frames are
-    left out, counted (`skipped`) and told at the end.
+    A file that exists is replaced, as python-can's own writers do. Messages are handed over in batches of 0.1 s, so of a killed program no more
+    than that is missing. CAN FD frames are left out, counted (`skipped`) and told at the end.
 
     Raises
     ------
@@ -82,7 +82,7 @@ class PcapngMessageWriter(SizedMessageWriter):
         from wire.pcapng import PcapngWriter
 
         name = str(channel) if channel else "can0"
-        self._writer = PcapngWriter(_path(file), attachments={}, application="python-can", interface=name)
+        self._writer = PcapngWriter(_path(file), attachments={}, application="python-can", interface=name, force=True)
         self._batch: Records = frames(BATCH)
         self._count = 0
         self._stopped = False

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from eds.regular_file import require_regular
 from wire.can_id import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 from wire.frame import FRAME, Records, new_records
 
@@ -22,7 +23,8 @@ class LogError(Exception):
 
 
 def is_pcapng(path: str | Path) -> bool:
-    """Tell whether a file begins as a pcapng file does."""
+    """Tell whether a file begins as a pcapng file does; OSError where it is none, but a pipe or a device."""
+    require_regular(path)
     with Path(path).open("rb") as file:
         return file.read(4) == b"\x0a\x0d\x0d\x0a"
 

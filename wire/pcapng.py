@@ -16,6 +16,7 @@ from types import TracebackType
 
 import numpy as np
 
+from eds.output_file import open_new
 from wire.frame import Records
 from wire.pcapng_blocks import (
     BYTE_ORDER_MAGIC,
@@ -67,13 +68,15 @@ class PcapngWriter:
     Parameters
     ----------
     path
-        The file, which is overwritten; a named pipe works too (``wireshark -k -i PIPE``).
+        The file; a named pipe works too (``wireshark -k -i PIPE``).
     attachments
         Name -> content, stored in front of the frames with its SHA-256.
     comment
         Comment of the whole recording.
     epoch_ns
         Added to each frame's `t_ns`: nanoseconds from 1970 to the frames' time 0.
+    force
+        Replace a file that exists.
     application, hardware, operating_system, interface
         Texts of the section and of its one interface; empty ones are left out.
 
@@ -90,6 +93,7 @@ class PcapngWriter:
         attachments: Mapping[str, bytes],
         comment: str = "",
         epoch_ns: int = 0,
+        force: bool = False,
         application: str = "coulombus",
         hardware: str = "",
         operating_system: str = "Linux",
@@ -104,7 +108,9 @@ class PcapngWriter:
         head = _head(comment, hardware, operating_system, application, interface)
         head += b"".join(attachment_block(name, content) for name, content in attachments.items())
         try:
-            self._fd = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
+            self._fd = open_new(Path(self.path), force=force)
+        except FileExistsError as error:
+            raise RecordingError(f"{self.path} {error.strerror}") from error
         except OSError as error:
             raise RecordingError(
                 f"{self.path}: the recording cannot be created ({error.strerror}); "

@@ -30,6 +30,7 @@ __all__ = [
     "SECTION_HEADER",
     "PcapngError",
     "RecordingError",
+    "TooLarge",
     "attachment_block",
     "block",
     "iter_options",
@@ -115,13 +116,22 @@ def attachment_block(name: str, content: bytes) -> bytes:
     return whole
 
 
-def read_attachment(body: bytes) -> tuple[str, bytes] | str | None:
-    """Return name and content of an attachment; a sentence where it is damaged; None where it is not one of ours."""
+class TooLarge:
+    """What stands for an attachment that has more bytes than were allowed."""
+
+
+def read_attachment(body: bytes, most: int = 4 * MAX_BLOCK) -> tuple[str, bytes] | str | TooLarge | None:
+    """Return name and content of an attachment; a sentence where it is damaged; None where it is not one of ours.
+
+    One that has more than `most` bytes, uncompressed, is `TooLarge`, and is not unpacked.
+    """
     if len(body) < ATTACHMENT_HEAD.size or not body.startswith(ATTACHMENT_MAGIC):
         return None
     _, digest, size, label_size, packed_size = ATTACHMENT_HEAD.unpack_from(body)
     start = ATTACHMENT_HEAD.size + label_size
     name = body[ATTACHMENT_HEAD.size : start].decode(errors="replace")
+    if size > most:
+        return TooLarge()
     try:
         content = zlib.decompressobj().decompress(body[start : start + packed_size], min(size, 4 * MAX_BLOCK) + 1)
     except zlib.error as error:

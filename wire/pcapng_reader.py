@@ -16,6 +16,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from eds.compiled import kernel
+from eds.regular_file import require_regular
 from wire.frame import FRAME, Records
 from wire.pcapng_blocks import (
     ATTACHMENT,
@@ -33,6 +34,7 @@ from wire.pcapng_blocks import (
     SHB_OS,
     SIMPLE_PACKET,
     PcapngError,
+    TooLarge,
     iter_options,
     read_attachment,
 )
@@ -42,6 +44,8 @@ __all__ = ["Capture", "iter_pcapng", "read_pcapng"]
 
 CHUNK = 1 << 20
 """Bytes read at a time: 22,000 frames, 3.6 s of a rig with one axis at 1 kHz."""
+MOST_ATTACHED, ATTACHED_SHARE = 128 << 20, 4
+"""All attachments together have so many bytes at most, and 4 more for each byte of the file before them: a trace is shorter than its frames."""
 BLOCKS = 1 << 15  # walked at a time
 END, FULL, SECTION, BAD = range(4)
 OTHER_FORMATS = {
@@ -97,6 +101,9 @@ class _Reader:
     attachments: dict[str, bytes] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
     skipped: int = 0
+    attached: int = 0
+    """Bytes of all attachments so far, uncompressed."""
+    excessive: bool = False
 
     def more(self, at: int) -> bool:
         """Leave the words before `at` behind and read on; return whether there was more."""
@@ -138,6 +145,7 @@ def iter_pcapng(path: str | Path) -> Iterator[Capture]:
     OSError
         It cannot be opened.
     """
+    require_regular(path)
     with Path(path).open("rb") as file:
         reader = _Reader(str(path), file)
         reader.more(0)
@@ -292,11 +300,18 @@ def _take(reader: _Reader, offsets: Integers) -> None:
         if kind == INTERFACE:
             reader.interfaces.append(_interface(reader, 4 * at, body))
         elif kind == ATTACHMENT:
-            attached = read_attachment(body)
-            if isinstance(attached, str):
+            most = MOST_ATTACHED + ATTACHED_SHARE * (reader.base + 4 * at) - reader.attached
+            attached = read_attachment(body, most)
+            if isinstance(attached, TooLarge):
+                if not reader.excessive:
+                    text = f"attachments of more than {reader.attached} bytes, in so small a file, are left out from here on"
+                    reader.warnings.append(f"{reader.path}: offset {reader.base + 4 * at}: {text}")
+                reader.excessive = True
+            elif isinstance(attached, str):
                 reader.warnings.append(f"{reader.path}: offset {reader.base + 4 * at}: {attached}")
             elif attached is not None:
                 reader.attachments[attached[0]] = attached[1]
+                reader.attached += len(attached[1])
         elif kind in (PACKET, SIMPLE_PACKET):
             reader.skipped += 1
     packets = offsets[kinds == ENHANCED_PACKET]

@@ -11,6 +11,7 @@ from eds.command_line import (
     EXIT_STATUS,
     PICTURE,
     errors,
+    force_option,
     json_option,
     load,
     print_json,
@@ -129,13 +130,15 @@ def _print(found: dict[str, Any]) -> None:
     click.echo("ok: the plan fits" if found["fits"] else "FAIL: the plan does not fit")
 
 
-def _draw(path: Path, found: dict[str, Plan]) -> None:
+def _draw(path: Path, found: dict[str, Plan], *, force: bool) -> None:
     """Draw each bus, into a file of its own where there are several."""
+    from eds.output_file import new_file
     from wire.plan_gantt import write_gantt
 
     for channel, one in found.items():
         each = path.with_stem(f"{path.stem}-{channel}") if len(found) > 1 else path
-        write_gantt(each, one)
+        with new_file(each, force=force) as beside:
+            write_gantt(beside, one)
         click.echo(f"figure: {each}", err=True)
 
 
@@ -191,6 +194,7 @@ def _errors_option(ctx: click.Context, param: click.Parameter, value: str) -> An
     metavar="F.png",
     help="Draw the worst cycle there (.png, .svg, .pdf).",
 )
+@force_option
 def plan_command(
     rig_name: str,
     overrides: tuple[str, ...],
@@ -202,6 +206,7 @@ def plan_command(
     host_us: float | None,
     sporadic_ms: float | None,
     gantt: Path | None,
+    overwrite: bool,
     as_json: bool,
 ) -> None:
     """Compute whether a rig's messages fit on its bus: worst-case response times, SYNC window, latest RPDO, slack.
@@ -234,7 +239,7 @@ def plan_command(
         except ValueError as error:
             raise click.BadParameter(str(error), param_hint="--axes") from None
         if gantt is not None:
-            _draw(gantt, found)
+            _draw(gantt, found, force=overwrite)
         documents = [as_dict(one, rig.on(channel)) for channel, one in found.items()]
         worst = min(documents, key=lambda document: (document["fits"], -document["utilisation"]))
         if as_json:

@@ -1,0 +1,24 @@
+"""The exit statuses of all verbs: the one place where they are said. An exception that ends a verb has its own as `exit_status`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+__all__ = ["STATUSES"]
+
+STATUSES: Mapping[int, str] = MappingProxyType(
+    {
+        0: "ok",
+        1: "a check failed",
+        2: "usage: a wrong option or argument, a recording that cannot be read, a file that cannot be written",
+        3: "configuration: rig, EDS, law, fault or script file missing or wrong, or a device that is not what they say",
+        4: "bus unavailable",
+        5: "a node is missing",
+        6: "a node aborted an SDO transfer",
+        7: "safety: arming refused, or a trip led to the safe state (as when a recording can go on no more)",
+        8: "deadlines or frames lost beyond the limit",
+        130: "interrupted (143: terminated)",
+    }
+)
+"""Status -> what it means."""

@@ -1,0 +1,102 @@
+"""How a file is written that the user has named: nothing that stands there is replaced, unless that was asked for.
+
+`check` tells before anything is run; `open_new` and `new_file` hold it at the instant of writing, whatever another process does meanwhile. Named
+pipes and character devices (/dev/null, /dev/stdout) are no files and take what they get.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+__all__ = ["check", "is_stream", "new_file", "open_new", "reason_against"]
+
+FORCE = "choose another name, or replace it with --force (in Python: force=True)"
+
+
+def is_stream(path: Path) -> bool:
+    """Tell whether a named pipe or a character device stands there."""
+    try:
+        mode = path.stat().st_mode
+    except OSError:
+        return False
+    return stat.S_ISFIFO(mode) or stat.S_ISCHR(mode)
+
+
+def reason_against(path: Path, *, force: bool, remedy: str = FORCE) -> str | None:
+    """Return why the file cannot be written, None where it can."""
+    if is_stream(path):
+        return None if os.access(path, os.W_OK) else f"{path} cannot be written"
+    parent = path.absolute().parent
+    if not parent.is_dir():
+        return f"{path}: there is no directory {parent}"
+    if os.path.lexists(path):
+        if path.exists() and not path.is_file():
+            return f"{path} is a directory or a device; expected a file"
+        if not force:
+            return f"{path} exists; {remedy}"
+    place = path if path.exists() else parent
+    return None if os.access(place, os.W_OK) else f"{path}: {place} cannot be written"
+
+
+def check(path: Path, *, force: bool) -> None:
+    """Raise FileExistsError where a file stands that is not to be replaced."""
+    if os.path.lexists(path) and not force and not is_stream(path):
+        raise FileExistsError(17, f"exists; {FORCE}", str(path))
+
+
+def open_new(path: Path, *, force: bool) -> int:
+    """Open the file for writing and return its descriptor.
+
+    Raises
+    ------
+    FileExistsError
+        It exists, and `force` was not given.
+    OSError
+    """
+    if is_stream(path):
+        return os.open(path, os.O_WRONLY | os.O_CLOEXEC)
+    if not force:
+        try:
+            return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
+        except FileExistsError:
+            raise FileExistsError(17, f"exists; {FORCE}", str(path)) from None
+    return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o666)
+
+
+@contextmanager
+def new_file(path: Path, *, force: bool) -> Iterator[Path]:
+    """Yield the name under which the file is to be written; at the end of the block it gets its own, as a whole or not at all.
+
+    Raises
+    ------
+    FileExistsError
+        It came to exist meanwhile, and `force` was not given.
+    OSError
+    """
+    check(path, force=force)
+    if is_stream(path):
+        yield path
+        return
+    beside = path.with_name(f".{path.stem}-{os.getpid()}-{os.urandom(4).hex()}{path.suffix}")
+    try:
+        yield beside
+        if not beside.exists():
+            return
+        if force:
+            os.replace(beside, path)
+            return
+        try:
+            os.link(beside, path)
+        except FileExistsError:
+            raise FileExistsError(17, f"exists; {FORCE}", str(path)) from None
+        except OSError:  # a file system without hard links
+            with beside.open("rb") as whole, os.fdopen(open_new(path, force=False), "wb") as file:
+                shutil.copyfileobj(whole, file)
+    finally:
+        with suppress(OSError):
+            beside.unlink()
