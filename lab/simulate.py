@@ -269,7 +269,9 @@ def simulate(
     host.errors.HostError
         a node is missing, refuses a value or is not what the rig file says; nothing was armed
     eds.rig.RigError, host.laws.LawError, wire.pcapng.RecordingError
-        the rig file, the law or the recording's path is wrong, or the recording exists
+        the rig file, the law or the recording's path is wrong
+    FileExistsError
+        `record` or `truth` exists, and `force` was not given; nothing was run
     sim_bus.fault_file.FaultError
         the fault file is wrong
     """

@@ -96,7 +96,7 @@ class FileStore(Store):
             raise OSError(errno.EEXIST, "is no store of a device, and is not replaced", str(self._path))
         beside = self._path.with_name(self._path.name + ".new")
         with suppress(FileNotFoundError):
-            beside.unlink()  # what a power cut left; a link is not followed
+            os.unlink(beside)  # what a power cut left; a link is not followed
         file = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o644)
         try:
             content = memoryview(_spell(sections, self._identity))

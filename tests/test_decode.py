@@ -31,7 +31,7 @@ def decoded(rig: Rig, tmp_path: Path):
         for i, (record, (can_id, data)) in enumerate(zip(frames, sent, strict=True)):
             record["t_ns"], record["can_id"] = i * 1_000_000, can_id
             record["length"], record["word"] = len(data), data_word(data)
-        with PcapngWriter(tmp_path / "a.pcapng", attachments={}) as writer:
+        with PcapngWriter(tmp_path / "a.pcapng", attachments={}, force=True) as writer:
             writer.write(frames, comments)
         return list(rows(read(tmp_path / "a.pcapng", rig)))
 

@@ -11,6 +11,8 @@ from click.testing import CliRunner
 
 from coulombus import VERBS, main
 from eds.exit_status import STATUSES
+from eds.output_file import new_file
+from lab.simulate import simulate
 from wire.frame import FRAME, new_records
 from wire.pcapng import PcapngWriter
 
@@ -267,3 +269,51 @@ def test_help_and_documents_show_the_table(verb):
     for status, text in STATUSES.items():
         assert f"{status} {' '.join(text.split())}" in told
         assert f"| {status} | {text} |" in document
+
+
+TWO_BUSES = ("axis.left.bus.channel=a", "axis.right.bus.channel=b")
+
+
+def test_a_file_of_any_bus_that_exists_is_told_before_the_first_bus_is_run(call, tmp_path):
+    mine = tmp_path / "run.b.pcapng"
+    mine.write_text("mine")
+    both = " ".join(f"--set {text}" for text in TWO_BUSES)
+    for result in (
+        call("simulate", f"--rig two_axes {both} --record DIR/run.pcapng"),
+        CliRunner().invoke(main, f"run --rig two_axes {both} --record {tmp_path}/run.pcapng".split()),
+    ):
+        assert result.exit_code == USAGE, result.output
+        assert f"{mine}: exists; choose another name" in result.output
+    assert mine.read_text() == "mine"
+    assert not (tmp_path / "run.a.pcapng").exists()
+
+
+@pytest.mark.parametrize("option", ["record", "truth"])
+def test_in_python_too_nothing_is_replaced_unless_forced(tmp_path, option):
+    mine = tmp_path / "mine.pcapng"
+    mine.write_text("mine")
+    with pytest.raises(FileExistsError, match="force=True"):
+        simulate("bench", "hybrid", 0.01, **{option: mine})
+    assert mine.read_text() == "mine"
+
+
+def write_new(path, *, force, meanwhile):
+    with new_file(path, force=force) as beside:
+        beside.write_text("new")
+        meanwhile()
+
+
+def test_a_file_that_comes_to_exist_meanwhile_is_not_replaced(tmp_path):
+    mine = tmp_path / "plan.png"
+
+    def found():
+        return [(path.name, path.read_text()) for path in tmp_path.iterdir()]
+
+    with pytest.raises(FileExistsError, match="exists"):
+        write_new(mine, force=False, meanwhile=lambda: mine.write_text("mine"))
+    assert found() == [("plan.png", "mine")]
+    with pytest.raises(ZeroDivisionError):  # what is not whole replaces nothing
+        write_new(mine, force=True, meanwhile=lambda: 1 / 0)
+    assert found() == [("plan.png", "mine")]
+    write_new(mine, force=True, meanwhile=lambda: None)
+    assert found() == [("plan.png", "new")]

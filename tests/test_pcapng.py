@@ -462,7 +462,7 @@ def test_errors_of_flush_and_close(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         with pytest.raises(RecordingError, match=r"Input/output error.*another place"):
             writer.flush()
     writer.close()
-    writer = PcapngWriter(tmp_path / "a.pcapng", attachments={})
+    writer = PcapngWriter(tmp_path / "b.pcapng", attachments={})
     fd = writer._fd
     with monkeypatch.context() as patch:
         patch.setattr(wire.pcapng.os, "close", refuse)

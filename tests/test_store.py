@@ -225,7 +225,7 @@ class Disk:
     `os` for `node.store`. A name is durable once its directory was synced, a content once its file was.
     """
 
-    O_WRONLY, O_CREAT, O_TRUNC, O_RDONLY = os.O_WRONLY, os.O_CREAT, os.O_TRUNC, os.O_RDONLY
+    O_WRONLY, O_CREAT, O_EXCL, O_NOFOLLOW, O_RDONLY = os.O_WRONLY, os.O_CREAT, os.O_EXCL, os.O_NOFOLLOW, os.O_RDONLY
 
     def __init__(self, steps: int, old: bytes):
         self.steps = steps
@@ -243,7 +243,8 @@ class Disk:
         self.step()
         number = 3 + len(self.open_files)
         self.open_files[number] = None
-        if flags & os.O_TRUNC:
+        if flags & os.O_EXCL:
+            assert path.name not in self.names
             self.inodes.append({"now": b"", "synced": b""})
             self.names[path.name] = self.open_files[number] = len(self.inodes) - 1
         return number
@@ -265,6 +266,11 @@ class Disk:
 
     def close(self, number):
         pass
+
+    def unlink(self, path):
+        self.step()
+        if self.names.pop(path.name, None) is None:
+            raise FileNotFoundError(2, "No such file or directory")
 
     def replace(self, source, target):
         self.step()

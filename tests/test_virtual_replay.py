@@ -97,7 +97,7 @@ def test_stamps_that_no_run_has_end_it_at_once(recorded, tmp_path):
     for shift, first in ((1_700_000_000 * 10**9, 0), (10**17, len(capture.frames) // 2)):
         frames = capture.frames.copy()
         frames["t_ns"][first:] += shift
-        with PcapngWriter(path, attachments=capture.attachments) as writer:
+        with PcapngWriter(path, attachments=capture.attachments, force=True) as writer:
             writer.write(frames, dict(capture.comments))
         if first:
             assert virtual_replay(path).same == first
