@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -40,6 +41,7 @@ __all__ = [
     "load",
     "mode_option",
     "print_json",
+    "printable",
     "progress",
     "record_option",
     "remark",
@@ -62,6 +64,9 @@ EXIT_STATUS = (
 WORDS, RESULT = f"{__name__}.words", f"{__name__}.result"
 """What a context keeps: the words behind the verb, and that the result has been printed."""
 MODES = ("active", "passive", "hybrid")
+
+
+_CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 
 
 class Failure(Exception):
@@ -100,7 +105,7 @@ class Verbs(click.Group):
                 raise Failure("interrupted", 130) from None
         except Failure as failure:
             tell(str(failure), failure.status)
-            click.echo(f"coulombus: {failure}", err=True)
+            click.echo(f"coulombus: {printable(str(failure))}", err=True)
             sys.exit(failure.status)
         except click.ClickException as error:
             tell(error.format_message(), error.exit_code)
@@ -129,10 +134,15 @@ def errors() -> Iterator[None]:
         raise Failure(text, 2) from error  # a file that cannot be read or written
 
 
+def printable(text: str) -> str:
+    """Return a text without control characters, by which a stranger's file would command the terminal."""
+    return _CONTROL.sub(lambda found: f"\\x{ord(found[0]):02x}", text)
+
+
 def remark(texts: Iterable[str]) -> None:
     """Say on stderr what a recording or a run lacks, sentence by sentence (`scope.recording.Recording.remarks`, `RunResult.losses`)."""
     for text in texts:
-        click.echo(f"coulombus: {text}", err=True)
+        click.echo(f"coulombus: {printable(text)}", err=True)
 
 
 def load(rig_name: str, overrides: tuple[str, ...]) -> Rig:

@@ -16,6 +16,7 @@ from eds.command_line import (
     errors,
     force_option,
     load,
+    printable,
     remark,
     rig_option,
     set_option,
@@ -51,7 +52,7 @@ def decode(file: Path, rig_name: str | None, as_json: bool) -> None:
         recording = blocks(file, rig=None if rig_name is None else load_rig(rig_name))
         out = sys.stdout
         for row in rows(recording):
-            out.write((as_json_line(row) if as_json else as_text(row)) + "\n")
+            out.write((as_json_line(row) if as_json else printable(as_text(row))) + "\n")
         out.flush()
         remark(recording.remarks)
 

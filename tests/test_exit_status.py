@@ -271,6 +271,14 @@ def test_help_and_documents_show_the_table(verb):
         assert f"| {status} | {text} |" in document
 
 
+def test_a_recording_does_not_command_the_terminal(call, tmp_path):
+    with PcapngWriter(tmp_path / "theirs.pcapng", attachments={}) as writer:
+        writer.write(new_records(FRAME, 1), {0: "phase \x1b]52;c;aGVsbG8=\x07 \x9b2J"})
+    shown = call("decode", "--rig bench", RECORDING=tmp_path / "theirs.pcapng").output
+    assert "phase \\x1b]52;c;aGVsbG8=\\x07 \\x9b2J" in shown
+    assert not set(shown) & set("\x1b\x07\x9b")
+
+
 TWO_BUSES = ("axis.left.bus.channel=a", "axis.right.bus.channel=b")
 
 
