@@ -33,7 +33,6 @@ from eds.toml_lines import MOST_CHARACTERS, Key, read_toml
 __all__ = ["Rig", "RigError", "RigNode", "known_rigs", "load_rig", "load_rig_text", "packaged_rig"]
 
 HYBRID_MARGIN = 1.2
-"""No rig file is larger."""
 
 
 class RigFile(Section):
