@@ -58,9 +58,9 @@ def test_nothing_compiles_on_the_second_start():
     code = "from lab.simulate import simulate; simulate('bench', 'hybrid', 0.01)"
     base = {"NUMBA_CACHE_DIR": str(CACHE_DIR)}
     run(code, ROOT, **base)
-    before = {path: path.stat().st_mtime_ns for path in CACHE_DIR.rglob("*") if path.is_file()}
+    before = {path: path.stat().st_mtime_ns for path in CACHE_DIR.rglob("*.nb[ic]")}
     run(code, ROOT, **base)
-    after = {path: path.stat().st_mtime_ns for path in CACHE_DIR.rglob("*") if path.is_file()}
+    after = {path: path.stat().st_mtime_ns for path in CACHE_DIR.rglob("*.nb[ic]")}
     assert before
     assert after == before
 
