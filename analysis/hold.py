@@ -24,10 +24,10 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from eds.rig import Rig, load_rig
+from analysis.runs import displayed, need_modes
+from eds.rig import Rig, RigError, load_rig
 from lab.figures import Traces, traces
 from lab.measures import measure, phases, velocity
-from lab.simulate import simulate
 from scope.recording import Recording, read
 
 __all__ = ["STICK_VARIANTS", "Breakaway", "HoldRow", "HoldStudy", "breakaway", "hold_study"]
@@ -111,11 +111,7 @@ class HoldStudy:
 
 
 def _recorded(rig: Rig, mode: str, directory: Path, name: str, seed: int) -> Recording:
-    path = directory / f"{name}.pcapng"
-    result = simulate(rig, mode, sum(p.duration_s for p in rig.phases), record=path, seed=seed)
-    if result.trip is not None:
-        raise RuntimeError(f"{name}: the run tripped: {result.trip}")
-    return read(path)
+    return read(displayed(rig, mode, directory / f"{name}.pcapng", f"hold study ({name})", seed=seed))
 
 
 def breakaway(recording: Recording, F_s_Nm: float, ramp_s: float) -> Breakaway:
@@ -166,10 +162,17 @@ def hold_study(
 
     Raises
     ------
-    RuntimeError
-        a run tripped; which and why is in the text
+    host.errors.SafetyTrip
+        a run tripped; which, why and what to do is in the text
+    eds.rig.RigError
+        the rig lacks a mode, or sticks with no torque
     """
     rig = load_rig(rig or "bench") if rig is None or isinstance(rig, str) else rig
+    need_modes(rig, "active", "hybrid")
+    if not rig.mode["hybrid"].F_s_Nm > 0:
+        raise RigError(
+            [f"rig {rig.rig.name!r}: mode.hybrid.F_s_Nm is 0; nothing sticks that could break away: set it above 0"]
+        )
     rows, shown = [], {}
     runs = [("active", rig.law.stick_entry, rig.law.brake_stick)] + [("hybrid", *v) for v in STICK_VARIANTS]
     with tempfile.TemporaryDirectory(prefix="coulombus-") as directory:

@@ -25,9 +25,9 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.maps import LoopParameters, simulate_point
+from analysis.runs import displayed, need_modes
 from eds.rig import Rig, load_rig
 from lab.measures import velocity
-from lab.simulate import simulate
 from scope.recording import Recording, read
 
 __all__ = [
@@ -153,16 +153,16 @@ def bus_cycle(
 
     Raises
     ------
-    RuntimeError
+    host.errors.SafetyTrip
         the run tripped; the reason is in the text
+    eds.rig.RigError
+        the rig has no mode active
     """
+    need_modes(rig, "active")
     at_rest = rig.variant(f'phase=[{{kind="rest", duration_s={settle_s + window_s + 0.5}}}]')
     with tempfile.TemporaryDirectory(prefix="coulombus-") as directory:
-        path = Path(directory) / "run.pcapng"
-        result = simulate(at_rest, "active", settle_s + window_s + 0.5, record=path, seed=seed)
-        recording = read(path)
-    if result.trip is not None:
-        raise RuntimeError(f"rig {rig.rig.name}, {rig.bus.actuation}, {hardware}: the run tripped: {result.trip}")
+        what = f"limit cycle ({hardware}, {rig.bus.actuation})"
+        recording = read(displayed(at_rest, "active", Path(directory) / "run.pcapng", what, seed=seed))
     start = next(t for t, text in recording.markers if text.startswith("phase "))
     begin, end = start + settle_s, start + settle_s + window_s
     delay = loop_delay(recording, begin, end)

@@ -18,6 +18,10 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from lab.simulate import RunResult
 
 ROUNDS = 5
 SIMULATED_S = 60.0
@@ -44,6 +48,14 @@ def show(what: str, figure: str, target: str = "") -> None:
     print(f"{what:<78} {figure:>12}   {target}", flush=True)
 
 
+def untripped(result: RunResult) -> RunResult:
+    """Return a run's result; one that tripped has measured nothing, and ends the benchmark with exit status 7."""
+    if result.trip is not None:
+        print(f"benchmarks: the run tripped, so its figures mean nothing: {result.trip}", file=sys.stderr)
+        sys.exit(7)
+    return result
+
+
 def simulation() -> None:
     """Virtual time against real time, on one core."""
     from lab.simulate import simulate
@@ -53,10 +65,10 @@ def simulation() -> None:
         path = Path(directory) / "run.pcapng"
 
         def plain() -> None:
-            simulate("bench", "hybrid", SIMULATED_S)
+            untripped(simulate("bench", "hybrid", SIMULATED_S))
 
         def recorded() -> None:
-            simulate("bench", "hybrid", SIMULATED_S, record=path, force=True)
+            untripped(simulate("bench", "hybrid", SIMULATED_S, record=path, force=True))
 
         plain()
         recorded()
@@ -75,6 +87,8 @@ def simulation() -> None:
         world.bring_up()
         world.start_host()
         world.wait_ns(2_000_000_000)
+        if world.controllers.trip is not None:
+            sys.exit(f"benchmarks: the run tripped: {world.controllers.trip}")
         return world
 
     world = armed()
