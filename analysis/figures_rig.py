@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from analysis.friction_study import FrictionStudy
 from analysis.hold import HoldStudy
-from analysis.identify import FrictionStudy, Identification
+from analysis.identify import Identification
 from analysis.karnopp import KarnoppStudy, karnopp_study
 from analysis.maps import OscillationMap, at
 from analysis.style import BLACK, BLUE, COLOURS, DASHES, GREEN, GREY, VERMILION, figure, label, save

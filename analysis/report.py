@@ -15,8 +15,8 @@ from analysis.absolute import AbsoluteStability, absolute_stability
 from analysis.crossings import Crossings, crossings
 from analysis.delay import DelayRow, delay_table
 from analysis.fig10 import Fig10, Run, figure_10
+from analysis.friction_study import FrictionStudy, friction_study
 from analysis.hold import HoldStudy, hold_study
-from analysis.identify import FrictionStudy, friction_study
 from analysis.linear import Disk, passive_disk
 from analysis.maps import OscillationMap, oscillation_map
 from analysis.orbits import Orbits, orbits

@@ -16,8 +16,9 @@ from analysis.figures_rig import (
     write_map,
     write_stick_figure,
 )
+from analysis.friction_study import EXPERIMENT, friction_study
 from analysis.hold import hold_study
-from analysis.identify import IdentifyError, fit_friction, friction_study, identify
+from analysis.identify import identify
 from analysis.karnopp import karnopp_study
 from analysis.maps import oscillation_map
 from analysis.through_bus import BENCH_HARDWARE, through_bus
@@ -112,48 +113,11 @@ def test_friction_identified_compensated_and_identified_again(friction):
         assert run.device.coulomb_Nm.value == pytest.approx(0.14, abs=0.001)  # the motor's torque told
         assert run.felt.inertia_kg_m2.value == pytest.approx(2.5e-3, rel=0.05)
         assert run.felt.stribeck_Nm is None  # the plant has none
+        assert run.felt.inertia_kg_m2.low < 2.5e-3 < run.felt.inertia_kg_m2.high
     interval = friction.before.felt.coulomb_Nm
-    assert interval.low < 0.14 < interval.high
+    assert interval.value == pytest.approx(0.14, abs=2e-4)
+    assert interval.high - interval.low < 4e-4
     json.dumps(friction.as_dict(), allow_nan=False)
-
-
-def samples(rng, n, *, stribeck=0.0):
-    v = rng.choice([-1.0, 1.0], n) * rng.uniform(0.05, 3.0, n)
-    a = rng.normal(0, 5.0, n)
-    torque = np.sign(v) * (0.2 + stribeck * np.exp(-((v / 0.3) ** 2))) + 0.03 * v + 2e-3 * a + 0.01
-    return v, a, torque + rng.normal(0, 0.01, n)
-
-
-def test_the_fit_finds_what_was_planted_and_its_intervals_hold():
-    held = []
-    for seed in range(200):
-        fit = fit_friction(*samples(np.random.default_rng(seed), 400))
-        held.append(fit.coulomb_Nm.low <= 0.2 <= fit.coulomb_Nm.high)
-        assert fit.stribeck_Nm is None
-    assert 0.90 <= np.mean(held) <= 0.99  # 95 %
-    assert fit.viscous_Nms_rad.value == pytest.approx(0.03, abs=3e-3)
-    assert fit.inertia_kg_m2.value == pytest.approx(2e-3, abs=5e-4)
-    assert fit.offset_Nm.value == pytest.approx(0.01, abs=3e-3)
-
-
-def test_stribeck_is_found_where_the_data_carry_it():
-    fit = fit_friction(*samples(np.random.default_rng(1), 4000, stribeck=0.08))
-    assert fit.stribeck_Nm.low < 0.08 < fit.stribeck_Nm.high
-    assert fit.stribeck_rad_s == pytest.approx(0.3, rel=0.2)
-    assert fit.coulomb_Nm.value == pytest.approx(0.2, abs=2e-3)
-    assert fit.friction_Nm(np.array([-3.0, 3.0])) == pytest.approx([-0.29, 0.29], abs=5e-3)
-
-
-def test_what_the_data_do_not_carry_is_told():
-    rng = np.random.default_rng(0)
-    notes: list[str] = []
-    v = np.full(500, 1.0) + rng.normal(0, 1e-3, 500)
-    fit = fit_friction(v, np.zeros(500), 0.2 + rng.normal(0, 0.01, 500), remarks=notes)
-    assert fit.viscous_Nms_rad is None
-    assert fit.offset_Nm is None
-    assert [n.split(":")[0] for n in notes[:2]] == ["one speed only", "one direction only"]
-    with pytest.raises(IdentifyError, match="99 samples slide; expected at least 100"):
-        fit_friction(v[:99], v[:99], v[:99])
 
 
 def test_identify_tells_what_a_recording_lacks(tmp_path):
@@ -178,15 +142,59 @@ def test_identify_on_the_command_line(tmp_path):
     told = runner.invoke(main, ["identify", str(moved), "--json", "--figure", str(plot)])
     assert told.exit_code == 0
     found = json.loads(told.stdout)
-    assert found["device"]["coulomb_Nm"] == pytest.approx(
-        0.14, abs=0.01
-    )  # the motor's torque is known, so its chatter is too
+    # at one speed, 2 rad/s, the viscous 0.01 Nm count to Coulomb's; the motor's torque is known, so its chatter is too
+    assert found["viscous_Nms_rad"] is None
+    assert found["device"]["coulomb_Nm"] == pytest.approx(0.14 + 0.01, abs=1e-3)
     assert found["coulomb_Nm"] == pytest.approx(1.0, abs=0.1)  # what is displayed
     assert found["coulomb_Nm_ci95"][0] < found["coulomb_Nm"] < found["coulomb_Nm_ci95"][1]
     assert plot.read_bytes().startswith(PNG)
     text = runner.invoke(main, ["identify", str(moved)])
     assert "the device's own" in text.output
     assert identify(moved).as_dict() == found
+
+
+def test_samples_in_which_the_sign_check_drives_are_not_fitted(tmp_path):
+    """The device has 0.20 Nm, and the motor of the sign check moves it: fitted with it, it was 0.2145 Nm, and Stribeck's."""
+    path = tmp_path / "run.pcapng"
+    values = ("compensation=0.0", "motor_limit_Nm=0.24", "F_s_Nm=0.0", "F_d_Nm=0.0")
+    rig = load_rig("bench").variant(
+        f"phase=[{EXPERIMENT}]",
+        "plant.coulomb_Nm=0.12",
+        "mechanics.friction_Nm=0.2",
+        *(f"mode.hybrid.{value}" for value in values),
+    )
+    assert simulate(rig, "hybrid", 11.4, record=path).trip is None
+    found = identify(path)
+    for fit in (found.felt, found.device):
+        assert fit.coulomb_Nm.value == pytest.approx(0.20, abs=5e-4)
+        assert fit.coulomb_Nm.low < 0.20 < fit.coulomb_Nm.high
+        assert fit.stribeck_Nm is None
+    assert found.left_out["not in the display at full gain (arming, gain ramp, after the end)"] > 1000
+
+
+def test_more_friction_than_believed_is_identified_and_compensated():
+    found = friction_study(load_rig("bench").variant("plant.coulomb_Nm=0.12"))
+    assert found.coulomb_before_Nm == pytest.approx(0.20, abs=1e-3)
+    assert abs(found.coulomb_after_Nm) <= 0.01
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "told"),
+    [
+        (
+            ("analyse", "hold", "--set", "plant.coulomb_Nm=0.12"),
+            7,
+            "identify first: the belief mechanics.friction_Nm is 0.14 Nm",
+        ),
+        (("analyse", "hold", "--set", "mode.hybrid.F_s_Nm=0", "--set", "mode.hybrid.F_d_Nm=0"), 3, "set it above 0"),
+        (("analyse", "--set", "limits.travel_rad=0.5"), 7, "identification experiment (before compensation)"),
+    ],
+)
+def test_a_trip_in_a_study_is_told_with_its_exit_status(arguments, status, told):
+    refused = CliRunner().invoke(main, list(arguments))
+    assert refused.exit_code == status
+    assert isinstance(refused.exception, SystemExit)  # no traceback
+    assert told in refused.stderr
 
 
 # hold, stroke, stick entry
