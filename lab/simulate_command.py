@@ -76,7 +76,7 @@ def simulate_command(
     \b
     Examples:
       coulombus simulate --mode active --seconds 13 --record active.pcapng
-      coulombus simulate --rig paper --mode active --seconds 11 --json
+      coulombus simulate --rig paper --mode active --seconds 12 --json
       coulombus simulate --set operator.inertia_kg_m2=0.1 --set mode.active.F_s_Nm=0.8 --mode active
       coulombus simulate --faults faults.toml --record run.pcapng --json
       coulombus simulate --truth truth.npz --record run.pcapng --seed 7

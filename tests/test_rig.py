@@ -81,7 +81,7 @@ def test_paper_is_section_4() -> None:
     for mode in rig.mode:
         assert (rig.mode[mode].F_s_Nm, rig.mode[mode].F_d_Nm, rig.mode[mode].compensation) == (10, 10, 0)
     assert rig.law.function == "host.laws:coulomb"
-    assert [(phase.kind, phase.duration_s) for phase in rig.phases] == [("rest", 1), ("paper", 10)]
+    assert [(phase.kind, phase.duration_s) for phase in rig.phases] == [("rest", 2), ("paper", 10)]
     assert rig.warnings == ()
 
 
