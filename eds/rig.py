@@ -114,7 +114,8 @@ class Rig(RigFile):
     def axes(self) -> tuple[Rig, ...]:
         """The axes, each a rig of one motor and one brake; a rig of one axis is its own.
 
-        The sections of a rig of several axes, where it is taken for one, are those of its first axis.
+        The sections of a rig of several axes, where it is taken for one, are those of its first axis. So only what all axes share
+        (`eds.rig_axes.SHARED`) may be asked of it.
         """
         return self._axes or (self,)
 
@@ -213,8 +214,21 @@ class Rig(RigFile):
         return {node.part.eds: node.description.text for node in self.nodes}
 
     def description(self, node: Literal["motor", "brake"]) -> Description:
-        """Return what the EDS file says of a node."""
+        """Return what the EDS file says of a node.
+
+        Raises
+        ------
+        TypeError
+            the rig has several axes, and so several nodes of that role: ask one of `axes`
+        """
+        self._must_be_one("description")
         return self._descriptions[node]
+
+    def _must_be_one(self, what: str) -> None:
+        """Refuse to answer for a rig of several axes what each of them answers for itself: the first would stand for all."""
+        if self._axes:
+            names = ", ".join(axis.axis for axis in self._axes)
+            raise TypeError(f"{what}: the rig {self.name} has the axes {names}; ask each of Rig.axes")
 
     @property
     def nodes(self) -> tuple[RigNode, ...]:
@@ -234,7 +248,13 @@ class Rig(RigFile):
         """Return the largest motor torque at the handle [Nm] in a mode, which the drive's own limit 6072h is set to.
 
         In `hybrid` the motor has friction to compensate and nothing else: at most 1.2 times the identified friction.
+
+        Raises
+        ------
+        TypeError
+            the rig has several axes, each with a limit of its own: ask one of `axes`
         """
+        self._must_be_one("motor_limit_Nm")
         limit = self.mode[mode].motor_limit_Nm
         return min(limit, HYBRID_MARGIN * self.mechanics.friction_Nm) if mode == "hybrid" else limit
 
@@ -267,13 +287,14 @@ class Rig(RigFile):
         """Return the error that says where `key` stands, what stands there, and what was `expected`, for later checks."""
         path: Key = tuple(key.split("."))
         document = read_toml(self._text)
-        if self._axis:
-            path = Source(self._path, document, axis=("axis", self._axis)).full(path)
+        set_keys = [text.partition("=")[0].strip() for text in self._overrides]
+        if self._axis:  # what is set for the axis counts before what is set for all
+            own: Key = ("axis", self._axis, *path)
+            is_set = dotted(own) in set_keys
+            path = own if is_set else Source(self._path, document, axis=("axis", self._axis)).full(path)
         value: Any = self.model_dump(by_alias=True)
-        given = next(
-            (f"--set {text}" for text in reversed(self._overrides) if text.partition("=")[0].strip() == dotted(path)),
-            None,
-        )
+        found = zip(reversed(set_keys), reversed(self._overrides), strict=True)
+        given = next((f"--set {text}" for set_key, text in found if set_key == dotted(path)), None)
         place = given or f"{self._path}:{document.line(path)}"
         for part in path[2:] if path[0] == "axis" else path:
             value = value[part]

@@ -24,7 +24,7 @@ from eds.pdo import PDO_BITS, Entry, PdoLayout, entry_of
 from eds.reader import Description
 from eds.rig_model import Brake, Bus, Host, Mechanics, Motor
 
-__all__ = ["PDO_MAP", "RigPdo", "Signal", "rig_pdos", "shortcomings"]
+__all__ = ["PDO_MAP", "RigPdo", "Signal", "Switch", "deadman_mask", "deadman_object", "rig_pdos", "shortcomings"]
 
 Node = Literal["motor", "brake"]
 Direction = Literal["rpdo", "tpdo"]
@@ -50,6 +50,9 @@ PDO_MAP: tuple[tuple[Node, Direction, int, tuple[tuple[int, int, str], ...]], ..
 
 DEADMAN_PDO: tuple[tuple[Node, int], ...] = (("motor", 2), ("brake", 1))
 """The TPDOs that have room for a dead man's switch, in the order in which the nodes are searched for it."""
+
+ANY_BIT = 8
+"""Up to so many bits an object may be a switch by itself. A wider one has other inputs beside it, such as limit switches in 60FDh."""
 
 
 @dataclass(frozen=True)
@@ -122,8 +125,8 @@ def rig_pdos(rig: Parts) -> tuple[RigPdo, ...]:
     found = []
     switch = deadman_object(rig.host.deadman, {node: rig.description(node) for node, _ in DEADMAN_PDO})
     for node, direction, number, objects in PDO_MAP:
-        if switch is not None and direction == "tpdo" and (node, number) == switch[:2]:
-            objects = (*objects, (*switch[2:], "deadman"))
+        if switch is not None and direction == "tpdo" and (node, number) == (switch.node, switch.number):
+            objects = (*objects, (switch.index, switch.subindex, "deadman"))
         part = rig.motor if node == "motor" else rig.brake
         description = rig.description(node)
         deadline_ns = round(part.setpoint_fault_s * 1e9) if direction == "rpdo" else 0
@@ -143,17 +146,37 @@ def rig_pdos(rig: Parts) -> tuple[RigPdo, ...]:
     return tuple(found)
 
 
-def deadman_object(deadman: str, descriptions: Mapping[str, Description]) -> tuple[Node, int, int, int] | None:
-    """Return (node, number of the TPDO, index, sub-index) of the dead man's switch; None when it is no object.
+@dataclass(frozen=True)
+class Switch:
+    """A dead man's switch that is an object: the node that has it, the number of the TPDO that it is mapped into, its bits.
+
+    It is held while all bits of `mask` are 1; 0: while any bit is.
+    """
+
+    node: Node
+    number: int
+    index: int
+    subindex: int
+    mask: int
+
+
+def deadman_mask(deadman: str) -> int:
+    """Return the mask of ``host.deadman``; 0 where it names none."""
+    parts = deadman.split(":")
+    return int(parts[3], 16) if len(parts) == 4 else 0
+
+
+def deadman_object(deadman: str, descriptions: Mapping[str, Description]) -> Switch | None:
+    """Return the dead man's switch that ``host.deadman`` names; None when it is no object.
 
     Raises
     ------
     ValueError
-        no node has the object, or it cannot be mapped
+        no node has the object, it cannot be mapped, or its mask is missing, 0 or wider than the object
     """
     if not deadman.startswith("object:"):
         return None
-    index, subindex = (int(part, 16) for part in deadman.split(":")[1:])
+    index, subindex = (int(part, 16) for part in deadman.split(":")[1:3])
     for node, number in DEADMAN_PDO:
         description = descriptions[node]
         if not description.has(index, subindex):
@@ -165,8 +188,25 @@ def deadman_object(deadman: str, descriptions: Mapping[str, Description]) -> tup
             raise ValueError(f"{index:04X}h:{subindex} of the {node} is mapped already; it is no switch")
         if bits + entry.bits > PDO_BITS:
             raise ValueError(f"{index:04X}h:{subindex} of the {node} has {entry.bits} bits; {PDO_BITS - bits} are left")
-        return node, number, index, subindex
+        return Switch(node, number, index, subindex, _checked_mask(deadman, node, entry))
     raise ValueError(f"no EDS file describes {index:04X}h:{subindex}")
+
+
+def _checked_mask(deadman: str, node: Node, entry: Entry) -> int:
+    """Return the mask of the switch; ValueError says what is wrong with it."""
+    what = f"{entry.index:04X}h:{entry.subindex} of the {node}"
+    mask = deadman_mask(deadman)
+    if deadman.count(":") < 3:
+        if entry.bits > ANY_BIT:
+            example = f'"{deadman}:0x{1 << entry.bits // 2:0{entry.bits // 4}X}"'
+            raise ValueError(
+                f"{what} has {entry.bits} bits, and any of them would hold the switch: name the switch's own by a mask, as in {example}"
+            )
+    elif mask == 0:
+        raise ValueError(f"the mask is 0, and a switch has at least one bit of {what}")
+    elif mask >> entry.bits:
+        raise ValueError(f"the mask 0x{mask:X} is wider than {what}, which has {entry.bits} bits")
+    return mask
 
 
 def shortcomings(description: Description, node: str) -> Iterator[str]:

@@ -159,7 +159,7 @@ def safe_setpoints(control: Any, host: Any, rpdos: Any, t_ns: int, queue: Any, h
         h.brake_Nm = min(h.brake_Nm, c.safe_brake_Nm)
         h.image[CONTROLWORD] = 0
         h.image[TARGET_TORQUE] = 0
-        h.image[BRAKE_SETPOINT] = round(h.brake_Nm / c.brake_Nm_raw)
+        h.image[BRAKE_SETPOINT] = min(max(round(h.brake_Nm / c.brake_Nm_raw), 0), c.brake_limit_raw)
         for i in range(c.rpdos):
             pdo = rpdos[k, i]
             push(queue, header, step.SOURCE_HOST, t_ns, pdo.cob_id, pdo.length, pack(pdo, h.image))

@@ -19,6 +19,7 @@ from eds.own_devices import MANUFACTURER, is_own
 from eds.reader import Value, Variable
 from eds.rig import Rig
 from host.controllers import Controllers
+from host.demand import check_demand
 from host.device_plan import DevicePlan, device_plans, names_modes_without_cst
 from host.errors import DeviceMismatch, NodeMissing, SdoAborted
 from host.records import Image
@@ -217,8 +218,11 @@ def bring_up(controllers: Controllers, plane: ControlPlane) -> tuple[str, ...]:
     ------
     NodeMissing, SdoAborted, DeviceMismatch
         nothing was armed; the nodes are left in PRE-OPERATIONAL, or nothing was sent where EDS and rig file do not fit
+    eds.rig.RigError
+        a limit would cut the law off; the nodes were not touched
     """
     check_plan(controllers.rig)
+    check_demand(controllers.rig, controllers.mode)
     found = plans_of(controllers)
     _refuse(text for plan in found for text in plan.problems)
     nmt = plane.network.nmt

@@ -10,7 +10,8 @@ from eds.codec import PDO
 from eds.pdo import fill
 from eds.reader import Description
 from eds.rig import Rig
-from eds.signals import RigPdo, Signal
+from eds.signals import RigPdo, Signal, deadman_mask
+from host.demand import brake_limit_raw
 from host.laws import LAW, LAW_STATE, MOTION, OWN_LAWS, LawError, load_law
 from host.records import CONTROL, DRIVE_PDOS, HOST, Image, Phase, SignResult, Trip
 from wire.frame import Records, new_records
@@ -23,7 +24,6 @@ SIGN_HAND_S = 0.12
 """A little more than the period of a hand's tremor (8-12 Hz), over which the sign check averages it out."""
 SIGN_HAND_NM = 0.008
 SETTLE_S = 0.05
-INT16_MAX = 32767
 ENABLE_TIMEOUT_S = 1.0
 
 IMAGE_OF_SIGNAL = {
@@ -127,7 +127,7 @@ class Controller:
         self.tpdos = self._new_pdos([pdo for pdo in pdos if pdo.layout.direction == "tpdo"])
         self.control = self._new_control(pdos)
         self.host = new_records(HOST)
-        for name in ("enabled_ns", "armed_ns", "motor_heartbeat_ns", "brake_heartbeat_ns"):
+        for name in ("enabled_ns", "armed_ns", "full_gain_ns", "motor_heartbeat_ns", "brake_heartbeat_ns"):
             self.host[name] = -1
         self.host["deadman_ok"] = 1
 
@@ -185,8 +185,8 @@ class Controller:
 
         c["motor_limit_pm"] = self.motor_limit_pm(float(c["Nm_pm"]))
         c["motor_rate_Nm"] = limits.torque_rate_Nm_s * T
-        c["brake_limit_Nm"] = limits.brake_torque_Nm
-        c["brake_limit_raw"] = min(_most(rig.description("brake"), 0x7300, 1), INT16_MAX)
+        c["brake_limit_raw"] = brake_limit_raw(rig)
+        c["brake_limit_Nm"] = min(limits.brake_torque_Nm, float(c["brake_limit_raw"] * c["brake_Nm_raw"]))
         c["speed_limit"], c["jump_counts"] = limits.speed_rad_s, limits.encoder_jump_counts
         c["net_work_J"] = limits.net_work_J
         c["net_work_cycles"] = _cycles(limits.net_work_window_s, T)
@@ -210,6 +210,7 @@ class Controller:
 
         switch = any(signal.name.endswith(".deadman") for pdo in pdos for signal in pdo.signals)
         c["deadman_slot"] = Image.DEADMAN if switch else -1
+        c["deadman_mask"] = deadman_mask(rig.host.deadman)
 
         c["safe_brake_Nm"] = limits.safe_brake_Nm
         c["safe_hold_cycles"] = _cycles(limits.safe_hold_s, T)
@@ -220,13 +221,15 @@ class Controller:
         """Return the motor's torque limit in per mille, rounded down: what the drive's 6072h is set to."""
         limit = math.floor(self.rig.motor_limit_Nm(self.mode) / abs(Nm_pm) + 1e-9)
         motor = self.rig.description("motor")
-        highs = {index: _most(motor, index, 0) for index in (0x6072, 0x6071)}  # without 6072h bring-up refuses
-        index = min(highs, key=lambda index: highs[index])
-        if limit > highs[index]:
-            most = highs[index] * abs(Nm_pm)
+        target = motor.variable(0x6071, 0)
+        ends = [(0x6072, _most(motor, 0x6072, 0)), (0x6071, _most(motor, 0x6071, 0))]  # without 6072h bring-up refuses
+        if target.low is not None and target.low < 0:
+            ends.append((0x6071, -target.low))
+        index, end = min(ends, key=lambda one: one[1])
+        if limit > end:
             raise self.rig.mistake(
                 f"mode.{self.mode}.motor_limit_Nm",
-                f"at most {most:.4g}: the drive's {index:04X}h ends at {highs[index]:g} per mille",
+                f"at most {end * abs(Nm_pm):.4g}: the drive's {index:04X}h ends at {end:g} per mille",
             )
         return limit
 
@@ -291,6 +294,9 @@ class Controller:
             "stray_frames",
             "malformed_pdos",
             "clipped_torque",
+            "slowed_torque",
+            "limited_by_drive",
+            "clipped_setpoints",
             "negative_setpoints",
         )
         return {name: int(self.host[name][0]) for name in names}

@@ -11,7 +11,7 @@ from eds.codec import PDO
 from eds.rig import Rig
 from host.controller import Controller
 from host.laws import LAW, LAW_STATE, MOTION, load_law
-from host.records import CONTROL, DRIVE_PDOS, HOST, Phase, Trip
+from host.records import CONTROL, DRIVE_PDOS, HOST, Phase, SignResult, Trip
 from wire.frame import Records
 
 __all__ = ["SECTIONS", "Controllers", "arguments", "new_section"]
@@ -126,6 +126,27 @@ class Controllers:
         """When the last axis entered Operation Enabled; None while one is not."""
         at = [int(controller.host["enabled_ns"][0]) for controller in self.each]
         return None if min(at) < 0 else max(at)
+
+    @property
+    def arming_s(self) -> float:
+        """How long the slowest axis may take from the first cycle to Operation Enabled [s]; it trips by itself when it takes longer."""
+        return max(self._seconds(k, "still_timeout_cycles", "enable_timeout_cycles") for k in self)
+
+    @property
+    def ending_s(self) -> float:
+        """How long the slowest axis may take from its trip to the end of its brake's ramp [s]."""
+        return max(self._seconds(k, "safe_hold_cycles", "safe_ramp_cycles") for k in self)
+
+    @staticmethod
+    def _seconds(controller: Controller, *cycles: str) -> float:
+        return float(
+            sum(int(controller.control[name][0]) for name in cycles) * controller.control["period_ns"][0] * 1e-9
+        )
+
+    @property
+    def sign_result(self) -> SignResult:
+        """Outcome of the sign check: of several axes, the one that leaves the most doubt."""
+        return max(controller.sign_result for controller in self.each)
 
     @property
     def tripped(self) -> Controller | None:

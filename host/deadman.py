@@ -29,10 +29,10 @@ KEY = b" "
 
 
 def deadman_of(rig: Rig, mode: str, address: BusAddress) -> str:
-    """Return the dead man's switch of a run: "none", "key" or "object:INDEX:SUB".
+    """Return the dead man's switch of a run: "none", "key", "object:INDEX:SUB" or "object:INDEX:SUB:MASK".
 
-    A virtual bus moves nobody, and needs none. On an interface of Linux a mode in which the motor has torque needs one, or the rig file
-    says in so many words that there is none.
+    A virtual bus moves nobody, and needs none. On an interface of Linux a mode in which the motor of any axis has torque needs one, or the
+    rig file says in so many words that there is none.
 
     Raises
     ------
@@ -41,10 +41,12 @@ def deadman_of(rig: Rig, mode: str, address: BusAddress) -> str:
     """
     if rig.host.deadman:
         return rig.host.deadman
-    if address.kind == "socketcan" and rig.motor_limit_Nm(mode) > 0:
+    pushing = [f"{axis.prefix}motor" for axis in rig.axes if axis.motor_limit_Nm(mode) > 0]
+    if address.kind == "socketcan" and pushing:
+        which = "the motor" if pushing == ["motor"] else ", ".join(pushing)
         raise SafetyTrip(
-            f"mode {mode} gives the motor torque on {address}, and {rig.path} names no dead man's switch: set host.deadman to "
-            '"key" or "object:INDEX:SUB", or to "none" if the rig needs none'
+            f"mode {mode} gives {which} torque on {address}, and {rig.path} names no dead man's switch: set host.deadman to "
+            '"key", "object:INDEX:SUB" or "object:INDEX:SUB:MASK", or to "none" if the rig needs none'
         )
     return "none"
 

@@ -288,7 +288,10 @@ def _cycle(
     header: Any,
 ) -> int:
     """Cycle until the parent commands otherwise (returns 0) or the bus is lost (returns 1)."""
-    p, c = plane[0], control[0]
+    p, c = plane[0], control[0]  # of all axes alike are the cycle, the host's own identifiers and the dead man's key
+    missed_cycles = c.missed_cycles
+    for k in range(1, control.shape[0]):
+        missed_cycles = min(missed_cycles, control[k].missed_cycles)
     base = plane.ctypes.data
     t = p.start_ns
     _trace(plane, trace, START, t, 0)
@@ -355,7 +358,7 @@ def _cycle(
         _count(latency_bins, done - sync)
         p.latency_max_ns = max(p.latency_max_ns, done - sync)
         p.full_in_a_row = p.full_in_a_row + 1 if p.tx_full > full else 0
-        if p.full_in_a_row >= c.missed_cycles:
+        if p.full_in_a_row >= missed_cycles:
             _stop(p, host, TRANSMIT)
         t += c.period_ns
         late = (done - t + c.period_ns - 1) // c.period_ns

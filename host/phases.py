@@ -160,7 +160,11 @@ def run_law(c: Any, h: Any, psi: float, law: Any) -> float:
         if not setpoint >= 0.0:  # negative or NaN
             h.negative_setpoints += 1
             setpoint = 0.0
-        h.brake_Nm = min(h.gain * setpoint, c.brake_limit_Nm)
+        h.brake_Nm = h.gain * setpoint
+        if h.brake_Nm > c.brake_limit_Nm:
+            if h.brake_Nm > c.brake_limit_Nm + c.brake_Nm_raw:  # less than a count is rounding
+                h.clipped_setpoints += 1
+            h.brake_Nm = c.brake_limit_Nm
     return h.gain * torque
 
 

@@ -122,7 +122,7 @@ CONTROL = np.dtype(
         # limits
         ("motor_limit_pm", np.int64),  # the same number as the drive's 6072h
         ("motor_rate_Nm", np.float64),  # a cycle
-        ("brake_limit_Nm", np.float64),
+        ("brake_limit_Nm", np.float64),  # the rig file's limit or the device's, whichever is less
         ("brake_limit_raw", np.int64),  # what 7300h takes at most
         ("speed_limit", np.float64),
         ("jump_counts", np.int64),
@@ -150,7 +150,8 @@ CONTROL = np.dtype(
         ("settle_cycles", np.int64),
         # dead man
         ("deadman_key", np.int64),  # 1: somebody outside keeps HOST.deadman_ok
-        ("deadman_slot", np.int64),  # slot of the process image that is not 0 while the switch is held; -1: none
+        ("deadman_slot", np.int64),  # slot of the process image that holds the switch; -1: none
+        ("deadman_mask", np.int64),  # bits that are all 1 while the switch is held; 0: any bit
         # safe state
         ("safe_brake_Nm", np.float64),
         ("safe_hold_cycles", np.int64),
@@ -178,6 +179,7 @@ HOST = np.dtype(
         ("arrived", np.int64),  # bit mask of this cycle's TPDOs
         ("enabled_ns", np.int64),  # when the drive entered Operation Enabled; -1 before
         ("armed_ns", np.int64),  # when the law began; -1 before
+        ("full_gain_ns", np.int64),  # when its gain came to 1; -1 before
         ("heartbeat_due_ns", np.int64),
         ("motor_heartbeat_ns", np.int64),  # last one heard; -1 none
         ("brake_heartbeat_ns", np.int64),
@@ -219,7 +221,10 @@ HOST = np.dtype(
         ("missed_deadlines", np.int64),
         ("stray_frames", np.int64),
         ("malformed_pdos", np.int64),
-        ("clipped_torque", np.int64),
+        ("clipped_torque", np.int64),  # the motor's torque was more than its limit
+        ("slowed_torque", np.int64),  # ... was held back by its rate, or near the speed limit, in phase RUN
+        ("limited_by_drive", np.int64),  # the drive told of a limit of its own (statusword bit 11) in phase RUN
+        ("clipped_setpoints", np.int64),  # the brake's set-point was more than its limit
         ("negative_setpoints", np.int64),
     ],
     align=True,

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from eds.cia402 import CONTROLWORD_TO_ENABLE, STATE_OF_STATUSWORD, PowerState
+from eds.cia402 import CONTROLWORD_TO_ENABLE, INTERNAL_LIMIT, STATE_OF_STATUSWORD, PowerState
 from eds.codec import pack, unpack
 from eds.compiled import kernel
 from host.phases import arm, count_still, enter, run_law, safe, sign_check, still, trip_to_safe
@@ -57,15 +57,17 @@ def _limit_motor(c: Any, h: Any, wanted: float) -> float:
     if wanted != wanted:
         h.clipped_torque += 1
         return 0.0
+    limit, count = c.motor_limit_pm * abs(c.Nm_pm), abs(c.Nm_pm)
+    if abs(wanted) > limit + count:  # less than a count is rounding
+        h.clipped_torque += 1
     torque = min(max(wanted, h.motor_Nm - c.motor_rate_Nm), h.motor_Nm + c.motor_rate_Nm)
     v = h.v_counts * c.rad_count * 1e9 / c.period_ns
     if abs(v) > SPEED_TAPER * c.speed_limit and torque * v > 0.0:
         torque = 0.0
-    limit = c.motor_limit_pm * abs(c.Nm_pm)
-    if abs(torque) <= limit:
-        return torque
-    h.clipped_torque += 1
-    return limit if torque > 0.0 else -limit
+    torque = min(max(torque, -limit), limit)
+    if h.phase == RUN and abs(torque - min(max(wanted, -limit), limit)) > count:
+        h.slowed_torque += 1
+    return torque
 
 
 @kernel
@@ -146,7 +148,9 @@ def finish(
     if trip == NONE and ENABLE < h.phase < SAFE and drive != OPERATION_ENABLED:
         trip = DRIVE_STATE
     if c.deadman_slot >= 0:
-        h.deadman_ok = 1 if h.image[c.deadman_slot] != 0 else 0
+        switch = h.image[c.deadman_slot]
+        held = switch != 0 if c.deadman_mask == 0 else switch & c.deadman_mask == c.deadman_mask
+        h.deadman_ok = 1 if held else 0
     if trip == NONE and not h.deadman_ok and h.phase > STILL:
         trip = DEADMAN
     if trip == NONE and h.stop > 1:
@@ -190,6 +194,10 @@ def finish(
         if psi == psi and state.brake_Nm == state.brake_Nm:
             state.psi_Nm = psi
             wanted = run_law(c, h, psi, state)
+            if h.full_gain_ns < 0 and h.gain >= 1.0:
+                h.full_gain_ns = t_ns
+            if h.image[STATUSWORD] & INTERNAL_LIMIT:
+                h.limited_by_drive += 1
         else:  # not a number
             trip_to_safe(c, h, LAW, t_ns)
 

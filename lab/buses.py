@@ -20,6 +20,9 @@ from typing import Any
 
 __all__ = ["BusProcess", "merged", "path_on", "supervise"]
 
+SIGN_CHECKS = ("not_run", "agreed", "no_hand", "refused")
+"""Outcomes of the sign check, the most doubtful last, as in `host.records.SignResult`."""
+
 
 def path_on(path: Path, channel: str) -> Path:
     """Return the file of one bus: ``run.pcapng`` becomes ``run.CHANNEL.pcapng``."""
@@ -128,8 +131,9 @@ def supervise(
 def merged(results: Mapping[str, Mapping[str, Any] | None], statuses: Mapping[str, int]) -> dict[str, Any]:
     """Return the results of several buses as one.
 
-    The figures of the first bus that has any, the axes of all, the first trip, every bus' own result under ``buses``, and the exit status
-    that counts, with its reason: that of the first bus that did not end well by itself.
+    The figures of the first bus that has any, the axes of all, the sums of the counters, the sign check that leaves the most doubt, the
+    remarks of all, the first trip, every bus' own result under ``buses``, and the exit status that counts, with its reason: that of the
+    first bus that did not end well by itself.
     """
     told = {channel: result for channel, result in results.items() if result is not None}
     whole: dict[str, Any] = dict(next((result for result in told.values() if "error" not in result), {}))
@@ -139,6 +143,16 @@ def merged(results: Mapping[str, Mapping[str, Any] | None], statuses: Mapping[st
     whole["axes"] = axes
     for name in ("lost_pdos", "missed_deadlines"):
         whole[name] = sum(result.get(name) or 0 for result in told.values())
+    counters = [result.get("counters") or {} for result in told.values()]
+    if any(counters):
+        whole["counters"] = {name: sum(one.get(name, 0) for one in counters) for one in counters for name in one}
+    checks = [SIGN_CHECKS.index(check) for result in told.values() if (check := result.get("sign_check"))]
+    if checks:
+        whole["sign_check"] = SIGN_CHECKS[max(checks)]
+    if "remarks" in whole:
+        whole["remarks"] = [text for result in told.values() for text in result.get("remarks") or ()]
+        gains: list[Any] = [result.get("full_gain_s") for result in told.values()]
+        whole["full_gain_s"] = None if None in gains else max(gains)
     trips = [result["trip"] for result in told.values() if result.get("trip")]
     whole["trip"] = next((trip for trip in trips if "OTHER_AXIS" not in trip), trips[0] if trips else None)
     bad = next((channel for channel, status in statuses.items() if status not in (0, 128 + signal.SIGTERM)), None)

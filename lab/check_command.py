@@ -26,7 +26,8 @@ __all__ = ["check"]
 def check(rig_name: str, overrides: tuple[str, ...], as_json: bool) -> None:
     """Check a rig file, its EDS files, its PDO layout, what bring-up will set, and whether a cycle fits on the bus; nothing is run.
 
-    A line "FAIL" is what bring-up would refuse: an object that is missing, read-only or too narrow for its value, another identity.
+    A line "FAIL" is what bring-up would refuse: an object that is missing, read-only or too narrow for its value, another identity, or a
+    limit that would cut the law off.
     "lost" is what bring-up leaves out, as the device is not ours or has no such object; "open" is what the device itself is asked.
 
     \b
@@ -36,6 +37,7 @@ def check(rig_name: str, overrides: tuple[str, ...], as_json: bool) -> None:
     """
     with errors():
         from host.controller import Controller
+        from host.demand import DEMANDS, cut_off
         from host.device_plan import DevicePlan, device_plans
         from wire.plan_rig import plans
 
@@ -56,10 +58,12 @@ def check(rig_name: str, overrides: tuple[str, ...], as_json: bool) -> None:
         ]  # each mode has its own limit
         questions = [*dict.fromkeys(text for device in devices for text in device.questions)]
         losses = [*dict.fromkeys(text for device in devices for text in device.losses)]
+        cut = list(dict.fromkeys(text for mode in rig.mode for text in cut_off(rig, mode)))
         if as_json:
             print_json(
                 {
                     "rig": rig.rig.name,
+                    "cut_off": cut,
                     "diagnoses": diagnoses,
                     "bitrate_bit_s": planned.timing.bitrate_bit_s,
                     "period_s": planned.timing.period_ns * 1e-9,
@@ -103,15 +107,19 @@ def check(rig_name: str, overrides: tuple[str, ...], as_json: bool) -> None:
                 )
             for mode, limit in limits.items():
                 click.echo(f"mode {mode}: drive torque limit 6072h = {limit} per mille")
+            if rig.law.function.strip() not in DEMANDS:
+                click.echo(
+                    f"law {rig.law.function}: what a limit cuts off of it is not known before it runs; the run tells"
+                )
             for text in losses:
                 click.echo(f"lost: {text}")
             for text in questions:
                 click.echo(f"open: {text}")
-            for text in problems:
+            for text in (*problems, *cut):
                 click.echo(f"FAIL: {text}")
             for planned in buses.values():
                 if not planned.fits:
                     click.echo(f"FAIL: {planned.verdict()}")
-            if fits and not problems:
+            if fits and not problems and not cut:
                 click.echo("ok, if the devices answer what is open above" if questions else "ok")
-        sys.exit(0 if fits and not problems else 1)
+        sys.exit(0 if fits and not problems and not cut else 1)

@@ -50,8 +50,8 @@ class Demo:
 
 
 def schedule_s(rig: Rig) -> float:
-    """Return the length of the rig's schedule."""
-    return float(sum(phase.duration_s for phase in rig.phases))
+    """Return the length of the rig's schedule; of several axes', the longest."""
+    return max(float(sum(phase.duration_s for phase in axis.phases)) for axis in rig.axes)
 
 
 def _between(value: float | None, low: float, high: float) -> bool:

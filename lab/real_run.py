@@ -27,15 +27,16 @@ from host.control_socket import HostSocket
 from host.controllers import Controllers
 from host.data_plane import PRIORITY, DataPlane, default_cpu
 from host.deadman import HeldKey, deadman_of
+from host.demand import check_demand
 from host.errors import HostError, SafetyTrip
 from host.plane_records import Status
 from host.records import Phase, Trip
 from host.step import SOURCE_HOST
 from lab.measures import Measures, measure
 from lab.recorder import Recorder
+from lab.schedule import PhaseMarks, display_remarks, full_gain_s
 from lab.simulate import RunResult, axis_results, file_sha256
 from scope.recording import blocks
-from sim_bus.operator import Operator
 from wire.address import BusAddress, BusUnavailable, default_address
 from wire.pcapng import RecordingError
 
@@ -118,9 +119,8 @@ class _RealRun:
         self.stopped_by: str | None = None
         self.recorder: Recorder | None = None
         self._waiting: np.ndarray[Any, Any] | None = None
-        names = [phase.kind for phase in rig.phases] + ["end"]
         self._ended = False  # whether the safe state is marked
-        self._phases = list(zip(Operator(rig, mode).starts_s, names, strict=True))
+        self._marks = PhaseMarks(rig)
         self._touched = False  # whether this host has sent anything
         self._seen = (0, time.monotonic())
         self._outcome: dict[str, Any] | None = None  # what is told to those who asked for a stop
@@ -178,7 +178,7 @@ class _RealRun:
 
     @property
     def enabled_ns(self) -> int | None:
-        """CLOCK_MONOTONIC at which the drive entered Operation Enabled."""
+        """CLOCK_MONOTONIC at which the last drive entered Operation Enabled."""
         return self.k.enabled_ns
 
     def prepare(self) -> None:
@@ -225,18 +225,17 @@ class _RealRun:
         period = int(k.control["period_ns"][0])
         self.plane.start_cycle((time.monotonic_ns() + LEAD_NS) // period * period)
         self._seen = (0, time.monotonic())
-        arming = time.monotonic() + 2 * (self.rig.limits.still_timeout_s + 1)
+        arming = time.monotonic() + 2 * k.arming_s
         while self.enabled_ns is None and self._watch(seconds) and time.monotonic() < arming:
             pass
         while self._watch(seconds):
             enabled = self.enabled_ns
             if enabled is None or time.monotonic_ns() - enabled >= seconds * 1e9:
                 break
-        if self.enabled_ns is not None and self._phases:
-            self._phases.clear()
-            self.mark(time.monotonic_ns(), "phase end")
+        for marker in self._marks.end(self._shown_until_ns()):
+            self.mark(*marker)
         self.plane.stop()
-        deadline = time.monotonic() + SAFE_TIMEOUT_S
+        deadline = time.monotonic() + SAFE_TIMEOUT_S + k.ending_s
         while self.plane.status is not Status.LOST and not k.done and time.monotonic() < deadline:
             if not self._supervise():
                 break
@@ -263,11 +262,10 @@ class _RealRun:
         cycles, now = self.plane.cycles, time.monotonic()
         if cycles != self._seen[0]:
             self._seen = cycles, now
+        self._mark_phases()
         enabled = self.enabled_ns
-        if enabled is not None:
-            self._mark_phases(enabled)
-            if self.progress is not None:
-                self.progress((time.monotonic_ns() - enabled) * 1e-9)
+        if enabled is not None and self.progress is not None:
+            self.progress((time.monotonic_ns() - enabled) * 1e-9)
         safe = self.k.safe_ns
         if safe is not None and not self._ended:
             self._mark_end(safe)
@@ -285,14 +283,19 @@ class _RealRun:
         h["trip"][running], h["trip_ns"][running] = Trip.DATA_PLANE, time.monotonic_ns()
         h["phase"] = Phase.DONE
 
-    def _mark_phases(self, start_ns: int) -> None:
-        """Mark the phases of the schedule that have begun."""
-        while self._phases:
-            begin_ns, name = start_ns + round(self._phases[0][0] * 1e9), self._phases[0][1]
-            if begin_ns > time.monotonic_ns():
-                return
-            self.mark(begin_ns, f"phase {name}")
-            self._phases.pop(0)
+    def _mark_phases(self) -> None:
+        """Mark the phases that have begun; the schedule of each axis begins with its own drive's Operation Enabled."""
+        for axis, controller in enumerate(self.k):
+            enabled = int(controller.host["enabled_ns"][0])
+            if enabled >= 0:
+                self._marks.begin(axis, enabled)
+        for marker in self._marks.due(self._shown_until_ns() + 1):
+            self.mark(*marker)
+
+    def _shown_until_ns(self) -> int:
+        """Return until when there is, or was, something to display: until now, or until the safe state began."""
+        now_ns, safe_ns = time.monotonic_ns(), self.k.safe_ns
+        return now_ns if safe_ns is None else min(now_ns, safe_ns)
 
     def _mark_end(self, safe_ns: int) -> None:
         """Mark that the safe state began at `safe_ns`, and why."""
@@ -364,8 +367,10 @@ class _RealRun:
             recording_sha256=file_sha256(self.record) if self.record is not None else None,
             trip=trip,
             **asdict(figures[0]),
-            sign_check=k.each[0].sign_result.name.lower(),
+            sign_check=k.sign_result.name.lower(),
             simulated_s=cycles * int(k.control["period_ns"][0]) * 1e-9,
+            full_gain_s=full_gain_s(k),
+            remarks=display_remarks(k),
             counters=counters,
             exit_status=exit_status,
             bus=str(self.address),
@@ -422,10 +427,13 @@ def real_run(
     ------
     wire.address.BusUnavailable, host.errors.HostError
         nothing was armed
+    eds.rig.RigError
+        the law, a limit that the drive cannot take, or a law that a limit would cut off
     wire.pcapng.RecordingError
         the recording cannot be created, or exists
     """
     check_plan(rig)
+    check_demand(rig, mode)
     run = _RealRun(
         rig,
         mode,

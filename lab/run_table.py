@@ -10,7 +10,7 @@ from eds.command_line import table_console
 if TYPE_CHECKING:
     from lab.simulate import RunResult
 
-__all__ = ["print_runs", "print_verdict"]
+__all__ = ["print_remark", "print_runs", "print_verdict"]
 
 WIDTH = 200
 """Of the table in a file or a pipe."""
@@ -46,6 +46,7 @@ def print_runs(results: dict[str, RunResult]) -> None:
         ("hold: spectral peak", "hold_peak_Hz", "Hz"),
         ("hold: largest push", "hold_push_Nm", "Nm"),
         ("dwells: velocity RMS", "stick_velocity_rms_rad_s", "rad/s"),
+        ("law shown whole after", "full_gain_s", "s"),
         ("sign check", "sign_check", ""),
         ("recording", "recording", ""),
         ("stopped by", "stopped_by", ""),
@@ -55,6 +56,7 @@ def print_runs(results: dict[str, RunResult]) -> None:
         ("CPU a cycle", "cpu_us_per_cycle", "us"),
         ("dead man's switch", "deadman", ""),
     )
+    remarks = {title: result.remarks for title, result in results.items()}
     results = dict(_columns(results))
     table = Table(box=None, pad_edge=False)
     table.add_column("")
@@ -71,6 +73,17 @@ def print_runs(results: dict[str, RunResult]) -> None:
         if field not in REAL_TIME_ROWS or any(cell != "-" for cell in cells):
             table.add_row(label, *cells)
     table_console(WIDTH).print(table)
+    for title, texts in remarks.items():
+        for text in texts:
+            print_remark(f"{title}: {text}")
+
+
+def print_remark(text: str) -> None:
+    """Print a line that begins with "remark"."""
+    from rich.console import Console
+    from rich.markup import escape
+
+    Console(highlight=False).print(f"[yellow]remark[/] {escape(text)}", soft_wrap=True)
 
 
 def print_verdict(holds: bool, text: str) -> None:

@@ -17,11 +17,13 @@ from eds.output_file import open_new
 from eds.rig import Rig, load_rig
 from host.bringup import check_plan, release, shut_down
 from host.controllers import Controllers
+from host.demand import check_demand
 from host.records import Trip
 from lab.buses import merged, path_on
 from lab.injection import Injection, controllers_of
 from lab.measures import Measures, measure
 from lab.recorder import Recorder
+from lab.schedule import PhaseMarks, display_remarks, full_gain_s
 from lab.world import VirtualRig
 from scope.recording import blocks
 from sim_bus.fault_file import FaultPlan, read_faults
@@ -71,11 +73,17 @@ class RunResult:
     trip_ns: int | None = None
     """When the trip was, in the recording's time."""
     axes: dict[str, dict[str, Any]] | None = None
-    """Each axis' own figures by its name; None where the rig has one axis. The figures above are then those of the first."""
+    """Each axis' own figures by its name; None where the rig has one axis. The figures of hold and dwells above are then those of the first,
+    `cycles` and `full_gain_s` the most, `sign_check` the one that leaves the most doubt, and all counters sums."""
     buses: dict[str, dict[str, Any]] | None = None
     """Each bus' own result by its channel; None where the rig has one bus."""
     stopped_by: str | None = None
     """Who ended the run before its time without a trip: SIGINT, SIGTERM, "coulombus stop"."""
+
+    full_gain_s: float | None = None
+    """When the law was shown whole, its gain at 1: from Operation Enabled, where the operator's schedule begins."""
+    remarks: tuple[str, ...] = ()
+    """Where the display was not what the rig file says: a law that a limit cut off, a hand that began before the law's gain was 1."""
 
     faults: list[dict[str, Any]] | None = None
     """What each fault of a fault file came to: kind, line, times, first_s, last_s."""
@@ -105,6 +113,7 @@ def axis_results(controllers: Controllers, figures: Sequence[Measures]) -> dict[
             "lost_pdos": int(k.host["lost_pdos"][0]),
             "trip": k.trip,
             "sign_check": k.sign_result.name.lower(),
+            "counters": k.counters(),
             **asdict(measures),
         }
         for k, measures in zip(controllers, figures, strict=True)
@@ -131,6 +140,7 @@ class _Run:
         if self.recorder:
             self.world.on_host = self._write_host
         self.k = self.world.controllers
+        self.marks = PhaseMarks(rig)
         self.injection: Injection | None = None
 
     def _write(self, frames: Records) -> None:
@@ -156,40 +166,46 @@ class _Run:
         """Run to `t_ns` in steps short enough to show progress and to write what was recorded."""
         world = self.world
         while world.t_ns < t_ns and not done():
-            world.run_until(min(t_ns, world.t_ns + PROGRESS_NS), done)
+            step_ns = min(t_ns, world.t_ns + PROGRESS_NS)
+            last = step_ns == t_ns  # what would begin at the display's end does not begin
+            for marker in self.marks.due(step_ns if last else step_ns + 1):
+                self.mark(*marker)
+            world.run_until(step_ns, done)
             world.flush()
             if self.progress is not None and world.enabled_ns is not None:
                 self.progress((world.t_ns - world.enabled_ns) * 1e-9)
 
     def course(self, seconds: float) -> None:
         """Power on, bring up, arm, display for `seconds` from Operation Enabled on, and end safely."""
-        world, k, rig = self.world, self.k, self.world.rig
+        world, k = self.world, self.k
         self.losses = world.bring_up()
         self.mark(world.t_ns, f"run {k.mode}")
         world.start_host()
-        arming_ns = round(2e9 * (rig.limits.still_timeout_s + 1))
-        self._until(world.t_ns + arming_ns, lambda: world.enabled_ns is not None or k.ending)
+        self._arm(world.t_ns + round(2e9 * k.arming_s))
         if world.enabled_ns is not None:
-            self._mark_phases(world.enabled_ns, seconds)
             end = world.enabled_ns + round(seconds * 1e9)
             self._until(end, lambda: k.ending)
+            if not k.ending:
+                for marker in self.marks.end(end):
+                    self.mark(*marker)
+        self.marks.stop()
         world.ask_to_stop()
         self._until(world.t_ns + SAFE_TIMEOUT_NS, lambda: k.safe)
         trip = int(bus_ns(world.host_clock, k.trip_ns)), k.trip
         self.mark(*((trip[0], f"trip {trip[1]}") if trip[1] else (world.t_ns, "safe")))
-        self._until(world.t_ns + SAFE_TIMEOUT_NS, lambda: k.done)
+        self._until(world.t_ns + SAFE_TIMEOUT_NS + round(1e9 * k.ending_s), lambda: k.done)
         world.stop_host()
         release(k, world)  # a few milliseconds: the nodes have not missed its heartbeat yet
         shut_down(world)
 
-    def _mark_phases(self, start_ns: int, seconds: float) -> None:
-        starts = self.world.operators[0].starts_s
-        names = [phase.kind for phase in self.world.rig.phases] + ["end"]
-        for begin, name in zip(starts, names, strict=True):
-            if begin < seconds:
-                self.mark(start_ns + round(begin * 1e9), f"phase {name}")
-        if starts[-1] >= seconds:
-            self.mark(start_ns + round(seconds * 1e9), "phase end")
+    def _arm(self, until_ns: int) -> None:
+        """Run until the drives of all axes are in Operation Enabled; the schedule of each begins when its own is."""
+        world, k = self.world, self.k
+        while world.t_ns < until_ns and world.enabled_ns is None and not k.ending:
+            self._until(until_ns, lambda: world.starts_ns.count(None) < len(k.each) - self.marks.begun or k.ending)
+            for axis, start_ns in enumerate(world.starts_ns):
+                if start_ns is not None:
+                    self.marks.begin(axis, start_ns)
 
     def close(self) -> None:
         """Write what is left and close the recording."""
@@ -222,8 +238,10 @@ class _Run:
             recording_sha256=file_sha256(self.record) if regular and self.record is not None else None,
             trip=trip,
             **asdict(figures[0]),
-            sign_check=k.each[0].sign_result.name.lower(),
+            sign_check=k.sign_result.name.lower(),
             simulated_s=0.0 if enabled is None else (self.world.t_ns - enabled) * 1e-9,
+            full_gain_s=full_gain_s(k),
+            remarks=display_remarks(k),
             counters=k.counters(),
             exit_status=7 if trip else 0,
             trip_ns=int(bus_ns(self.world.host_clock, k.trip_ns)) if k.trip_ns else None,
@@ -269,7 +287,7 @@ def simulate(
     host.errors.HostError
         a node is missing, refuses a value or is not what the rig file says; nothing was armed
     eds.rig.RigError, host.laws.LawError, wire.pcapng.RecordingError
-        the rig file, the law or the recording's path is wrong
+        the rig file, the law or the recording's path is wrong, or a limit would cut the law off
     FileExistsError
         `record` or `truth` exists, and `force` was not given; nothing was run
     sim_bus.fault_file.FaultError
@@ -282,6 +300,7 @@ def simulate(
     if not (math.isfinite(seconds) and seconds > 0):
         raise ValueError(f"seconds {seconds!r}: expected a number above 0")
     check_plan(chosen)
+    check_demand(chosen, mode)
     for path in (Path(one) for one in (record, truth) if one is not None):
         for channel in chosen.channels:  # known before the first bus is run
             check_output(path_on(path, channel) if len(chosen.channels) > 1 else path, force=force)

@@ -118,6 +118,11 @@ class VirtualRig(VirtualNetwork):
     # time
 
     @property
+    def starts_ns(self) -> tuple[int | None, ...]:
+        """When each axis' drive entered Operation Enabled, which began its operator's schedule; None while it has not."""
+        return tuple(None if start < 0 else start for start in self._axes["operator_start_ns"].tolist())
+
+    @property
     def enabled_ns(self) -> int | None:
         """When the last axis' drive entered Operation Enabled, which began its operator's schedule; None while one has not."""
         starts = self._axes["operator_start_ns"]

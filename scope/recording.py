@@ -20,7 +20,7 @@ from __future__ import annotations
 import difflib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Self, TypeAlias
@@ -78,8 +78,8 @@ class Source:
         """Yield the blocks."""
         raise NotImplementedError
 
-    def seen_by(self, axis: Rig) -> Self:
-        """Return the recording as an axis sees it that is a rig of its own, with the signals' plain names."""
+    def seen_by(self, axis: str) -> Self:
+        """Return the recording as the axis of this name sees it, with the signals' plain names; markers of other axes are left out."""
         raise NotImplementedError
 
     def one_axis(self, name: str | None) -> Self:
@@ -90,14 +90,15 @@ class Source:
         eds.rig.RigError
             see `Rig.one_axis`
         """
-        return self.seen_by(self.rig.one_axis(name))
+        self.rig.one_axis(name)
+        return self.seen_by(name or "")
 
     @property
     def axes(self) -> tuple[Self, ...]:
         """The recording as each axis of the rig sees it, with the signals' plain names."""
         if self.rig.axes[0] is self.rig:
             return (self,)
-        return tuple(self.seen_by(axis.alone) for axis in self.rig.axes)
+        return tuple(self.seen_by(axis.axis) for axis in self.rig.axes)
 
     def signal(self, name: str) -> Signal:
         """Return what the rig says of a signal: object, scale, offset, unit; KeyError names the nearest ones."""
@@ -147,9 +148,12 @@ class Recording(Source):
         """Yield the recording itself: it is one block."""
         yield self
 
-    def seen_by(self, axis: Rig) -> Recording:
-        """Return the recording as an axis sees it that is a rig of its own, with the signals' plain names."""
-        return self if axis is self.rig else decode(self.capture, axis, self.epoch_ns)
+    def seen_by(self, axis: str) -> Recording:
+        """Return the recording as the axis of this name sees it, with the signals' plain names; markers of other axes are left out."""
+        if not axis:
+            return self
+        seen = decode(self.capture, self.rig.one_axis(axis), self.epoch_ns)
+        return replace(seen, markers=_markers_of(axis, self.rig, seen.markers))
 
     @property
     def frames(self) -> Records:
@@ -182,20 +186,39 @@ class Blocks(Source):
     remarks: tuple[str, ...] = field(default=(), init=False)
     """As `Recording.remarks`, of the last iteration that came to its end."""
 
+    axis: str = ""
+    """The axis of `rig` whose view this is, with the signals' plain names; "": of all that it has."""
+
+    def __post_init__(self) -> None:
+        self._whole, self.rig = self.rig, self.rig.one_axis(self.axis) if self.axis else self.rig
+
     def __iter__(self) -> Iterator[Recording]:
         epoch_ns, left_out, warnings = None, Counter[str](), list[str]()
         for capture in _captures(self.path):
             if epoch_ns is None and len(capture.frames):
                 epoch_ns = _epoch_ns(capture.frames)
             block = decode(capture, self.rig, epoch_ns)
+            if self.axis:
+                block = replace(block, markers=_markers_of(self.axis, self._whole, block.markers))
             left_out.update(_left_out(block))
             warnings += capture.warnings
             yield block
         self.remarks = _remarks(self.path, warnings, left_out)
 
-    def seen_by(self, axis: Rig) -> Blocks:
-        """Return the recording as an axis sees it that is a rig of its own, with the signals' plain names."""
-        return Blocks(self.path, axis)
+    def seen_by(self, axis: str) -> Blocks:
+        """Return the recording as the axis of this name sees it, with the signals' plain names; markers of other axes are left out."""
+        return Blocks(self.path, self.rig, axis) if axis else self
+
+
+def _markers_of(axis: str, rig: Rig, markers: list[tuple[float, str]]) -> list[tuple[float, str]]:
+    """Return the markers as an axis of `rig` sees them: its own phases by their plain names, those of the others not at all."""
+    own = f"{axis}.phase "
+    others = tuple(f"{one.axis}.phase " for one in rig.axes if one.axis != axis)
+    return [
+        (t_s, text.removeprefix(f"{axis}.") if text.startswith(own) else text)
+        for t_s, text in markers
+        if not text.startswith(others)
+    ]
 
 
 def series(source: Source, *names: str) -> tuple[Series, ...]:

@@ -18,8 +18,8 @@ MS = 1_000_000
 class HostBench:
     """Two devices whose answers a test can bend: position in counts, handle torque, statusword, missing TPDOs."""
 
-    def __init__(self, mode="hybrid", *overrides):
-        self.rig = load_rig("bench", overrides)
+    def __init__(self, mode="hybrid", *overrides, rig=None):
+        self.rig = load_rig("bench", overrides) if rig is None else rig
         self.k = Controller(self.rig, mode)
         self.c, self.h = self.k.control[0], self.k.host[0]
         self.queue, self.header = new_queue()
@@ -30,6 +30,8 @@ class HostBench:
         self.coil_A = 0.0
         self.torque_pm = 0
         self.supply = True
+        self.status_bits = 0  # beside those of the state
+        self.switch = 0  # the object that is the dead man's switch, where the rig has one
         self.silent = set()  # "motor" or "brake"
         self.heartbeats = True
         self.sent = {}
@@ -39,6 +41,8 @@ class HostBench:
         """Raw values of the process image as the devices would send them."""
         values = self.h.image.copy()
         values[Image.STATUSWORD] = int(STATUSWORD[self.state]) | (VOLTAGE_ENABLED if self.supply else 0)
+        values[Image.STATUSWORD] |= self.status_bits
+        values[Image.DEADMAN] = self.switch
         values[Image.POSITION] = math.floor(self.counts)
         values[Image.TORQUE] = round(self.torque_pm)
         values[Image.HANDLE_TORQUE] = round(self.handle_Nm / self.c.handle_Nm_raw)

@@ -11,11 +11,14 @@ from coulombus import main
 from eds.rig import RigError, load_rig, load_rig_text
 from host.axes import finish_waiting, on_frame
 from host.controllers import Controllers
-from host.records import Phase, Trip
+from host.deadman import deadman_of
+from host.errors import SafetyTrip
+from host.records import Phase, SignResult, Trip
 from lab.buses import merged
+from lab.demo import schedule_s
 from lab.simulate import simulate
 from scope.recording import read
-from wire.address import AddressError, BusAddress
+from wire.address import AddressError, BusAddress, parse_address
 from wire.frame import new_queue
 from wire.rig_buses import bus_addresses, one_bus
 
@@ -106,6 +109,16 @@ def test_a_mistake_is_told_with_the_line_of_the_axis():
     line = next(n for n, text in enumerate(rig.text.splitlines(), 1) if text == "motor.node_id = 3")
     assert str(rig.axes[1].mistake("motor.node_id", "another")) == (
         f"{rig.path}:{line}: axis.right.motor.node_id: '3' stands there; expected another"
+    )
+
+
+def test_a_mistake_of_an_override_is_told_with_the_override_that_counts():
+    overrides = ("axis.left.motor.heartbeat_s=0.03", "motor.heartbeat_s=0.04")
+    left, right = load_rig("two_axes", overrides).axes
+    place = "--set axis.left.motor.heartbeat_s=0.03: axis.left.motor.heartbeat_s: '0.03'"
+    assert str(left.mistake("motor.heartbeat_s", "another")).startswith(place)
+    assert str(right.mistake("motor.heartbeat_s", "another")).startswith(
+        "--set motor.heartbeat_s=0.04: motor.heartbeat_s"
     )
 
 
@@ -204,6 +217,71 @@ def test_a_fault_of_one_axis_makes_both_safe():
     assert list(worlds[0].nodes["out_brake_Nm"][:4]) == [0.0] * 4
 
 
+# no axis stands for the others
+
+
+@pytest.mark.parametrize("harmless", ["left", "right", "both", "none"])
+def test_one_motor_with_torque_needs_the_dead_mans_switch(harmless):
+    limits = [f"axis.{axis}.mode.hybrid.motor_limit_Nm=0" for axis in ("left", "right") if harmless in (axis, "both")]
+    rig = load_rig("two_axes", limits)
+    can = parse_address("socketcan:can0")
+    if harmless == "both":
+        assert deadman_of(rig, "hybrid", can) == "none"
+        return
+    with pytest.raises(SafetyTrip, match=r"host\.deadman") as refused:
+        deadman_of(rig, "hybrid", can)
+    assert ("left.motor" in str(refused.value)) is (harmless != "left")
+    assert ("right.motor" in str(refused.value)) is (harmless != "right")
+
+
+def test_what_each_axis_answers_is_not_asked_of_the_whole():
+    rig = load_rig("two_axes")
+    with pytest.raises(TypeError, match="the axes left, right; ask each"):
+        rig.motor_limit_Nm("hybrid")
+    with pytest.raises(TypeError, match="the axes left, right; ask each"):
+        rig.description("motor")
+    assert [round(axis.motor_limit_Nm("hybrid"), 3) for axis in rig.axes] == [0.168, 0.168]
+
+
+@pytest.mark.parametrize("slow", ["left", "right"])
+def test_the_slowest_axis_is_waited_for(slow):
+    words = ("limits.still_timeout_s=30", "limits.safe_hold_s=20", "limits.safe_ramp_s=15")
+    k = Controllers(load_rig("two_axes", [f"axis.{slow}.{word}" for word in words]), "hybrid")
+    assert k.arming_s == pytest.approx(31.0)
+    assert k.ending_s == pytest.approx(35.0)
+
+
+@pytest.mark.parametrize("outcomes", [("AGREED", "NO_HAND"), ("NO_HAND", "AGREED"), ("NOT_RUN", "NO_HAND")])
+def test_the_sign_check_that_leaves_the_most_doubt_is_told(outcomes):
+    k = Controllers(load_rig("two_axes"), "hybrid")
+    k.host["sign_result"] = [SignResult[name] for name in outcomes]
+    assert k.sign_result is SignResult.NO_HAND
+
+
+@pytest.mark.parametrize("axis", ["left", "right"])
+def test_the_longest_schedule_is_that_of_the_rig(axis):
+    assert schedule_s(load_rig("two_axes", [f"axis.{axis}.phase=[{{kind='rest', duration_s=40}}]"])) == 40.0
+    assert schedule_s(load_rig("two_axes", [f"axis.{axis}.phase=[{{kind='rest', duration_s=4}}]"])) == 13.0
+
+
+@pytest.mark.parametrize(("slow", "fast"), [("left", "right"), ("right", "left")])
+def test_a_run_waits_for_the_slowest_axis_and_marks_each_by_itself(tmp_path, slow, fast):
+    """The first axis' time-out once ended a run whose second axis still armed, as if all were well."""
+    overrides = (f"axis.{fast}.limits.still_timeout_s=0.4", f"axis.{slow}.limits.still_s=4")
+    record = tmp_path / "run.pcapng"
+    result = simulate("two_axes", "passive", 1.5, record=record, overrides=overrides)
+    assert (result.trip, result.cycles > 0) == (None, True)
+    recording = read(record)
+    when = {text: t for t, text in recording.markers}
+    assert when[f"{slow}.phase rest"] - when[f"{fast}.phase rest"] == pytest.approx(3.8, abs=0.01)
+    for axis in (slow, fast):
+        assert when[f"{axis}.phase hold"] - when[f"{axis}.phase rest"] == pytest.approx(1.0, abs=4e-3)
+        assert when[f"{axis}.phase end"] == pytest.approx(when[f"{slow}.phase rest"] + 1.5, abs=4e-3)
+    seen = dict(zip(("left", "right"), recording.axes, strict=True))[fast]
+    assert {text: t for t, text in seen.markers}["phase hold"] == when[f"{fast}.phase hold"]
+    assert not [text for _, text in seen.markers if slow in text]
+
+
 # several buses
 
 
@@ -288,6 +366,12 @@ def test_the_status_that_counts_is_of_the_bus_that_failed():
     whole = merged({"a": good, "b": bad}, {"a": 143, "b": 7})
     assert (whole["exit_status"], whole["trip"], whole["lost_pdos"]) == (7, "SPEED", 3)
     assert merged({"a": good, "b": good}, {"a": 0, "b": 0})["exit_status"] == 0
+    good |= {"counters": {"clipped_torque": 1}, "sign_check": "agreed", "remarks": [], "full_gain_s": 0.8}
+    bad |= {"counters": {"clipped_torque": 2}, "sign_check": "no_hand", "remarks": ["axis b: cut"], "full_gain_s": 0.5}
+    for order in ({"a": good, "b": bad}, {"b": bad, "a": good}):
+        whole = merged(order, {"a": 143, "b": 7})
+        assert (whole["counters"], whole["sign_check"]) == ({"clipped_torque": 3}, "no_hand")
+        assert (whole["remarks"], whole["full_gain_s"]) == (["axis b: cut"], 0.8)
     assert merged({"a": None}, {"a": 4})["exit_status"] == 4
     refused = {"event": "error", "error": "no bus", "exit_status": 4}
     whole = merged({"a": good, "b": refused}, {"a": 143, "b": 4})

@@ -157,11 +157,14 @@ def test_decode_and_check():
 
 def test_the_brake_set_point_never_wraps(tmp_path):
     """A set-point beyond what 7300h holds is cut off, not wrapped to a negative one."""
-    wild = [
-        f"--set={key}" for key in ("mode.hybrid.F_s_Nm=40", "limits.brake_torque_Nm=100", "brake.rated_torque_Nm=100")
-    ]
-    result = call("simulate", "--seconds", "2.5", "--record", tmp_path / "r.pcapng", *wild)
+    law = tmp_path / "wild.py"
+    law.write_text("def law(motion, law, state):\n    state.brake_Nm = 40.0\n    return 40.0\n")
+    wild = ["limits.brake_torque_Nm=100", "brake.rated_torque_Nm=100", f"law.function={law}:law"]
+    words = ["simulate", "--seconds", "2.5", "--record", tmp_path / "r.pcapng", *(f"--set={key}" for key in wild)]
+    push = "--set=mode.hybrid.F_s_Nm=40"
+    result = call(*words, push)
     assert result.exit_code == 7, result.output  # a push of 24 Nm on a brake of 5 Nm: too fast, and told so
+    assert "clipped_setpoints" in result.output
     setpoint = read(tmp_path / "r.pcapng")["brake.setpoint_Nm"]
     assert setpoint.values.min() == 0.0
     assert setpoint.values.max() == 5.0

@@ -41,9 +41,9 @@ FRAME = struct.Struct("=IB3xq")
 class Plane:
     """The loop in a thread, on one end of a socket pair; `other` is the bus."""
 
-    def __init__(self, *overrides):
-        self.k = Controllers(load_rig("bench", overrides), "hybrid")
-        self.shared = SharedPlane.create()
+    def __init__(self, *overrides, rig="bench"):
+        self.k = Controllers(load_rig(rig, overrides), "hybrid")
+        self.shared = SharedPlane.create(len(self.k.each))
         self.k.adopt({name: getattr(self.shared, name) for name in SECTIONS})
         self.shared.owner[:] = self.k.owner
         self.plane = self.shared.plane
@@ -77,8 +77,8 @@ class Plane:
 
 
 @contextmanager
-def running(*overrides):
-    plane = Plane(*overrides)
+def running(*overrides, rig="bench"):
+    plane = Plane(*overrides, rig=rig)
     plane.thread.start()
     try:
         yield plane
@@ -181,6 +181,18 @@ def test_a_bus_that_does_not_read_blocks_nothing():
         plane.plane["command"] = Command.LISTEN
         plane.wait(lambda: plane.plane["status"][0] == Status.LISTENING, read=False)
     assert plane.k.trip.startswith(("TRANSMIT", "TPDO_LOST"))
+
+
+@pytest.mark.parametrize("strict", [0, 1])
+def test_frames_that_are_not_taken_trip_by_the_strictest_axis(strict):
+    with running("limits.missed_tpdo_cycles=1000", rig="two_axes") as plane:
+        plane.mine.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
+        plane.k.each[1 - strict].control["missed_cycles"] = 1_000_000
+        plane.k.each[strict].control["missed_cycles"] = 20
+        plane.k.host["missed_in_a_row"] = -1_000_000  # this is not about the TPDOs that do not come
+        plane.cycle()
+        plane.wait(lambda: plane.k.ending, read=False)
+    assert plane.k.tripped.host["trip"][0] == Trip.TRANSMIT
 
 
 def test_another_host_in_mid_run_is_noticed():
@@ -356,8 +368,8 @@ def test_an_object_as_switch_must_be_one():
             load_rig("bench", [f"host.deadman={wrong}"])
 
 
-def test_an_input_of_the_drive_as_switch():
-    """60FD is mapped beside the velocity; the bench arms while it is not 0, and stops in the cycle in which it is."""
+def rig_with_input(deadman, data_type=0x0007):
+    """Return the bench rig whose drive has an object 60FDh of this type, mapped beside the velocity."""
     folder = Path(__file__).resolve().parent.parent / "eds"
     motor = (folder / "motor.eds").read_text()
     count = int(re.search(r"\[OptionalObjects\]\nSupportedObjects=(\d+)", motor).group(1))
@@ -365,20 +377,80 @@ def test_an_input_of_the_drive_as_switch():
         f"[OptionalObjects]\nSupportedObjects={count}\n",
         f"[OptionalObjects]\nSupportedObjects={count + 1}\n{count + 1}=0x60FD\n",
     )
-    motor += "\n[60FD]\nParameterName=Digital inputs\nObjectType=0x7\nDataType=0x0007\nAccessType=ro\nDefaultValue=0\nPDOMapping=1\n"
+    motor += f"\n[60FD]\nParameterName=Digital inputs\nObjectType=0x7\nDataType=0x{data_type:04X}\n"
+    motor += "AccessType=ro\nDefaultValue=0\nPDOMapping=1\n"
     texts = {"motor.eds": motor, "mr_brake.eds": (folder / "mr_brake.eds").read_text()}
     bench = load_rig("bench")
-    rig = load_rig_text(bench.text, bench.path, texts, ["host.deadman=object:60FD:0"])
+    text = bench.text.replace("[host]\n", f'[host]\ndeadman = "{deadman}"\n')
+    return load_rig_text(text, bench.path, texts)
+
+
+@pytest.mark.parametrize(
+    ("deadman", "data_type", "why"),
+    [
+        (
+            "object:60FD:0",
+            0x0007,
+            r'any of them would hold the switch: name .* a mask, as in "object:60FD:0:0x00010000"',
+        ),
+        ("object:60FD:0", 0x0006, 'has 16 bits, .* "object:60FD:0:0x0100"'),
+        ("object:60FD:0:0x0", 0x0007, "the mask is 0"),
+        ("object:60FD:0:0x0", 0x0005, "the mask is 0"),
+        ("object:60FD:0:0x100000000", 0x0007, "mask 0x100000000 is wider than 60FDh:0 of the motor, which has 32 bits"),
+        ("object:60FD:0:0x100", 0x0005, "wider"),
+        ("object:60FD:0:10000", 0x0007, "object:INDEX:SUB:MASK"),
+        ("object:60FD:0:0xG", 0x0007, "object:INDEX:SUB:MASK"),
+    ],
+)
+def test_a_switch_among_other_inputs_needs_its_mask(deadman, data_type, why):
+    """One limit switch in 60FDh held a dead man's switch that was the whole object."""
+    with pytest.raises(RigError, match=why) as refused:
+        rig_with_input(deadman, data_type)
+    line = load_rig("bench").text.splitlines().index("[host]") + 2
+    assert f"bench.toml:{line}: host.deadman:" in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("deadman", "data_type", "holds", "lets_go"),
+    [
+        ("object:60FD:0:0x00030000", 0x0007, 0x00030001, (0, 1, 0xFFFF, 0x00010000, 0x00020000, 0xFFFEFFFF)),
+        ("object:60FD:0:0x80000000", 0x0004, -1, (0x7FFFFFFF, 0)),
+        ("object:60FD:0:0x04", 0x0005, 0x0C, (0x08, 0xFB, 0)),
+        ("object:60FD:0", 0x0005, 0x80, (0,)),
+    ],
+)
+def test_only_all_bits_of_its_mask_hold_the_switch(deadman, data_type, holds, lets_go):
+    for other in lets_go:
+        bench = HostBench("hybrid", rig=rig_with_input(deadman, data_type).variant("limits.still_timeout_s=0.5"))
+        bench.switch = other
+        bench.cycles(600)
+        assert bench.k.trip.startswith("DEADMAN")
+        assert bench.h.enabled_ns == -1
+        bench = HostBench("hybrid", rig=bench.rig)
+        bench.switch = holds
+        bench.arm()
+        bench.cycles(20)
+        assert bench.phase is Phase.RUN
+        bench.switch = other
+        bench.cycle()
+        assert bench.phase is Phase.SAFE
+        assert bench.motor_pm == 0
+        assert bench.k.trip.startswith("DEADMAN")
+
+
+def test_an_input_of_the_drive_as_switch():
+    """60FD is mapped beside the velocity; the bench arms while its bit 16 is 1, and stops in the cycle in which it is not."""
+    rig = rig_with_input("object:60FD:0:0x00010000")
     assert [s.name for pdo in rig.pdos() if pdo.node == "motor" for s in pdo.signals][-1] == "motor.deadman"
     seen = {}
 
     def let_go(world):
-        world.motor[0x60FD, 0] = 0
+        world.motor[0x60FD, 0] = 1  # a limit switch
         seen["t_ns"] = world.t_ns
 
     def press(world):
         seen["world"] = world
-        world.motor[0x60FD, 0] = 1
+        world.motor[0x60FD, 0] = 0x10000
         world.at(world.t_ns + 2_500_000_000, let_go)
 
     result = simulate(rig, "hybrid", 5.0, script=lambda world: world.at(500_000_000, press))

@@ -15,6 +15,7 @@ from host.records import Image, Phase, Trip
 from host.trace import TRACE
 from lab import real_run
 from lab.recorder import Recorder
+from lab.schedule import PhaseMarks
 from lab.world import VirtualRig
 from scope.recording import read
 from wire.frame import FRAME
@@ -106,8 +107,8 @@ class Plane:
 
     status, alive, lost_text, real_time = Status.CYCLING, True, "", ()
 
-    def __init__(self, k, trip=Trip.NONE):
-        self.k, self.now, self.taken, self.trip = k, 0, 0, trip
+    def __init__(self, k, trip=Trip.NONE, enabled_s=(1,)):
+        self.k, self.now, self.taken, self.trip, self.enabled_s = k, 0, 0, trip, enabled_s
         self.stop_ns = None
         self.batches = 0
 
@@ -126,10 +127,11 @@ class Plane:
 
     def live(self, t_ns):
         self.now, h = t_ns, self.k.host
-        if t_ns >= S and h["phase"][0] == Phase.STILL:
-            h["enabled_ns"], h["phase"] = S, Phase.RUN
+        for axis, at_s in enumerate(self.enabled_s):
+            if t_ns >= at_s * S and h["phase"][axis] == Phase.STILL:
+                h["enabled_ns"][axis], h["phase"][axis] = at_s * S, Phase.RUN
         safe = self.stop_ns + MS if self.stop_ns is not None else 3 * S if self.trip else None
-        if safe is not None and t_ns >= safe and h["phase"][0] == Phase.RUN:
+        if safe is not None and t_ns >= safe and h["phase"][0] < Phase.SAFE:
             h["trip"], h["trip_ns"], h["phase"] = self.trip, safe, Phase.SAFE
         if h["phase"][0] == Phase.SAFE and t_ns >= int(h["trip_ns"][0]) + 600 * MS:
             h["phase"] = Phase.DONE
@@ -148,12 +150,12 @@ class Plane:
         return np.zeros(0, TRACE).view(np.recarray)
 
 
-def marked(tmp_path, monkeypatch, *, slow_batch=1, trip=Trip.NONE):
-    """Return the markers of a run of 5 s, in ms."""
-    rig = load_rig("bench")
+def marked(tmp_path, monkeypatch, *, slow_batch=1, trip=Trip.NONE, rig="bench", enabled_s=(1,)):
+    """Return the markers of a run of 5 s, in ms; the drives of the axes are enabled at these times."""
+    rig = load_rig(rig)
     run = object.__new__(real_run._RealRun)
     k = Controllers(rig, "hybrid")
-    plane = Plane(k, trip)
+    plane = Plane(k, trip, enabled_s)
     plane.clock, plane.slow_batch = Clock(plane), slow_batch
     monkeypatch.setattr(real_run, "time", plane.clock)
     run.rig, run.k, run.plane, run.zero_ns = rig, k, plane, 0
@@ -162,8 +164,7 @@ def marked(tmp_path, monkeypatch, *, slow_batch=1, trip=Trip.NONE):
     run.deadman, run._ended, run._seen = "none", False, (0, 0.0)
     run.signals = SimpleNamespace(number=0, defer=lambda: None)
     run.door = SimpleNamespace(stop_wanted=lambda: False)
-    names = [phase.kind for phase in rig.phases] + ["end"]
-    run._phases = list(zip(real_run.Operator(rig, "hybrid").starts_s, names, strict=True))
+    run._marks = PhaseMarks(rig)
     run.course(5.0)
     run.drain()
     return [(round(t_s * 1000), text.partition(":")[0]) for t_s, text in read(tmp_path / "r.pcapng").markers]
@@ -183,6 +184,20 @@ def test_markers_stand_on_their_frames_however_slow_the_recording_is(tmp_path, m
 def test_a_trips_marker_stands_on_its_frame(tmp_path, monkeypatch):
     found = {text: t for t, text in marked(tmp_path, monkeypatch, slow_batch=300, trip=Trip.SPEED)}
     assert found["trip SPEED"] == 3000
+
+
+@pytest.mark.parametrize("enabled_s", [(1, 3), (3, 1)])
+def test_the_phases_of_each_axis_count_from_its_own_start(tmp_path, monkeypatch, enabled_s):
+    found = {
+        text: t
+        for t, text in marked(tmp_path, monkeypatch, slow_batch=0, rig="two_axes", enabled_s=enabled_s)
+        if "phase" in text
+    }
+    for axis, at_s in zip(("left", "right"), enabled_s, strict=True):
+        assert found[f"{axis}.phase rest"] == 1000 * at_s
+        assert found[f"{axis}.phase hold"] == 1000 * at_s + 1000
+    last = max(enabled_s)  # the display lasts 5 s from the last one on
+    assert all(1000 * last + 5000 <= found[f"{axis}.phase end"] <= 1000 * last + 5020 for axis in ("left", "right"))
 
 
 def test_what_the_recording_needs_is_compiled_before_the_nodes_are_touched(monkeypatch):
