@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -94,7 +93,7 @@ def conformance(
         cases = select(numbers)
         address = parse_address(bus_name)
         description = read_eds(eds_path)
-        with _terminated(), BusLink(address) as link:
+        with BusLink(address) as link:
             unit = Unit(link, description, node_id, Timing.of(timeout), seed)
             check_before(unit, force=force)
             click.echo(
@@ -115,20 +114,6 @@ def conformance(
         if report.ended_by is not None:
             raise report.ended_by
         sys.exit(1 if report.count("fail") + report.count("error") else 0)
-
-
-@contextmanager
-def _terminated() -> Iterator[None]:
-    """Let SIGTERM end the run as Ctrl-C does: with the device reset."""
-
-    def end(*_: object) -> None:
-        sys.exit(143)
-
-    before = signal.signal(signal.SIGTERM, end)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
@@ -15,6 +16,7 @@ import click
 
 from eds.exit_status import STATUSES
 from eds.output_file import is_stream, reason_against
+from eds.stopping import Stopped, as_exceptions, status_of
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -46,11 +48,13 @@ __all__ = [
     "record_option",
     "remark",
     "rig_option",
+    "say",
     "script_option",
     "seconds_option",
     "seed_option",
     "set_option",
     "table_console",
+    "verdict",
 ]
 
 EXIT_STATUS = (
@@ -80,7 +84,7 @@ class Failure(Exception):
 class Verbs(click.Group):
     """The verbs. What ends one before its result is told on stderr; with --json it is an object on stdout, too.
 
-    Ctrl-C is exit status 130 at any time, also while a verb still loads what it needs.
+    Ctrl-C is exit status 130 at any time, also while a verb still loads what it needs; so with the other signals of `eds.stopping`.
     """
 
     def resolve_command(
@@ -100,13 +104,16 @@ class Verbs(click.Group):
 
         try:
             try:
-                return super().invoke(ctx)
+                with as_exceptions():
+                    return super().invoke(ctx)
+            except Stopped as stopped:
+                raise Failure(f"ended by {stopped}", status_of(stopped.number)) from None
             except KeyboardInterrupt:
                 raise Failure("interrupted", 130) from None
         except Failure as failure:
-            tell(str(failure), failure.status)
-            click.echo(f"coulombus: {printable(str(failure))}", err=True)
-            sys.exit(failure.status)
+            with verdict(failure.status):
+                tell(str(failure), failure.status)
+                say(f"coulombus: {printable(str(failure))}")
         except click.ClickException as error:
             tell(error.format_message(), error.exit_code)
             raise
@@ -122,7 +129,7 @@ def errors() -> Iterator[None]:
     try:
         yield
     except BrokenPipeError:  # the reader of a pipe went away, as `head` does
-        sys.stderr.close()
+        _abandon_stdout()
         sys.exit(0)
     except Exception as error:
         status = getattr(error, "exit_status", None)
@@ -139,10 +146,44 @@ def printable(text: str) -> str:
     return _CONTROL.sub(lambda found: f"\\x{ord(found[0]):02x}", text)
 
 
+def _abandon_stdout() -> None:
+    """Let go of a stdout that takes nothing: the interpreter would try it again at its end, and exit with 120."""
+    with suppress(OSError, ValueError):
+        null = os.open(os.devnull, os.O_WRONLY)
+        try:
+            os.dup2(null, sys.stdout.fileno())
+        finally:
+            os.close(null)
+
+
+@contextmanager
+def verdict(status: int) -> Iterator[None]:
+    """End the verb with `status` behind what is printed inside, also when nobody reads it.
+
+    A reader that has gone (`head`), or a terminal that was closed, hides no verdict; nor does a full disk, but that makes an error of a 0.
+    """
+    try:
+        yield
+        sys.stdout.flush()
+    except OSError as error:
+        _abandon_stdout()
+        if status == 0 and error.errno not in (errno.EPIPE, errno.EIO):
+            raise
+        if not isinstance(error, BrokenPipeError):
+            say(f"coulombus: the result cannot be printed: {error.strerror}")
+    sys.exit(status)
+
+
+def say(text: str) -> None:
+    """Say something on stderr; one that is closed keeps nothing from its course."""
+    with suppress(OSError):
+        click.echo(text, err=True)
+
+
 def remark(texts: Iterable[str]) -> None:
     """Say on stderr what a recording or a run lacks, sentence by sentence (`scope.recording.Recording.remarks`, `RunResult.losses`)."""
     for text in texts:
-        click.echo(f"coulombus: {printable(text)}", err=True)
+        say(f"coulombus: {printable(text)}")
 
 
 def load(rig_name: str, overrides: tuple[str, ...]) -> Rig:
@@ -151,7 +192,7 @@ def load(rig_name: str, overrides: tuple[str, ...]) -> Rig:
 
     rig = load_rig(rig_name, overrides)
     for warning in rig.warnings:
-        click.echo(f"warning: {warning}", err=True)
+        say(f"warning: {warning}")
     return rig
 
 
@@ -336,16 +377,24 @@ def progress(enabled: bool) -> Iterator[Callable[[str, float, float], None]]:
         TextColumn("{task.fields[told]}"),
         TimeElapsedColumn(),
     )
-    with Progress(*columns, console=console) as bars:
-        starting = bars.add_task("starting", total=None, told="")
-        tasks: dict[str, TaskID] = {}
+    bars = Progress(*columns, console=console)
+    starting = bars.add_task("starting", total=None, told="")
+    tasks: dict[str, TaskID] = {}
+    shown = suppress(OSError)  # a terminal that was closed takes nothing more: what is shown there goes on without it
 
-        def report(label: str, t: float, total: float) -> None:
+    def report(label: str, t: float, total: float) -> None:
+        with shown:
             if label not in tasks:
                 bars.update(starting, visible=False)
                 tasks[label] = bars.add_task(label, total=total, told="")
             t = min(t, total)
             bars.update(tasks[label], completed=t, told=f"{t:5.1f} of {total:.0f} s displayed")
 
+    with shown:
+        bars.start()
+    try:
         yield report
-        bars.update(starting, visible=False)
+    finally:
+        with shown:
+            bars.update(starting, visible=False)
+            bars.stop()

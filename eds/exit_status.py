@@ -18,7 +18,10 @@ STATUSES: Mapping[int, str] = MappingProxyType(
         6: "a node aborted an SDO transfer",
         7: "safety: arming refused, or a trip led to the safe state (as when a recording can go on no more)",
         8: "deadlines or frames lost beyond the limit",
-        130: "interrupted (143: terminated)",
+        129: "the terminal was closed (SIGHUP); `sim`, `node`, `watch` and `bridge` end with 0 by any of these signals",
+        130: "interrupted by Ctrl-C (SIGINT)",
+        131: "interrupted by Ctrl-Backslash (SIGQUIT)",
+        143: "terminated (SIGTERM)",
     }
 )
 """Status -> what it means."""

@@ -13,10 +13,14 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
 from typing import Any
+
+from eds.stopping import status_of, taken
+from wire.realtime import die_with_parent
 
 __all__ = ["BusProcess", "merged", "path_on", "supervise"]
 
@@ -92,8 +96,9 @@ def supervise(
             else:
                 tell(bus.channel, line.rstrip("\n"))
 
-    before = {number: signal.signal(number, on_signal) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
+    parent = os.getpid()
+    with taken(on_signal), ExitStack() as at_the_end:
+        at_the_end.callback(end, signal.SIGTERM)
         for channel in channels:
             command = [
                 sys.executable,
@@ -103,7 +108,12 @@ def supervise(
                 *arguments(channel),
             ]  # -P: no module of the current folder
             process = subprocess.Popen(
-                command, stdout=subprocess.PIPE, text=True, start_new_session=True, env=_environment()
+                command,
+                stdout=subprocess.PIPE,
+                text=True,
+                start_new_session=True,
+                env=_environment(),
+                preexec_fn=lambda: die_with_parent(parent, signal.SIGTERM),  # its safe end, should this one be killed
             )
             buses.append(BusProcess(channel, process))
             if wanted:
@@ -121,10 +131,6 @@ def supervise(
                     continue
         for reader in readers:
             reader.join()
-    finally:
-        end(signal.SIGTERM)
-        for number, handler in before.items():
-            signal.signal(number, handler)
     return buses
 
 
@@ -155,7 +161,7 @@ def merged(results: Mapping[str, Mapping[str, Any] | None], statuses: Mapping[st
         whole["full_gain_s"] = None if None in gains else max(gains)
     trips = [result["trip"] for result in told.values() if result.get("trip")]
     whole["trip"] = next((trip for trip in trips if "OTHER_AXIS" not in trip), trips[0] if trips else None)
-    bad = next((channel for channel, status in statuses.items() if status not in (0, 128 + signal.SIGTERM)), None)
+    bad = next((channel for channel, status in statuses.items() if status not in (0, status_of(signal.SIGTERM))), None)
     whole["exit_status"] = max(statuses.values(), default=0) if bad is None else statuses[bad]
     if bad is not None and "error" in told.get(bad, {}):
         whole["error"] = told[bad]["error"]

@@ -167,8 +167,8 @@ def serves(server: BusServer) -> bool:
     return server.address.kind == "coulombus" and not server.joined
 
 
-def run_nodes(nodes: LiveNodes, address: BusAddress, seconds: float | None) -> int:
-    """Serve the nodes until the time is over, or SIGINT or SIGTERM; return the exit status."""
+def run_nodes(nodes: LiveNodes, address: BusAddress, seconds: float | None) -> None:
+    """Serve the nodes until the time is over, or a signal of `eds.stopping`; end with the exit status."""
 
     def make() -> BusServer:
         server = BusServer(nodes.make_world, address, nodes.bit_rate or BIT_RATE, join=True)
@@ -185,4 +185,4 @@ def run_nodes(nodes: LiveNodes, address: BusAddress, seconds: float | None) -> i
             return
         print(f"coulombus: {text}", file=sys.stderr)
 
-    return run_sim(make, seconds, priority=None, cpu=None, as_json=nodes.as_json, tell_ready=tell_bus)
+    run_sim(make, seconds, priority=None, cpu=None, as_json=nodes.as_json, tell_ready=tell_bus)

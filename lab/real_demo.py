@@ -19,6 +19,7 @@ from lab.demo import DEMO_MODES, Demo, as_dict, judge, schedule_s
 from lab.real_run import Interrupted, Signals, real_run
 from lab.simulate import RunResult
 from wire.address import BusAddress
+from wire.realtime import die_with_parent
 
 __all__ = ["SHARED_MACHINE", "SimProcess", "run_real_demo"]
 
@@ -52,7 +53,7 @@ class SimProcess:
         path = os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH"))))
         sets = [part for override in overrides for part in ("--set", override)]
         arguments = ["--rig", rig, "--bus", str(address), "--mode", mode, "--seed", str(seed), "--json", *sets]
-        cpus = sorted(os.sched_getaffinity(0))
+        parent, cpus = os.getpid(), sorted(os.sched_getaffinity(0))
         if len(cpus) > 1:  # the host's cycle has the last one
             arguments += ["--cpu", str(cpus[0])]
         self.process = subprocess.Popen(
@@ -61,6 +62,7 @@ class SimProcess:
             stdout=subprocess.PIPE,
             text=True,
             start_new_session=True,
+            preexec_fn=lambda: die_with_parent(parent, signal.SIGTERM),
             env={**os.environ, "PYTHONPATH": path},
         )
 

@@ -152,12 +152,12 @@ def _number(value: float | None) -> str:
 
 
 def _play(file: Path, bus_name: str, rig_name: str | None, as_json: bool, **options: Any) -> int:
+    from eds.stopping import StopSignals
     from wire.address import parse_address
     from wire.client import Client
     from wire.hello import Hello
     from wire.player import NOTHING, load_tape, play
     from wire.realtime import ask_for_real_time
-    from wire.stopping import StopSignals
 
     address = parse_address(bus_name)
     tape = _choose(load_tape(file), rig_name, **options)
@@ -300,7 +300,7 @@ def bridge(
 ) -> None:
     """Join two buses, each coulombus:NAME or socketcan:IF: what one carries is sent on the other.
 
-    Ends with 0 on Ctrl-C, SIGTERM or after --seconds, with 4 when a bus goes away.
+    Ends with 0 on Ctrl-C, SIGTERM, SIGHUP, SIGQUIT or after --seconds, with 4 when a bus goes away.
 
     \b
     Examples:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 import os
-import signal
-import sys
 import threading
 from collections.abc import Callable
 from dataclasses import asdict
 from types import FrameType
 
+from eds.command_line import say, verdict
+from eds.stopping import taken
 from lab.bus_server import BusServer, SimResult
 from sim_bus.fault_lines import injected_lines
 
@@ -28,8 +28,8 @@ def run_sim(
     cpu: int | None,
     as_json: bool,
     tell_ready: Callable[[BusServer, bool], None] | None = None,
-) -> int:
-    """Serve until the time is over, or SIGINT or SIGTERM; tell when ready and what came of it; return the exit status.
+) -> None:
+    """Serve until the time is over, or a signal of `eds.stopping`; tell when ready and what came of it; end with the exit status.
 
     A compiled loop does not see a signal, so it runs in a thread of its own and the main thread's handlers stop it. Until `make` has made
     the server (the first time it compiles for half a minute) a signal ends the process at once: an exception might be swallowed by whatever
@@ -52,29 +52,27 @@ def run_sim(
             os._exit(0)
         made[0].stop()
 
-    before = {number: signal.signal(number, on_signal) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        server = make()
-        made.append(server)
-        thread = threading.Thread(target=course, name="bus")
-        thread.start()
-        while not over.wait(1.0):
-            pass
-        thread.join()
+        with taken(on_signal):
+            server = make()
+            made.append(server)
+            thread = threading.Thread(target=course, name="bus")
+            thread.start()
+            while not over.wait(1.0):
+                pass
+            thread.join()
     finally:
         for one in made:
             one.close()
-        for number, handler in before.items():
-            signal.signal(number, handler)
     if failure:
         raise failure[0]
-    _tell_end(server.result, as_json)
-    return server.result.exit_status
+    with verdict(server.result.exit_status):
+        _tell_end(server.result, as_json)
 
 
 def _tell_ready(server: BusServer, as_json: bool) -> None:
     for right in server.real_time.refused:
-        print(f"coulombus: {right}", file=sys.stderr)
+        say(f"coulombus: {right}")
     if as_json:
         line = {"event": "ready", "bus": str(server.address), "bitrate_bit_s": server.bit_rate}
         print(json.dumps({**line, "real_time": server.real_time.as_dict()}), flush=True)
@@ -86,9 +84,9 @@ def _tell_ready(server: BusServer, as_json: bool) -> None:
 def _tell_end(result: SimResult, as_json: bool) -> None:
     for loser in result.losers:
         text = "a client (process {pid}) did not read fast enough: {lost} frames lost to it, {delivered} delivered"
-        print("coulombus: " + text.format(**loser), file=sys.stderr)
+        say("coulombus: " + text.format(**loser))
     if result.gone:
-        print(f"coulombus: {result.gone}", file=sys.stderr)
+        say(f"coulombus: {result.gone}")
     if as_json:
         print(json.dumps({"event": "end", **asdict(result)}), flush=True)
     else:

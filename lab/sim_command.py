@@ -76,7 +76,7 @@ def sim(
 
     One process is bus, motor drive, MR brake, mechanics and the operator's hand. Clients attach with --bus (coulombus run, watch), as
     python-can interface "coulombus" (can_logger -i coulombus -c bench), or on the SocketCAN interface. Prints one line when the bus is
-    ready; ends with 0 on SIGINT and SIGTERM.
+    ready; ends with 0 on Ctrl-C, SIGTERM, SIGHUP and SIGQUIT.
 
     \b
     Examples:
@@ -132,7 +132,7 @@ def sim(
                 force=overwrite,
             )
 
-        sys.exit(run_sim(make, seconds, priority=priority or None, cpu=cpu, as_json=as_json))
+        run_sim(make, seconds, priority=priority or None, cpu=cpu, as_json=as_json)
 
 
 def _sim_buses(words: list[str], addresses: dict[str, BusAddress]) -> int:
@@ -199,8 +199,8 @@ def node_command(
     """Serve any EDS description as a live node: a stand-in for a device that is not on the desk yet.
 
     All objects with their defaults, PDOs, SDO, NMT, heartbeat, EMCY and LSS; a DCF's with the values that it configures. On coulombus:NAME
-    it joins the bus that another process serves; where nobody does, it serves the bus itself, and others may join. Ends with 0 on SIGINT and
-    SIGTERM, with 4 when the bus goes away.
+    it joins the bus that another process serves; where nobody does, it serves the bus itself, and others may join. Ends with 0 on Ctrl-C,
+    SIGTERM, SIGHUP and SIGQUIT, with 4 when the bus goes away.
 
     \b
     Examples:
@@ -218,4 +218,4 @@ def node_command(
         ids = node_ids or (None,) * len(eds)
         behaviour = None if kind is None else KINDS[kind]
         nodes = LiveNodes(tuple(zip(eds, ids, strict=True)), behaviour, store, processing_us, as_json, bitrate or 0)
-        sys.exit(run_nodes(nodes, address, seconds))
+        run_nodes(nodes, address, seconds)

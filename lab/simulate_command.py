@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,10 +23,12 @@ from eds.command_line import (
     record_option,
     remark,
     rig_option,
+    say,
     script_option,
     seconds_option,
     seed_option,
     set_option,
+    verdict,
 )
 from lab.run_table import print_runs, print_verdict
 from sim_bus.fault_lines import injected_lines
@@ -105,13 +106,13 @@ def simulate_command(
                 force=overwrite,
             )
         remark(result.losses or ())
-        if as_json:
-            print_json(result.as_dict())
-        else:
-            print_runs({mode: result})
-            for line in injected_lines(result.faults, result.controllers):
-                click.echo(line)
-        sys.exit(result.exit_status)
+        with verdict(result.exit_status):
+            if as_json:
+                print_json(result.as_dict())
+            else:
+                print_runs({mode: result})
+                for line in injected_lines(result.faults, result.controllers):
+                    click.echo(line)
 
 
 @click.command(epilog=EXIT_STATUS)
@@ -160,15 +161,15 @@ def demo(rig_name: str, overrides: tuple[str, ...], seed: int, out: Path, virtua
         else:
             result = _real_demo(rig_name, overrides, seed, out, total, as_json)
         figure_14({mode: blocks(out / f"{mode}.pcapng") for mode in DEMO_MODES}, out / "demo.png")
-        if as_json:
-            print_json(as_dict(result))
-        else:
-            print_runs(result.results)
-            click.echo()
-            for criterion in result.criteria:
-                print_verdict(criterion.holds, f"{criterion.text}: {criterion.found}")
-            click.echo(f"\nfigure and recordings: {out}/ (demo.png, active.pcapng, hybrid.pcapng, demo.json)")
-        sys.exit(0 if result.passed else 1)
+        with verdict(0 if result.passed else 1):
+            if as_json:
+                print_json(as_dict(result))
+            else:
+                print_runs(result.results)
+                click.echo()
+                for criterion in result.criteria:
+                    print_verdict(criterion.holds, f"{criterion.text}: {criterion.found}")
+                click.echo(f"\nfigure and recordings: {out}/ (demo.png, active.pcapng, hybrid.pcapng, demo.json)")
 
 
 def _real_demo(rig_name: str, overrides: tuple[str, ...], seed: int, out: Path, total: float, as_json: bool) -> Demo:
@@ -177,7 +178,7 @@ def _real_demo(rig_name: str, overrides: tuple[str, ...], seed: int, out: Path, 
     from lab.real_run import Signals
 
     both = (*SHARED_MACHINE, *overrides)
-    click.echo("for a machine shared with others: " + " ".join(f"--set {text}" for text in SHARED_MACHINE), err=True)
+    say("for a machine shared with others: " + " ".join(f"--set {text}" for text in SHARED_MACHINE))
     with Signals() as signals, progress(not as_json) as report:
         return run_real_demo(
             load_rig(rig_name, both).one_axis(),

@@ -13,12 +13,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 from eds.rig import Rig
+from eds.stopping import StopSignals
 from wire.address import BusAddress
 from wire.client import BusDown, BusFull, Client, Received
 from wire.frame import FRAME, Records, data_word, new_records
 from wire.hello import Flags, Hello
 from wire.pcapng import PcapngWriter, RecordingError
-from wire.stopping import StopSignals
 
 __all__ = ["stream"]
 

@@ -7,9 +7,6 @@ signals. Nothing is ever sent.
 from __future__ import annotations
 
 import json
-import os
-import select
-import signal
 import sys
 import threading
 import time
@@ -25,6 +22,7 @@ from rich.text import Text
 
 from eds.cia402 import COMMAND_OF_CONTROLWORD, STATE_OF_STATUSWORD, Command, PowerState
 from eds.rig import Rig
+from eds.stopping import StopSignals
 from scope.live import Event, Live, NodeRow, PdoRow, Snapshot, Value
 from wire.address import BusAddress
 from wire.client import BusDown, BusFull, BusGone, Client
@@ -40,7 +38,6 @@ EVENTS = 200
 LEAST_EVENTS = 3
 GAPS = 3
 STALE_S = 0.1
-STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def watch(
@@ -69,7 +66,7 @@ def watch(
     begin_ns = time.time_ns()
     live.snapshot(begin_ns)  # rates count from here
     hello = Hello(Flags.LISTEN_ONLY | Flags.ERRORS)
-    with Client(address, hello) as client, _stop_signal() as stop, _Reader(client, live) as reader:
+    with Client(address, hello) as client, StopSignals() as stop, _Reader(client, live) as reader:
 
         def look() -> tuple[Snapshot, dict[str, Any]]:
             with reader.lock:
@@ -85,7 +82,7 @@ def watch(
             running = True
             while running:
                 wait_s = pause_s if end is None else min(pause_s, max(0.0, end - time.monotonic()))
-                running = not stop(wait_s) and reader.failure is None
+                running = not stop.wait(wait_s) and reader.failure is None
                 running = running and (end is None or time.monotonic() < end)
                 draw(*look())
         if reader.failure is not None:
@@ -133,20 +130,6 @@ class _Reader:
                 self.failure = error
                 return
             self._stop.wait(COLLECT_S)
-
-
-@contextmanager
-def _stop_signal() -> Iterator[Callable[[float], bool]]:
-    """Take the stop signals, also when they were ignored at start; yield a wait that says whether one came."""
-    reading, writing = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
-    before = {number: signal.signal(number, lambda *_: os.write(writing, b"x")) for number in STOP_SIGNALS}
-    try:
-        yield lambda seconds: bool(select.select([reading], [], [], seconds)[0])
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-        os.close(reading)
-        os.close(writing)
 
 
 @contextmanager

@@ -60,7 +60,7 @@ def started(*arguments, **options):
     )
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGQUIT])
 def test_signals_end_it_well_also_when_they_were_ignored(number):
     def ignore():
         signal.signal(number, signal.SIG_IGN)

@@ -15,12 +15,12 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from typing import Any, TypeAlias
 
+from eds.stopping import StopSignals
 from wire.address import BusAddress, BusUnavailable
 from wire.can_id import CAN_RTR_FLAG
 from wire.client import CAN_FRAME, BusDown, BusFull, Client
 from wire.hello import Hello
 from wire.identifiers import Ranges
-from wire.stopping import StopSignals
 
 __all__ = ["QUEUE_FRAMES", "Between", "Counts", "Frame", "SameBus", "bridge", "faults"]
 

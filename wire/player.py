@@ -63,7 +63,7 @@ class Played:
 
 
 class Stop(Protocol):
-    """What ends a playing early (`wire.stopping.StopSignals`)."""
+    """What ends a playing early (`eds.stopping.StopSignals`)."""
 
     def wait(self, seconds: float) -> bool:
         """Sleep for so long; tell whether to stop."""
