@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import sys
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -24,8 +24,10 @@ from eds.command_line import (
     progress,
     record_option,
     rig_option,
+    say,
     seconds_option,
     set_option,
+    verdict,
 )
 from lab.run_table import print_runs
 
@@ -71,8 +73,9 @@ def run_command(
 ) -> None:
     """Run the host alone, in real time, on a bus where the nodes are: simulated ones (`coulombus sim`) or a rig.
 
-    Ends safely when the time is over, on Ctrl-C (exit status 130), SIGTERM (143), `coulombus stop` (0), or a trip (7). After a trip nothing
-    re-arms by itself. Real-time rights are asked for; what is refused is told with the command that grants it.
+    Ends safely when the time is over, on Ctrl-C (exit status 130), SIGTERM (143), when the terminal is closed (129), on Ctrl-Backslash (131),
+    `coulombus stop` (0), or a trip (7). After a trip nothing re-arms by itself. Real-time rights are asked for; what is refused is told with
+    the command that grants it.
 
     \b
     Examples:
@@ -106,7 +109,7 @@ def run_command(
             files = {"--record": record, "--histogram": histogram}
             for path in (path_on(path, channel) for path in files.values() if path for channel in addresses):
                 check_output(path, force=overwrite)  # of all buses before the first one starts
-            sys.exit(_run_buses(words, addresses, files, mode, as_json))
+            _run_buses(words, addresses, files, mode, as_json)
         (address,) = addresses.values()
         with Signals() as signals, progress(not as_json) as report:
             result = real_run(
@@ -121,25 +124,25 @@ def run_command(
                 cpu=cpu,
                 force=overwrite,
             )
-        if as_json:
-            print_json(result.as_dict())
-        else:
-            print_runs({mode: result})
-        _say_what_to_do(result.trip, shared_machine)
-        sys.exit(result.exit_status)
+        with verdict(result.exit_status):
+            _say_what_to_do(result.trip, shared_machine)
+            if as_json:
+                print_json(result.as_dict())
+            else:
+                print_runs({mode: result})
 
 
 def _say_what_to_do(trip: str | None, shared_machine: bool) -> None:
     """After a trip for want of TPDOs on a machine of one's own: what else it may be."""
     if trip is not None and "TPDO_LOST" in trip and not shared_machine:
         text = "if this machine does other work, too, it may have stood still for so long: --shared-machine widens the limits"
-        click.echo(f"coulombus: {text} (docs/realtime.md)", err=True)
+        say(f"coulombus: {text} (docs/realtime.md)")
 
 
 def _run_buses(
     words: list[str], addresses: dict[str, BusAddress], files: dict[str, Path | None], mode: str, as_json: bool
-) -> int:
-    """Run the host on several buses, a process each; return the exit status."""
+) -> None:
+    """Run the host on several buses, a process each, and end with the status that they come to."""
     from lab.buses import merged, path_on, supervise
     from lab.simulate import RunResult
 
@@ -150,12 +153,11 @@ def _run_buses(
 
     buses = supervise(list(addresses), arguments)
     whole = merged({b.channel: b.result for b in buses}, {b.channel: b.status for b in buses})
-    if as_json:
-        print_json(whole)
-    elif "mode" in whole:
-        print_runs({mode: RunResult(**whole)})
-    status: int = whole["exit_status"]
-    return status
+    with verdict(whole["exit_status"]):
+        if as_json:
+            print_json(whole)
+        elif "mode" in whole:
+            print_runs({mode: RunResult(**whole)})
 
 
 @click.command(epilog=EXIT_STATUS)
@@ -164,6 +166,9 @@ def _run_buses(
 def stop(rig_name: str, bus_names: tuple[str, ...]) -> None:
     """Stop the host that runs on a bus safely: motor torque 0, brake ramped off, drive disabled. Waits for its end.
 
+    Ends with 0 when each host that was asked has taken the request and has ended, tripped or not. Else with 4: none runs there, it cannot be
+    reached, it does not take the request, or it does not end in time. Then the rig may be armed still.
+
     \b
     Examples:
       coulombus stop
@@ -171,17 +176,32 @@ def stop(rig_name: str, bus_names: tuple[str, ...]) -> None:
     """
     with errors():
         from eds.rig import load_rig
-        from host.control_socket import stop_host
+        from host.control_socket import NoHost, StopRequest
         from wire.address import parse_address
         from wire.rig_buses import bus_addresses
 
         rig = load_rig(rig_name)
-        for address in [parse_address(t.rpartition("=")[2]) for t in bus_names] or bus_addresses(rig).values():
-            result = stop_host(address)
-            if not result:
-                click.echo(f"the host on {address} ended without a word")
-            elif result["trip"]:
-                click.echo(f"the host on {address} had tripped: {result['trip']}")
-            else:
-                told = f"stopped safely after {result['cycles']} cycles in mode {result['mode']}"
-                click.echo(f"the host on {address} {told}")
+        addresses = [parse_address(t.rpartition("=")[2]) for t in bus_names] or list(bus_addresses(rig).values())
+        requests = [StopRequest(address) for address in addresses]  # all are asked before one is waited for
+        failures, told = [], []
+        for request in requests:
+            try:
+                told.append(_what_came(request.address, request.result()))
+            except NoHost as failure:
+                failures.append(str(failure))
+        for text in told if failures else ():
+            say(text)
+        if failures:
+            raise NoHost("; ".join(failures))
+        with verdict(0):
+            for text in told:
+                click.echo(text)
+
+
+def _what_came(address: BusAddress, result: Mapping[str, Any]) -> str:
+    """Return what a host said to a stop, as a sentence."""
+    if not result:
+        return f"the host on {address} took the request and ended without a word"
+    if result["trip"]:
+        return f"the host on {address} had tripped: {result['trip']}"
+    return f"the host on {address} stopped safely after {result['cycles']} cycles in mode {result['mode']}"

@@ -18,7 +18,6 @@ from host_bench import HostBench
 
 from eds.compiled import CACHE_DIR, JIT_DISABLED, kernel
 from eds.rig import RigError, load_rig, load_rig_text
-from host.control_socket import HostSocket, NoHost, control_path, stop_host
 from host.controllers import SECTIONS, Controllers
 from host.data_plane import DataPlane, Spread, rig_filters
 from host.deadman import HeldKey, deadman_of
@@ -249,51 +248,6 @@ def test_the_picture_counts_every_cycle():
     assert counts.sum() == bins.sum()
     assert len(edges) == len(counts) + 1
     assert np.all(np.diff(edges) > 0)
-
-
-# The door.
-
-
-def test_one_host_a_bus_and_a_dead_one_does_not_count():
-    address = parse_address("coulombus:x")
-    door = HostSocket(address)
-    with pytest.raises(SafetyTrip, match="another host runs"):
-        HostSocket(address)
-    HostSocket(parse_address("socketcan:x")).close()  # another bus
-    door._listener.close()  # as a killed process leaves it
-    assert control_path(address).exists()
-    again = HostSocket(address)
-    again.close()
-    assert not control_path(address).exists()
-    again.close()
-
-
-def test_who_asks_for_a_stop_hears_what_came_of_it():
-    address = parse_address("coulombus:x")
-    door = HostSocket(address)
-    assert not door.stop_wanted()
-    answers = []
-    asker = threading.Thread(target=lambda: answers.append(stop_host(address)))
-    asker.start()
-    while not door.stop_wanted():
-        time.sleep(1e-3)
-    door.close({"trip": None, "cycles": 7})
-    asker.join()
-    assert answers == [{"trip": None, "cycles": 7}]
-    with pytest.raises(NoHost) as caught:
-        stop_host(address)
-    assert caught.value.exit_status == 4
-
-
-def test_nonsense_at_the_door_stops_nothing():
-    address = parse_address("coulombus:x")
-    door = HostSocket(address)
-    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as asker:
-        asker.connect(str(control_path(address)))
-        asker.send(b"go faster")
-        for _ in range(3):
-            assert not door.stop_wanted()
-    door.close()
 
 
 # The dead man's switch.
