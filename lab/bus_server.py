@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import os
 import socket
@@ -134,6 +135,7 @@ class BusServer:
         self._since: dict[int, float] = {}
         self._arguments = (self._pace, self._slots, self._boxes, self._words, self._filters, self._batches)
         self._wake = os.eventfd(0, os.EFD_CLOEXEC | os.EFD_NONBLOCK)
+        self._spare = os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC)  # for who comes when there is no other left
         self._listener: socket.socket | None = None
         self._path: Path | None = None
         self._inode = 0
@@ -199,11 +201,19 @@ class BusServer:
                     break
             elif why == Serve.RECORD:
                 self._record()
+            elif why == Serve.FAILED:
+                self.result.gone = (
+                    f"bus {self.address}: waiting for its clients failed: {os.strerror(int(pace['error'][0]))}"
+                )
+                break
             else:
                 world.answer(why)
         self._record()
         if why == Need.GONE and not self.joined:
-            self.result.gone = f"the interface {self.address.name} does not exist any more"
+            number = int(pace["error"][0])
+            lost = number not in (0, errno.ENODEV, errno.ENXIO)
+            why_gone = f"cannot be read: {os.strerror(number)}" if lost else "does not exist any more"
+            self.result.gone = f"the interface {self.address.name} {why_gone}"
         self.result.cpu_s = (time.thread_time_ns() - cpu_begin) * 1e-9
         self.result.seconds = (time.monotonic_ns() - begin) * 1e-9
         return self._finish()
@@ -237,6 +247,7 @@ class BusServer:
             self._path = None
         if self._wake >= 0:
             os.close(self._wake)
+            os.close(self._spare)
             self._wake = -1
 
     def keep_frames(self) -> None:
@@ -295,7 +306,12 @@ class BusServer:
             return
         try:
             client, _ = self._listener.accept()
-        except OSError:  # it has gone already, or there are no descriptors left
+        except (BlockingIOError, ConnectionAbortedError):  # it has gone already
+            return
+        except OSError as error:
+            if error.errno not in (errno.EMFILE, errno.ENFILE):
+                raise BusUnavailable(f"bus {self.address}: no client can be taken any more: {error.strerror}") from None
+            self._turn_away()
             return
         client.setblocking(False)
         try:
@@ -304,6 +320,21 @@ class BusServer:
             client.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
         ask_for_stamps(client)
         self._admit(place, client, State.GREETING)
+
+    def _turn_away(self) -> None:
+        """Without a descriptor left: let one in on the spare one, and out again. Who is left to wait would wake the loop for ever."""
+        assert self._listener is not None
+        os.close(self._spare)
+        try:
+            client, _ = self._listener.accept()
+            with client, suppress(OSError):
+                client.send(Answer(Status.FULL).pack())
+        except BlockingIOError:
+            pass
+        except OSError as error:
+            raise BusUnavailable(f"bus {self.address}: no client can be taken any more: {error.strerror}") from None
+        finally:
+            self._spare = os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC)
 
     def _place(self) -> int | None:
         """Return a free place; when there are none for clients, who has connected and says nothing is turned away."""

@@ -26,6 +26,7 @@ from wire.libc import (
     ENOBUFS,
     ENODEV,
     ENXIO,
+    EPIPE,
     MSG_DONTWAIT,
     MSG_NOSIGNAL,
     errno,
@@ -86,6 +87,7 @@ SLOT = np.dtype(
         ("dry", np.int64),  # nothing was left to read since the last ppoll
         ("gone", np.int64),  # it has gone, and its last frames are still to be carried
         ("out", np.int64),  # frames that wait in its batch
+        ("watched", np.int64),  # its place among those that the loop waits for; 0: none
         # counters
         ("sent", np.int64),  # frames on the bus from it
         ("delivered", np.int64),  # frames that it was given
@@ -123,7 +125,7 @@ def flush(slot: Any, batch: Any) -> None:
     while send(slot.fd, batch.ctypes.data, 16 * slot.out, MSG_DONTWAIT | MSG_NOSIGNAL) < 0:
         number = errno()
         if number != EINTR:
-            if number in (EAGAIN, ENOBUFS):  # anything else: it has gone, and its end will be read
+            if number not in (EPIPE, ECONNRESET):  # then it has gone, and its end will be read
                 slot.lost += slot.out
             slot.out = 0
             return
@@ -217,7 +219,9 @@ def _read(p: Any, slots: Any, boxes: Any, i: int, offset_ns: int, t_ns: int) -> 
         if s.state == SOCKETCAN:
             if number == ENETDOWN:
                 s.net_down += 1
-            return GONE if number in (ENODEV, ENXIO) else 0
+                return 0
+            p.error = number
+            return GONE
         s.gone = 1
         return 0
     box = boxes[i]

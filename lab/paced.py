@@ -22,7 +22,19 @@ from eds.compiled import kernel
 from lab.clients import FREE, GONE, flush, hand_out, take
 from lab.kernel import Exit, next_event, refresh, run
 from sim_bus.halves import choose
-from wire.libc import CLOCK_REALTIME, POLLIN, clock_ns, load_acquire, now_ns, ppoll_ns
+from wire.libc import (
+    CLOCK_REALTIME,
+    EAGAIN,
+    EBADF,
+    EINTR,
+    POLLIN,
+    POLLNVAL,
+    clock_ns,
+    errno,
+    load_acquire,
+    now_ns,
+    ppoll_ns,
+)
 
 __all__ = ["PACE", "Serve", "serve"]
 
@@ -40,11 +52,12 @@ class Serve(IntEnum):
     ACCEPT = 32  # a client waits at the listener
     RESTED = 33  # the drive of an axis left Operation Enabled: the operator's schedule is over
     RECORD = 34  # `PACE.keep` frames wait in the log to be recorded, or the oldest for KEPT_NS
+    FAILED = 35  # a system call that the loop cannot do without; `PACE.error`
 
 
 STOP, TIME, ACCEPT, RESTED = int(Serve.STOP), int(Serve.TIME), int(Serve.ACCEPT), int(Serve.RESTED)
 UNTIL, LOG = int(Exit.UNTIL), int(Exit.LOG)
-RECORD = int(Serve.RECORD)
+RECORD, FAILED = int(Serve.RECORD), int(Serve.FAILED)
 OPERATION_ENABLED = int(PowerState.OPERATION_ENABLED)
 
 PACE = np.dtype(
@@ -56,6 +69,7 @@ PACE = np.dtype(
         ("wake", np.int64),
         ("slot", np.int64),
         ("message_bytes", np.int64),
+        ("error", np.int64),  # of the call that failed; 0: none
         ("handed_out", np.int64),  # rows of the log that the clients have
         ("keep", np.int64),  # frames that stay in the log until Python takes them; 0: none
         (
@@ -73,19 +87,34 @@ PACE = np.dtype(
 
 @kernel
 def _wait(p: Any, slots: Any, pollfds: Any, timeout_ns: int) -> int:
-    """Sleep until a client has something or the time is over; return ACCEPT when one waits at the listener, else 0."""
+    """Sleep until a client has something or the time is over; return ACCEPT when one waits at the listener, FAILED, or 0.
+
+    Only what is watched stands in `pollfds`: they are never more than this process may open (RLIMIT_NOFILE), which ppoll refuses.
+    """
     pollfds[0] = (p.listener & 0xFFFFFFFF) | POLLIN << 32
     pollfds[1] = (p.wake & 0xFFFFFFFF) | POLLIN << 32
-    n = slots.shape[0]
+    n, count = slots.shape[0], 2
     for i in range(n):
         s = slots[i]  # a client whose message is not done is not asked, not even whether it is still there
-        watched = s.state != FREE and s.next >= s.staged and s.gone == 0
-        pollfds[2 + i] = (s.fd | POLLIN << 32) if watched else 0xFFFFFFFF
-    ready = ppoll_ns(pollfds.ctypes.data, n + 2, timeout_ns)
+        s.watched = 0
+        if s.state != FREE and s.next >= s.staged and s.gone == 0:
+            pollfds[count] = s.fd | POLLIN << 32
+            s.watched = count
+            count += 1
+    ready = ppoll_ns(pollfds.ctypes.data, count, timeout_ns)
     p.wakeups += 1
+    if ready < 0:
+        number = errno()
+        if number in (EINTR, EAGAIN):
+            return 0
+        p.error = number
+        return FAILED
     if ready > 0:
+        if pollfds[1] >> 48 & POLLNVAL:
+            p.error = EBADF
+            return FAILED
         for i in range(n):
-            if pollfds[2 + i] >> 48 != 0:
+            if slots[i].watched != 0 and pollfds[slots[i].watched] >> 48 != 0:
                 slots[i].dry = 0
         if pollfds[0] >> 48 != 0:
             return ACCEPT

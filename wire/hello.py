@@ -19,6 +19,7 @@ import socket
 import struct
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from pathlib import Path
@@ -214,7 +215,8 @@ def connect_path(path: Path, hello: Hello, timeout: float) -> Connection:
                 if time.monotonic() >= deadline:
                     raise TimeoutError from None
                 time.sleep(0.01)
-        client.send(hello.pack())
+        with suppress(BrokenPipeError):  # a bus that has no room says so and closes at once
+            client.send(hello.pack())
         answer = None
         while answer is None:  # anything else is not for us yet
             client.settimeout(max(1e-3, deadline - time.monotonic()))
