@@ -142,7 +142,7 @@ class HostSocket:
         """Tell those who asked what came of it, and let go of the bus. May be called again; raises nothing."""
         if self._listener.fileno() < 0:
             return
-        with suppress(OSError):  # who asked at the last moment hears of it, too
+        with suppress(Exception):  # who asked at the last moment hears of it, too
             self.stop_wanted()
         with suppress(OSError):
             self._path.unlink()

@@ -64,6 +64,7 @@ TRIP_TEXT = {
     Trip.SECOND_HOST: "another host sends SYNC or this host's heartbeat on the same bus",
     Trip.DEADMAN: "the dead man's switch was not held",
     Trip.DATA_PLANE: "the data plane's process died",
+    Trip.HOST: "the host's own process failed, ended, or stood still",
     Trip.NOT_STILL: "arming refused: the handle was not still for limits.still_s within limits.still_timeout_s",
     Trip.HANDLE_LOADED: "arming refused: more than limits.still_handle_torque_Nm on the handle; let go of it, or check the transducer",
     Trip.ENABLE_TIMEOUT: "arming refused: the drive did not reach Operation Enabled",

@@ -31,6 +31,8 @@ START_TIMEOUT_S = 180.0  # the first start ever compiles the loop
 BATCH_FRAMES = 1 << 14
 CAN_SFF_EXACT = 0x7FF | 0xC0000000  # the whole identifier, no extended and no remote frames
 PRIORITY = 80
+PARENT_NS = 2_000_000_000
+"""How long the parent may stand still while the rig is armed: nobody can stop it then, and nobody records it."""
 
 
 class PlaneError(HostError):
@@ -193,6 +195,10 @@ class DataPlane:
         """Ask for the safe state: the normal end, or for the reason `trip`; the first reason counts."""
         plane = self.shared.plane
         plane["stop"] = max(1, int(trip)) if plane["stop"][0] <= 1 else plane["stop"]
+
+    def attend(self) -> None:
+        """Show that the parent runs: the data plane goes to the safe state when it has not seen that for `PARENT_NS`."""
+        self.shared.plane["parent_ns"] = time.monotonic_ns() + PARENT_NS
 
     def hold_deadman(self, until_ns: int) -> None:
         """Let the dead man's key count as held until CLOCK_MONOTONIC = `until_ns`."""

@@ -5,6 +5,9 @@
 t_k are absolute times of CLOCK_MONOTONIC. Periods that have passed are skipped and counted, never caught up. The loop logs every frame, its own and
 the others', into a ring that another process empties. However it ends, it sends set-points of zero torque last.
 
+It looks after its parent, too: one that has ended, or that has not shown itself in time (`PLANE.parent_ns`), is a reason for the safe state
+(HOST). After a parent that has ended the loop ends by itself, when all axes are done.
+
 Answers to what the system says: EINTR - again; EAGAIN, ENOBUFS - the frame is lost, counted, not repeated (a frame that waits is a wrong
 set-point later), and too many cycles of it trip; everything else, and the other side closing - the bus is lost.
 """
@@ -31,6 +34,7 @@ from wire.libc import (
     POLLIN,
     clock_ns,
     errno,
+    getppid,
     load_acquire,
     now_ns,
     ppoll_ns,
@@ -48,10 +52,10 @@ MESSAGE_FRAMES = 64
 SOURCE_BUS = 0
 """Station number of everything that came from the bus, in the log."""
 
-LISTEN, CYCLE = int(Command.LISTEN), int(Command.CYCLE)
+LISTEN, CYCLE, QUIT = int(Command.LISTEN), int(Command.CYCLE), int(Command.QUIT)
 LISTENING, CYCLING, ENDED, LOST = int(Status.LISTENING), int(Status.CYCLING), int(Status.ENDED), int(Status.LOST)
 SAFE, DONE = int(Phase.SAFE), int(Phase.DONE)
-TRANSMIT, BUS_LOST, SECOND_HOST = int(Trip.TRANSMIT), int(Trip.BUS_LOST), int(Trip.SECOND_HOST)
+TRANSMIT, BUS_LOST, SECOND_HOST, HOST = int(Trip.TRANSMIT), int(Trip.BUS_LOST), int(Trip.SECOND_HOST), int(Trip.HOST)
 START, BEGIN, END = int(Moment.START), int(Moment.BEGIN), int(Moment.END)
 ARRIVED, WINDOW = int(Moment.ARRIVED), int(Moment.WINDOW)
 
@@ -65,7 +69,7 @@ def _offset(name: str) -> int:
 AT_COMMAND, AT_STATUS, AT_STOP = _offset("command"), _offset("status"), _offset("stop")
 AT_DEADMAN, AT_HEAD, AT_TAIL = _offset("deadman_ns"), _offset("log_head"), _offset("log_tail")
 AT_TRACE_HEAD, AT_TRACE_TAIL = _offset("trace_head"), _offset("trace_tail")
-AT_CYCLES = _offset("cycles")
+AT_CYCLES, AT_PARENT = _offset("cycles"), _offset("parent_ns")
 
 LISTEN_NS = 5_000_000  # how soon a command is seen while listening
 DRAIN_MESSAGES = 512  # bound of what one cycle takes from a bus that is flooded
@@ -259,6 +263,30 @@ def _transmit(fd: int, plane: Any, ring: Any, tx: Any, queue: Any, header: Any) 
 
 
 @kernel
+def _watch_parent(p: Any, base: int, host: Any) -> None:
+    """Ask for the safe state when the parent has ended or stands still; when it has ended and all axes are done, there is nothing left to do."""
+    until = load_acquire(base + AT_PARENT)
+    orphan = p.parent != 0 and getppid() != p.parent
+    if orphan or 0 < until < now_ns():
+        _stop(p, host, HOST)
+    if orphan:
+        for k in range(host.shape[0]):
+            if host[k].phase != DONE:
+                return
+        store_release(base + AT_COMMAND, QUIT)
+
+
+@kernel
+def _failed(p: Any) -> bool:
+    """Tell whether a call that returned -1 has failed for good: waiting that fails comes back at once, for ever."""
+    error = errno()
+    if error in (EINTR, EAGAIN):
+        return False
+    p.error = error
+    return True
+
+
+@kernel
 def _count(bins: Any, t_ns: int) -> None:
     bins[min(max(t_ns, 0) // 1000, BINS - 1)] += 1
 
@@ -296,9 +324,13 @@ def _cycle(
     t = p.start_ns
     _trace(plane, trace, START, t, 0)
     while load_acquire(base + AT_COMMAND) == CYCLE:
-        if sleep_until(t) != 0:
+        slept = sleep_until(t)
+        if slept == EINTR:
             p.interrupted += 1
             continue
+        if slept != 0:
+            p.error = slept
+            return 1
         wake = now_ns()
         _count(wakeup_bins, wake - t)
         p.wakeup_max_ns = max(p.wakeup_max_ns, wake - t)
@@ -317,6 +349,7 @@ def _cycle(
             if found == GONE:
                 return 1
         _stop(p, host, load_acquire(base + AT_STOP))
+        _watch_parent(p, base, host)
         if c.deadman_key:
             held = 1 if now_ns() < load_acquire(base + AT_DEADMAN) else 0
             for k in range(host.shape[0]):
@@ -333,7 +366,10 @@ def _cycle(
             left = end - now_ns()
             if left <= 0:
                 break
-            if ppoll_ns(poll.ctypes.data, 1, left) <= 0:  # the window is over, or a signal came
+            ready = ppoll_ns(poll.ctypes.data, 1, left)
+            if ready < 0 and _failed(p):
+                return 1
+            if ready <= 0:  # the window is over, or a signal came
                 continue
             found = _take(fd, plane, ring, box, words, control, host, tpdos, owner, 1)
             messages += 1
@@ -446,11 +482,14 @@ def run_plane(
         elif command == LISTEN:
             store_release(base + AT_STATUS, LISTENING)
             found = _take(fd, plane, ring, box, words, control, host, tpdos, owner, 0)
-            if found == GONE:
+            lost = found == GONE
+            if found == EMPTY and ppoll_ns(poll.ctypes.data, 1, LISTEN_NS) < 0:
+                lost = _failed(p)
+            if lost:
                 store_release(base + AT_STATUS, LOST)
                 return LOST
-            if found == EMPTY:
-                ppoll_ns(poll.ctypes.data, 1, LISTEN_NS)
+            if p.parent != 0 and getppid() != p.parent:
+                store_release(base + AT_COMMAND, QUIT)
         else:
             store_release(base + AT_STATUS, ENDED)
             return ENDED

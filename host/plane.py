@@ -1,7 +1,9 @@
 """The data plane's process: ``python -m host.plane SETTINGS``, started by `host.data_plane` with two open descriptors.
 
-It is apart from the parent's interpreter, so that no lock, no garbage collection and no other thread of it can hold a cycle up. It dies with its
-parent (PR_SET_PDEATHSIG): no orphan keeps sending SYNC. Signals of the terminal are the parent's business.
+It is apart from the parent's interpreter, so that no lock, no garbage collection and no other thread of it can hold a cycle up. Until it is ready it
+dies with its parent (PR_SET_PDEATHSIG). From then on the loop looks after the parent: when that has ended, the rig is made safe as after a
+trip, and the process ends (`host.loop`). The signals that end a verb are the parent's business: this process has a session of its own, out of
+the terminal's reach, and they are blocked.
 
 One line of JSON on the standard output tells that it is ready, and which real-time rights it was refused.
 """
@@ -16,12 +18,13 @@ from typing import Any
 
 import numpy as np
 
+from eds.stopping import SIGNALS
 from host.laws import load_law
 from host.loop import MESSAGE_FRAMES, run_plane
 from host.plane_records import Command, SharedPlane
 from wire.frame import QUEUE_CAPACITY, new_queue
 from wire.mailbox import new_mailbox
-from wire.realtime import ask_for_real_time, die_with_parent
+from wire.realtime import ask_for_real_time, die_with_parent, outlive_parent
 
 __all__ = ["loop_arguments", "main"]
 
@@ -53,12 +56,14 @@ def _warm_up(shared: SharedPlane, arguments: tuple[Any, ...]) -> None:
 def main(settings: dict[str, Any]) -> int:
     """Run the data plane to its end; return the exit status of the process."""
     die_with_parent(settings["parent"])
-    signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM, signal.SIGHUP))
+    signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     shared = SharedPlane(settings["memory_fd"], settings["axes"])
     law_function = load_law(settings["law"], Path(settings["law_directory"]))
     arguments = loop_arguments(settings["bus_fd"], shared, law_function)
     _warm_up(shared, arguments)
     report = ask_for_real_time(settings["priority"], settings["cpu"])
+    shared.plane["parent"] = settings["parent"]
+    outlive_parent()
     print(json.dumps({"ready": True, "real_time": report.as_dict()}), flush=True)
     run_plane(*arguments)
     return 0

@@ -58,6 +58,8 @@ PLANE = np.dtype(
         ("stop", np.int64),  # for HOST.stop: 1 a safe stop, above it a Trip
         ("deadman_ns", np.int64),  # CLOCK_MONOTONIC until which the dead man's key counts as held
         ("start_ns", np.int64),  # when the first cycle is due
+        ("parent", np.int64),  # its process id; 0: its end is not looked for
+        ("parent_ns", np.int64),  # CLOCK_MONOTONIC until which it counts as running; 0: not looked at
         ("log_tail", np.int64),  # frames that the parent has taken from the ring
         ("trace_tail", np.int64),  # and rows from the trace
         ("packed", np.int64),  # 1: one message may carry several frames

@@ -54,6 +54,7 @@ class Trip(IntEnum):
     DATA_PLANE = 20
     LAW = 21
     OTHER_AXIS = 22
+    HOST = 23
     NOT_STILL = 32  # from here on: arming was refused
     HANDLE_LOADED = 33
     ENABLE_TIMEOUT = 34

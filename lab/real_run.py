@@ -10,8 +10,9 @@ import signal
 import sys
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any
@@ -21,6 +22,7 @@ import numpy as np
 
 from eds.output_file import new_file
 from eds.rig import Rig
+from eds.stopping import status_of, taken
 from host.bringup import bring_up, check_plan, release, shut_down
 from host.control_plane import RealControlPlane
 from host.control_socket import HostSocket
@@ -47,6 +49,7 @@ HOLD_BACK_NS = 50_000_000  # frames come into the log a little out of order; you
 LISTEN_S = 1.0  # for another host
 LEAD_NS = 20_000_000
 SAFE_TIMEOUT_S = 10.0
+FAILURES = 1000  # of this process while the rig is made safe: the data plane does that by itself meanwhile
 KEY_TIMEOUT_S = 30.0
 STUCK_S = 2.0  # a data plane that does not cycle for so long is dead
 
@@ -56,11 +59,11 @@ class Interrupted(HostError):
 
     def __init__(self, number: int) -> None:
         super().__init__(f"{signal.Signals(number).name} before the run had begun")
-        self.exit_status = 128 + number
+        self.exit_status = status_of(number)
 
 
 class Signals:
-    """SIGINT and SIGTERM of a run, also where a shell's background job was started with SIGINT ignored.
+    """The stop signals (`eds.stopping`) of a run.
 
     Until `defer` they end what is being done by an exception; from then on they are only remembered in `number`.
     """
@@ -68,18 +71,16 @@ class Signals:
     def __init__(self) -> None:
         self.number = 0
         self._deferred = False
-        self._before: dict[int, Any] = {}
+        self._taken = taken(self._handle)
 
     def __enter__(self) -> Signals:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            self._before[number] = signal.signal(number, self._handle)
+        self._taken.__enter__()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
+        self._taken.__exit__(None, None, None)
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
         if self.number == 0:
@@ -114,7 +115,8 @@ class _RealRun:
         self.deadman = deadman_of(rig, mode, address)
         self.zero_ns = time.monotonic_ns()
         self.k = Controllers(rig, mode)
-        self.failure: str | None = None
+        self.failure: str | None = None  # of the recording
+        self.error: str | None = None  # of this process, while the rig was armed
         self.losses: tuple[str, ...] = ()
         self.stopped_by: str | None = None
         self.recorder: Recorder | None = None
@@ -134,6 +136,7 @@ class _RealRun:
             self._stack.callback(self.control.close)
             if record is not None:
                 self.recorder = Recorder(record, rig, mode, force=force)
+                self._stack.callback(self._give_up_recording)
         except BaseException:
             self._stack.close()
             raise
@@ -173,6 +176,11 @@ class _RealRun:
         except RecordingError as error:
             self.failure = str(error)
             self.plane.stop(Trip.RECORDING)
+
+    def _give_up_recording(self) -> None:
+        """Close the recording, if it is not closed yet: what stands in it stays readable."""
+        if self.recorder is not None:
+            self._attempt(self.recorder.close, RecordingError)
 
     # the course
 
@@ -223,9 +231,36 @@ class _RealRun:
         if self.signals.number:
             raise Interrupted(self.signals.number)
         period = int(k.control["period_ns"][0])
+        self.plane.attend()
         self.plane.start_cycle((time.monotonic_ns() + LEAD_NS) // period * period)
+        try:
+            self._display(seconds)
+        except Exception as error:
+            self._fail(error)
+        finally:  # whatever came: the rig is made safe before anything else
+            self._make_safe()
+
+    def _fail(self, error: Exception) -> None:
+        """Make a trip of an error of this process; the first one counts. Raises nothing, be there no memory even for the text."""
+        first, self.error = self.error is None, self.error or "an error"
+        with suppress(Exception):
+            self.plane.stop(Trip.HOST)
+            if first:
+                self.error = f"{type(error).__name__}: {error} ({_place(error.__traceback__)})"
+
+    def _attempt(self, what: Callable[[], object], *expected: type[Exception]) -> None:
+        """Do something, after which the safe end goes on, whatever comes of it."""
+        try:
+            what()
+        except expected:
+            pass
+        except Exception as error:
+            self._fail(error)
+
+    def _display(self, seconds: float) -> None:
+        """Run from arming to the end of the display."""
         self._seen = (0, time.monotonic())
-        arming = time.monotonic() + 2 * k.arming_s
+        arming = time.monotonic() + 2 * self.k.arming_s
         while self.enabled_ns is None and self._watch(seconds) and time.monotonic() < arming:
             pass
         while self._watch(seconds):
@@ -234,14 +269,23 @@ class _RealRun:
                 break
         for marker in self._marks.end(self._shown_until_ns()):
             self.mark(*marker)
-        self.plane.stop()
-        deadline = time.monotonic() + SAFE_TIMEOUT_S + k.ending_s
-        while self.plane.status is not Status.LOST and not k.done and time.monotonic() < deadline:
-            if not self._supervise():
-                break
-        self._watch(seconds)
+
+    def _make_safe(self) -> None:
+        """Ask for the safe state and wait for its end. The data plane goes there by itself: an error in here ends the looking on, not the waiting."""
+        deadline, failures = 0.0, 0
+        while failures < FAILURES:
+            try:
+                self.plane.stop()
+                now = time.monotonic()
+                deadline = deadline or now + SAFE_TIMEOUT_S + self.k.ending_s
+                if self.plane.status is Status.LOST or self.k.done or now >= deadline or not self._supervise():
+                    break
+            except Exception as error:
+                failures += 1
+                self._fail(error)
+        self._attempt(self._supervise)
         if not self._ended:
-            self._mark_end(time.monotonic_ns())
+            self._attempt(lambda: self._mark_end(time.monotonic_ns()))
 
     def _watch(self, seconds: float) -> bool:
         """Look after the run once; return False when it is to end."""
@@ -258,6 +302,7 @@ class _RealRun:
     def _supervise(self) -> bool:
         """Mark what has begun, drain the log, see whether the data plane is alive; return False when it is not."""
         time.sleep(POLL_S)
+        self.plane.attend()
         seen_ns = time.monotonic_ns()
         cycles, now = self.plane.cycles, time.monotonic()
         if cycles != self._seen[0]:
@@ -265,7 +310,8 @@ class _RealRun:
         self._mark_phases()
         enabled = self.enabled_ns
         if enabled is not None and self.progress is not None:
-            self.progress((time.monotonic_ns() - enabled) * 1e-9)
+            with suppress(OSError):  # of a terminal that was closed
+                self.progress((time.monotonic_ns() - enabled) * 1e-9)
         safe = self.k.safe_ns
         if safe is not None and not self._ended:
             self._mark_end(safe)
@@ -304,21 +350,23 @@ class _RealRun:
         self.mark(safe_ns, f"trip {trip}" if trip else "safe")
 
     def end(self) -> None:
-        """Leave the nodes in PRE-OPERATIONAL, end the data plane, close the recording."""
-        try:
-            if self.plane.status is Status.CYCLING and self.plane.alive:
-                release(self.k, self.control)  # first: a node that misses SYNC, or the heartbeat, would call it a fault
-                self.plane.end_cycle()
-            if self._touched:
-                shut_down(self.control)
-        except (can.CanError, OSError):
-            pass  # the bus is gone
-        self.drain()
-        self.plane.close()
+        """Leave the nodes in PRE-OPERATIONAL, end the data plane, close the recording. An error of one of them keeps none of the others from it."""
+        cycling = self.plane.status is Status.CYCLING and self.plane.alive
+        if cycling:  # first: a node that misses SYNC, or the heartbeat, would call it a fault
+            self._attempt(lambda: release(self.k, self.control), BusUnavailable, can.CanError)  # the bus may be gone
+            self.plane.end_cycle()
+        if self._touched:
+            self._attempt(lambda: shut_down(self.control), BusUnavailable, can.CanError)
+        self._attempt(self.drain)
+        self._give_up_recording()
+        self._attempt(self.plane.close)
 
     def close(self) -> None:
         """Give everything back."""
-        self._stack.close()
+        try:
+            self._stack.close()
+        except Exception as error:  # the run has its result already
+            self.say(f"something is left behind: {error}")
 
     # the result
 
@@ -327,6 +375,8 @@ class _RealRun:
             return f"RECORDING: {self.failure}"
         trip = self.k.trip
         first = self.k.tripped
+        if self.error is not None and (first is None or first.host["trip"][0] == Trip.HOST):
+            return f"HOST: {self.error}"
         if first is not None and first.host["trip"][0] == Trip.BUS_LOST and trip is not None:
             trip += f" ({self.plane.lost_text})"
         return trip
@@ -340,16 +390,23 @@ class _RealRun:
         if self._trip() is not None:
             return 7
         if self.signals.number:
-            return 128 + self.signals.number
+            return status_of(self.signals.number)
         return 8 if self._lost_share() > self.rig.host.loss_limit else 0
 
     def result(self) -> RunResult:
         """Return what the run came to."""
         k, plane = self.k, self.plane
+        figures, sha256 = [Measures() for _ in k], None
+
+        def measured(record: Path) -> None:
+            nonlocal figures, sha256
+            sha256 = file_sha256(record)
+            if self.failure is None and self.enabled_ns is not None:
+                figures = [measure(one) for one in blocks(record).axes]
+
+        if self.record is not None:
+            self._attempt(partial(measured, self.record))
         trip = self._trip()
-        figures = [Measures() for _ in k]
-        if self.record is not None and self.failure is None and self.enabled_ns is not None:
-            figures = [measure(one) for one in blocks(self.record).axes]
         wakeup, latency = plane.wakeup(), plane.latency()
         counters = {"late_cycles" if name == "missed_deadlines" else name: n for name, n in k.counters().items()}
         counters |= plane.counters()
@@ -364,7 +421,7 @@ class _RealRun:
             wakeup_us=wakeup.as_dict() if wakeup else None,
             cpu_us_per_cycle=plane.cpu_us_per_cycle(),
             recording=str(self.record) if self.record is not None else None,
-            recording_sha256=file_sha256(self.record) if self.record is not None else None,
+            recording_sha256=sha256,
             trip=trip,
             **asdict(figures[0]),
             sign_check=k.sign_result.name.lower(),
@@ -383,13 +440,38 @@ class _RealRun:
             losses=list(self.losses) or None,
         )
 
+    def concluded(self) -> RunResult:
+        """Return what the run came to, also when telling it fails once.
+
+        Raises
+        ------
+        SafetyTrip
+            it fails again: not even the figures can be told
+        """
+        try:
+            return self.result()
+        except Exception as error:
+            self._fail(error)
+        try:
+            return self.result()
+        except Exception as error:
+            raise SafetyTrip(f"HOST: {self.error}") from error
+
     def histograms(self) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
         """Return copies of the histograms of wake-up and of SYNC to RPDO, in microseconds."""
         return self.plane.shared.wakeup_bins.copy(), self.plane.shared.latency_bins.copy()
 
 
+def _place(trace: TracebackType | None) -> str:
+    """Return where an error came from: file and line."""
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    return "" if trace is None else f"{Path(trace.tb_frame.f_code.co_filename).name}:{trace.tb_lineno}"
+
+
 def _say(text: str) -> None:
-    print(f"coulombus: {text}", file=sys.stderr, flush=True)
+    with suppress(OSError):  # of a terminal that was closed
+        print(f"coulombus: {text}", file=sys.stderr, flush=True)
 
 
 def real_run(
@@ -454,7 +536,7 @@ def real_run(
             raise BusUnavailable(f"bus {run.address}: {error}") from None
         finally:
             run.end()
-        result = run.result()
+        result = run.concluded()
         if histogram is not None:
             from lab.histogram import draw_histograms
 

@@ -61,3 +61,9 @@ def pytest_terminal_summary(terminalreporter):
 def pytest_sessionfinish(session):
     if watchers in session.stash:
         session.stash[watchers].close()
+
+
+def pytest_addoption(parser):
+    parser.addoption(
+        "--every-fault", action="store_true", help="fault injection: every call, not each place in the code once"
+    )

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import pty
 import re
+import resource
 import socket
 import struct
 import threading
@@ -157,6 +159,45 @@ def test_without_nodes_it_trips_and_its_last_set_points_are_zero():
         assert plane.plane["cycles"][0] >= 3
         assert plane.shared.wakeup_bins.sum() >= plane.plane["cycles"][0]
         assert plane.plane["cpu_ns"][0] > 0
+
+
+def test_a_parent_that_stands_still_is_a_reason_for_the_safe_state():
+    with running() as plane:
+        plane.plane["parent_ns"] = 1  # long past
+        plane.cycle()
+        plane.wait(lambda: plane.k.done)
+        assert plane.k.trip.startswith("HOST")
+        assert plane.thread.is_alive()
+
+
+def test_a_parent_that_has_ended_is_too_and_then_the_loop_ends_by_itself():
+    with running("limits.missed_tpdo_cycles=1000") as plane:
+        plane.plane["parent"] = os.getppid()  # for the first cycles nothing has happened
+        plane.cycle()
+        plane.wait(lambda: plane.plane["cycles"][0] > 0)
+        assert plane.k.trip is None
+        plane.plane["parent"] = -1
+        plane.wait(lambda: not plane.thread.is_alive())
+        assert plane.status == Status.ENDED
+        assert plane.k.trip.startswith("HOST")
+        plane.read()
+        assert [(can_id, word) for can_id, _, word in plane.sent[-3:]] == [(0x201, 0), (0x202, 0), (0x080, 0)]
+
+
+def test_waiting_that_fails_is_a_lost_bus_and_no_reason_to_spin():
+    """ppoll(2) refuses more entries than a process may have descriptors, at once and every time."""
+    with running() as plane:
+        plane.cycle()
+        plane.wait(lambda: plane.plane["cycles"][0] > 0)
+        soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (0, hard))
+        try:
+            plane.thread.join(10)
+        finally:
+            resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+        assert plane.status == Status.LOST
+        assert plane.plane["error"][0] == errno.EINVAL
+        assert plane.k.done
 
 
 def test_the_bus_goes_away():

@@ -92,9 +92,11 @@ def stop_by_command(run, observer):
     [
         (stop_by_signal(signal.SIGINT), 130, "SIGINT"),
         (stop_by_signal(signal.SIGTERM), 143, "SIGTERM"),
+        (stop_by_signal(signal.SIGHUP), 129, "SIGHUP"),
+        (stop_by_signal(signal.SIGQUIT), 131, "SIGQUIT"),
         (stop_by_command, 0, "coulombus stop"),
     ],
-    ids=["SIGINT", "SIGTERM", "coulombus stop"],
+    ids=["SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "coulombus stop"],
 )
 def test_it_is_stopped_safely(how, status, by):
     """Also as a shell's background job, which is started with SIGINT ignored."""

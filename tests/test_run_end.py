@@ -119,6 +119,9 @@ class Plane:
     def wait_ready(self):
         pass
 
+    def attend(self):
+        pass
+
     def start_cycle(self, at_ns):
         self.k.host["phase"] = Phase.STILL
 
@@ -160,7 +163,7 @@ def marked(tmp_path, monkeypatch, *, slow_batch=1, trip=Trip.NONE, rig="bench", 
     monkeypatch.setattr(real_run, "time", plane.clock)
     run.rig, run.k, run.plane, run.zero_ns = rig, k, plane, 0
     run.recorder = Recorder(tmp_path / "r.pcapng", rig, "hybrid")
-    run.failure = run.stopped_by = run.progress = run._waiting = None
+    run.failure = run.error = run.stopped_by = run.progress = run._waiting = None
     run.deadman, run._ended, run._seen = "none", False, (0, 0.0)
     run.signals = SimpleNamespace(number=0, defer=lambda: None)
     run.door = SimpleNamespace(stop_wanted=lambda: False)

@@ -9,6 +9,7 @@ import resource
 import signal
 import threading
 import time
+from types import SimpleNamespace
 
 import pytest
 from real_bench import HOLD, STROKE, Observer, children, gone, host, result, simulation
@@ -33,7 +34,7 @@ EMCY_S = 0.1
     ids=["stroke", "active hold", "active hold, data plane alone"],
 )
 def test_the_host_is_killed(mode, phase, victim):
-    """SIGKILL to the host takes the data plane with it, and both nodes save themselves; when the data plane dies alone, the host saves them."""
+    """With its data plane: both nodes save themselves; when the data plane dies alone, the host saves them."""
     overrides = (f"phase={phase}",)
     with (
         simulation(BUS, mode=mode, overrides=overrides),
@@ -44,7 +45,9 @@ def test_the_host_is_killed(mode, phase, victim):
         observer.watch(1.7)
         assert run.poll() is None, result(run)
         (plane,) = children(run.pid)
-        os.kill(run.pid if victim == "host" else plane, signal.SIGKILL)
+        os.kill(plane, signal.SIGKILL)
+        if victim == "host":
+            os.kill(run.pid, signal.SIGKILL)
         samples = []
         begin = time.monotonic()
         while time.monotonic() - begin < 1.2:
@@ -78,6 +81,38 @@ def test_the_host_is_killed(mode, phase, victim):
         assert coil[0] > 0
         assert coil == sorted(coil, reverse=True)
         assert len(set(coil)) > 5  # ramped, not dropped
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_the_parent_alone_dies_or_stands_still(number):
+    """The data plane goes to the safe state: torque 0 and the drive disabled while SYNC goes on; after a dead parent it ends, too."""
+    overrides = (f"phase={HOLD}",)
+    with (
+        simulation(BUS, mode="active", overrides=overrides),
+        Observer(BUS) as observer,
+        host(BUS, mode="active", overrides=overrides) as run,
+    ):
+        observer.until_enabled(run)
+        observer.watch(1.7)
+        (plane,) = children(run.pid)
+        os.kill(run.pid, number)
+        try:
+            disabled = observer.until(
+                SimpleNamespace(poll=lambda: None), lambda can_id, data: can_id == 0x201 and data == bytes(4)
+            )
+            observer.watch(0.5)
+            assert observer.last(0x080) > disabled  # it was still cycling
+            assert {data for stamp, can_id, data in observer.log if can_id == 0x201 and stamp > disabled} == {bytes(4)}
+            if number == signal.SIGKILL:
+                observer.watch(1.0)
+                assert gone(plane)
+            else:
+                os.kill(run.pid, signal.SIGCONT)
+                status, data, err = result(run)
+                assert status == 7, err
+                assert data["trip"].startswith("HOST")
+        finally:
+            run.kill()
 
 
 def test_the_bus_is_killed_and_comes_back():

@@ -12,6 +12,7 @@ With NUMBA_DISABLE_JIT=1 the same names are ctypes calls, so that kernels which 
 from __future__ import annotations
 
 import ctypes
+import os
 import time
 from typing import Any
 
@@ -42,10 +43,12 @@ __all__ = [
     "POLLERR",
     "POLLHUP",
     "POLLIN",
+    "POLLNVAL",
     "clock_ns",
     "epoll_ctl",
     "epoll_wait",
     "errno",
+    "getppid",
     "load_acquire",
     "now_ns",
     "ppoll_ns",
@@ -62,13 +65,13 @@ CLOCK_REALTIME, CLOCK_MONOTONIC, CLOCK_THREAD_CPUTIME_ID = 0, 1, 3
 MSG_CTRUNC, MSG_TRUNC, MSG_DONTWAIT, MSG_NOSIGNAL = 0x8, 0x20, 0x40, 0x4000
 EINTR, ENXIO, EBADF, EAGAIN, ENOMEM, ENODEV, EPIPE = 4, 6, 9, 11, 12, 19, 32
 ENETDOWN, ECONNRESET, ENOBUFS = 100, 104, 105
-POLLIN, POLLERR, POLLHUP = 0x1, 0x8, 0x10
+POLLIN, POLLERR, POLLHUP, POLLNVAL = 0x1, 0x8, 0x10, 0x20
 EPOLLIN, EPOLLERR, EPOLLHUP, EPOLL_CTL_DEL = 0x1, 0x8, 0x10, 2
 TIMER_ABSTIME = 1
 SECOND_NS = 1_000_000_000
 
 _SYMBOLS = (
-    *("__errno_location", "clock_gettime", "clock_nanosleep", "epoll_ctl", "epoll_wait"),
+    *("__errno_location", "clock_gettime", "clock_nanosleep", "epoll_ctl", "epoll_wait", "getppid"),
     *("ppoll", "read", "recv", "recvmsg", "send", "write"),
 )
 _library = ctypes.CDLL(None, use_errno=True)
@@ -95,6 +98,10 @@ if JIT_DISABLED:
     def errno() -> int:
         """Return the calling thread's error number."""
         return ctypes.get_errno()
+
+    def getppid() -> int:
+        """Return the id of this process' parent: it changes when the parent ends."""
+        return os.getppid()
 
     def clock_ns(clock: int) -> int:
         """Return the time of the clock `clock` in ns."""
@@ -219,6 +226,15 @@ else:
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             place = builder.inttoptr(_call(builder, "__errno_location", _I64, []), _I32.as_pointer())
             return builder.sext(builder.load(place), _I64)
+
+        return types.int64(), codegen
+
+    @intrinsic  # type: ignore[untyped-decorator]
+    def getppid(typingctx: Any) -> Any:
+        """Return the id of this process' parent: it changes when the parent ends."""
+
+        def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            return _call(builder, "getppid", _I32, [])
 
         return types.int64(), codegen
 
