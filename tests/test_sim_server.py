@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import resource
 import signal
 import socket
 import struct
@@ -392,6 +393,30 @@ def test_the_command_ends_by_itself():
     out, err = process.communicate(timeout=TIMEOUT_S)
     assert process.returncode == 0, err
     assert json.loads(out)["seconds"] >= 1
+
+
+def test_with_few_descriptors_it_sleeps_all_the_same_and_turns_clients_away():
+    """ppoll refused 35 entries at once, every time, and a client that could not be accepted woke the loop for ever: 95 % at SCHED_FIFO."""
+    few = 16
+    process, _ = start_command(
+        *("--priority", "0"), preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_NOFILE, (few, few))
+    )
+    clients, refused = [], 0
+    for _ in range(few):
+        try:
+            clients.append(connect(BusAddress("coulombus", "t")))
+        except BusUnavailable:
+            refused += 1
+    assert clients
+    assert refused
+    process.send_signal(signal.SIGTERM)
+    out, err = process.communicate(timeout=TIMEOUT_S)
+    for client in clients:
+        client.close()
+    assert process.returncode == 0, err
+    end = json.loads(out)
+    assert end["clients"] == len(clients)
+    assert end["wakeups"] < 1e4 * (1 + end["seconds"])
 
 
 def test_a_second_one_is_refused(rig):
