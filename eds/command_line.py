@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 import re
@@ -17,6 +16,7 @@ import click
 from eds.exit_status import STATUSES
 from eds.output_file import is_stream, reason_against
 from eds.stopping import Stopped, as_exceptions, status_of
+from eds.verdict import abandon_stdout, say, verdict
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -129,7 +129,7 @@ def errors() -> Iterator[None]:
     try:
         yield
     except BrokenPipeError:  # the reader of a pipe went away, as `head` does
-        _abandon_stdout()
+        abandon_stdout()
         sys.exit(0)
     except Exception as error:
         status = getattr(error, "exit_status", None)
@@ -144,40 +144,6 @@ def errors() -> Iterator[None]:
 def printable(text: str) -> str:
     """Return a text without control characters, by which a stranger's file would command the terminal."""
     return _CONTROL.sub(lambda found: f"\\x{ord(found[0]):02x}", text)
-
-
-def _abandon_stdout() -> None:
-    """Let go of a stdout that takes nothing: the interpreter would try it again at its end, and exit with 120."""
-    with suppress(OSError, ValueError):
-        null = os.open(os.devnull, os.O_WRONLY)
-        try:
-            os.dup2(null, sys.stdout.fileno())
-        finally:
-            os.close(null)
-
-
-@contextmanager
-def verdict(status: int) -> Iterator[None]:
-    """End the verb with `status` behind what is printed inside, also when nobody reads it.
-
-    A reader that has gone (`head`), or a terminal that was closed, hides no verdict; nor does a full disk, but that makes an error of a 0.
-    """
-    try:
-        yield
-        sys.stdout.flush()
-    except OSError as error:
-        _abandon_stdout()
-        if status == 0 and error.errno not in (errno.EPIPE, errno.EIO):
-            raise
-        if not isinstance(error, BrokenPipeError):
-            say(f"coulombus: the result cannot be printed: {error.strerror}")
-    sys.exit(status)
-
-
-def say(text: str) -> None:
-    """Say something on stderr; one that is closed keeps nothing from its course."""
-    with suppress(OSError):
-        click.echo(text, err=True)
 
 
 def remark(texts: Iterable[str]) -> None:

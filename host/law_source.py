@@ -14,7 +14,7 @@ from eds.rig import Rig
 from host import laws
 from host.laws import OWN_LAWS, LawError, find_law
 
-__all__ = ["SHA256", "SOURCE", "LawSource", "law_source", "recorded_sha256"]
+__all__ = ["SHA256", "SOURCE", "LawSource", "law_attachments", "law_source", "recorded_sha256"]
 
 MOST_BYTES = 1 << 20
 SOURCE, SHA256 = "host.law.py", "host.law.sha256"
@@ -55,6 +55,12 @@ def law_source(rig: Rig) -> LawSource | None:
         return None if spec is None or spec.origin is None else LawSource(name, Path(spec.origin).read_bytes())
     except (OSError, LawError, ImportError, ValueError):
         return None
+
+
+def law_attachments(rig: Rig) -> dict[str, bytes]:
+    """Return what a recording carries of the rig's law: nothing where its source cannot be read."""
+    source = law_source(rig)
+    return {} if source is None else source.attachments
 
 
 def recorded_sha256(attachments: Mapping[str, bytes]) -> str | None:

@@ -31,6 +31,7 @@ from host.data_plane import PRIORITY, DataPlane, default_cpu
 from host.deadman import HeldKey, deadman_of
 from host.demand import check_demand
 from host.errors import HostError, SafetyTrip
+from host.law_source import law_attachments
 from host.plane_records import Status
 from host.records import Phase, Trip
 from host.step import SOURCE_HOST
@@ -135,7 +136,7 @@ class _RealRun:
             self.control = RealControlPlane(rig, address)
             self._stack.callback(self.control.close)
             if record is not None:
-                self.recorder = Recorder(record, rig, mode, force=force)
+                self.recorder = Recorder(record, rig, mode, law=law_attachments(rig), force=force)
                 self._stack.callback(self._give_up_recording)
         except BaseException:
             self._stack.close()

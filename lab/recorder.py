@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import heapq
+from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from types import TracebackType
+from types import MappingProxyType, TracebackType
 
 import numpy as np
 
 from eds.rig import Rig
-from host.law_source import law_source
 from host.trace import NAME, SENT, pack, pack_sent
 from wire.frame import Records
 from wire.pcapng import PcapngWriter
 
 __all__ = ["PACED", "Recorder", "project_version"]
+
+NO_LAW: Mapping[str, bytes] = MappingProxyType({})
+"""What a bus attaches of the law: nobody asked it for one."""
 
 PACED = "paced"
 """Attachment ``bus`` of a recording that the bus itself made in real time: no host was in its process."""
@@ -42,7 +45,15 @@ class Recorder:
     """
 
     def __init__(
-        self, path: Path, rig: Rig, mode: str, seed: int | None = None, *, bus: str = "", force: bool = False
+        self,
+        path: Path,
+        rig: Rig,
+        mode: str,
+        seed: int | None = None,
+        *,
+        law: Mapping[str, bytes] = NO_LAW,
+        bus: str = "",
+        force: bool = False,
     ) -> None:
         attachments = {
             "rig.toml": rig.effective().encode(),
@@ -54,8 +65,7 @@ class Recorder:
         if bus:
             attachments["bus"] = bus.encode()
         attachments |= {name: text.encode() for name, text in rig.eds_texts.items()}
-        law = None if bus else law_source(rig)  # of a bus alone nobody asked a law
-        attachments |= {} if law is None else law.attachments
+        attachments |= law
         self._writer = PcapngWriter(path, attachments=attachments, force=force)
         self._markers: list[tuple[int, int, str]] = []
         self._marked = 0

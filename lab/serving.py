@@ -9,8 +9,8 @@ from collections.abc import Callable
 from dataclasses import asdict
 from types import FrameType
 
-from eds.command_line import say, verdict
 from eds.stopping import taken
+from eds.verdict import say, verdict
 from lab.bus_server import BusServer, SimResult
 from sim_bus.fault_lines import injected_lines
 

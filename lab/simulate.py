@@ -18,6 +18,7 @@ from eds.rig import Rig, load_rig
 from host.bringup import check_plan, release, shut_down
 from host.controllers import Controllers
 from host.demand import check_demand
+from host.law_source import law_attachments
 from host.records import Trip
 from lab.buses import merged, path_on
 from lab.injection import Injection, controllers_of
@@ -132,7 +133,9 @@ class _Run:
     def __init__(self, order: _Order) -> None:
         rig, mode, seed = order.rig, order.mode, order.seed
         self.record, self.progress = order.record, order.progress
-        self.recorder = Recorder(self.record, rig, mode, seed, force=order.force) if self.record is not None else None
+        self.recorder: Recorder | None = None
+        if self.record is not None:
+            self.recorder = Recorder(self.record, rig, mode, seed, law=law_attachments(rig), force=order.force)
         self.failure: str | None = None
         self.losses: tuple[str, ...] = ()
         on_frames, truth = self._write if self.recorder else None, order.truth is not None

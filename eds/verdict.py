@@ -1,0 +1,45 @@
+"""How a verb ends with its verdict: on stdout or stderr, and by an exit status that a closed or full one does not hide."""
+
+from __future__ import annotations
+
+import errno
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+
+__all__ = ["abandon_stdout", "say", "verdict"]
+
+
+def abandon_stdout() -> None:
+    """Let go of a stdout that takes nothing: the interpreter would try it again at its end, and exit with 120."""
+    with suppress(OSError, ValueError):
+        null = os.open(os.devnull, os.O_WRONLY)
+        try:
+            os.dup2(null, sys.stdout.fileno())
+        finally:
+            os.close(null)
+
+
+@contextmanager
+def verdict(status: int) -> Iterator[None]:
+    """End the verb with `status` behind what is printed inside, also when nobody reads it.
+
+    A reader that has gone (`head`), or a terminal that was closed, hides no verdict; nor does a full disk, but that makes an error of a 0.
+    """
+    try:
+        yield
+        sys.stdout.flush()
+    except OSError as error:
+        abandon_stdout()
+        if status == 0 and error.errno not in (errno.EPIPE, errno.EIO):
+            raise
+        if not isinstance(error, BrokenPipeError):
+            say(f"coulombus: the result cannot be printed: {error.strerror}")
+    sys.exit(status)
+
+
+def say(text: str) -> None:
+    """Say something on stderr; one that is closed keeps nothing from its course."""
+    with suppress(OSError):
+        print(text, file=sys.stderr, flush=True)
