@@ -105,7 +105,7 @@ def on_frame(c: Any, h: Any, tpdos: Any, t_ns: int, can_id: int, length: int, da
         return 0
     if function == 0x700 and length == 1:
         state = data & 0x7F
-        known = node == c.motor_id or node == c.brake_id
+        known = False
         if node == c.motor_id:
             known = h.motor_nmt == state
             h.motor_nmt = state

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+from functools import cache
+
+from plain_records import records_for_kernels
 
 from eds.cia402 import COMMAND_OF_CONTROLWORD, NEXT_STATE, STATUSWORD, VOLTAGE_ENABLED, PowerState
 from eds.codec import pack
@@ -14,15 +17,19 @@ from wire.frame import new_queue, push
 
 MS = 1_000_000
 
+rig_of = cache(load_rig)
+
 
 class HostBench:
     """Two devices whose answers a test can bend: position in counts, handle torque, statusword, missing TPDOs."""
 
     def __init__(self, mode="hybrid", *overrides, rig=None):
-        self.rig = load_rig("bench", overrides) if rig is None else rig
+        self.rig = rig_of("bench", overrides) if rig is None else rig
         self.k = Controller(self.rig, mode)
+        for name in ("control", "host", "rpdos", "tpdos", "motion", "law", "state"):
+            setattr(self.k, name, records_for_kernels(getattr(self.k, name)))
         self.c, self.h = self.k.control[0], self.k.host[0]
-        self.queue, self.header = new_queue()
+        self.queue, self.header = map(records_for_kernels, new_queue())
         self.t_ns = 0
         self.state = int(PowerState.SWITCH_ON_DISABLED)
         self.counts = 0.0
@@ -112,6 +119,25 @@ class HostBench:
     @property
     def phase(self):
         return self.k.phase
+
+    def enter(self, phase, counts=0):
+        """Stand in `phase`, without the way there: both devices talk, the handle stands at `counts`, the drive is enabled from ENABLE on."""
+        h = self.h
+        self.counts = float(counts)
+        self.state = int(PowerState.SWITCHED_ON if phase <= Phase.ENABLE else PowerState.OPERATION_ENABLED)
+        h.has_position, h.raw_position, h.counts, h.reference_counts = 1, counts, counts, counts
+        h.cycle, h.sync_ns, h.phase, h.gain, h.sign_direction = 100, 100 * MS, int(phase), 1.0, 1
+        h.motor_heartbeat_ns = h.brake_heartbeat_ns = 100 * MS
+        h.enabled_ns = -1 if phase <= Phase.ENABLE else 50 * MS
+        h.armed_ns = 60 * MS if phase >= Phase.RUN else -1
+        state = self.k.state[0]
+        state.stuck, state.x_stuck = 1, counts * self.c.rad_count
+        return self
+
+    def frames(self):
+        """What the host sent in this cycle: (time, identifier, length, word)."""
+        rows = (self.queue[k] for k in range(self.header[0].count))
+        return [(int(f.t_ns), int(f.can_id), int(f.length), int(f.word)) for f in rows]
 
     def follow_sign_check(self, direction=1, hand=-1):
         """Be a handle on a light hand: move when the torque exceeds the friction, and let the hand resist."""

@@ -1,0 +1,261 @@
+"""Run mutants against tests: pytest collects once, then each mutant is a forked child that stops at the first failure.
+
+The kernels are plain Python (NUMBA_DISABLE_JIT=1), so a child exchanges the code of one function in memory and runs the tests that
+cover the edited lines, the shortest first. The checkout is never edited.
+"""
+
+from __future__ import annotations
+
+import gc
+import importlib
+import json
+import os
+import resource
+import select
+import signal
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import coverage
+import pytest
+from mutants import Mutant, Source
+
+__all__ = ["Verdict", "run"]
+
+SHORTEST_LIMIT_S = 2.0
+HEADROOM = 1 << 30  # bytes that a mutant may allocate beyond what the tests have
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What became of a mutant: killed, timeout (killed by its time), survived, or no test covers it."""
+
+    status: str
+    by: str
+    cpu_s: float
+
+
+@dataclass
+class _Child:
+    number: int
+    pid: int
+    pipe: int
+    said: bytes = b""
+
+
+class _Failure:
+    """The first failure of a child."""
+
+    def __init__(self) -> None:
+        self.nodeid = ""
+
+    def pytest_runtest_logreport(self, report: Any) -> None:
+        if report.failed and not self.nodeid:
+            self.nodeid = report.nodeid
+
+
+class _Runner:
+    """A plugin of pytest that runs mutants in place of the tests."""
+
+    def __init__(self, source: Source, mutants: list[Mutant], jobs: int, factor: float) -> None:
+        self.source, self.mutants, self.jobs, self.factor = source, mutants, jobs, factor
+        self.tell: Callable[[int, Verdict], None] = lambda number, verdict: None
+        self.error = ""
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtestloop(self, session: pytest.Session) -> bool:
+        """Run every mutant."""
+        session.config._tmp_path_factory.getbasetemp()  # type: ignore[attr-defined]
+        self.module = importlib.import_module(self.source.path.removesuffix(".py").replace("/", "."))
+        self.items = session.items
+        pipe, pid = self._fork(self._baseline)
+        said = _read_all(pipe)
+        os.waitpid(pid, 0)
+        base = json.loads(said or b'{"failed": "the base run died"}')
+        self.error = base.get("failed", "")
+        if not self.error:
+            gc.freeze()  # the children share these pages
+            self.space = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE") + HEADROOM
+            self._control()
+        if not self.error:
+            self._run_all(base["seconds"], [set(lines) for lines in base["lines"]])
+        return True
+
+    def _control(self) -> None:
+        """Run all tests as for a mutant, but without one: a child that fails for another reason kills nothing."""
+        pipe, pid = self._fork(self._mutant_run(None, self.items, 3600.0))
+        self.error = _read_all(pipe).decode().partition(" ")[2]
+        if os.waitpid(pid, 0)[1] and not self.error:
+            self.error = "the process"
+
+    def _fork(self, work: Callable[[int], None]) -> tuple[int, int]:
+        reading, writing = os.pipe()
+        pid = os.fork()
+        if pid == 0:
+            status = 1
+            try:
+                os.close(reading)
+                work(writing)
+                status = 0
+            finally:
+                os._exit(status)
+        os.close(writing)
+        return reading, pid
+
+    def _run_items(self, items: list[pytest.Item], before: Callable[[pytest.Item], None] = lambda item: None) -> str:
+        """Run `items` until one fails; return which."""
+        failure = _Failure()
+        manager = items[0].config.pluginmanager
+        manager.register(failure)
+        for item, following in zip(items, [*items[1:], None], strict=True):
+            before(item)
+            item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
+            if failure.nodeid:
+                break
+        return failure.nodeid
+
+    def _baseline(self, pipe: int) -> None:
+        """Measure what each test covers and how long it takes."""
+        measured = coverage.Coverage(data_file=None, include=[self.module.__file__ or ""], config_file=False)
+        starts: list[float] = []
+
+        def begin(item: pytest.Item) -> None:
+            starts.append(time.process_time())
+            measured.switch_context(item.nodeid)
+
+        measured.start()
+        failed = self._run_items(self.items, begin)
+        starts.append(time.process_time())
+        measured.stop()
+        answer: dict[str, Any] = {"failed": failed}
+        if not failed:
+            by_line = measured.get_data().contexts_by_lineno(self.module.__file__ or "")
+            covered: dict[str, set[int]] = {item.nodeid: set() for item in self.items}
+            for line, contexts in by_line.items():
+                for context in contexts:
+                    if context in covered:
+                        covered[context].add(line)
+            answer["lines"] = [sorted(covered[item.nodeid]) for item in self.items]
+            answer["seconds"] = [b - a for a, b in pairwise(starts)]
+        _write_all(pipe, json.dumps(answer).encode())
+
+    def _chosen(self, mutant: Mutant, seconds: list[float], covered: list[set[int]]) -> list[int]:
+        lines = set(mutant.lines) if mutant.unit else set()
+        found = [k for k in range(len(self.items)) if not lines or lines & covered[k]]
+        return sorted(found, key=lambda k: seconds[k])
+
+    def _run_all(self, seconds: list[float], covered: list[set[int]]) -> None:
+        running: dict[int, _Child] = {}
+        waiting = iter(enumerate(self.mutants))
+        limits: dict[int, float] = {}
+        done = False
+        while running or not done:
+            while not done and len(running) < self.jobs:
+                number, mutant = next(waiting, (-1, None))
+                if mutant is None:
+                    done = True
+                    break
+                chosen = self._chosen(mutant, seconds, covered)
+                if not chosen:
+                    self.tell(number, Verdict("survived", "no test covers it", 0.0))
+                    continue
+                limit = max(SHORTEST_LIMIT_S, self.factor * sum(seconds[k] for k in chosen))
+                limits[number] = limit
+                pipe, pid = self._fork(self._mutant_run(mutant, [self.items[k] for k in chosen], limit))
+                running[pipe] = _Child(number, pid, pipe)
+            if running:
+                self._collect(running)
+
+    def _mutant_run(self, mutant: Mutant | None, items: list[pytest.Item], limit_s: float) -> Callable[[int], None]:
+        def work(pipe: int) -> None:
+            signal.setitimer(signal.ITIMER_PROF, limit_s)
+            signal.signal(signal.SIGPROF, signal.SIG_DFL)
+            resource.setrlimit(resource.RLIMIT_AS, (self.space, self.space))
+            if mutant is not None:
+                mutant.apply()
+                self.source.install(self.module, mutant.unit)
+            failed = self._run_items(items)
+            _write_all(pipe, f"{time.process_time():.3f} {failed}".encode())
+
+        return work
+
+    def _collect(self, running: dict[int, _Child]) -> None:
+        for pipe in select.select(list(running), [], [])[0]:
+            child = running[pipe]
+            part = os.read(pipe, 65536)
+            if part:
+                child.said += part
+                continue
+            os.close(pipe)
+            del running[pipe]
+            _, status, usage = os.wait4(child.pid, 0)
+            cpu_s = round(usage.ru_utime + usage.ru_stime, 3)
+            if child.said:
+                failed = child.said.decode().partition(" ")[2]
+                self.tell(child.number, Verdict("killed" if failed else "survived", failed, cpu_s))
+            elif os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGPROF:
+                self.tell(child.number, Verdict("timeout", "", cpu_s))
+            else:  # it could not even be loaded, or ended the process
+                self.tell(child.number, Verdict("killed", "the process ended", cpu_s))
+
+
+def _read_all(pipe: int) -> bytes:
+    with os.fdopen(pipe, "rb") as file:
+        return file.read()
+
+
+def _write_all(pipe: int, data: bytes) -> None:
+    with os.fdopen(pipe, "wb") as file:
+        file.write(data)
+
+
+def run(
+    source: Source,
+    mutants: list[Mutant],
+    tests: tuple[str, ...],
+    jobs: int,
+    factor: float,
+    tell: Callable[[int, Verdict], None],
+) -> str:
+    """Run `mutants` of `source` against `tests`; `tell` gets each one's number and verdict. Return what went wrong, or ""."""
+    runner = _Runner(source, mutants, jobs, factor)
+    runner.tell = tell
+    arguments = [
+        "-q",
+        "-p",
+        "no:cacheprovider",
+        "-o",
+        "faulthandler_timeout=0",
+        "-p",
+        "no:xdist",
+        "--tb=no",
+        "--assert=plain",
+        "-s",
+        *tests,
+    ]
+    with _silence():
+        status = pytest.main(arguments, plugins=[runner])
+    if runner.error:
+        return f"{runner.error} fails without a mutant"
+    return "" if status == pytest.ExitCode.OK else f"pytest ends with {status!r}: are the tests' names right?"
+
+
+class _silence:  # noqa: N801  (a context, as contextlib's)
+    """Nothing of what pytest and the children say is shown; `sys.stderr` is kept."""
+
+    def __enter__(self) -> None:
+        sys.stdout.flush()
+        self.kept = os.dup(1)
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, 1)
+        os.close(nowhere)
+
+    def __exit__(self, *_: object) -> None:
+        sys.stdout.flush()
+        os.dup2(self.kept, 1)
+        os.close(self.kept)

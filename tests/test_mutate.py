@@ -1,0 +1,109 @@
+"""The mutation runner: what it changes, and what it says of a change that no test sees."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import subprocess
+import sys
+import types
+from pathlib import Path
+
+import pytest
+
+SCRIPTS = Path(__file__).resolve().parent.parent / "scripts"
+
+
+def load(name):
+    spec = importlib.util.spec_from_file_location(name, SCRIPTS / f"{name}.py")
+    module = sys.modules[name] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+Source = load("mutants").Source
+
+TEXT = '''"""A module."""
+
+STEP = 2
+
+
+def limited(x, most):
+    """Return x within its limits."""
+    if abs(x) > most and not most == 0:
+        x = min(x, most) - 1.5
+        return x
+    return -x * STEP
+'''
+
+
+def changes(text, unit="limited", units=()):
+    return {mutant.change for mutant in Source("own.py", text, units).mutants() if mutant.unit == unit}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "abs(x) -> x",
+        "abs(x) > most -> abs(x) >= most",
+        "abs(x) > most -> abs(x) <= most",
+        "abs(x) > most and (not most == 0) -> abs(x) > most or not most == 0",
+        "abs(x) > most and (not most == 0) -> abs(x) > most",
+        "abs(x) > most and (not most == 0) -> True",
+        "abs(x) > most and (not most == 0) -> False",
+        "not most == 0 -> most == 0",
+        "most == 0 -> most == 1",
+        "min(x, most) -> max(x, most)",
+        "min(x, most) -> x",
+        "min(x, most) - 1.5 -> min(x, most) + 1.5",
+        "min(x, most) - 1.5 -> min(x, most) - 2.5",
+        "min(x, most) - 1.5 -> min(x, most) - -1.5",
+        "x = min(x, most) - 1.5 -> deleted",
+        "return x -> deleted",
+        "-x -> x",
+        "-x * STEP -> -x / STEP",
+    ],
+)
+def test_a_function_is_changed_by_every_operator(change):
+    assert change in changes(TEXT)
+
+
+def test_constants_of_the_module_are_changed_unless_a_function_is_named():
+    assert changes(TEXT, "") == {"STEP = 2 -> STEP = 3", "STEP = 2 -> STEP = 1"}
+    assert changes(TEXT, "", ("limited",)) == set()
+
+
+def test_every_mutant_differs_and_the_source_stays():
+    source = Source("own.py", TEXT)
+    before = source._code("limited")
+    mutants = source.mutants()
+    assert source._code("limited") == before
+    assert len({(m.unit, m.line, m.change) for m in mutants}) == len(mutants)
+    assert [m.line for m in mutants if m.unit] == sorted(m.line for m in mutants if m.unit)
+
+
+def test_a_mutant_is_exchanged_in_the_loaded_module_where_others_have_taken_it_from():
+    module = types.ModuleType("own")
+    module.__file__ = "own.py"
+    exec(TEXT, vars(module))
+    taken = module.limited
+    source = Source("own.py", TEXT)
+    (mutant,) = (m for m in source.mutants() if m.change == "-x * STEP -> -x / STEP")
+    mutant.apply()
+    source.install(module, mutant.unit)
+    assert taken(3, 10) == -1.5
+    source = Source("own.py", TEXT)
+    (mutant,) = (m for m in source.mutants() if m.change == "STEP = 2 -> STEP = 3")
+    mutant.apply()
+    source.install(module, mutant.unit)
+    assert module.STEP == 3
+
+
+def test_a_sample_is_run_against_the_tests_of_its_module_and_found_again(tmp_path):
+    results = tmp_path / "mutants.jsonl"
+    command = [sys.executable, SCRIPTS / "mutate.py", "--module", "host/laws.py", "--sample", "4", "--results", results]
+    for _ in range(2):
+        done = subprocess.run(command, capture_output=True, text=True, timeout=300, env={**os.environ})
+        assert done.returncode == 0, done.stdout + done.stderr
+        assert "| `host/laws.py` | 4 |" in done.stdout
+        assert 1 <= len(results.read_text().splitlines()) <= 4
