@@ -17,8 +17,10 @@ from eds.command_line import (
     force_option,
     json_option,
     print_json,
+    printed,
     remark,
     rig_option,
+    say,
     seed_option,
     set_option,
 )
@@ -103,16 +105,17 @@ def _rig(options: dict[str, Any]) -> Rig:
 def _tell(as_json: bool, value: Callable[[], Any], lines: Callable[[], Any]) -> None:
     from analysis.report import plain
 
-    if as_json:
-        print_json(plain(value()))
-        return
-    for line in lines():
-        click.echo(line)
+    with printed():
+        if as_json:
+            print_json(plain(value()))
+            return
+        for line in lines():
+            click.echo(line)
 
 
 def _tell_paths(paths: list[Path]) -> None:
     for path in paths:
-        click.echo(f"figure: {path}", err=True)
+        say(f"figure: {path}")
 
 
 @contextmanager
@@ -401,7 +404,8 @@ def identify_command(
             with new_file(figure, force=overwrite) as path:
                 write_identification(path, found)
             _tell_paths([figure])
-        if as_json:
-            print_json(found.as_dict())
-        else:
-            click.echo("\n".join(lines(found)))
+        with printed():
+            if as_json:
+                print_json(found.as_dict())
+            else:
+                click.echo("\n".join(lines(found)))

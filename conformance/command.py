@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from eds.command_line import EXIT_STATUS, OutputFile, errors, json_option, print_json
+from eds.command_line import EXIT_STATUS, OutputFile, errors, json_option, print_json, printed
 
 if TYPE_CHECKING:
     from conformance.catalogue import Case
@@ -101,10 +101,12 @@ def conformance(
             )
             with _progress(len(cases), not as_json) as progress:
                 report = run(unit, cases, progress)
-        if as_json:
-            print_json(as_dict(report))
-        else:
-            _print(report)
+        failed = bool(report.count("fail") + report.count("error"))
+        with printed(1 if failed or report.ended_by is not None else 0):
+            if as_json:
+                print_json(as_dict(report))
+            else:
+                _print(report)
         if junit is not None:
             with new_file(junit, force=overwrite) as path:
                 write_junit(report, path)
@@ -113,7 +115,7 @@ def conformance(
                 write_report(report, path)
         if report.ended_by is not None:
             raise report.ended_by
-        sys.exit(1 if report.count("fail") + report.count("error") else 0)
+        sys.exit(1 if failed else 0)
 
 
 @contextmanager

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections import Counter
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from eds.command_line import EXIT_STATUS, errors, json_option
+from eds.command_line import EXIT_STATUS, errors, json_option, verdict
 
 if TYPE_CHECKING:
     from eds.pdo import PdoLayout
@@ -45,13 +44,13 @@ def check_command(files: Sequence[str], node_id: int, pdos: bool, as_json: bool)
     """
     with errors():
         results = [_check(file, node_id) for file in files]
-        if as_json:
-            kept = [{key: result[key] for key in result if key != "drawn"} for result in results]
-            click.echo(json.dumps(kept, indent=2))
-        else:
-            for result in results:
-                _print(result, pdos)
-        sys.exit(READABLE if all(result["readable"] for result in results) else REFUSED)
+        with verdict(READABLE if all(result["readable"] for result in results) else REFUSED):
+            if as_json:
+                kept = [{key: result[key] for key in result if key != "drawn"} for result in results]
+                click.echo(json.dumps(kept, indent=2))
+            else:
+                for result in results:
+                    _print(result, pdos)
 
 
 def _check(file: str, node_id: int) -> dict[str, Any]:

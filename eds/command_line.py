@@ -16,7 +16,7 @@ import click
 from eds.exit_status import STATUSES
 from eds.output_file import is_stream, reason_against
 from eds.stopping import Stopped, as_exceptions, status_of
-from eds.verdict import abandon_stdout, say, verdict
+from eds.verdict import abandon_stdout, printed, say, verdict
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -44,6 +44,7 @@ __all__ = [
     "mode_option",
     "print_json",
     "printable",
+    "printed",
     "progress",
     "record_option",
     "remark",
@@ -91,6 +92,7 @@ class Verbs(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """Keep the words, to know of --json even where the rest of them is refused."""
+        _open_all_streams()
         ctx.meta[WORDS] = tuple(args)
         return super().resolve_command(ctx, args)
 
@@ -135,6 +137,8 @@ def errors() -> Iterator[None]:
         status = getattr(error, "exit_status", None)
         if status is not None:
             raise Failure(str(error), status) from error
+        if isinstance(error, MemoryError):
+            raise Failure("no memory is left; end other programs, or raise the limit (ulimit -v)", 2) from error
         if not isinstance(error, OSError):
             raise
         text = f"{error.filename}: {error.strerror}" if error.filename else str(error)
@@ -144,6 +148,17 @@ def errors() -> Iterator[None]:
 def printable(text: str) -> str:
     """Return a text without control characters, by which a stranger's file would command the terminal."""
     return _CONTROL.sub(lambda found: f"\\x{ord(found[0]):02x}", text)
+
+
+def _open_all_streams() -> None:
+    """Put /dev/null where the shell has closed stdin, stdout or stderr (``>&-``): else the next file that is opened gets its number."""
+    for fd, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
+        if getattr(sys, name) is None:
+            null = os.open(os.devnull, os.O_RDWR)  # the lowest number that is free
+            if null != fd:
+                os.dup2(null, fd)
+                os.close(null)
+            setattr(sys, name, open(fd, mode, encoding="utf-8"))  # noqa: SIM115
 
 
 def remark(texts: Iterable[str]) -> None:

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
-__all__ = ["abandon_stdout", "say", "verdict"]
+__all__ = ["abandon_stdout", "printed", "say", "verdict"]
 
 
 def abandon_stdout() -> None:
@@ -23,9 +23,17 @@ def abandon_stdout() -> None:
 
 @contextmanager
 def verdict(status: int) -> Iterator[None]:
-    """End the verb with `status` behind what is printed inside, also when nobody reads it.
+    """End the verb with `status` behind what is printed inside, also when nobody reads it (`printed`)."""
+    with printed(status):
+        yield
+    sys.exit(status)
 
-    A reader that has gone (`head`), or a terminal that was closed, hides no verdict; nor does a full disk, but that makes an error of a 0.
+
+@contextmanager
+def printed(status: int = 0) -> Iterator[None]:
+    """Print what is printed inside; what follows is done, whoever reads it.
+
+    A reader that has gone (`head`), or a terminal that was closed, hides no verdict `status`; nor does a full disk, but that makes an error of a 0.
     """
     try:
         yield
@@ -36,7 +44,6 @@ def verdict(status: int) -> Iterator[None]:
             raise
         if not isinstance(error, BrokenPipeError):
             say(f"coulombus: the result cannot be printed: {error.strerror}")
-    sys.exit(status)
 
 
 def say(text: str) -> None:

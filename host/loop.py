@@ -8,8 +8,9 @@ the others', into a ring that another process empties. However it ends, it sends
 It looks after its parent, too: one that has ended, or that has not shown itself in time (`PLANE.parent_ns`), is a reason for the safe state
 (HOST). After a parent that has ended the loop ends by itself, when all axes are done.
 
-Answers to what the system says: EINTR - again; EAGAIN, ENOBUFS - the frame is lost, counted, not repeated (a frame that waits is a wrong
-set-point later), and too many cycles of it trip; everything else, and the other side closing - the bus is lost.
+Answers to what the system says: EINTR - again; EAGAIN, ENOBUFS on sending - the frame is lost, counted, not repeated (a frame that waits is a
+wrong set-point later), and too many cycles of it trip; everything else, and the other side closing - the bus is lost. Only the safe set-points
+behind the last cycle are sent again until they are taken, for `END_ATTEMPTS` ms: nothing comes after them.
 """
 
 from __future__ import annotations
@@ -73,6 +74,7 @@ AT_CYCLES, AT_PARENT = _offset("cycles"), _offset("parent_ns")
 
 LISTEN_NS = 5_000_000  # how soon a command is seen while listening
 DRAIN_MESSAGES = 512  # bound of what one cycle takes from a bus that is flooded
+END_ATTEMPTS, END_PAUSE_NS = 20, 1_000_000  # for the last set-points, which no cycle repeats
 STAMP_AGE_NS = 1_000_000_000  # an older stamp is a clock that was set
 CAN_ERR_BUSOFF = 0x40
 CLOSED = -1
@@ -233,8 +235,11 @@ def _take(
 
 
 @kernel
-def _transmit(fd: int, plane: Any, ring: Any, tx: Any, queue: Any, header: Any) -> int:
-    """Send the queue's frames; return 0, or the error of a bus that is lost."""
+def _transmit(fd: int, plane: Any, ring: Any, tx: Any, queue: Any, header: Any, patience: int) -> int:
+    """Send the queue's frames; return 0, or the error of a bus that is lost.
+
+    A frame that is not taken is lost; with `patience` it is offered again, so often in all, END_PAUSE_NS apart.
+    """
     p = plane[0]
     count = header[0].count
     header[0].count = 0
@@ -249,6 +254,10 @@ def _transmit(fd: int, plane: Any, ring: Any, tx: Any, queue: Any, header: Any) 
             error = errno()
             if error == EINTR:
                 p.interrupted += 1
+                continue
+            if patience > 0:
+                patience -= 1
+                sleep_until(now_ns() + END_PAUSE_NS)
                 continue
             if error != EAGAIN and error != ENOBUFS:
                 p.error = error
@@ -357,7 +366,7 @@ def _cycle(
 
         _trace(plane, trace, BEGIN, t, host[0].deadman_ok)
         axes.begin(control, host, t, queue, header)
-        if _transmit(fd, plane, ring, tx, queue, header) != 0:
+        if _transmit(fd, plane, ring, tx, queue, header, 0) != 0:
             return 1
         sync = now_ns()
         end = sync + c.window_ns
@@ -383,12 +392,12 @@ def _cycle(
                 )
                 if waiting == 0:
                     break
-                if _transmit(fd, plane, ring, tx, queue, header) != 0:
+                if _transmit(fd, plane, ring, tx, queue, header, 0) != 0:
                     return 1
         now = now_ns()
         _trace(plane, trace, WINDOW, now, p.asked)
         axes.finish_waiting(control, host, rpdos, law_function, motion, law, state, now, queue, header)
-        if _transmit(fd, plane, ring, tx, queue, header) != 0:
+        if _transmit(fd, plane, ring, tx, queue, header, 0) != 0:
             return 1
         done = now_ns()
         _count(latency_bins, done - sync)
@@ -472,7 +481,7 @@ def run_plane(
             _trace(plane, trace, END, now, 0)
             header[0].count = 0
             axes.safe_setpoints(control, host, rpdos, now, queue, header)
-            _transmit(fd, plane, ring, tx, queue, header)
+            _transmit(fd, plane, ring, tx, queue, header, END_ATTEMPTS)
             p.error = error
             for k in range(host.shape[0]):
                 host[k].phase = DONE

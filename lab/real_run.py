@@ -9,8 +9,8 @@ from __future__ import annotations
 import signal
 import sys
 import time
-from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -231,6 +231,8 @@ class _RealRun:
         self.signals.defer()
         if self.signals.number:
             raise Interrupted(self.signals.number)
+        if not self.plane.alive or self.plane.status in (Status.LOST, Status.ENDED):
+            raise BusUnavailable(f"bus {self.address}: lost before anything was armed: {self.plane.lost_text}")
         period = int(k.control["period_ns"][0])
         self.plane.attend()
         self.plane.start_cycle((time.monotonic_ns() + LEAD_NS) // period * period)
@@ -285,6 +287,7 @@ class _RealRun:
                 failures += 1
                 self._fail(error)
         self._attempt(self._supervise)
+        self._attempt(self._never_cycled)
         if not self._ended:
             self._attempt(lambda: self._mark_end(time.monotonic_ns()))
 
@@ -329,6 +332,12 @@ class _RealRun:
         running = h["phase"] < Phase.SAFE
         h["trip"][running], h["trip_ns"][running] = Trip.DATA_PLANE, time.monotonic_ns()
         h["phase"] = Phase.DONE
+
+    def _never_cycled(self) -> None:
+        """The bus was lost between the last look at the data plane and its first cycle: that is a trip, too."""
+        h = self.k.host
+        if self.plane.status is Status.LOST and (h["phase"] == Phase.OFF).all() and self.k.trip is None:
+            h["trip"], h["trip_ns"], h["phase"] = Trip.BUS_LOST, time.monotonic_ns(), Phase.DONE
 
     def _mark_phases(self) -> None:
         """Mark the phases that have begun; the schedule of each axis begins with its own drive's Operation Enabled."""
@@ -463,6 +472,18 @@ class _RealRun:
         return self.plane.shared.wakeup_bins.copy(), self.plane.shared.latency_bins.copy()
 
 
+@contextmanager
+def _refusing() -> Iterator[None]:
+    """Make a refusal, with its exit status, of every error that is nobody's mistake and comes before anything is armed (after it: a trip)."""
+    try:
+        yield
+    except Exception as error:
+        if isinstance(error, can.CanError) or hasattr(error, "exit_status"):
+            raise
+        text = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+        raise SafetyTrip(f"arming refused: {text} ({_place(error.__traceback__)})") from error
+
+
 def _place(trace: TracebackType | None) -> str:
     """Return where an error came from: file and line."""
     while trace is not None and trace.tb_next is not None:
@@ -517,22 +538,24 @@ def real_run(
     """
     check_plan(rig)
     check_demand(rig, mode)
-    run = _RealRun(
-        rig,
-        mode,
-        bus or default_address(rig.rig.name),
-        record=record,
-        signals=signals or Signals(),
-        progress=progress,
-        say=say,
-        priority=priority,
-        cpu=default_cpu() if cpu is None else cpu,
-        force=force,
-    )
+    with _refusing():
+        run = _RealRun(
+            rig,
+            mode,
+            bus or default_address(rig.rig.name),
+            record=record,
+            signals=signals or Signals(),
+            progress=progress,
+            say=say,
+            priority=priority,
+            cpu=default_cpu() if cpu is None else cpu,
+            force=force,
+        )
     try:
         try:
-            run.prepare()
-            run.course(seconds)
+            with _refusing():
+                run.prepare()
+                run.course(seconds)
         except can.CanError as error:
             raise BusUnavailable(f"bus {run.address}: {error}") from None
         finally:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from eds.command_line import EXIT_STATUS, errors, json_option, remark
+from eds.command_line import EXIT_STATUS, errors, json_option, printed, remark, say, verdict
 
 if TYPE_CHECKING:
     from lab.host_replay import HostReplay
@@ -72,7 +71,7 @@ def replay(**options: Any) -> None:
       coulombus replay run.pcapng --virtual
     """
     with errors():
-        sys.exit(_replay(**options))
+        _replay(**options)
 
 
 def _replay(
@@ -86,13 +85,14 @@ def _replay(
     rig_name: str | None,
     as_json: bool,
     **playing: Any,
-) -> int:
+) -> None:
     if (bus_name is not None) + as_host + virtual != 1:
         raise click.UsageError("give one of --bus B (play it there), --host and --virtual (check it)")
     if (overrides or law) and not as_host:
         raise click.UsageError("--law and --set go with --host")
     if bus_name is not None:
-        return _play(file, bus_name, rig_name, as_json, **playing)
+        _play(file, bus_name, rig_name, as_json, **playing)
+        return
     from eds.rig import load_rig
 
     rig = None if rig_name is None else load_rig(rig_name)
@@ -112,8 +112,8 @@ def _replay(
         found = virtual_replay(file, rig)
         lines = found.lines()
     remark(found.remarks)
-    click.echo(json.dumps(found.as_dict(), indent=2, allow_nan=False) if as_json else "\n".join(lines))
-    return found.exit_status
+    with verdict(found.exit_status):
+        click.echo(json.dumps(found.as_dict(), indent=2, allow_nan=False) if as_json else "\n".join(lines))
 
 
 def _host_lines(found: HostReplay) -> list[str]:
@@ -151,7 +151,7 @@ def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.9g}"
 
 
-def _play(file: Path, bus_name: str, rig_name: str | None, as_json: bool, **options: Any) -> int:
+def _play(file: Path, bus_name: str, rig_name: str | None, as_json: bool, **options: Any) -> None:
     from eds.stopping import StopSignals
     from wire.address import parse_address
     from wire.client import Client
@@ -175,33 +175,34 @@ def _play(file: Path, bus_name: str, rig_name: str | None, as_json: bool, **opti
         played = play(tape, client, stop, speed=options["speed"], loops=options["loops"], progress=progress)
         number = stop.number
     late = played.late_us
-    if as_json:
-        click.echo(
-            json.dumps(
-                {
-                    "file": str(file),
-                    "bus": str(address),
-                    "frames": played.frames,
-                    "loops": played.loops,
-                    "seconds": played.seconds,
-                    "late_us": late,
-                    "full": played.full,
-                    "complete": played.complete,
-                },
-                indent=2,
+    cut_short = not played.complete and number and options["loops"]
+    with printed(1 if cut_short else 0):
+        if as_json:
+            click.echo(
+                json.dumps(
+                    {
+                        "file": str(file),
+                        "bus": str(address),
+                        "frames": played.frames,
+                        "loops": played.loops,
+                        "seconds": played.seconds,
+                        "late_us": late,
+                        "full": played.full,
+                        "complete": played.complete,
+                    },
+                    indent=2,
+                )
             )
-        )
-    else:
-        times = (
-            ""
-            if late is None
-            else f", late by {late['p50']:.0f} / {late['p99']:.0f} / {late['max']:.0f} us (p50 / p99 / max)"
-        )
-        full = f", {played.full} of them waited for a full bus" if played.full else ""
-        click.echo(f"{played.frames} frames onto {address} in {played.seconds:.3f} s{times}{full}")
-    if not played.complete and number and options["loops"]:
+        else:
+            times = (
+                ""
+                if late is None
+                else f", late by {late['p50']:.0f} / {late['p99']:.0f} / {late['max']:.0f} us (p50 / p99 / max)"
+            )
+            full = f", {played.full} of them waited for a full bus" if played.full else ""
+            click.echo(f"{played.frames} frames onto {address} in {played.seconds:.3f} s{times}{full}")
+    if cut_short:
         raise Interrupted(number, f"interrupted after {played.frames} frames")
-    return 0
 
 
 def _choose(
@@ -330,17 +331,17 @@ def bridge(
             seconds=seconds,
             ready=ready,
         )
-        if as_json:
-            click.echo(json.dumps({"event": "end", **result.as_dict()}))
-        else:
-            for way, counts in result.as_dict()["ways"].items():
-                rest = ", ".join(
-                    f"{n} {name}" for name, n in counts.items() if n and name not in ("received", "forwarded")
-                )
-                click.echo(
-                    f"{way}: {counts['received']} received, {counts['forwarded']} forwarded"
-                    + (f", {rest}" if rest else "")
-                )
         if result.gone:
-            click.echo(f"coulombus: {result.gone}", err=True)
-        sys.exit(result.exit_status)
+            say(f"coulombus: {result.gone}")
+        with verdict(result.exit_status):
+            if as_json:
+                click.echo(json.dumps({"event": "end", **result.as_dict()}))
+            else:
+                for way, counts in result.as_dict()["ways"].items():
+                    rest = ", ".join(
+                        f"{n} {name}" for name, n in counts.items() if n and name not in ("received", "forwarded")
+                    )
+                    click.echo(
+                        f"{way}: {counts['received']} received, {counts['forwarded']} forwarded"
+                        + (f", {rest}" if rest else "")
+                    )

@@ -17,6 +17,7 @@ from eds.command_line import (
     force_option,
     load,
     printable,
+    printed,
     remark,
     rig_option,
     set_option,
@@ -152,8 +153,8 @@ def dbc(rig_name: str, overrides: tuple[str, ...], channel: str | None, out: Pat
 
         text = dbc_text(one_bus(load_rig(rig_name, overrides), None, channel)[0])
         if out is None:
-            sys.stdout.write(text)
-            sys.stdout.flush()
+            with printed():
+                sys.stdout.write(text)
             return
         with new_file(out, force=overwrite) as path:
             path.write_text(text, encoding="cp1252", errors="replace")  # what readers of DBC files expect

@@ -17,13 +17,15 @@ from eds.rig import load_rig
 from host.control_socket import HostSocket, StopRequest, control_path
 from host.controllers import SECTIONS
 from host.data_plane import DataPlane
+from host.errors import HostError
 from host.plane_records import TRACE_ROWS, Command, SharedPlane, Status
 from host.records import Phase, Trip
 from host.trace import TRACE
 from lab import real_run
 from scope.recording import read
-from wire.address import parse_address
+from wire.address import BusUnavailable, parse_address
 from wire.frame import frames, new_records
+from wire.pcapng import RecordingError
 
 pytestmark = pytest.mark.usefixtures("private_sockets")
 
@@ -141,35 +143,49 @@ def bench(tmp_path, monkeypatch):
     clock = [Clock()]
     monkeypatch.setattr(real_run, "DataPlane", PlayedPlane)
     monkeypatch.setattr(real_run, "RealControlPlane", Control)
-    monkeypatch.setattr(real_run, "bring_up", lambda k, control: None)
+    monkeypatch.setattr(real_run, "bring_up", lambda k, control: ())
     monkeypatch.setattr(real_run, "release", lambda k, control: None)
 
-    def run(fail_at=0, before=lambda: None):
+    def run(fail_at=0, before=lambda: None, arming=True):
         clock[0] = Clock()
         monkeypatch.setattr(PlayedPlane, "clock", clock[0], raising=False)
         monkeypatch.setattr(real_run, "time", clock[0])
         monkeypatch.setattr("host.data_plane.time", clock[0])
         shim, planes = Shim(fail_at), []
 
+        def begin():
+            planes.append(clock[0].plane)
+            before()
+            shim.__enter__()
+
         class Signals(real_run.Signals):
             def defer(self):  # from here on the rig is being armed
                 super().defer()
-                planes.append(clock[0].plane)
-                before()
-                shim.__enter__()
+                if arming:
+                    begin()
+                elif shim.failed is None:
+                    shim.__exit__()
 
         record = tmp_path / "r.pcapng"
         record.unlink(missing_ok=True)
         control_path(BUS).unlink(missing_ok=True)
         before_run = descriptors()
+        result, refusal = None, None
         try:
+            if not arming:
+                begin()
             result = real_run.real_run(
                 rig, "passive", 0.03, bus=BUS, record=record, signals=Signals(), say=lambda text: None
             )
+        except (HostError, BusUnavailable, RecordingError) as error:
+            refusal = error
         finally:
             shim.__exit__()
         left = descriptors() - before_run
-        return SimpleNamespace(result=result, shim=shim, plane=planes[0], record=record, left=left)
+        if arming and not planes:
+            raise refusal
+        plane = planes[0] if arming else clock[0].plane
+        return SimpleNamespace(result=result, refusal=refusal, shim=shim, plane=plane, record=record, left=left)
 
     return run
 
@@ -178,6 +194,8 @@ def judge(found):
     """Return what is wrong with the end of a run in which a call failed."""
     h, plane, result = found.plane._controllers.host, found.plane, found.result
     wrong = []
+    if found.refusal is not None:
+        return [f"refused while it was armed: {found.refusal!r}"]
     if h["phase"][0] != Phase.DONE or h["motor_Nm"].any() or plane.unsafe_end:
         wrong.append(f"not safe: {Phase(int(h['phase'][0])).name}")
     if plane._process.status is None:
@@ -254,5 +272,90 @@ def test_whatever_call_of_the_parent_fails_the_rig_is_made_safe(bench, pytestcon
             wrong[number] = repr(error)
             continue
         if faults := judge(found):
+            wrong[found.shim.failed or number] = faults
+    assert wrong == {}
+
+
+def judge_refusal(found):
+    """Return what is wrong with the end of a run in which a call failed before anything was armed."""
+    wrong, plane = [], found.plane
+    if found.refusal is None:  # who was absorbed
+        return [] if found.result.exit_status == 0 else judge(found)
+    if found.refusal.exit_status not in (2, 4, 7) or "\n" in str(found.refusal):
+        wrong.append(f"no documented end: {found.refusal!r}")
+    if plane is not None and (plane.armed or plane.unsafe_end or plane._process.status is None):
+        wrong.append("the data plane was armed, or is left")
+    if control_path(BUS).exists() or found.left > 0:
+        wrong.append(f"left behind: {found.left} descriptors, the socket {control_path(BUS).exists()}")
+    if found.record.exists():
+        try:
+            read(found.record)
+        except Exception as error:
+            wrong.append(f"the recording cannot be read: {error}")
+    return wrong
+
+
+def test_an_error_before_arming_is_a_refusal_with_its_place(bench, monkeypatch):
+    def broken(k, control):
+        raise OSError(24, "Too many open files")
+
+    done = []
+    monkeypatch.setattr(real_run, "bring_up", broken)
+    monkeypatch.setattr(real_run, "shut_down", done.append)
+    found = bench(arming=False)
+    assert found.refusal.exit_status == 7
+    assert str(found.refusal).startswith(
+        "arming refused: OSError: [Errno 24] Too many open files (test_host_faults.py:"
+    )
+    assert len(done) == 1  # the nodes were sent to PRE-OPERATIONAL
+    assert judge_refusal(found) == []
+
+
+@pytest.mark.parametrize("status", [Status.LOST, Status.ENDED])
+def test_a_data_plane_that_has_ended_before_arming_is_no_run_that_went_well(bench, monkeypatch, status):
+    """It was exit status 0 after 0 cycles."""
+
+    def lose(k, control):
+        plane = PlayedPlane.clock.plane
+        plane.shared.plane["status"], plane.shared.plane["error"] = status, 5
+        plane._process.status = 0
+        return ()
+
+    monkeypatch.setattr(real_run, "bring_up", lose)
+    found = bench(arming=False)
+    assert found.refusal.exit_status == 4
+    assert "lost before anything was armed: Input/output error" in str(found.refusal)
+    assert judge_refusal(found) == []
+
+
+def test_a_bus_that_is_lost_before_the_first_cycle_is_a_trip(bench, monkeypatch):
+    start = DataPlane.start_cycle
+
+    def lose(self, at_ns):
+        start(self, at_ns)
+        self.shared.plane["status"], self.shared.plane["error"] = Status.LOST, 5
+        self._process.status = 0
+
+    monkeypatch.setattr(PlayedPlane, "start_cycle", lose)
+    monkeypatch.setattr(PlayedPlane, "live", lambda self, t_ns: None)
+    found = bench()
+    assert found.result.exit_status == 7
+    assert found.result.trip.startswith("BUS_LOST")
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
+def test_whatever_call_before_arming_fails_nothing_is_armed(bench, pytestconfig):
+    reference = bench(arming=False).shim
+    every = pytestconfig.getoption("--every-fault")
+    numbers = range(1, reference.calls + 1) if every else sorted(reference.sites.values())
+    assert len(reference.sites) > 50
+    wrong = {}
+    for number in numbers:
+        try:
+            found = bench(number, arming=False)
+        except Exception as error:
+            wrong[number] = repr(error)
+            continue
+        if faults := judge_refusal(found):
             wrong[found.shim.failed or number] = faults
     assert wrong == {}

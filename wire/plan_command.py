@@ -18,6 +18,7 @@ from eds.command_line import (
     rig_option,
     set_option,
     table_console,
+    verdict,
 )
 
 if TYPE_CHECKING:
@@ -242,10 +243,10 @@ def plan_command(
             _draw(gantt, found, force=overwrite)
         documents = [as_dict(one, rig.on(channel)) for channel, one in found.items()]
         worst = min(documents, key=lambda document: (document["fits"], -document["utilisation"]))
-        if as_json:
-            several = {"buses": documents} if len(documents) > 1 else {}
-            print_json({**worst, **several})
-        else:
-            for document in documents:
-                _print(document)
-    raise SystemExit(0 if worst["fits"] else 1)
+        with verdict(0 if worst["fits"] else 1):
+            if as_json:
+                several = {"buses": documents} if len(documents) > 1 else {}
+                print_json({**worst, **several})
+            else:
+                for document in documents:
+                    _print(document)
