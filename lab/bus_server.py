@@ -313,13 +313,18 @@ class BusServer:
                 raise BusUnavailable(f"bus {self.address}: no client can be taken any more: {error.strerror}") from None
             self._turn_away()
             return
-        client.setblocking(False)
         try:
-            client.setsockopt(socket.SOL_SOCKET, SO_SNDBUFFORCE, SEND_BUFFER)
-        except PermissionError:
-            client.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
-        ask_for_stamps(client)
-        self._admit(place, client, State.GREETING)
+            client.setblocking(False)
+            try:
+                client.setsockopt(socket.SOL_SOCKET, SO_SNDBUFFORCE, SEND_BUFFER)
+            except PermissionError:
+                client.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
+            ask_for_stamps(client)
+            self._admit(place, client, State.GREETING)
+        except OSError:  # one socket that cannot be set up costs nobody else the bus
+            if self._sockets.get(place) is client:
+                self._part(place)
+            client.close()
 
     def _turn_away(self) -> None:
         """Without a descriptor left: let one in on the spare one, and out again. Who is left to wait would wake the loop for ever."""

@@ -336,8 +336,10 @@ class _RealRun:
     def _never_cycled(self) -> None:
         """The bus was lost between the last look at the data plane and its first cycle: that is a trip, too."""
         h = self.k.host
-        if self.plane.status is Status.LOST and (h["phase"] == Phase.OFF).all() and self.k.trip is None:
-            h["trip"], h["trip_ns"], h["phase"] = Trip.BUS_LOST, time.monotonic_ns(), Phase.DONE
+        running = h["phase"] < Phase.SAFE
+        if self.plane.status is Status.LOST and running.any():
+            h["trip"][running], h["trip_ns"][running] = Trip.BUS_LOST, time.monotonic_ns()
+            h["phase"] = Phase.DONE
 
     def _mark_phases(self) -> None:
         """Mark the phases that have begun; the schedule of each axis begins with its own drive's Operation Enabled."""
