@@ -123,23 +123,23 @@ if JIT_DISABLED:
 
     def read(fd: int, address: int, size: int) -> int:
         """read(2)."""
-        return int(_c["read"](int(fd), ctypes.c_void_p(address), ctypes.c_size_t(int(size))))
+        return int(_c["read"](fd, ctypes.c_void_p(address), ctypes.c_size_t(size)))
 
     def write(fd: int, address: int, size: int) -> int:
         """write(2)."""
-        return int(_c["write"](int(fd), ctypes.c_void_p(address), ctypes.c_size_t(int(size))))
+        return int(_c["write"](fd, ctypes.c_void_p(address), ctypes.c_size_t(size)))
 
     def send(fd: int, address: int, size: int, flags: int) -> int:
         """send(2)."""
-        return int(_c["send"](int(fd), ctypes.c_void_p(address), ctypes.c_size_t(int(size)), flags))
+        return int(_c["send"](fd, ctypes.c_void_p(address), ctypes.c_size_t(size), flags))
 
     def recv(fd: int, address: int, size: int, flags: int) -> int:
         """recv(2)."""
-        return int(_c["recv"](int(fd), ctypes.c_void_p(address), ctypes.c_size_t(int(size)), flags))
+        return int(_c["recv"](fd, ctypes.c_void_p(address), ctypes.c_size_t(size), flags))
 
     def recvmsg(fd: int, address: int, flags: int) -> int:
         """recvmsg(2) into the struct msghdr at `address` (see `wire.mailbox`)."""
-        return int(_c["recvmsg"](int(fd), ctypes.c_void_p(address), flags))
+        return int(_c["recvmsg"](fd, ctypes.c_void_p(address), flags))
 
     def epoll_wait(fd: int, address: int, count: int, timeout_ms: int) -> int:
         """epoll_wait(2)."""
