@@ -27,6 +27,8 @@ ASKERS = 16
 SILENT_S = 1.0
 """How long one may be connected and say nothing."""
 BACKLOG = 8
+TOLD = {"mode": (str,), "cycles": (int,), "trip": (str, type(None))}
+"""What a host tells of its end, and of which types it is."""
 RETRY_S = 0.01
 
 
@@ -228,9 +230,11 @@ class StopRequest:
             return {}
         try:
             found = json.loads(message)
-        except ValueError:
+        except (ValueError, RecursionError):  # RecursionError: brackets within brackets
             found = None
-        if not isinstance(found, dict) or not {"trip", "cycles", "mode"} <= set(found):
+        if not isinstance(found, dict) or not all(
+            isinstance(found.get(key, 0.5), kinds) for key, kinds in TOLD.items()
+        ):
             self._fail("took the request, but what it told of its end cannot be read")
             raise NoHost(self._failure)
         return found

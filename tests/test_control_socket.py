@@ -131,6 +131,18 @@ def answers_another_result(connection):
     connection.send(b'{"ok": true}')
 
 
+def answers_brackets(connection):
+    connection.recv(100)
+    connection.send(b"accepted")
+    connection.send(b"[" * 60000)
+
+
+def answers_other_types(connection):
+    connection.recv(100)
+    connection.send(b"accepted")
+    connection.send(b'{"trip": null, "cycles": null, "mode": null}')
+
+
 def accepts_and_resets(connection):
     connection.send(b"accepted")
 
@@ -143,6 +155,8 @@ def accepts_and_resets(connection):
         (answers_half, "no answer that is one"),
         (answers_no_result, "cannot be read"),
         (answers_another_result, "cannot be read"),
+        (answers_brackets, "cannot be read"),
+        (answers_other_types, "cannot be read"),
         (accepts_and_resets, "broke off"),
     ],
 )
