@@ -538,9 +538,9 @@ def real_run(
     wire.pcapng.RecordingError
         the recording cannot be created, or exists
     """
-    check_plan(rig)
-    check_demand(rig, mode)
     with _refusing():
+        check_plan(rig)
+        check_demand(rig, mode)
         run = _RealRun(
             rig,
             mode,

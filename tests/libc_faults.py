@@ -225,6 +225,7 @@ def plane_case(moment, function, number, error):
 def plane_cases(numbers):
     plane = Plane()  # compiles
     wait(lambda: plane.plane["status"][0] == Status.LISTENING, 300.0)
+    plane.arrive()
     plane.close()
     for moment in ("energised", "ended", "stopping", "listening"):
         for function in ("recvmsg", "send", "ppoll", "clock_nanosleep"):
