@@ -566,8 +566,13 @@ def real_run(
         if histogram is not None:
             from lab.histogram import draw_histograms
 
-            with new_file(histogram, force=force) as path:
-                draw_histograms(*run.histograms(), path)
+            try:
+                with new_file(histogram, force=force) as path:
+                    draw_histograms(*run.histograms(), path)
+            except OSError as error:
+                if result.exit_status == 0:
+                    raise
+                say(f"{histogram}: cannot be written ({error.strerror})")  # a picture that is missing hides no trip
         return result
     finally:
         run.close()
