@@ -162,9 +162,9 @@ def with_inputs(text):
 
 
 def test_a_switch_in_a_tpdo_has_its_slot():
-    rig = own_files(with_inputs, None, "host.deadman=object:60FD:0")
+    rig = own_files(with_inputs, None, "host.deadman=object:60FD:0:0x00010000")
     c = Controller(rig, "hybrid").control[0]
-    assert c["deadman_slot"] == Image.DEADMAN
+    assert (c["deadman_slot"], c["deadman_mask"]) == (Image.DEADMAN, 0x10000)
     assert (c["rpdos"], c["tpdos"]) == (2, len([pdo for pdo in rig.pdos() if pdo.layout.direction == "tpdo"]))
 
 
@@ -181,13 +181,12 @@ def test_the_brakes_set_point_ends_at_its_objects_limit_and_at_16_bits(line, mos
     assert Controller(rig, "hybrid").control[0]["brake_limit_raw"] == most
 
 
-def test_a_set_point_without_a_sign_ends_at_16_bits_with_one():
+def test_a_set_point_without_a_sign_ends_at_its_own_limit():
     wide = lambda text: text.replace(  # noqa: E731
         "DataType=0x0003\nLowLimit=0\nHighLimit=5000\n", "DataType=0x0006\nLowLimit=0\nHighLimit=40000\n"
     )
     rig = own_files(None, wide)
-    assert rig.description("brake").variable(0x7300, 1).high == 40000
-    assert Controller(rig, "hybrid").control[0]["brake_limit_raw"] == 32767
+    assert Controller(rig, "hybrid").control[0]["brake_limit_raw"] == 40000
 
 
 def test_the_positions_bit_is_that_of_its_tpdo():
