@@ -21,7 +21,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from lab.simulate import RunResult
+    from coulombus.host.run.result import RunResult
+    from coulombus.lab.bringup import switch_on
 
 ROUNDS = 5
 SIMULATED_S = 60.0
@@ -58,8 +59,8 @@ def untripped(result: RunResult) -> RunResult:
 
 def simulation() -> None:
     """Virtual time against real time, on one core."""
-    from lab.simulate import simulate
-    from lab.world import VirtualRig
+    from coulombus.lab.simulate import simulate
+    from coulombus.sim_bus.network.virtual_rig import VirtualRig
 
     with tempfile.TemporaryDirectory() as directory:
         path = Path(directory) / "run.pcapng"
@@ -81,10 +82,10 @@ def simulation() -> None:
     show("simulate with recording, figures computed from it", f"{SIMULATED_S / with_recording:.0f} x", "at least 200 x")
 
     def armed() -> VirtualRig:
-        from eds.rig import load_rig
+        from coulombus.rigs.rig import load_rig
 
         world = VirtualRig(load_rig("bench"), "hybrid")
-        world.bring_up()
+        switch_on(world)
         world.start_host()
         world.wait_ns(2_000_000_000)
         if world.controllers.trip is not None:
@@ -103,7 +104,7 @@ def simulation() -> None:
 
 def start_up() -> None:
     """A fresh process to its first cycle, with warm caches."""
-    code = "from lab.simulate import simulate; simulate('bench', 'hybrid', 0.001)"
+    code = "from coulombus.lab.simulate import simulate; simulate('bench', 'hybrid', 0.001)"
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
 
     def fresh() -> None:
@@ -124,7 +125,7 @@ def frame_lengths() -> None:
     """Exact frame lengths by tables against the same by single bits."""
     import numpy as np
 
-    from wire.bits import data_frame_bits, frame_bits
+    from coulombus.wire.bits import data_frame_bits, frame_bits
 
     random = np.random.default_rng(1)
     words = [int(w) for w in random.integers(-(2**63), 2**63, 2000)]
@@ -148,7 +149,7 @@ def million_frames(count: int = 1_000_000) -> None:
     import random
 
     from benchmarks.bit_oracle import classical, fd_lengths
-    from wire.bits import FD_LENGTHS, fd_frame_bits, frame_bits
+    from coulombus.wire.bits import FD_LENGTHS, fd_frame_bits, frame_bits
 
     rng = random.Random(1)
     different = 0

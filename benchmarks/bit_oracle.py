@@ -1,7 +1,7 @@
 """An oracle of frame lengths: a station that sends a frame bit by bit, written from ISO 11898-1's text, knows nothing of `wire.bits`.
 
 Slow and plain on purpose. Every bit goes through `send`, which keeps the rule of stuffing and the rate; the CRC is a shift register, one
-step a bit. `tests/test_fd_bits.py` holds the planner's lengths against it, ``python -m benchmarks bits`` does on a million frames.
+step a bit. `tests/wire/test_fd_bits.py` holds the planner's lengths against it, ``python -m benchmarks bits`` does on a million frames.
 """
 
 from __future__ import annotations

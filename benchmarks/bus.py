@@ -14,8 +14,9 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from lab.simulate import RunResult, simulate
-from lab.world import VirtualRig
+from coulombus.host.run.result import RunResult
+from coulombus.lab.simulate import simulate
+from coulombus.sim_bus.network.virtual_rig import VirtualRig
 
 __all__ = ["bus"]
 

@@ -18,12 +18,12 @@ import canopen
 
 from benchmarks.contestants import bring_up_patiently
 from benchmarks.load import start_load
-from eds.rig import Rig, load_rig
-from host.control_plane import RealControlPlane
-from host.laws import karnopp
-from wire.address import parse_address
-from wire.can_interface import CoulombusBus
-from wire.realtime import ask_for_real_time, die_with_parent, set_fifo
+from coulombus.host.laws.laws import karnopp
+from coulombus.host.setup.control_plane import RealControlPlane
+from coulombus.rigs.rig import Rig, load_rig
+from coulombus.wire.address import parse_address
+from coulombus.wire.can_interface import CoulombusBus
+from coulombus.wire.realtime import ask_for_real_time, die_with_parent, set_fifo
 
 BINS = 20_000
 LEAD_NS = 20_000_000

@@ -14,13 +14,13 @@ from pathlib import Path
 import can
 import canopen
 
-from conformance.catalogue import Case
-from conformance.link import BusLink
-from conformance.report import markdown, summary
-from conformance.runner import Report, check_before, run, select
-from conformance.unit import Timing, Unit
-from eds.reader import read_eds
-from wire.address import parse_address
+from coulombus.conformance.catalogue import Case
+from coulombus.conformance.report import markdown, summary
+from coulombus.conformance.runner import Report, check_before, run, select
+from coulombus.conformance.tester.link import BusLink
+from coulombus.conformance.tester.unit import Timing, Unit
+from coulombus.eds.reader import read_eds
+from coulombus.wire.address import parse_address
 
 ROOT = Path(__file__).resolve().parent.parent
 NODE_ID = 17

@@ -19,16 +19,16 @@ from typing import Any
 import numpy as np
 
 from benchmarks.loaded_plane import LoadedPlane
-from eds.rig import Rig, load_rig
-from host.bringup import bring_up
-from host.control_plane import RealControlPlane
-from host.controllers import Controllers
-from host.data_plane import DataPlane, rig_filters
-from host.errors import NodeMissing
-from host.plane_records import Status
-from wire.address import BusAddress
-from wire.client import Client
-from wire.hello import SEND_BUFFER, SO_TIMESTAMPNS, Flags, Hello
+from coulombus.host.cycle.controllers import Controllers
+from coulombus.host.errors import NodeMissing
+from coulombus.host.realtime.data_plane import DataPlane, rig_filters
+from coulombus.host.realtime.shared_memory import Status
+from coulombus.host.setup.bringup import bring_up
+from coulombus.host.setup.control_plane import RealControlPlane
+from coulombus.rigs.rig import Rig, load_rig
+from coulombus.wire.address import BusAddress
+from coulombus.wire.client import Client
+from coulombus.wire.hello import SEND_BUFFER, SO_TIMESTAMPNS, Flags, Hello
 
 ROOT = Path(__file__).resolve().parent.parent
 BINS = 20_000
@@ -350,7 +350,7 @@ def delivery(
 
     With `every` each so manieth is destroyed once by the bus, which takes `extra_ns`.
     """
-    from wire.bits import frame_bits
+    from coulombus.wire.bits import frame_bits
 
     bits, period_ns = frame_bits(PROBE_ID, PROBE_DATA), 3_000_000
     bit_ns = 1e9 / bus.rig.bus.bitrate_bit_s

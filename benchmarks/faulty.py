@@ -13,11 +13,11 @@ from pathlib import Path
 from benchmarks import contestants as c
 from benchmarks.contestants import Bus, quantile
 from benchmarks.realtime import compiled, ratio, show, skipped, take_turns
-from eds.rig import load_rig
-from lab.injection import Injection
-from lab.world import VirtualRig
-from sim_bus.fault_file import read_faults
-from wire.frame import Records
+from coulombus.rigs.rig import load_rig
+from coulombus.sim_bus.faults.file import read_faults
+from coulombus.sim_bus.faults.injection import Injection
+from coulombus.sim_bus.network.virtual_rig import VirtualRig
+from coulombus.wire.frame import Records
 
 __all__ = ["disturbance_ns", "faulty"]
 

@@ -1,4 +1,4 @@
-"""The data plane's process (`host.plane`) with the threads of `benchmarks.load` in it, which begin when the loop does."""
+"""The data plane's process (`host.realtime.process`) with the threads of `benchmarks.load` in it, which begin when the loop does."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import time
 from typing import Any
 
 from benchmarks.load import start_load
-from host import plane
-from host.data_plane import DataPlane
-from host.plane_records import SharedPlane, Status
+from coulombus.host.realtime import process
+from coulombus.host.realtime.data_plane import DataPlane
+from coulombus.host.realtime.shared_memory import SharedPlane, Status
 
 
 class LoadedPlane(DataPlane):
@@ -37,4 +37,4 @@ def _load_later(settings: dict[str, Any]) -> None:
 if __name__ == "__main__":
     settings = json.loads(sys.argv[1])
     threading.Thread(target=_load_later, args=(settings,), daemon=True).start()
-    sys.exit(plane.main(settings))
+    sys.exit(process.main(settings))

@@ -15,11 +15,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from eds.command_line import progress
-from lab.network import Heard
-from lab.simulate import RunResult, simulate
-from lab.world import VirtualRig
-from wire.frame import CAN_ERR_FLAG, data_word
+from coulombus.host.run.result import RunResult
+from coulombus.lab.simulate import simulate
+from coulombus.sim_bus.network.network import Heard
+from coulombus.sim_bus.network.virtual_rig import VirtualRig
+from coulombus.verbs.common import progress
+from coulombus.wire.frame import CAN_ERR_FLAG, data_word
 
 NOISE = 'seed = 3\n[[fault]]\nkind = "noise"\nrate = 1e-4\n'
 """One bit in 10,000: of a hundred frames, one is destroyed."""

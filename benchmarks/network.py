@@ -12,8 +12,8 @@ import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 
-from eds.reader import read_eds
-from lab.network import VirtualNetwork
+from coulombus.eds.reader import read_eds
+from coulombus.sim_bus.network.network import VirtualNetwork
 
 __all__ = ["network"]
 

@@ -6,13 +6,13 @@ import binascii
 from dataclasses import dataclass
 from typing import Any
 
-from eds.compiled import kernel
-from eds.reader import parse_eds
-from node import core
-from node.device import Device
-from node.records import KIND_GENERIC, new_nodes
-from sim_bus.arbiter import end_frame, new_bus, start_frame, start_ns
-from wire.frame import data_bytes, data_word, frames, new_queue, push
+from coulombus.compiled.decorator import kernel
+from coulombus.eds.reader import parse_eds
+from coulombus.node import core
+from coulombus.node.device import Device
+from coulombus.node.record import KIND_GENERIC, new_nodes
+from coulombus.sim_bus.copper.arbiter import end_frame, new_bus, start_frame, start_ns
+from coulombus.wire.frame import data_bytes, data_word, frames, new_queue, push
 
 __all__ = ["DOMAIN", "NodeBus", "Transfer"]
 

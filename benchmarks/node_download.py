@@ -17,8 +17,8 @@ from pathlib import Path
 from socket import socket
 
 from benchmarks.node_bus import DOMAIN, EDS, NODE_ID
-from wire.address import parse_address
-from wire.hello import connect
+from coulombus.wire.address import parse_address
+from coulombus.wire.hello import connect
 
 __all__ = ["Cost", "block_download"]
 

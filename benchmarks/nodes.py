@@ -14,13 +14,13 @@ import numpy as np
 
 from benchmarks.node_bus import NodeBus
 from benchmarks.node_download import block_download
-from eds.codec import PDO
-from eds.compiled import Entry
-from eds.reader import parse_eds, read_eds
-from node import core
-from node.device import Device
-from node.records import KIND_DRIVE, MAX_PDOS, NODE, new_nodes
-from wire.frame import data_word, new_queue
+from coulombus.compiled.decorator import Entry
+from coulombus.eds.codec import PDO
+from coulombus.eds.reader import parse_eds, read_eds
+from coulombus.node import core
+from coulombus.node.device import Device
+from coulombus.node.record import KIND_DRIVE, MAX_PDOS, NODE, new_nodes
+from coulombus.wire.frame import data_word, new_queue
 
 __all__ = ["expedited_us", "fuzz", "nodes"]
 
@@ -151,7 +151,7 @@ def nodes(show: Callable[..., None]) -> None:
 
 def _block_rate(content: bytes, bitrate: int = 1_000_000) -> float:
     """Bytes a second when nothing but the segments of `content` were on the bus."""
-    from wire.bits import data_frame_bits
+    from coulombus.wire.bits import data_frame_bits
 
     bits: Any = 0
     for k in range(0, len(content), 7):

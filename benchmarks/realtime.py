@@ -236,7 +236,7 @@ def draw(runs: dict[str, list[Run]], path: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    from lab.histogram import coarse
+    from coulombus.host.run.histogram import coarse
 
     unit = together(runs[CYCLICTEST]).p(0.99) if CYCLICTEST in runs else 1.0
     figure = Figure(figsize=(8, 5.5), layout="constrained")

@@ -1,8 +1,8 @@
 /* What the compiled kernels are held against: the same system calls and the same work, in C.
  *
- *   twin loop FD PERIOD_NS WINDOW_NS SECONDS PRIORITY CPU     the data plane's cycle on a bus (host/loop.py)
+ *   twin loop FD PERIOD_NS WINDOW_NS SECONDS PRIORITY CPU     the data plane's cycle on a bus (host/realtime/loop.py)
  *   twin probe TX RX BURSTS PERIOD_NS PRIORITY CPU FRAME_NS FRAMES GAP_NS EVERY EXTRA_NS   frames sent, and when a bus delivers them
- *   twin serve CPU FD...                                      a bus without time: the fan-out of lab/paced.py
+ *   twin serve CPU FD...                                      a bus without time: the fan-out of sim_bus/server/paced.py
  *   twin crowd ROUNDS MESSAGE_FRAMES CPU FD...                clients that all send, and read what the others sent
  *
  * Descriptors are connected AF_UNIX SOCK_SEQPACKET sockets (or AF_CAN for the loop) that the parent has greeted. The result is one line of
@@ -116,7 +116,7 @@ static struct {
     int64_t frames, full, lost;
 } host;
 
-/* Karnopp's law with the brake as its actuator (host/laws.py), then its limits. */
+/* Karnopp's law with the brake as its actuator (host/laws/laws.py), then its limits. */
 static void law(void)
 {
     const double counts_rad = 8192 * 9.587 / (2 * M_PI), K_p = 10000, F_s = 3.5, F_d = 3.0;

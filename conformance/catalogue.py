@@ -31,7 +31,7 @@ class Case:
 @lru_cache(maxsize=1)
 def catalogue() -> tuple[Case, ...]:
     """Return all cases."""
-    with files("conformance").joinpath("catalogue.csv").open(encoding="utf-8") as file:
+    with files("coulombus.conformance").joinpath("catalogue.csv").open(encoding="utf-8") as file:
         return tuple(
             Case(row["id"], row["name"], row["objective"], tuple(int(code, 16) for code in row["abort_codes"].split()))
             for row in csv.DictReader(file)

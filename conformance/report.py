@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from conformance.runner import Outcome, Report
+from coulombus.conformance.runner import Outcome, Report
 
 __all__ = ["WORDS", "as_dict", "junit", "markdown", "summary", "write_junit", "write_report"]
 

@@ -8,32 +8,32 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from conformance import (
+from coulombus.conformance.cases import (
     drive,
-    emergency,
-    error_control,
+    emcy,
+    heartbeat,
     lss,
+    nmt,
     objects,
-    others,
-    own_pdo,
-    own_transfers,
-    pdo,
+    pdo_data,
     pdo_mapping,
+    pdo_parameters,
+    pdo_rare,
     sdo,
     sdo_block,
-    states,
-    strict_pdo,
-    strict_services,
-    strict_transfers,
+    sdo_out_of_turn,
+    sdo_wrong,
+    services_rare,
+    storing,
     sync,
 )
-from conformance.catalogue import Case, catalogue
-from conformance.registry import FUNCTIONS
-from conformance.unit import Unit
-from conformance.verdict import CaseFailed, NoAnswer, NotApplicable, where
-from eds.cia301 import NmtState
-from eds.cia402 import PowerState
-from wire.address import BusUnavailable
+from coulombus.conformance.catalogue import Case, catalogue
+from coulombus.conformance.tester.registry import FUNCTIONS
+from coulombus.conformance.tester.unit import Unit
+from coulombus.conformance.tester.verdict import CaseFailed, NoAnswer, NotApplicable, where
+from coulombus.eds.cia301 import NmtState
+from coulombus.eds.cia402 import PowerState
+from coulombus.wire.address import BusUnavailable
 
 __all__ = [
     "MODULES",
@@ -47,8 +47,8 @@ __all__ = [
     "select",
 ]
 
-MODULES = (objects, sdo, sdo_block, pdo, pdo_mapping, emergency, sync, error_control, others, states)
-OWN_MODULES = (own_transfers, strict_transfers, own_pdo, strict_pdo, strict_services, lss, drive)
+MODULES = (objects, sdo, sdo_block, pdo_parameters, pdo_mapping, emcy, sync, heartbeat, storing, nmt)
+OWN_MODULES = (sdo_wrong, sdo_out_of_turn, pdo_data, pdo_rare, services_rare, lss, drive)
 """Importing them fills the registry."""
 
 Result = Literal["pass", "fail", "not_applicable", "error"]

@@ -1,1 +1,1 @@
-"""What is on the wire and what it means: EDS files and their reader, PDO layout and codec, CiA tables, the rig file."""
+"""What a device says of itself: the EDS and DCF reader, CiA's tables, PDO layout and codec."""

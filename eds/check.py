@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from eds.cia301 import predefined, restricted
-from eds.description import Description, Diagnosis, EdsError
-from eds.pdo import COB_ID_INVALID, COMMUNICATION, MAPPING, PDO_COUNT, Direction, PdoLayout, read_layout
+from coulombus.eds.cia301 import predefined, restricted
+from coulombus.eds.description import Description, Diagnosis, EdsError
+from coulombus.eds.pdo import COB_ID_INVALID, COMMUNICATION, MAPPING, PDO_COUNT, Direction, PdoLayout, read_layout
 
 __all__ = ["Report", "check"]
 

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from eds.compiled import kernel
+from coulombus.compiled.decorator import kernel
 
 __all__ = ["MAX_FIELDS", "PDO", "get_field", "pack", "put_field", "real_bits", "real_value", "unpack"]
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from eds.cia301 import DATA_TYPES
+from coulombus.eds.cia301 import DATA_TYPES
 
 __all__ = ["Description", "Diagnosis", "EdsError", "Object", "Severity", "Value", "Variable"]
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from eds.description import Description
+from coulombus.eds.description import Description
 
 __all__ = ["MANUFACTURER", "PRODUCTS", "VENDOR_ID", "is_own", "told_identity"]
 

@@ -10,9 +10,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from eds.cia301 import DATA_TYPES, DUMMY_TYPES, predefined
-from eds.codec import MAX_FIELDS
-from eds.reader import Description, EdsError, Variable
+from coulombus.eds.cia301 import DATA_TYPES, DUMMY_TYPES, predefined
+from coulombus.eds.codec import MAX_FIELDS
+from coulombus.eds.reader import Description, EdsError, Variable
 
 __all__ = ["Entry", "PdoLayout", "entry_of", "fill", "layouts", "read_layout", "unreadable"]
 

@@ -5,8 +5,8 @@ numbers. All of that is read, and each defect is told with its line and with wha
 never assumed: what a PDO parameter (1400h to 1BFFh) means. Where the file can be read in two ways there, the variable
 has no default, `Variable.unreadable` says why, and `eds.pdo` refuses the map.
 
-The file is read in two steps: lines to sections (`eds.eds_sections`), sections to objects (here; values by `eds.eds_values`,
-a DCF's by `eds.eds_dcf`, the file's other parts by `eds.eds_file`).
+The file is read in two steps: lines to sections (`eds.sections`), sections to objects (here; values by `eds.values`,
+a DCF's by `eds.dcf`, the file's other parts by `eds.file`).
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
 
-from eds.cia301 import ARRAY, DATA_TYPES, DEFSTRUCT, DEFTYPE, DOMAIN, RECORD, VAR
-from eds.description import Description, Diagnosis, EdsError, Object, Severity, Value, Variable
-from eds.eds_file import FileReader
-from eds.eds_sections import OBJECT_SECTION, PDO_PARAMETERS, Section, number_of
-from eds.regular_file import NoRegularFile, read_regular
+from coulombus.eds.cia301 import ARRAY, DATA_TYPES, DEFSTRUCT, DEFTYPE, DOMAIN, RECORD, VAR
+from coulombus.eds.description import Description, Diagnosis, EdsError, Object, Severity, Value, Variable
+from coulombus.eds.file import FileReader
+from coulombus.eds.regular_file import NoRegularFile, read_regular
+from coulombus.eds.sections import OBJECT_SECTION, PDO_PARAMETERS, Section, number_of
 
 __all__ = ["Description", "Diagnosis", "EdsError", "Object", "Value", "Variable", "parse_eds", "read_eds"]
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from coulombus import read, simulate
-from lab.kernel import MOTOR
-from lab.world import VirtualRig
+from coulombus.sim_bus.network.kernel import MOTOR
+from coulombus.sim_bus.network.virtual_rig import VirtualRig
 
 MS = 1_000_000
 AFTER_ENABLED_NS = 5_500 * MS  # the stroke has begun at 5 s, and the handle moves until 6 s

@@ -34,7 +34,7 @@ def main() -> None:
         print(f"{name:24} {np.min(signal.values):8.3f} to {np.max(signal.values):7.3f} {signal.unit}")
 
     if options.png:
-        from lab.figures import figure_14
+        from coulombus.lab.demo.traces import figure_14
 
         picture = path.with_suffix(".png")
         figure_14({options.mode: recording}, picture)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from lab.network import Heard, VirtualNetwork
+from coulombus.sim_bus.network.network import Heard, VirtualNetwork
 
 EDS = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).resolve().parent.parent / "eds" / "motor.eds"
 

@@ -1,1 +1,1 @@
-"""The controller: bring-up, process image, friction laws, limits, the cycle's compiled step."""
+"""All that runs on the rig's PC: bring-up, the cycle, the laws, the data plane, the course of a run."""

@@ -1,1 +1,1 @@
-"""Host, bus, nodes and rig put together: simulate, demo, figures and their measures."""
+"""Host and virtual bus together: simulate, replay, demo."""

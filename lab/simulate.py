@@ -2,123 +2,42 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from eds.output_file import check as check_output
-from eds.output_file import open_new
-from eds.rig import Rig, load_rig
-from host.bringup import check_plan, release, shut_down
-from host.controllers import Controllers
-from host.demand import check_demand
-from host.law_source import law_attachments
-from host.records import Trip
-from lab.buses import merged, path_on
-from lab.injection import Injection, controllers_of
-from lab.measures import Measures, measure
-from lab.recorder import Recorder
-from lab.schedule import PhaseMarks, display_remarks, full_gain_s
-from lab.world import VirtualRig
-from scope.recording import blocks
-from sim_bus.fault_file import FaultPlan, read_faults
-from sim_bus.plant import TRUTH_COLUMNS
-from wire.clock import bus_ns
-from wire.frame import Records
-from wire.pcapng import RecordingError
+from coulombus.host.cycle.demand import check_demand
+from coulombus.host.cycle.records import Trip
+from coulombus.host.laws.law_source import law_attachments
+from coulombus.host.run.buses import merged, path_on
+from coulombus.host.run.result import RunResult, axis_results, file_sha256
+from coulombus.host.run.schedule import PhaseMarks, display_remarks, full_gain_s
+from coulombus.host.setup.bringup import check_plan, release, shut_down
+from coulombus.lab.bringup import switch_on
+from coulombus.recording.measures import Measures, measure
+from coulombus.recording.output_file import check as check_output
+from coulombus.recording.output_file import open_new
+from coulombus.recording.pcapng_blocks import RecordingError
+from coulombus.recording.recorder import Recorder
+from coulombus.recording.signals import blocks
+from coulombus.rigs.rig import Rig, load_rig
+from coulombus.sim_bus.faults.file import FaultPlan, read_faults
+from coulombus.sim_bus.faults.injection import Injection, controllers_of
+from coulombus.sim_bus.network.virtual_rig import VirtualRig
+from coulombus.sim_bus.rig.plant import TRUTH_COLUMNS
+from coulombus.wire.clock import bus_ns
+from coulombus.wire.frame import Records
 
-__all__ = ["RunResult", "TruthError", "simulate"]
+__all__ = ["TruthError", "simulate"]
 
 PROGRESS_NS = 250_000_000
 SAFE_TIMEOUT_NS = 5_000_000_000
 TRUTH_BYTES = 8e9
-
-
-@dataclass(frozen=True)
-class RunResult:
-    """What a run came to. Figures of the display are None when nothing was recorded, or without the phase they belong to."""
-
-    mode: str
-    cycles: int
-    """Cycles from Operation Enabled to the end of the display."""
-    period_ns: int
-    missed_deadlines: int
-    lost_pdos: int
-    wakeup_us: dict[str, float] | None
-    cpu_us_per_cycle: float | None
-    recording: str | None
-    recording_sha256: str | None
-    trip: str | None
-    hold_velocity_rms_rad_s: float | None
-    hold_counts_p2p: int | None
-    stick_velocity_rms_rad_s: float | None
-    torque_flips_per_s: float | None
-    hold_peak_Hz: float | None
-    hold_push_Nm: float | None
-    sign_check: str
-    simulated_s: float
-    counters: dict[str, int]
-    exit_status: int
-    bus: str | None = None
-    """Where the run was; None in virtual time, and with it everything that follows."""
-    sync_to_rpdo_us: dict[str, float] | None = None
-    real_time: list[dict[str, Any]] | None = None
-    """Each real-time right that the data plane asked for: name, granted, detail, remedy."""
-    deadman: str | None = None
-    trip_ns: int | None = None
-    """When the trip was, in the recording's time."""
-    axes: dict[str, dict[str, Any]] | None = None
-    """Each axis' own figures by its name; None where the rig has one axis. The figures of hold and dwells above are then those of the first,
-    `cycles` and `full_gain_s` the most, `sign_check` the one that leaves the most doubt, and all counters sums."""
-    buses: dict[str, dict[str, Any]] | None = None
-    """Each bus' own result by its channel; None where the rig has one bus."""
-    stopped_by: str | None = None
-    """Who ended the run before its time without a trip: SIGINT, SIGTERM, "coulombus stop"."""
-
-    full_gain_s: float | None = None
-    """When the law was shown whole, its gain at 1: from Operation Enabled, where the operator's schedule begins."""
-    remarks: tuple[str, ...] = ()
-    """Where the display was not what the rig file says: a law that a limit cut off, a hand that began before the law's gain was 1."""
-
-    faults: list[dict[str, Any]] | None = None
-    """What each fault of a fault file came to: kind, line, times, first_s, last_s."""
-    losses: list[str] | None = None
-    """What bring-up left out, as a device is not ours or has no such object, and what the host loses by that."""
-    controllers: dict[str, dict[str, Any]] | None = None
-    """State and error counters of each node's CAN controller at the end, where there was a fault file."""
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the result as plain values for JSON."""
-        return asdict(self)
-
-
-def file_sha256(path: Path) -> str:
-    """Return the SHA-256 of a file, read in blocks."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def axis_results(controllers: Controllers, figures: Sequence[Measures]) -> dict[str, dict[str, Any]] | None:
-    """Return what a run came to for each axis; None where there is only one."""
-    if controllers.rig.axes[0] is controllers.rig:
-        return None
-    return {
-        k.rig.axis: {
-            "cycles": int(k.host["display_cycles"][0]),
-            "lost_pdos": int(k.host["lost_pdos"][0]),
-            "trip": k.trip,
-            "sign_check": k.sign_result.name.lower(),
-            "counters": k.counters(),
-            **asdict(measures),
-        }
-        for k, measures in zip(controllers, figures, strict=True)
-    }
 
 
 class TruthError(Exception):
@@ -181,7 +100,7 @@ class _Run:
     def course(self, seconds: float) -> None:
         """Power on, bring up, arm, display for `seconds` from Operation Enabled on, and end safely."""
         world, k = self.world, self.k
-        self.losses = world.bring_up()
+        self.losses = switch_on(world)
         self.mark(world.t_ns, f"run {k.mode}")
         world.start_host()
         self._arm(world.t_ns + round(2e9 * k.arming_s))
@@ -278,7 +197,7 @@ def simulate(
     seconds : length of the display, from Operation Enabled on
     record : write a pcapng recording there; the display's figures are computed from it
     seed : of everything random; same seed, same bytes
-    truth : save the plant's true course there (npz, the arrays of `sim_bus.plant.TRUTH_COLUMNS`)
+    truth : save the plant's true course there (npz, the arrays of `sim_bus.rig.plant.TRUTH_COLUMNS`)
     overrides : ``SECTION.KEY=VALUE`` of the rig file
     script : called before power-on; plans faults with ``world.at(t_ns, action)``
     faults : a fault file (docs/bus.md): what goes wrong on the bus, and when
@@ -287,13 +206,13 @@ def simulate(
 
     Raises
     ------
-    host.errors.HostError
+    coulombus.host.errors.HostError
         a node is missing, refuses a value or is not what the rig file says; nothing was armed
-    eds.rig.RigError, host.laws.LawError, wire.pcapng.RecordingError
+    coulombus.rigs.rig.RigError, coulombus.host.laws.laws.LawError, coulombus.recording.pcapng_blocks.RecordingError
         the rig file, the law or the recording's path is wrong, or a limit would cut the law off
     FileExistsError
         `record` or `truth` exists, and `force` was not given; nothing was run
-    sim_bus.fault_file.FaultError
+    coulombus.sim_bus.faults.file.FaultError
         the fault file is wrong
     """
     wrong = faults if faults is None or isinstance(faults, FaultPlan) else read_faults(Path(faults))

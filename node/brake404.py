@@ -15,8 +15,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from eds.compiled import inlined, kernel
-from node import coil404, emcy, slots
+from coulombus.compiled.decorator import inlined, kernel
+from coulombus.node import coil404, emcy, slots
 
 __all__ = ["connection_lost", "cut", "new_setpoint", "next_deadline", "sample", "start", "step"]
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from eds.compiled import kernel
-from node import core
-from wire.clock import own_ns, to_bus
+from coulombus.compiled.decorator import kernel
+from coulombus.node import core
+from coulombus.wire.clock import own_ns, to_bus
 
 __all__ = ["link_changed", "on_frame", "on_time"]
 

@@ -19,8 +19,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from eds.compiled import inlined, kernel
-from node import emcy, slots
+from coulombus.compiled.decorator import inlined, kernel
+from coulombus.node import emcy, slots
 
 __all__ = ["demagnetise", "next_deadline", "start", "watch"]
 

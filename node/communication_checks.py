@@ -1,16 +1,16 @@
 """What a client may write to the communication objects 1000h-13FFh and 1F80h, and when (CiA 301, section 7.5.2).
 
-Each object is a row of `CHECKS`. PDO parameters have their own rules in `node.mapping`.
+Each object is a row of `CHECKS`. PDO parameters have their own rules in `node.pdo_parameters`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from eds.cia301 import Abort
-from node.dictionary import Dictionary, SdoAbort
-from node.mapping import restricted
-from node.records import MAX_CONSUMERS, MAX_SDO_SERVERS
+from coulombus.eds.cia301 import Abort
+from coulombus.node.dictionary import Dictionary, SdoAbort
+from coulombus.node.pdo_parameters import restricted
+from coulombus.node.record import MAX_CONSUMERS, MAX_SDO_SERVERS
 
 __all__ = ["CHECKS", "CONSUMER", "EXTENDED", "INVALID", "PRODUCER", "SDO_SERVERS", "SHORTEST_SYNC_US"]
 

@@ -7,7 +7,7 @@ deadline. A frame that has the same time as a deadline is handled first, so it i
 
 Python (`node.device`) serves NMT commands and SDO, for which `on_frame` returns 1, and edits the same records.
 
-A kernel that calls `on_frame` for every frame passes its arrays through `eds.compiled.borrowed` first: a frame that is
+A kernel that calls `on_frame` for every frame passes its arrays through `compiled.decorator.borrowed` first: a frame that is
 not the node's own then costs below 1 ns (25 ns otherwise).
 """
 
@@ -15,9 +15,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from eds.compiled import borrowed, inlined, kernel
-from node import emcy, expedited, guarding, outbox, pdo, segments, watch
-from node.behaviour import (
+from coulombus.compiled.decorator import borrowed, inlined, kernel
+from coulombus.node import deadlines, emcy, expedited, guarding, outbox, pdo, segments
+from coulombus.node.reactions import (
     BY_ITSELF,
     BY_RESET,
     alarm,
@@ -29,9 +29,9 @@ from node.behaviour import (
     sample,
     step,
 )
-from node.records import FAR_FUTURE_NS, KIND_GENERIC
-from wire.frame import CAN_RTR_FLAG, push
-from wire.link import LINK_ACTIVE, LINK_OFF, LINK_PASSIVE, LINK_RECOVERED
+from coulombus.node.record import FAR_FUTURE_NS, KIND_GENERIC
+from coulombus.wire.frame import CAN_RTR_FLAG, push
+from coulombus.wire.link import LINK_ACTIVE, LINK_OFF, LINK_PASSIVE, LINK_RECOVERED
 
 __all__ = [
     "ROUTE_CONSUMER",
@@ -112,7 +112,7 @@ def handle(
         _sync(nodes, rpdo, tpdo, i, t_ns, length, data, queue, header)
         return 0
     if route >= ROUTE_CONSUMER:
-        watch.heartbeat_received(n, i, route - ROUTE_CONSUMER, t_ns, length, data, queue, header)
+        deadlines.heartbeat_received(n, i, route - ROUTE_CONSUMER, t_ns, length, data, queue, header)
         return 0
     if route >= ROUTE_PDO:
         if n.nmt != _OPERATIONAL:
@@ -192,7 +192,7 @@ def on_time(nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, queue: Any, hea
         return
     if n.kind != KIND_GENERIC:
         inputs(n, i, t_ns, queue, header)
-    if watch.expire(nodes, rpdo, i, t_ns, queue, header):
+    if deadlines.expire(nodes, rpdo, i, t_ns, queue, header):
         _react(nodes, rpdo, tpdo, i, t_ns, n.error_behaviour, queue, header)
     if n.causes & emcy.DEVICE_MASK and n.device_error_behaviour != 1:
         _react(nodes, rpdo, tpdo, i, t_ns, n.device_error_behaviour, queue, header)
@@ -231,7 +231,7 @@ def _produce_sync(nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, queue: An
 @kernel
 def _schedule(nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, queue: Any, header: Any) -> None:
     n = nodes[i]
-    next_ns = min(watch.next_deadline(nodes, rpdo, i, FAR_FUTURE_NS), n.outbox_next_ns)
+    next_ns = min(deadlines.next_deadline(nodes, rpdo, i, FAR_FUTURE_NS), n.outbox_next_ns)
     if n.sync_producer_ns > 0 and n.nmt != _STOPPED:
         next_ns = min(next_ns, n.sync_next_ns)
     next_ns = next_deadline(n, t_ns, next_ns)
@@ -242,13 +242,13 @@ def _schedule(nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, queue: Any, h
 
 @kernel
 def set_nmt(nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, state: int, why: int, queue: Any, header: Any) -> None:
-    """Change the NMT state; leaving OPERATIONAL, STOPPED and any reset make the output safe (`why`: node.behaviour)."""
+    """Change the NMT state; leaving OPERATIONAL, STOPPED and any reset make the output safe (`why`: node.reactions)."""
     n = nodes[i]
     before = n.nmt
     n.nmt = state
     if before == _OPERATIONAL and state != _OPERATIONAL:
         pdo.forget_pending(n)
-        watch.stop(n, i, t_ns, queue, header)
+        deadlines.stop(n, i, t_ns, queue, header)
     if why == BY_RESET or (before != state and (before == _OPERATIONAL or state == _STOPPED)):
         connection_lost(n, i, t_ns, why, queue, header)
     if before != _OPERATIONAL and state == _OPERATIONAL:
@@ -269,7 +269,7 @@ def set_nmt(nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, state: int, why
 def written(nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, carries: int, queue: Any, header: Any) -> None:
     """Let the device act on what Python wrote to `values` or to the records (an SDO download)."""
     n = nodes[i]
-    watch.settle(n, i, t_ns, queue, header)
+    deadlines.settle(n, i, t_ns, queue, header)
     apply(n, i, t_ns, t_ns, carries, queue, header)
     step(n, t_ns)
     _schedule(nodes, rpdo, tpdo, i, t_ns, queue, header)
@@ -278,7 +278,7 @@ def written(nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, carries: int, q
 @kernel
 def forget_connections(nodes: Any, i: int, t_ns: int, queue: Any, header: Any) -> None:
     """After a reset nothing is watched yet, so no loss of a connection is present."""
-    watch.settle(nodes[i], i, t_ns, queue, header)
+    deadlines.settle(nodes[i], i, t_ns, queue, header)
     emcy.gone(nodes[i], i, t_ns, emcy.RPDO_SHORT, queue, header)
     emcy.gone(nodes[i], i, t_ns, emcy.RPDO_LONG, queue, header)
     emcy.gone(nodes[i], i, t_ns, emcy.SYNC_LENGTH, queue, header)

@@ -11,24 +11,24 @@ from datetime import datetime
 
 import numpy as np
 
-from eds.cia301 import CobId, NmtCommand, NmtState
-from eds.cia305 import UNCONFIGURED
-from eds.reader import Description, Value
-from node import behaviour, brake404, coil404, core, drive402, guarding
-from node.access import Access
-from node.communication import Communication
-from node.communication_checks import PRODUCER, SDO_SERVERS
-from node.dictionary import Dictionary
-from node.lss import Lss
-from node.mapping import CARRIED
-from node.parameters import Parameters
-from node.records import FAR_FUTURE_NS, KIND_BRAKE, KIND_DRIVE, KIND_GENERIC, SDO_TIMEOUT_NS
-from node.scaling import auto_zero, scale
-from node.sdo_service import SdoService
-from node.store import Store
-from node.time_of_day import LENGTH as TIME_LENGTH
-from node.time_of_day import time_of_day, time_word
-from wire.frame import Records, push
+from coulombus.eds.cia301 import CobId, NmtCommand, NmtState
+from coulombus.eds.cia305 import UNCONFIGURED
+from coulombus.eds.reader import Description, Value
+from coulombus.node import brake404, coil404, core, guarding, reactions, states402
+from coulombus.node.communication_checks import PRODUCER, SDO_SERVERS
+from coulombus.node.communication_objects import Communication
+from coulombus.node.dictionary import Dictionary
+from coulombus.node.lss import Lss
+from coulombus.node.parameters import Parameters
+from coulombus.node.pdo_parameters import CARRIED
+from coulombus.node.record import FAR_FUTURE_NS, KIND_BRAKE, KIND_DRIVE, KIND_GENERIC, SDO_TIMEOUT_NS
+from coulombus.node.scaling import auto_zero, scale
+from coulombus.node.sdo_access import Access
+from coulombus.node.sdo_service import SdoService
+from coulombus.node.store import Store
+from coulombus.node.time_stamp import LENGTH as TIME_LENGTH
+from coulombus.node.time_stamp import time_of_day, time_word
+from coulombus.wire.frame import Records, push
 
 __all__ = ["SDO_TIMEOUT_NS", "Device"]
 
@@ -56,9 +56,9 @@ class Device:
     node_id
         1 to 127, or `eds.cia305.UNCONFIGURED`: it waits until an LSS master gives it one.
     kind
-        `node.records.KIND_DRIVE`, `KIND_BRAKE` or `KIND_GENERIC` (any EDS: objects, PDOs and services, no behaviour).
+        `node.record.KIND_DRIVE`, `KIND_BRAKE` or `KIND_GENERIC` (any EDS: objects, PDOs and services, no behaviour).
     nodes, rpdo, tpdo, i
-        From `node.records.new_nodes`, and the row that becomes this device.
+        From `node.record.new_nodes`, and the row that becomes this device.
     store
         Where it keeps what 1010h and LSS store; by default a memory of its own, which resets and power cycles do not clear.
 
@@ -82,7 +82,7 @@ class Device:
         if not 1 <= node_id <= 127 and node_id != UNCONFIGURED:
             raise ValueError(f"node id {node_id}; expected 1 to 127, or {UNCONFIGURED} for none")
         if kind not in (KIND_GENERIC, KIND_DRIVE, KIND_BRAKE):
-            raise ValueError(f"kind {kind}; expected KIND_GENERIC, KIND_DRIVE or KIND_BRAKE of node.records")
+            raise ValueError(f"kind {kind}; expected KIND_GENERIC, KIND_DRIVE or KIND_BRAKE of coulombus.node.record")
         self.description, self.node_id, self.kind = description, node_id, kind
         self._records = (nodes, rpdo, tpdo, i)
         self._nodes, self._i = nodes, i
@@ -171,7 +171,7 @@ class Device:
         if self.kind == KIND_DRIVE:
             record["supply_mV"] = number(0x6079, 0, 0)
             scale(self.kind, record, self.dictionary)
-            drive402.start(record, t_ns)
+            states402.start(record, t_ns)
         elif self.kind == KIND_BRAKE:
             high = self.description.variable(0x7300, 1).high if (0x7300, 1) in self.dictionary else None
             record["setpoint_high"] = int(high) if high is not None else 32767
@@ -213,9 +213,9 @@ class Device:
         if command == NmtCommand.STOP:
             self._sdo.drop()  # SDO ends with it
         if command in NMT_TARGET:
-            self._set_nmt(t_ns, NMT_TARGET[command], behaviour.BY_COMMAND, queue, header)
+            self._set_nmt(t_ns, NMT_TARGET[command], reactions.BY_COMMAND, queue, header)
         elif command in NMT_RESET:
-            self._set_nmt(t_ns, NmtState.INITIALISING, behaviour.BY_RESET, queue, header)
+            self._set_nmt(t_ns, NmtState.INITIALISING, reactions.BY_RESET, queue, header)
             first = NMT_RESET[command]
             if first == 0x0000:
                 self.lss.power_on()
@@ -252,10 +252,10 @@ class Device:
         ready_ns = t_ns + int(self.record["processing_ns"])
         push(queue, header, self._i, ready_ns, 0x700 + self.node_id, 1, NmtState.INITIALISING)
         guarding.restart(self.record)
-        self._set_nmt(t_ns, NmtState.PRE_OPERATIONAL, behaviour.BY_COMMAND, queue, header)
+        self._set_nmt(t_ns, NmtState.PRE_OPERATIONAL, reactions.BY_COMMAND, queue, header)
         if not self.dictionary.number(0x1F80, 0, STAYS_PRE_OPERATIONAL) & STAYS_PRE_OPERATIONAL:
             first = int(header["count"][0])
-            self._set_nmt(t_ns, NmtState.OPERATIONAL, behaviour.BY_COMMAND, queue, header)
+            self._set_nmt(t_ns, NmtState.OPERATIONAL, reactions.BY_COMMAND, queue, header)
             sent = queue["t_ns"][first : int(header["count"][0])]
             sent[:] = np.maximum(sent, ready_ns + 1)  # a PDO comes after the boot-up, whatever its identifier
         if self.record["in_faults"]:

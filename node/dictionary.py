@@ -12,13 +12,13 @@ import struct
 import numpy as np
 import numpy.typing as npt
 
-from eds.cia301 import DATA_TYPES, Abort, DataType, abort_text, predefined
-from eds.cia305 import UNCONFIGURED
-from eds.codec import real_bits, real_value
-from eds.pdo import COB_ID_INVALID, unreadable
-from eds.reader import Description, Object, Value, Variable
-from node import slots
-from node.records import SPARE_SLOTS
+from coulombus.eds.cia301 import DATA_TYPES, Abort, DataType, abort_text, predefined
+from coulombus.eds.cia305 import UNCONFIGURED
+from coulombus.eds.codec import real_bits, real_value
+from coulombus.eds.pdo import COB_ID_INVALID, unreadable
+from coulombus.eds.reader import Description, Object, Value, Variable
+from coulombus.node import slots
+from coulombus.node.record import SPARE_SLOTS
 
 __all__ = ["Dictionary", "SdoAbort", "decode", "encode"]
 

@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from eds.compiled import kernel
-from node import slots
-from node.records import EMCY_WAITING, KIND_DRIVE, MAX_HISTORY
-from wire.frame import push
+from coulombus.compiled.decorator import kernel
+from coulombus.node import slots
+from coulombus.node.record import EMCY_WAITING, KIND_DRIVE, MAX_HISTORY
+from coulombus.wire.frame import push
 
 __all__ = [
     "AT_ONCE_MASK",

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from eds.compiled import kernel
-from node.behaviour import sample, step
-from node.records import FAR_FUTURE_NS
-from wire.frame import push
+from coulombus.compiled.decorator import kernel
+from coulombus.node.reactions import sample, step
+from coulombus.node.record import FAR_FUTURE_NS
+from coulombus.wire.frame import push
 
 __all__ = ["answer"]
 

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from eds.compiled import kernel
-from node import emcy
-from wire.frame import push
+from coulombus.compiled.decorator import kernel
+from coulombus.node import emcy
+from coulombus.wire.frame import push
 
 __all__ = ["LOST", "answer", "late", "next_deadline", "restart"]
 

@@ -12,13 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from eds.cia301 import CobId, NmtState
-from eds.cia305 import BIT_RATES, FASTSCAN_START, UNCONFIGURED, LssService, LssState
-from node import core, outbox
-from node.dictionary import Dictionary
-from node.records import FAR_FUTURE_NS
-from node.store import Store
-from wire.frame import Records, data_bytes, data_word, push
+from coulombus.eds.cia301 import CobId, NmtState
+from coulombus.eds.cia305 import BIT_RATES, FASTSCAN_START, UNCONFIGURED, LssService, LssState
+from coulombus.node import core, outbox
+from coulombus.node.dictionary import Dictionary
+from coulombus.node.record import FAR_FUTURE_NS
+from coulombus.node.store import Store
+from coulombus.wire.frame import Records, data_bytes, data_word, push
 
 __all__ = ["Lss"]
 

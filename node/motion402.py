@@ -21,9 +21,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from eds import cia402
-from eds.compiled import inlined, kernel
-from node import slots
+from coulombus.compiled.decorator import inlined, kernel
+from coulombus.eds import cia402
+from coulombus.node import slots
 
 __all__ = [
     "MODES",

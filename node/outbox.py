@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from eds.compiled import kernel
-from node.records import FAR_FUTURE_NS, OUTBOX, SDO_TIMEOUT_NS
-from wire.frame import push
+from coulombus.compiled.decorator import kernel
+from coulombus.node.record import FAR_FUTURE_NS, OUTBOX, SDO_TIMEOUT_NS
+from coulombus.wire.frame import push
 
 __all__ = ["AHEAD", "POLL_NS", "drain", "forget", "put"]
 

@@ -10,9 +10,9 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterator, Mapping
 
-from eds.cia301 import Abort
-from node.dictionary import Dictionary, SdoAbort, decode, encode
-from node.store import Store
+from coulombus.eds.cia301 import Abort
+from coulombus.node.dictionary import Dictionary, SdoAbort, decode, encode
+from coulombus.node.store import Store
 
 __all__ = ["LOAD", "SAVE", "Parameters"]
 

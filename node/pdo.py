@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from eds.codec import pack, unpack
-from eds.compiled import inlined, kernel
-from node import emcy, watch
-from node.behaviour import alarm, apply, sample, step
-from wire.frame import push
+from coulombus.compiled.decorator import inlined, kernel
+from coulombus.eds.codec import pack, unpack
+from coulombus.node import deadlines, emcy
+from coulombus.node.reactions import alarm, apply, sample, step
+from coulombus.wire.frame import push
 
 __all__ = ["act_pending", "answer_rtr", "forget_pending", "receive", "start", "transmit_events", "transmit_sync"]
 
@@ -65,7 +65,7 @@ def receive(nodes: Any, rpdo: Any, i: int, k: int, t_ns: int, length: int, data:
             n.next_ns = min(n.next_ns, t_ns + p.event_ns)
     if n.rpdo_lost[k]:
         n.rpdo_lost[k] = 0
-        watch.settle(n, i, t_ns, queue, header)
+        deadlines.settle(n, i, t_ns, queue, header)
     if p.transmission <= _SYNC_MAX:
         if n.sync_window_ns > 0 and t_ns - n.sync_ns > n.sync_window_ns:
             n.dropped_window += 1  # after the window it acts on no SYNC, though it shows that its sender lives

@@ -6,8 +6,8 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from node.dictionary import Dictionary
-from node.records import KIND_BRAKE, KIND_DRIVE, KIND_GENERIC
+from coulombus.node.dictionary import Dictionary
+from coulombus.node.record import KIND_BRAKE, KIND_DRIVE, KIND_GENERIC
 
 __all__ = ["AUTO_ZERO", "SCALES", "auto_zero", "scale"]
 

@@ -10,9 +10,9 @@ from __future__ import annotations
 import binascii
 from collections.abc import Sequence
 
-from eds.cia301 import Abort
-from node.dictionary import SdoAbort
-from node.records import BLOCK_SEGMENTS
+from coulombus.eds.cia301 import Abort
+from coulombus.node.dictionary import SdoAbort
+from coulombus.node.record import BLOCK_SEGMENTS
 
 __all__ = ["BLOCK_SEGMENTS", "BlockDownload", "BlockUpload", "crc16"]
 

@@ -1,7 +1,7 @@
 """The SDO servers of a device: which identifiers they listen to, and their responses on the way to the bus.
 
 1200h is there always, 1201h to 127Fh where the EDS has them and their identifiers are valid (bit 31 clear). Each has its own
-state, so several clients are served at once. A transfer that stands still is aborted by the core (`node.watch`), which finds
+state, so several clients are served at once. A transfer that stands still is aborted by the core (`node.deadlines`), which finds
 its deadline and the abort frame in the node's record.
 """
 
@@ -11,14 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eds.cia301 import Abort
-from eds.compiled import Entry
-from node import core, outbox
-from node.access import Access
-from node.communication import Communication
-from node.records import FAR_FUTURE_NS, SDO_TIMEOUT_NS
-from node.sdo import SdoServer, abort_frame
-from wire.frame import Records, data_bytes, data_word, push
+from coulombus.compiled.decorator import Entry
+from coulombus.eds.cia301 import Abort
+from coulombus.node import core, outbox
+from coulombus.node.communication_objects import Communication
+from coulombus.node.record import FAR_FUTURE_NS, SDO_TIMEOUT_NS
+from coulombus.node.sdo_access import Access
+from coulombus.node.sdo_server import SdoServer, abort_frame
+from coulombus.wire.frame import Records, data_bytes, data_word, push
 
 __all__ = ["SdoService"]
 

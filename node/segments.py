@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from eds.compiled import kernel
-from node.records import FAR_FUTURE_NS, SDO_TIMEOUT_NS
+from coulombus.compiled.decorator import kernel
+from coulombus.node.record import FAR_FUTURE_NS, SDO_TIMEOUT_NS
 
 __all__ = ["collect"]
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from eds.own_devices import MANUFACTURER, VENDOR_ID
-from node.records import KIND_BRAKE, KIND_DRIVE, KIND_GENERIC
+from coulombus.eds.own_devices import MANUFACTURER, VENDOR_ID
+from coulombus.node.record import KIND_BRAKE, KIND_DRIVE, KIND_GENERIC
 
 __all__ = ["CORE_SLOTS", "FALLBACK", "FIRST_FREE", "MANUFACTURER", "VENDOR_ID"]
 

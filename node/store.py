@@ -17,7 +17,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 
-from eds.regular_file import read_regular
+from coulombus.eds.regular_file import read_regular
 
 __all__ = ["FileStore", "Sections", "Store"]
 

@@ -1,1 +1,1 @@
-"""Rig files as package data."""
+"""The rig file: its model, axes, rules and signals; the packaged rigs."""

@@ -1,1 +1,1 @@
-"""Look at traffic: recordings by signal name in SI units, decoded frame by frame."""
+"""A bus live: frames decoded, watched, described."""

@@ -18,12 +18,12 @@ from typing import TypeAlias
 from cantools.database.can import Database, Message, Node, Signal
 from cantools.database.conversion import BaseConversion
 
-from eds.cia301 import EMCY_TEXT, CobId, NmtCommand
-from eds.pdo import Entry
-from eds.rig import Rig
-from eds.signals import RigPdo
-from eds.signals import Signal as RigSignal
-from scope.services import STATES
+from coulombus.eds.cia301 import EMCY_TEXT, CobId, NmtCommand
+from coulombus.eds.pdo import Entry
+from coulombus.rigs.rig import Rig
+from coulombus.rigs.signals import RigPdo
+from coulombus.rigs.signals import Signal as RigSignal
+from coulombus.scope.services import STATES
 
 __all__ = ["database", "dbc_text"]
 

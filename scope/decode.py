@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from eds.cia301 import CobId
-from eds.reader import Description
-from eds.rig import Rig
-from scope.error_frames import error_frame
-from scope.recording import PdoTable, Recording, Source
-from scope.services import Row, Sdo, emcy, heartbeat, nmt, sync
-from wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, data_bytes
+from coulombus.eds.cia301 import CobId
+from coulombus.eds.reader import Description
+from coulombus.recording.signals import PdoTable, Recording, Source
+from coulombus.rigs.rig import Rig
+from coulombus.scope.error_frames import error_frame
+from coulombus.scope.services import Row, Sdo, emcy, heartbeat, nmt, sync
+from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, data_bytes
 
 __all__ = ["Row", "as_json", "as_text", "rows"]
 

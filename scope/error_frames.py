@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from scope.services import Row
+from coulombus.scope.services import Row
 
 __all__ = ["error_frame"]
 

@@ -13,14 +13,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from eds.cia301 import CobId, NmtState, abort_text
-from eds.cia402 import STATE_OF_STATUSWORD, PowerState
-from eds.rig import Rig
-from eds.signals import RigPdo
-from scope.error_frames import error_frame
-from scope.recording import decode_field
-from scope.services import STATES, emcy, nmt
-from wire.can_id import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
+from coulombus.eds.cia301 import CobId, NmtState, abort_text
+from coulombus.eds.cia402 import STATE_OF_STATUSWORD, PowerState
+from coulombus.recording.signals import decode_field
+from coulombus.rigs.rig import Rig
+from coulombus.rigs.signals import RigPdo
+from coulombus.scope.error_frames import error_frame
+from coulombus.scope.services import STATES, emcy, nmt
+from coulombus.wire.can_id import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 
 __all__ = ["Event", "Live", "NodeRow", "PdoRow", "Snapshot", "Value"]
 

@@ -11,8 +11,8 @@ import struct
 from collections.abc import Callable
 from typing import Any, TypeAlias
 
-from eds.cia301 import DATA_TYPES, NmtCommand, NmtState, abort_text, emcy_text
-from eds.reader import Description
+from coulombus.eds.cia301 import DATA_TYPES, NmtCommand, NmtState, abort_text, emcy_text
+from coulombus.eds.reader import Description
 
 __all__ = ["Row", "Sdo", "emcy", "heartbeat", "nmt", "sync"]
 

@@ -20,13 +20,13 @@ from rich.console import Console, ConsoleOptions, RenderResult
 from rich.live import Live as Display
 from rich.text import Text
 
-from eds.cia402 import COMMAND_OF_CONTROLWORD, STATE_OF_STATUSWORD, Command, PowerState
-from eds.rig import Rig
-from eds.stopping import StopSignals
-from scope.live import Event, Live, NodeRow, PdoRow, Snapshot, Value
-from wire.address import BusAddress
-from wire.client import BusDown, BusFull, BusGone, Client
-from wire.hello import Flags, Hello
+from coulombus.eds.cia402 import COMMAND_OF_CONTROLWORD, STATE_OF_STATUSWORD, Command, PowerState
+from coulombus.rigs.rig import Rig
+from coulombus.scope.live import Event, Live, NodeRow, PdoRow, Snapshot, Value
+from coulombus.wire.address import BusAddress
+from coulombus.wire.client import BusDown, BusFull, BusGone, Client
+from coulombus.wire.hello import Flags, Hello
+from coulombus.wire.stopping import StopSignals
 
 __all__ = ["Screen", "as_dict", "as_lines", "watch"]
 
@@ -58,7 +58,7 @@ def watch(
 
     Raises
     ------
-    wire.address.BusUnavailable
+    coulombus.wire.address.BusUnavailable
         There is no bus, or it went away meanwhile.
     """
     console = console or Console()

@@ -71,7 +71,7 @@ class _Runner:
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
         """Run every mutant."""
         session.config._tmp_path_factory.getbasetemp()  # type: ignore[attr-defined]
-        self.module = importlib.import_module(self.source.path.removesuffix(".py").replace("/", "."))
+        self.module = importlib.import_module("coulombus." + self.source.path.removesuffix(".py").replace("/", "."))
         self.items = session.items
         pipe, pid = self._fork(self._baseline)
         said = _read_all(pipe)

@@ -5,9 +5,9 @@ Each mutant is one small edit of a module (`mutants.py` has the operators). The 
 A survivor is a hole in the tests, or equivalent: then `mutants_equivalent.toml` lists it with its proof.
 
     .venv/bin/python scripts/mutate.py                         # everything
-    .venv/bin/python scripts/mutate.py --module host/watch.py
+    .venv/bin/python scripts/mutate.py --module host/cycle/watch.py
     .venv/bin/python scripts/mutate.py --sample 100 --seed 3
-    .venv/bin/python scripts/mutate.py --list --module host/step.py
+    .venv/bin/python scripts/mutate.py --list --module host/cycle/step.py
 
 A run that was broken off goes on where it was: the results are in `out/mutants.jsonl`, and one is used again while the module, and for a
 survivor the tests, are the same. Exit status: 0, all survivors are listed; 1, one is not, or the list holds one that is none; 2, usage.
@@ -30,7 +30,7 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 os.environ["NUMBA_DISABLE_JIT"] = "1"  # before anything imports numba
-sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "support")]
 
 from mutant_runs import Verdict, run  # noqa: E402
 from mutants import Mutant, Source  # noqa: E402
@@ -47,19 +47,19 @@ class Target:
 
 
 TARGETS = {
-    "host/watch.py": Target(("test_host_watches",)),
-    "host/step.py": Target(("test_host_cycle",)),
-    "host/phases.py": Target(("test_host_phases", "test_host_mirrored")),
-    "host/axes.py": Target(("test_host_axes",)),
-    "host/laws.py": Target(("test_law_edges",), ("karnopp", "coulomb")),
-    "host/controller.py": Target(
+    "host/cycle/watch.py": Target(("test_host_watches",)),
+    "host/cycle/step.py": Target(("test_host_cycle",)),
+    "host/cycle/phases.py": Target(("test_host_phases", "test_host_mirrored")),
+    "host/cycle/axes.py": Target(("test_host_axes",)),
+    "host/laws/laws.py": Target(("test_law_edges",), ("karnopp", "coulomb")),
+    "host/cycle/controller.py": Target(
         ("test_host_control",),
         ("_cycles", "Controller._new_control", "Controller.motor_limit_pm", "Controller.start", "Controller.stop"),
     ),
-    "node/watch.py": Target(("test_node_watch_edges",)),
+    "node/deadlines.py": Target(("test_node_watch_edges",)),
     "node/guarding.py": Target(("test_node_watch_edges",)),
-    "node/behaviour.py": Target(("test_node_behaviour",)),
-    "node/drive402.py": Target(("test_drive402_edges",)),
+    "node/reactions.py": Target(("test_node_behaviour",)),
+    "node/states402.py": Target(("test_drive402_edges",)),
     "node/motion402.py": Target(("test_motion402_edges",)),
     "node/brake404.py": Target(("test_brake404_edges",)),
     "node/coil404.py": Target(("test_brake404_edges",)),
@@ -165,7 +165,9 @@ def _keys(name: str, mutants: list[Mutant]) -> tuple[list[str], list[int]]:
 def mutate(name: str, options: argparse.Namespace, listed: Equivalents, results: Results) -> tuple[Tally, list[str]]:
     """Run the mutants of one module; return the tally, and what is wrong."""
     target, path = TARGETS[name], ROOT / name
-    tests = [f"tests/{test}.py" for test in target.tests if (ROOT / f"tests/{test}.py").exists()]
+    tests = [
+        str(path.relative_to(ROOT)) for test in target.tests for path in sorted((ROOT / "tests").rglob(f"{test}.py"))
+    ]
     source = Source(name, path.read_text(encoding="utf-8"), target.units)
     mutants = source.mutants()
     keys, nths = _keys(name, mutants)

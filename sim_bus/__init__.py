@@ -1,1 +1,1 @@
-"""The virtual CAN bus and the simulated rig: arbitration, the plant's physics, the operator's hand."""
+"""The virtual CAN bus with its nodes, rig and faults."""

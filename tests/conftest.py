@@ -1,10 +1,12 @@
 """Property tests draw the same examples in every run. Real-time tests are done again if the machine stood still when they failed."""
 
 import os
+import sys
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
+
 from standstill import LIMIT_S, Watchers
 from tiny_bus import tiny_bus
 
@@ -15,6 +17,20 @@ worker = os.environ.get("PYTEST_XDIST_WORKER", "gw0")
 if worker != "gw0":  # two that compile one kernel at the same time may spoil numba's index: each has a cache of its own
     home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     os.environ["NUMBA_CACHE_DIR"] = f"{os.environ.get('NUMBA_CACHE_DIR') or home / 'coulombus' / 'numba'}-{worker}"
+
+ROOMS = {path.name for path in (Path(__file__).resolve().parents[1] / "coulombus").iterdir() if path.is_symlink()}
+
+
+class OneName:
+    """A module has one name, as `coulombus.node.core`: as `node.core` it would be loaded a second time, with classes of its own."""
+
+    @staticmethod
+    def find_spec(name, path=None, target=None):
+        if path is None and name in ROOMS:
+            raise ImportError(f"import coulombus.{name} instead of {name}")
+
+
+sys.meta_path.insert(0, OneName)
 
 watchers = pytest.StashKey[Watchers]()
 

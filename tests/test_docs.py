@@ -8,13 +8,13 @@ from pathlib import Path
 import click
 import pytest
 
-from coulombus import main
-from eds.cia402 import TRANSITIONS
-from eds.rig import load_rig
-from host.records import Trip
-from lab.real_demo import SHARED_MACHINE
-from node.emcy import CAUSES
-from sim_bus.plant import TRUTH_COLUMNS
+from coulombus.eds.cia402 import TRANSITIONS
+from coulombus.host.cycle.records import Trip
+from coulombus.lab.demo.real_demo import SHARED_MACHINE
+from coulombus.node.emcy import CAUSES
+from coulombus.rigs.rig import load_rig
+from coulombus.sim_bus.rig.plant import TRUTH_COLUMNS
+from coulombus.verbs.main import main
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -102,7 +102,7 @@ def test_rig_keys_of_set_are_accepted(name):
         if "my-rig.toml" in line:
             continue
         for override in re.findall(r"--set (\S+)", line):
-            value = re.sub(r"\S+\.py:\w+", "host.laws:karnopp", override)
+            value = re.sub(r"\S+\.py:\w+", "karnopp", override)
             if re.fullmatch(r"[a-z]\w*(\.\w+)+=\S+", value):
                 load_rig(rig[1] if rig else "bench", [value])
 

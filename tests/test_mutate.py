@@ -101,9 +101,18 @@ def test_a_mutant_is_exchanged_in_the_loaded_module_where_others_have_taken_it_f
 
 def test_a_sample_is_run_against_the_tests_of_its_module_and_found_again(tmp_path):
     results = tmp_path / "mutants.jsonl"
-    command = [sys.executable, SCRIPTS / "mutate.py", "--module", "host/laws.py", "--sample", "4", "--results", results]
+    command = [
+        sys.executable,
+        SCRIPTS / "mutate.py",
+        "--module",
+        "host/laws/laws.py",
+        "--sample",
+        "4",
+        "--results",
+        results,
+    ]
     for _ in range(2):
         done = subprocess.run(command, capture_output=True, text=True, timeout=300, env={**os.environ})
         assert done.returncode == 0, done.stdout + done.stderr
-        assert "| `host/laws.py` | 4 |" in done.stdout
+        assert "| `host/laws/laws.py` | 4 |" in done.stdout
         assert 1 <= len(results.read_text().splitlines()) <= 4

@@ -1,1 +1,1 @@
-"""How frames move: the frame, exact lengths on the wire, recordings."""
+"""How frames move: the frame and its exact length, addresses, sockets, the client, python-can's plugin."""

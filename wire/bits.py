@@ -21,9 +21,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from eds.compiled import kernel
-from wire.fd_bits import FD_LENGTHS, fd_duration_ns, fd_frame_bits
-from wire.frame import CAN_EFF_FLAG, CAN_RTR_FLAG, data_word
+from coulombus.compiled.decorator import kernel
+from coulombus.wire.fd_bits import FD_LENGTHS, fd_duration_ns, fd_frame_bits
+from coulombus.wire.frame import CAN_EFF_FLAG, CAN_RTR_FLAG, data_word
 
 __all__ = [
     "CRC_POLYNOMIAL",

@@ -18,11 +18,11 @@ import can
 from can.bus import BusState
 from can.typechecking import AutoDetectedConfig, CanFilters
 
-from wire.address import AddressError, BusAddress, BusUnavailable, live_bus_names, parse_address
-from wire.can_id import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
-from wire.client import BusDown, BusFull, Client, Echo, Received, pack_frame
-from wire.hello import MAX_FILTERS, Flags, Hello
-from wire.link import BUS_OFF
+from coulombus.wire.address import AddressError, BusAddress, BusUnavailable, live_bus_names, parse_address
+from coulombus.wire.can_id import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
+from coulombus.wire.client import BusDown, BusFull, Client, Echo, Received, pack_frame
+from coulombus.wire.hello import MAX_FILTERS, Flags, Hello
+from coulombus.wire.link import BUS_OFF
 
 __all__ = ["CoulombusBus"]
 

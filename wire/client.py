@@ -12,9 +12,9 @@ import struct
 from collections.abc import Sequence
 from typing import TypeAlias
 
-from wire.address import BusAddress, BusUnavailable
-from wire.hello import SO_TIMESTAMPNS, Answer, Flags, Hello, Status, greet, is_greeting
-from wire.link import Link
+from coulombus.wire.address import BusAddress, BusUnavailable
+from coulombus.wire.hello import SO_TIMESTAMPNS, Answer, Flags, Hello, Status, greet, is_greeting
+from coulombus.wire.link import Link
 
 __all__ = ["CAN_FRAME", "BusDown", "BusFull", "BusGone", "Client", "Echo", "Received", "pack_frame"]
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from eds.compiled import inlined, kernel
+from coulombus.compiled.decorator import inlined, kernel
 
 __all__ = ["CLOCK_FIELDS", "NEVER_NS", "bus_ns", "own_ns", "set_clock", "to_bus"]
 

@@ -12,8 +12,8 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from eds.compiled import inlined, kernel
-from wire.can_id import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
+from coulombus.compiled.decorator import inlined, kernel
+from coulombus.wire.can_id import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 
 __all__ = [
     "CAN_EFF_FLAG",

@@ -24,8 +24,8 @@ from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from pathlib import Path
 
-from wire.address import BusAddress, BusUnavailable, socket_path
-from wire.link import Link
+from coulombus.wire.address import BusAddress, BusUnavailable, socket_path
+from coulombus.wire.link import Link
 
 __all__ = [
     "MAGIC",

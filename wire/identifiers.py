@@ -8,7 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 import numpy.typing as npt
 
-from wire.can_id import CAN_EFF_FLAG, CAN_RTR_FLAG
+from coulombus.wire.can_id import CAN_EFF_FLAG, CAN_RTR_FLAG
 
 __all__ = ["IdentifierError", "Ranges", "among", "parse_identifiers"]
 

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from eds.compiled import kernel
-from wire.frame import Records, new_records
-from wire.libc import MSG_TRUNC, recvmsg
+from coulombus.compiled.decorator import kernel
+from coulombus.compiled.libc import MSG_TRUNC, recvmsg
+from coulombus.wire.frame import Records, new_records
 
 __all__ = ["MAILBOX", "SO_RXQ_OVFL", "SO_TIMESTAMPNS", "ask_for_stamps", "new_mailbox", "receive", "set_up"]
 

@@ -6,7 +6,7 @@ import fcntl
 import socket
 import struct
 
-from wire.address import BusUnavailable
+from coulombus.wire.address import BusUnavailable
 
 __all__ = ["can_socket", "interface_is_up"]
 
@@ -18,7 +18,7 @@ def can_socket(name: str) -> socket.socket:
 
     Raises
     ------
-    wire.address.BusUnavailable
+    coulombus.wire.address.BusUnavailable
         (exit status 4) This kernel has no CAN, there is no such interface, or it is down; the text says what to do.
     """
     unavailable = f"no bus socketcan:{name}: "

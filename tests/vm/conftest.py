@@ -13,6 +13,7 @@ import sys
 from pathlib import Path
 
 import pytest
+
 from vm_interfaces import INTERFACES, MISSING, ROOT
 
 READY_S = 300  # under emulation everything takes its time

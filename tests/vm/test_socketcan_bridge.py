@@ -10,11 +10,11 @@ import subprocess
 import sys
 
 import pytest
+
+from coulombus.wire.address import parse_address
+from coulombus.wire.client import Client, pack_frame
 from tiny_bus import tiny_bus
 from vm_interfaces import ROOT
-
-from wire.address import parse_address
-from wire.client import Client, pack_frame
 
 pytestmark = pytest.mark.real_time
 

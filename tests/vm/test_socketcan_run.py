@@ -12,12 +12,12 @@ import time
 from contextlib import contextmanager
 
 import pytest
-from vm_interfaces import INTERFACES, ROOT
 
-from scope.recording import read
-from wire.address import parse_address
-from wire.client import BusFull, BusUnavailable, Client, pack_frame
-from wire.hello import Hello
+from coulombus.recording.signals import read
+from coulombus.wire.address import parse_address
+from coulombus.wire.client import BusFull, BusUnavailable, Client, pack_frame
+from coulombus.wire.hello import Hello
+from vm_interfaces import INTERFACES, ROOT
 
 pytestmark = pytest.mark.real_time
 

@@ -11,8 +11,9 @@ import threading
 import time
 
 import canopen
-import canopen_clients
 import pytest
+
+import canopen_clients
 from vm_interfaces import INTERFACES, ROOT
 
 pytestmark = pytest.mark.real_time

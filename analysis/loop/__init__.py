@@ -1,0 +1,1 @@
+"""The theory: the sampled loop, its describing functions, bounds and exact motions."""

@@ -1,0 +1,1 @@
+"""The rig through its PDOs: identification, hold, maps of stability."""

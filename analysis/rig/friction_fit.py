@@ -1,0 +1,282 @@
+r"""The regression of `analysis.rig.identify`: coefficients, honest intervals, and whether the data bear Stribeck's term.
+
+The encoder's quantisation makes v and a wrong by a known variance, which would shrink their
+coefficients: it is taken off the normal equations (W. A. Fuller, Measurement Error Models, 1987,
+section 2.2).
+
+Equations of neighbours share samples, the sensors' quantisation and whatever the model leaves out.
+So the covariance is that of clusters: a slide, or each `CLUSTER_EQUATIONS` of a long one. Each cluster's
+residuals are corrected for its own leverage (CR2), and the intervals are 95 % of Student's t with
+the degrees of freedom that the coefficient's clusters have (Satterthwaite): R. M. Bell, D. F.
+McCaffrey, Survey Methodology 28(2):169-181, 2002.
+
+Stribeck's term is the one of a grid of speeds v_S that fits best. The best of many is never 0 by
+chance alone, so it stays only if it lowers Schwarz's criterion clearly *and* its interval at
+`STRIBECK_LEVEL` excludes 0 *and* friction falls with speed (F_s > c).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import minimize_scalar
+from scipy.stats import t as student
+
+from coulombus.analysis.rig.sliding import Equations, IdentifyError
+
+__all__ = ["Estimate", "Fit", "fit_friction"]
+
+Floats: TypeAlias = npt.NDArray[np.float64]
+Integers: TypeAlias = npt.NDArray[np.int64]
+
+CLUSTER_EQUATIONS = 15
+"""About 0.2 s of a slide: an equation comes each quarter of a window."""
+LEAST_EQUATIONS = 4
+"""Of a cluster: a window's length."""
+LEAST_CLUSTERS = 6
+CONFIDENCE = 0.95
+STRIBECK_LEVEL = 0.999
+"""The best of 24 speeds passes this by chance in about 1 % of recordings."""
+STRIBECK_GAIN = 10.0
+"""Schwarz's criterion must fall by this ("very strong" evidence) for Stribeck's term to stay."""
+STRIBECK_SPEEDS = 24
+STRIBECK_SLIDES = 4
+LEAST_SPREAD = 0.1
+"""Standard deviation of the speed over its mean from which on viscous friction can be told."""
+SIGNAL_TO_ERROR = 10.0
+"""An acceleration is told from the encoder's quantisation from this ratio of variances on."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A fitted value and its 95 % confidence interval."""
+
+    value: float
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        return f"{self.value:#.4g} [{self.low:#.4g}, {self.high:#.4g}]"
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Friction fitted to samples; None where the data do not carry it."""
+
+    coulomb_Nm: Estimate
+    viscous_Nms_rad: Estimate | None
+    inertia_kg_m2: Estimate | None
+    offset_Nm: Estimate | None
+    stribeck_Nm: Estimate | None
+    """F_s - c: what static friction has above Coulomb's."""
+    stribeck_rad_s: float | None
+    residual_rms_Nm: float
+
+    def friction_Nm(self, v: Floats) -> Floats:
+        """Return the fitted friction [Nm] at the speeds `v`, inertia and offset left out."""
+        level = np.full_like(v, self.coulomb_Nm.value)
+        if self.viscous_Nms_rad is not None:
+            level += self.viscous_Nms_rad.value * np.abs(v)
+        if self.stribeck_Nm is not None and self.stribeck_rad_s is not None:
+            level += self.stribeck_Nm.value * np.exp(-((v / self.stribeck_rad_s) ** 2))
+        friction: Floats = np.sign(v) * level
+        return friction
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return value and interval of each parameter."""
+        found: dict[str, Any] = {}
+        for name in ("coulomb_Nm", "viscous_Nms_rad", "inertia_kg_m2", "offset_Nm", "stribeck_Nm"):
+            estimate = getattr(self, name)
+            found[name] = None if estimate is None else estimate.value
+            found[f"{name}_ci95"] = None if estimate is None else [estimate.low, estimate.high]
+        return found | {"stribeck_rad_s": self.stribeck_rad_s, "residual_rms_Nm": self.residual_rms_Nm}
+
+
+@dataclass(frozen=True)
+class _Solution:
+    """Least squares with errors of known variance in the regressors; columns of Z have unit mean square."""
+
+    Z: Floats
+    scale: Floats
+    inverse: Floats
+    error: Floats
+    """Variances of the errors in the columns of Z, on the diagonal."""
+    beta: Floats
+    residual: Floats
+
+    @property
+    def rss(self) -> float:
+        return float(self.residual @ self.residual)
+
+
+def _solve(X: Floats, y: Floats, variances: Floats) -> _Solution:
+    scale = np.sqrt(np.mean(X**2, axis=0))
+    Z = X / scale
+    error = np.diag(variances / scale**2)
+    try:
+        inverse = np.linalg.inv(Z.T @ Z - len(y) * error)
+    except np.linalg.LinAlgError:
+        raise IdentifyError(
+            "the strokes do not tell the parameters apart: record strokes at two speeds or more"
+        ) from None
+    beta = inverse @ (Z.T @ y)
+    return _Solution(Z, scale, inverse, error, beta, y - Z @ beta)
+
+
+def _clusters(slide: Integers) -> list[Integers]:
+    """Return the rows of each cluster: a slide, cut in equal parts where it is long."""
+    long = min(max(len(slide) // (2 * LEAST_CLUSTERS), LEAST_EQUATIONS), CLUSTER_EQUATIONS)  # of few data, shorter ones
+    found: list[Integers] = []
+    for rows in np.split(np.arange(len(slide)), np.flatnonzero(np.diff(slide)) + 1):
+        found += np.array_split(rows, max(round(len(rows) / long), 1))
+    return found
+
+
+def _errors(s: _Solution, clusters: list[Integers]) -> tuple[Floats, Floats]:
+    """Return standard errors (CR2) and degrees of freedom (Satterthwaite) of the coefficients of X."""
+    Z, inverse = s.Z, s.inverse
+    meat = np.zeros_like(inverse)
+    spread = []  # of each cluster: what its corrected residuals are weighted with
+    for rows in clusters:
+        part = Z[rows]
+        values, vectors = np.linalg.eigh(np.eye(len(rows)) - part @ inverse @ part.T)
+        corrected = (vectors / np.sqrt(np.maximum(values, 1e-8))) @ vectors.T
+        score = part.T @ corrected @ s.residual[rows] + len(rows) * (s.error @ s.beta)
+        meat += np.outer(score, score)
+        spread.append(corrected @ part @ inverse)
+    covariance = inverse @ meat @ inverse
+    freedom = np.empty(Z.shape[1])
+    for j in range(Z.shape[1]):
+        Q = np.column_stack([-Z @ (inverse @ (Z[r].T @ w[:, j])) for r, w in zip(clusters, spread, strict=True)])
+        for k, (rows, weight) in enumerate(zip(clusters, spread, strict=True)):
+            Q[rows, k] += weight[:, j]
+        gram = Q.T @ Q
+        freedom[j] = np.trace(gram) ** 2 / np.sum(gram**2)
+    return np.sqrt(np.maximum(np.diag(covariance), 0.0)) / s.scale, freedom
+
+
+@dataclass(frozen=True)
+class _Stribeck:
+    speed: float
+    shape: Floats
+
+
+def _shape(equations: Equations, v_s: float) -> Floats:
+    """Return exp(-(v/v_S)^2) sgn(v) behind the equations' filter."""
+    return np.sign(equations.v) * equations.smooth([np.exp(-((v / v_s) ** 2)) for v in equations.speeds])
+
+
+def _stribeck(equations: Equations, X: Floats, y: Floats, variances: Floats) -> _Stribeck | None:
+    """Return the Stribeck term that fits best; None where no speed has enough slow samples, or Schwarz's criterion does not want it."""
+    speed = np.abs(equations.v)
+    wide = np.append(variances, 0.0)
+
+    def rss(v_s: float) -> float:
+        try:
+            return _solve(np.column_stack([X, _shape(equations, v_s)]), y, wide).rss
+        except IdentifyError:
+            return math.inf
+
+    trials = []
+    for v_s in np.geomspace(max(np.min(speed), 1e-6), 0.5 * np.max(speed), STRIBECK_SPEEDS):
+        strong = np.abs(_shape(equations, v_s)) > 0.3
+        if np.mean(strong) > 0.02 and len(np.unique(equations.slide[strong])) >= STRIBECK_SLIDES and not np.all(strong):
+            trials.append((rss(float(v_s)), float(v_s)))
+    if not trials:
+        return None
+    _, start = min(trials)
+    refined = float(minimize_scalar(rss, bounds=(0.5 * start, 2 * start), method="bounded").x)
+    independent = len(y) / 4  # windows overlap by three quarters
+
+    def criterion(rss: float, parameters: int) -> float:
+        return independent * math.log(max(rss, 1e-300) / len(y)) + parameters * math.log(independent)
+
+    without = criterion(_solve(X, y, variances).rss, X.shape[1])
+    if criterion(rss(refined), X.shape[1] + 2) >= without - STRIBECK_GAIN:
+        return None
+    return _Stribeck(refined, _shape(equations, refined))
+
+
+def fit_friction(equations: Equations, torque: Floats, remarks: list[str] | None = None) -> Fit:
+    """Fit friction to the equations of what slides.
+
+    Parameters
+    ----------
+    equations : of the slides
+    torque : each equation's torque [Nm]: the transducer's, or with the motor's added
+    remarks : sentences on what the data do not carry are appended
+
+    Raises
+    ------
+    IdentifyError
+        too few equations for an interval
+    """
+    notes = [] if remarks is None else remarks
+    sign, v, a = np.sign(equations.v), equations.v, equations.a
+    clusters = _clusters(equations.slide)
+    if len(clusters) < LEAST_CLUSTERS:
+        raise IdentifyError(
+            f"the handle slides in {len(clusters)} separate pieces; expected at least {LEAST_CLUSTERS}: record more strokes, to and fro"
+        )
+    columns: dict[str, tuple[Floats, float]] = {"coulomb": (sign, 0.0)}
+    speed = np.abs(v)
+    if np.std(speed) > LEAST_SPREAD * np.mean(speed):
+        columns["viscous"] = v, equations.v_variance
+    else:
+        notes.append("one speed only: viscous friction cannot be told from Coulomb's and is counted to it")
+    if np.mean(a**2) > SIGNAL_TO_ERROR * equations.a_variance and np.any(a != 0.0):
+        columns["inertia"] = a, equations.a_variance
+    else:
+        notes.append("the speed hardly changes: the inertia cannot be told")
+    if min(np.mean(sign > 0), np.mean(sign < 0)) > 0.1:
+        columns["offset"] = np.ones_like(v), 0.0
+    else:
+        notes.append(
+            "one direction only: a bias of the transducer cannot be told from Coulomb friction and is counted to it"
+        )
+    X, variances = np.column_stack([c for c, _ in columns.values()]), np.array([e for _, e in columns.values()])
+    solution = _solve(X, torque, variances)
+    error, freedom = _errors(solution, clusters)
+    stribeck = _stribeck(equations, X, torque, variances) if "viscous" in columns else None
+    if stribeck is not None:
+        wide, known = np.column_stack([X, stribeck.shape]), np.append(variances, 0.0)
+        chosen = _solve(wide, torque, known)
+        # v_S is fitted as well: its tangent belongs to what the covariance knows
+        step = 1e-4 * stribeck.speed
+        tangent = (_shape(equations, stribeck.speed + step) - _shape(equations, stribeck.speed - step)) / (2 * step)
+        height = chosen.beta[-1] / chosen.scale[-1]
+        full = _solve(np.column_stack([wide, height * tangent]), torque, np.append(known, 0.0))
+        # at the optimum the tangent's own coefficient is 0: residuals and the others are those of `chosen`
+        wide_error, wide_freedom = _errors(full, clusters)
+        low = height - student.ppf(0.5 + STRIBECK_LEVEL / 2, wide_freedom[-2]) * wide_error[-2]
+        if low > 0.0:
+            columns["stribeck"] = stribeck.shape, 0.0
+            solution, error, freedom = chosen, wide_error[:-1], wide_freedom[:-1]
+        else:
+            stribeck = None
+    if stribeck is None:
+        notes.append("the data do not carry Stribeck's term")
+    reach = student.ppf(0.5 + CONFIDENCE / 2, freedom) * error
+    beta = solution.beta / solution.scale
+
+    def estimate(name: str) -> Estimate | None:
+        if name not in columns:
+            return None
+        i = list(columns).index(name)
+        return Estimate(float(beta[i]), float(beta[i] - reach[i]), float(beta[i] + reach[i]))
+
+    coulomb = estimate("coulomb")
+    assert coulomb is not None
+    return Fit(
+        coulomb_Nm=coulomb,
+        viscous_Nms_rad=estimate("viscous"),
+        inertia_kg_m2=estimate("inertia"),
+        offset_Nm=estimate("offset"),
+        stribeck_Nm=estimate("stribeck"),
+        stribeck_rad_s=None if stribeck is None else stribeck.speed,
+        residual_rms_Nm=math.sqrt(solution.rss / len(torque)),
+    )

@@ -1,0 +1,115 @@
+"""Fig. 13: friction at the handle, identified, compensated from what was identified, and identified again."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from coulombus.analysis.rig.identify import Identification, identify
+from coulombus.analysis.rig.runs import displayed, need_modes
+from coulombus.rigs.rig import Rig, load_rig
+
+__all__ = ["EXPERIMENT", "FrictionStudy", "friction_study"]
+
+COMPENSATION = 0.97
+
+
+@dataclass(frozen=True)
+class FrictionStudy:
+    """Fig. 13: friction at the handle, identified, compensated from what was identified, identified again."""
+
+    before: Identification
+    after: Identification
+    compensation_Nm: float
+    """What the motor was told to give in slip."""
+
+    @property
+    def coulomb_before_Nm(self) -> float:
+        """Coulomb friction felt without compensation."""
+        return self.before.felt.coulomb_Nm.value
+
+    @property
+    def coulomb_after_Nm(self) -> float:
+        """Coulomb friction felt with the compensation."""
+        return self.after.felt.coulomb_Nm.value
+
+    @property
+    def viscous_Nms_rad(self) -> float:
+        """Viscous friction felt without compensation."""
+        found = self.before.felt.viscous_Nms_rad
+        return math.nan if found is None else found.value
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the figures of `coulombus analyse --json`, and both identifications."""
+        return {
+            "coulomb_before_Nm": self.coulomb_before_Nm,
+            "coulomb_after_Nm": self.coulomb_after_Nm,
+            "viscous_Nms_rad": self.viscous_Nms_rad,
+            "compensation_Nm": self.compensation_Nm,
+            "before": self.before.as_dict(),
+            "after": self.after.as_dict(),
+        }
+
+
+STROKES = (
+    (0.5, 1.2),
+    (1.5, 0.8),
+    (3.0, 0.6),
+)  # speed [rad/s], length of a move [s]: slow ones tell Coulomb, fast ones the slope
+EXPERIMENT = ", ".join(
+    ["{kind='rest', duration_s=1.0}"]
+    + [
+        f"{{kind='stroke', duration_s={4 * (move + 0.1):g}, speed_rad_s={speed}, move_s={move}, dwell_s=0.1}}"
+        for speed, move in STROKES
+    ]
+)
+
+
+def _stroked(rig: Rig, directory: Path, name: str, seed: int) -> Identification:
+    what = f"identification experiment ({name} compensation)"
+    return identify(displayed(rig, "hybrid", directory / f"{name}.pcapng", what, seed=seed))
+
+
+def friction_study(rig: Rig | None = None, *, seed: int = 0) -> FrictionStudy:
+    """Run the identification experiment before and after the compensation, through PDOs with the quantised encoder.
+
+    The hand strokes the handle to and fro at three speeds, in mode hybrid with F_s = F_d = 0: the brake's coil is off, so what is felt is the
+    device's own friction, the brake's off-state torque included. In the first run the motor may give nothing, so no sign check drives, and no
+    belief in the friction is needed. In the second one the motor gives 97 % of the Coulomb friction that the first one identified - of the motor,
+    nothing is known but that value.
+
+    Parameters
+    ----------
+    rig : default is the bench rig; its own schedule is not used
+
+    Raises
+    ------
+    coulombus.host.errors.SafetyTrip
+        a run tripped; which and why is in the text
+    coulombus.analysis.rig.sliding.IdentifyError
+        the hand does not slide the handle
+    coulombus.rigs.rig.RigError
+        the rig has no mode hybrid
+    """
+    rig = load_rig("bench") if rig is None else rig
+    need_modes(rig, "hybrid")
+    rig = rig.variant(
+        f"phase=[{EXPERIMENT}]",
+        "mode.hybrid.F_s_Nm=0.0",
+        "mode.hybrid.F_d_Nm=0.0",
+        "mode.hybrid.compensation=0.0",
+        "mode.hybrid.motor_limit_Nm=0.0",
+    )
+    with tempfile.TemporaryDirectory(prefix="coulombus-") as directory:
+        before = _stroked(rig, Path(directory), "before", seed)
+        found = before.felt.coulomb_Nm.value
+        compensated = rig.variant(
+            f"mechanics.friction_Nm={found!r}",
+            f"mode.hybrid.compensation={COMPENSATION}",
+            f"mode.hybrid.motor_limit_Nm={1.2 * found!r}",
+        )
+        after = _stroked(compensated, Path(directory), "after", seed)
+    return FrictionStudy(before, after, COMPENSATION * found)

@@ -1,0 +1,121 @@
+r"""Friction from a recording, by least squares: Coulomb, viscous, Stribeck where the data bear it, with confidence intervals.
+
+While the handle slides, the hand's torque on it (the transducer's) is
+
+.. math:: f = J\,\dot v + \bigl[c + b\,|v| + (F_s - c)\,e^{-(v/v_S)^2}\bigr]\,\mathrm{sgn}(v) + f_0
+
+which is what the hand *feels*: the device's own friction, less what the motor compensates of it,
+plus whatever is displayed. With the motor's torque (6077h) added to the left it is the *device's*
+friction, compensated or not. Both are fitted.
+
+`analysis.rig.sliding` takes the samples for which that is true and makes equations of them,
+`analysis.rig.friction_fit` solves these. :math:`f_0` (the transducer's bias) is fitted when both
+directions are there. The intervals are 95 %; docs/theory.md has how often they hold the truth.
+
+Source: the paper, section 5 and Fig. 13.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from coulombus.analysis.rig.friction_fit import Fit, fit_friction
+from coulombus.analysis.rig.sliding import WINDOW_S, IdentifyError, equations, sliding
+from coulombus.recording.signals import Source, blocks
+
+__all__ = ["Identification", "IdentifyError", "identify", "lines"]
+
+Floats: TypeAlias = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Identification:
+    """What a recording says of friction."""
+
+    path: str
+    felt: Fit
+    """What the hand feels at the handle."""
+    device: Fit
+    """The device's own: the motor's torque added."""
+    samples: int
+    coil_off: bool
+    """True: only samples without brake were taken."""
+    left_out: dict[str, int]
+    """Samples that were left out, by why."""
+    remarks: tuple[str, ...]
+    v_rad_s: Floats
+    felt_Nm: Floats
+    """The samples, inertia and offset taken off; for the plot."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values: what is felt at the top, the device's under "device"."""
+        return self.felt.as_dict() | {
+            "device": self.device.as_dict(),
+            "samples": self.samples,
+            "left_out": self.left_out,
+            "coil_off": self.coil_off,
+            "remarks": list(self.remarks),
+        }
+
+
+def identify(recording: Source | str | Path, *, window_s: float = WINDOW_S) -> Identification:
+    """Identify friction from a recording (or its path): any run in which the handle slides.
+
+    Raises
+    ------
+    IdentifyError
+        the handle hardly slides while friction is displayed, or there is no transducer's signal
+    """
+    if isinstance(recording, str | Path):
+        recording = blocks(recording)
+    found = sliding(recording, window_s)
+    rows = equations(found.slides, found.period_s, found.count_rad, window_s)
+    notes = list(found.remarks)
+    try:
+        felt = fit_friction(rows, rows.hand_Nm, notes)
+        device = fit_friction(rows, rows.hand_Nm + rows.motor_Nm)
+    except IdentifyError as error:
+        raise IdentifyError(f"{recording.path}: {error}") from error
+    rest = rows.hand_Nm.copy()
+    if felt.inertia_kg_m2 is not None:
+        rest -= felt.inertia_kg_m2.value * rows.a
+    if felt.offset_Nm is not None:
+        rest -= felt.offset_Nm.value
+    return Identification(
+        path=recording.path,
+        felt=felt,
+        device=device,
+        samples=found.samples,
+        coil_off=found.coil_off,
+        left_out=found.left_out,
+        remarks=tuple(notes),
+        v_rad_s=rows.v,
+        felt_Nm=rest,
+    )
+
+
+def lines(found: Identification) -> list[str]:
+    """Return an identification as text: each parameter with its 95 % confidence interval."""
+    names = (
+        ("Coulomb", "coulomb_Nm", "Nm"),
+        ("viscous", "viscous_Nms_rad", "Nm s/rad"),
+        ("Stribeck, F_s - c", "stribeck_Nm", "Nm"),
+        ("inertia", "inertia_kg_m2", "kg m2"),
+        ("transducer's bias", "offset_Nm", "Nm"),
+    )
+    text = [f"{found.samples} samples slide, {'coil off' if found.coil_off else 'brake on'}; 95 % confidence intervals"]
+    text += [f"  left out {n:>8}: {reason}" for reason, n in found.left_out.items() if n]
+    for title, fit in (("felt at the handle", found.felt), ("the device's own (motor's torque added)", found.device)):
+        text.append(f"\n{title}:")
+        for name, attribute, unit in names:
+            estimate = getattr(fit, attribute)
+            if estimate is not None:
+                speed = f" at {fit.stribeck_rad_s:.3g} rad/s" if attribute == "stribeck_Nm" else ""
+                text.append(f"  {name:<18} {estimate} {unit}{speed}")
+        text.append(f"  {'residual, RMS':<18} {fit.residual_rms_Nm:.3g} Nm")
+    return text + [f"\nnote: {remark}" for remark in found.remarks]

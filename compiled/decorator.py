@@ -1,0 +1,154 @@
+"""The one way this project compiles a function, and where the machine code is kept.
+
+Numba's disk cache looks at the file of the function that it compiles, not at the files of the functions which that one
+calls: an edited callee is served stale. Hence the cache directory is keyed by a hash of every source file that may hold
+a kernel. An edit anywhere gives a new directory; `compiled.kernel_cache` says where it stands, and which old ones are removed.
+
+Import this module before `numba`. ``NUMBA_CACHE_DIR`` set by the user wins (ours are sub-directories of it all the same);
+``NUMBA_DISABLE_JIT=1`` runs every kernel as plain Python.
+
+Two ways make a call cheap for the few calls that every frame makes. A call that passes five arrays costs about 25 ns: an array is a structure of
+seven words, and its reference is counted atomically on the way in and out. `inlined` makes a kernel part of its caller; `borrowed` returns an
+array whose references are not counted.
+
+Kernels take their arrays one by one, however many they are. A named tuple of them would read better, but numba types it anew at each call (20 times
+the cost of a plain call) and never caches a kernel whose tuple holds a function, as the friction law: it would compile at every start.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+from coulombus.compiled.kernel_cache import choose
+
+__all__ = [
+    "CACHE_DIR",
+    "JIT_DISABLED",
+    "Entry",
+    "borrowed",
+    "cached",
+    "inlined",
+    "kernel",
+    "on_compiling",
+    "source_key",
+]
+
+KERNEL_PACKAGES = ("compiled", "wire", "eds", "rigs", "recording", "node", "host", "sim_bus", "lab", "analysis")
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def source_key(root: Path) -> str:
+    """Hash of all Python sources under `root` that may hold or feed a kernel, with the interpreter's version."""
+    digest = hashlib.sha256(sys.version.encode())
+    for package in KERNEL_PACKAGES:
+        folder = root / package
+        for path in sorted(folder.rglob("*.py")):
+            digest.update(str(path.relative_to(folder)).encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+CACHE_DIR = choose(source_key(Path(__file__).resolve().parent.parent))
+"""Where the machine code is kept; None where no place can be written."""
+
+import numba  # noqa: E402  (only now does numba read NUMBA_CACHE_DIR)
+from numba.core import cgutils, event, types  # noqa: E402
+from numba.core.imputils import impl_ret_untracked  # noqa: E402
+from numba.extending import intrinsic  # noqa: E402
+from numba.np.arrayobj import make_array  # noqa: E402
+
+from coulombus.compiled.kernel_files import KernelCache, keep_interrupts  # noqa: E402
+
+numba.config.CACHE_DIR = str(CACHE_DIR or "")
+keep_interrupts()
+JIT_DISABLED = bool(numba.config.DISABLE_JIT)
+
+
+class _First(event.Listener):  # type: ignore[misc]
+    """Tells of the first compilation only."""
+
+    def __init__(self, tell: Callable[[], None]) -> None:
+        self.tell: Callable[[], None] | None = tell
+
+    def on_start(self, event: Any) -> None:
+        tell, self.tell = self.tell, None
+        if tell is not None:
+            tell()
+
+    def on_end(self, event: Any) -> None:
+        pass
+
+
+def on_compiling(tell: Callable[[], None]) -> None:
+    """Call `tell`, once, when a kernel is compiled that is not in the cache."""
+    event.register("numba:compile", _First(tell))
+
+
+def cached(compiled: F) -> F:
+    """Let what `numba.njit` returned be kept on disk; return it."""
+    dispatcher: Any = compiled
+    if not JIT_DISABLED and CACHE_DIR is not None:
+        dispatcher._cache = KernelCache(dispatcher.py_func)
+    return compiled
+
+
+def kernel(function: F) -> F:
+    """Compile `function` on its first call: no GIL, cached on disk, C's arithmetic errors (no exceptions).
+
+    Inside a kernel all integers are int64: mixing int64 with uint64 gives float64.
+    """
+    compiled: F = numba.njit(nogil=True, error_model="numpy")(function)
+    return cached(compiled)
+
+
+def inlined(function: F) -> F:
+    """Compile `function` as `kernel` does, but into each of its callers."""
+    compiled: F = numba.njit(nogil=True, error_model="numpy", inline="always")(function)
+    return cached(compiled)
+
+
+if JIT_DISABLED:
+
+    def borrowed(array: Any) -> Any:
+        """Return the array as it is."""
+        return array
+
+else:
+
+    @intrinsic  # type: ignore[untyped-decorator]
+    def borrowed(typingctx: Any, array: Any) -> Any:
+        """Return the same array without counting its references; the caller's own reference keeps it alive."""
+
+        def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            view = make_array(array)(context, builder, value=args[0])
+            view.meminfo = cgutils.get_null_value(view.meminfo.type)
+            return impl_ret_untracked(context, builder, array, view._getvalue())
+
+        if not isinstance(array, types.Array):
+            return None
+        return array(array), codegen
+
+
+class Entry:
+    """A kernel that Python calls often, always with arguments of the same types.
+
+    The dispatcher looks at the type of each argument at each call, which takes 40 us for a dozen arrays of records;
+    after the first call this goes past it.
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._function = function
+        self._entry: Callable[..., Any] | None = function if JIT_DISABLED else None
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Call the kernel."""
+        if self._entry is None:
+            dispatcher: Any = self._function
+            types_of = tuple(numba.typeof(argument) for argument in arguments)
+            dispatcher.compile(types_of)
+            self._entry = dispatcher.overloads[types_of].entry_point
+        return self._entry(*arguments)

@@ -1,0 +1,180 @@
+"""Cases 9.1 to 10.4, N.1 and N.2: NMT states and transitions (CiA 301, section 7.3.2)."""
+
+from __future__ import annotations
+
+from coulombus.conformance.tester.objects import volatile
+from coulombus.conformance.tester.pdo_setup import Unsupported, arm, enter, sync
+from coulombus.conformance.tester.pdo_stimuli import candidates
+from coulombus.conformance.tester.registry import case
+from coulombus.conformance.tester.unit import OPERATIONAL, PRE_OPERATIONAL, STOPPED, Unit, encode
+from coulombus.conformance.tester.verdict import CaseFailed, NoAnswer, NotApplicable, where
+from coulombus.eds.cia301 import CobId, NmtCommand, NmtState
+
+__all__: list[str] = []
+
+ALL_STATES = (PRE_OPERATIONAL, OPERATIONAL, STOPPED)
+RESETS = (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION)
+HEARTBEAT_MS = 20
+
+
+def boot_up(unit: Unit, command: int = NmtCommand.RESET_NODE) -> None:
+    """Reset, and look at the boot-up message."""
+    frame = unit.reset(command, must=True)
+    if frame is None or frame.length != 1 or frame.data != b"\0":
+        raise CaseFailed(f"the boot-up message is {frame.data.hex(' ') if frame else 'missing'}, expected one byte 00h")
+
+
+def watch(unit: Unit) -> None:
+    """Let the device tell its state by heartbeats, where it has them; to be called in PRE-OPERATIONAL."""
+    if unit.has(0x1017) and unit.variable(0x1017).access == "rw":
+        unit.write(0x1017, 0, HEARTBEAT_MS)
+
+
+def told(unit: Unit) -> int | None:
+    """Return the state as heartbeat or guarding tell it, None without either."""
+    identifier = CobId.HEARTBEAT + unit.node_id
+    if unit.has(0x1017) and unit.variable(0x1017).access == "rw":
+        unit.pause(HEARTBEAT_MS * 1_000_000)  # one that was under way
+        unit.flush()
+        frame = unit.expect(identifier, "heartbeat")
+        return frame.data[0] & 0x7F if frame.data else None
+    return unit.state() if unit.has(0x100C) else None
+
+
+def serves_sdo(unit: Unit) -> bool:
+    """Tell whether an upload of 1000h is answered."""
+    unit.flush()
+    unit.send(unit.sdo_rx, b"\x40\x00\x10\x00\0\0\0\0")
+    answered = unit.wait(unit.sdo_tx, unit.timing.quiet_ns) is not None
+    if not answered:
+        unit.pause(unit.timing.quiet_ns)
+    return answered
+
+
+def synchronous_tpdo(unit: Unit) -> int | None:
+    """Set a TPDO up for every SYNC and return its identifier; None where there is none."""
+    try:
+        numbers = candidates(unit)
+    except NotApplicable:
+        return None
+    for k in numbers:
+        try:
+            return arm(unit, k, 1)
+        except Unsupported:
+            continue
+    return None
+
+
+def sends_pdo(unit: Unit, can_id: int, *, patient: bool) -> bool:
+    """Tell whether a SYNC makes the TPDO go."""
+    unit.flush()
+    sync(unit)
+    return unit.wait(can_id, None if patient else unit.timing.quiet_ns) is not None
+
+
+def check_state(unit: Unit, state: NmtState, can_id: int | None = None) -> None:
+    """Fail unless the device behaves as in `state`: what it tells, SDO, and a TPDO."""
+    value = told(unit)
+    if value is not None and value != state:
+        raise CaseFailed(f"the device tells NMT state {value}, expected {int(state)} ({state.name})")
+    if state == STOPPED:
+        if serves_sdo(unit):
+            raise CaseFailed("SDO is served in STOPPED")
+    else:
+        unit.read(0x1000, 0)
+    if can_id is not None and sends_pdo(unit, can_id, patient=state == OPERATIONAL) != (state == OPERATIONAL):
+        text = "no PDO in OPERATIONAL" if state == OPERATIONAL else f"a PDO in {state.name}"
+        raise CaseFailed(text)
+
+
+@case("9.1")
+def initialisation(unit: Unit) -> str | None:
+    """Change a parameter, reset: boot-up message of one byte 00h, and the parameter as before."""
+    boot_up(unit)
+    try:
+        index, subindex, value = volatile(unit)
+    except NotApplicable as reason:
+        return str(reason)
+    before = unit.read(index, subindex)
+    unit.put(index, subindex, encode(unit.variable(index, subindex), value))
+    boot_up(unit)
+    after = unit.read(index, subindex)
+    if after != before:
+        raise CaseFailed(f"{where(index, subindex)} is {after.hex()} after a reset, expected {before.hex()}")
+    return where(index, subindex)
+
+
+@case("9.2")
+def pre_operational(unit: Unit) -> None:
+    """Reset: the boot-up comes before anything else; then SDO is served, and no PDO is."""
+    boot_up(unit)
+    if unit.has(0x1F80) and not unit.number(0x1F80) & 0x4:
+        unit.nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
+    can_id = synchronous_tpdo(unit)
+    watch(unit)
+    check_state(unit, PRE_OPERATIONAL, can_id)
+
+
+@case("9.3", state=OPERATIONAL)
+@case("9.4", state=STOPPED)
+def state_after_command(unit: Unit, state: NmtState) -> None:
+    """Enter the state by its command, and look at what the device tells and serves."""
+    can_id = synchronous_tpdo(unit)
+    watch(unit)
+    enter(unit, state)
+    check_state(unit, state, can_id)
+    enter(unit, PRE_OPERATIONAL)  # NMT acts in every state
+    check_state(unit, PRE_OPERATIONAL, can_id)
+
+
+@case("10.1")
+def resets(unit: Unit) -> str:
+    """Both resets out of each state: a boot-up message each time, then PRE-OPERATIONAL."""
+    for command in RESETS:
+        for state in ALL_STATES:
+            enter(unit, state)
+            try:
+                boot_up(unit, command)
+            except NoAnswer as failure:
+                raise NoAnswer(f"{failure}, out of {state.name}") from None
+            unit.read(0x1000, 0)
+    return "2 resets out of 3 states"
+
+
+@case("10.2", target=PRE_OPERATIONAL)
+@case("10.3", target=OPERATIONAL)
+@case("10.4", target=STOPPED)
+def transition(unit: Unit, target: NmtState) -> str:
+    """Give the command in each state: the state follows, also out of itself."""
+    can_id = synchronous_tpdo(unit)
+    watch(unit)
+    for state in (*ALL_STATES, target):
+        enter(unit, state)
+        check_state(unit, state, can_id)
+        enter(unit, target)
+        check_state(unit, target, can_id)
+    return "out of every state"
+
+
+@case("N.1")
+def for_another(unit: Unit) -> str:
+    """Start a node-id that nobody has: the device stays in PRE-OPERATIONAL."""
+    watch(unit)
+    other = next(n for n in range(127, 0, -1) if n != unit.node_id)
+    unit.flush()
+    unit.send(CobId.HEARTBEAT + other | 0x40000000, length=1)
+    if unit.wait(CobId.HEARTBEAT + other, unit.timing.quiet_ns) is not None:
+        raise NotApplicable(f"node {other} is on the bus, too")
+    unit.dirty = True
+    unit.send(CobId.NMT, bytes((NmtCommand.START, other)))
+    check_state(unit, PRE_OPERATIONAL)
+    return f"node {other}"
+
+
+@case("N.2")
+def short_command(unit: Unit) -> None:
+    """Send an NMT frame of one byte: the device stays in PRE-OPERATIONAL."""
+    watch(unit)
+    unit.dirty = True
+    unit.send(CobId.NMT, bytes((NmtCommand.START,)))
+    check_state(unit, PRE_OPERATIONAL)

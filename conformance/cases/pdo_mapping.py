@@ -1,0 +1,310 @@
+"""Cases 3.21 to 3.33: maps and remapping (CiA 301, sections 7.5.2.36 and 7.5.2.38)."""
+
+from __future__ import annotations
+
+from coulombus.conformance.tester.objects import NOT_NOW
+from coulombus.conformance.tester.pdo_setup import (
+    INVALID,
+    READABLE,
+    RPDO,
+    TPDO,
+    WRITABLE,
+    Unsupported,
+    arm,
+    disable,
+    fits,
+    length_of,
+    mappable,
+    mapped,
+    numbers,
+    remap,
+    remappable,
+    sync,
+    words_of,
+)
+from coulombus.conformance.tester.registry import case
+from coulombus.conformance.tester.unit import Unit
+from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, SdoAborted, where
+from coulombus.eds.cia301 import DATA_TYPES, DUMMY_TYPES
+from coulombus.eds.reader import Variable
+
+_NAME = {RPDO: "RPDO", TPDO: "TPDO"}
+_OUTPUT, _INPUT = ("rww", "wo"), ("rwr", "ro")
+
+
+def first(unit: Unit, direction: int) -> int:
+    """Return the first PDO whose map can be written."""
+    found = remappable(unit, direction)
+    if not found:
+        raise NotApplicable(f"the EDS has no {_NAME[direction]} whose map and COB-ID can be written")
+    return found[0]
+
+
+def either(unit: Unit) -> tuple[int, int]:
+    """Return direction and number of a PDO whose map can be written, a TPDO where there is one."""
+    for direction in (TPDO, RPDO):
+        if remappable(unit, direction) and mappable(unit, direction):
+            return direction, remappable(unit, direction)[0]
+    raise NotApplicable("the EDS has no PDO whose map and COB-ID can be written")
+
+
+@case("3.21")
+def default_maps(unit: Unit) -> str:
+    """Read every map and find each entry in the EDS: there, mappable in this direction, of this width, 64 bits in all."""
+    entries = 0
+    for direction, access in ((RPDO, WRITABLE), (TPDO, READABLE)):
+        for k in numbers(unit, direction):
+            words = words_of(unit, direction, k)
+            for word in words:
+                _check_entry(unit, f"{_NAME[direction]} {k + 1}", word, access, dummy=direction == RPDO)
+            if sum(word & 0xFF for word in words) > 64:
+                raise CaseFailed(f"{_NAME[direction]} {k + 1} maps more than 64 bits")
+            entries += len(words)
+    if not entries:
+        raise NotApplicable("no PDO maps anything by default")
+    return f"{entries} entries"
+
+
+def _check_entry(unit: Unit, pdo: str, word: int, access: tuple[str, ...], *, dummy: bool) -> None:
+    index, subindex, bits = word >> 16, word >> 8 & 0xFF, word & 0xFF
+    if dummy and index in DUMMY_TYPES:
+        if bits != DATA_TYPES[index].bits:
+            raise CaseFailed(f"{pdo} maps the dummy {index:04X}h in {bits} bits")
+        return
+    if not unit.has(index, subindex):
+        raise CaseFailed(f"{pdo} maps {where(index, subindex)}, which is not in the EDS")
+    variable = unit.variable(index, subindex)
+    if not variable.pdo_mappable or variable.access not in access:
+        mapping = int(variable.pdo_mappable)
+        raise CaseFailed(f"{pdo} maps {where(index, subindex)}: AccessType={variable.access}, PDOMapping={mapping}")
+    if variable.bits and bits > (variable.bits + 7) // 8 * 8:
+        raise CaseFailed(f"{pdo} maps {where(index, subindex)} in {bits} bits; it has {variable.bits}")
+    if "r" in variable.access or variable.access == "const":
+        try:
+            unit.read(index, subindex)
+        except SdoAborted as abort:
+            if abort.code not in NOT_NOW:
+                raise
+
+
+def other_map(unit: Unit, direction: int, k: int) -> list[int]:
+    """Return a map that fits and is not the present one."""
+    present = words_of(unit, direction, k)
+    chosen: list[int] = []
+    for variable in sorted(mappable(unit, direction), key=lambda v: v.bits, reverse=True):
+        bits = sum(word & 0xFF for word in chosen) + variable.bits
+        if variable.bits >= 8 and bits <= 64 and unit.has(direction + 0x200 + k, len(chosen) + 1) and len(chosen) < 3:
+            chosen.append(mapped(variable))
+    if chosen == present:
+        chosen = chosen[::-1] if len(chosen) > 1 and chosen[::-1] != present else chosen[:-1]
+    if not chosen:
+        raise NotApplicable(f"the EDS has not enough objects that can be mapped into a {_NAME[direction]}")
+    return chosen
+
+
+@case("3.22")
+def procedure(unit: Unit) -> str:
+    """Give the first PDOs another map in the prescribed order, read it back, and count the TPDO's bytes on the bus."""
+    done = []
+    reason = "the EDS has no PDO whose map and COB-ID can be written"
+    for direction in (RPDO, TPDO):
+        if not remappable(unit, direction) or not mappable(unit, direction):
+            continue
+        k = first(unit, direction)
+        try:
+            words = other_map(unit, direction, k)
+            disable(unit, direction, k)
+            remap(unit, direction, k, words)
+        except (NotApplicable, Unsupported) as error:
+            reason = str(error)
+            continue
+        if words_of(unit, direction, k) != words:
+            raise CaseFailed(f"{_NAME[direction]} {k + 1}: the map that was written does not read back")
+        done.append(f"{_NAME[direction]} {k + 1}")
+        if direction == TPDO:
+            _send_once(unit, k)
+    if not done:
+        raise NotApplicable(reason)
+    return ", ".join(done)
+
+
+def _send_once(unit: Unit, k: int) -> None:
+    try:
+        can_id = arm(unit, k, 1)
+    except Unsupported:
+        return
+    length = length_of(unit, TPDO, k)
+    unit.start()
+    unit.flush()
+    sync(unit)
+    frame = unit.expect(can_id, f"TPDO {k + 1} with its new map after a SYNC")
+    if frame.length != length:
+        raise CaseFailed(f"TPDO {k + 1} has {frame.length} bytes; its new map has {length}")
+
+
+@case("3.23")
+def without_clearing(unit: Unit) -> str:
+    """Write an entry of an invalid PDO's map whose count is not 0: it is refused."""
+    direction, k = either(unit)
+    disable(unit, direction, k)
+    index = direction + 0x200 + k
+    words = other_map(unit, direction, k)
+    if not words_of(unit, direction, k):
+        try:
+            remap(unit, direction, k, words)
+        except Unsupported as reason:
+            raise NotApplicable(str(reason)) from None
+    present = words_of(unit, direction, k)[0]
+    word = next((mapped(v) for v in mappable(unit, direction) if mapped(v) != present), None)
+    if word is None:
+        raise NotApplicable("the EDS has only one object that can be mapped")
+    code = unit.refused(index, 1, word)
+    return f"{code:08X}h"
+
+
+@case("3.24")
+def while_valid(unit: Unit) -> str:
+    """Give a valid PDO another map, without making it invalid: some step is refused, and the map stays."""
+    direction, k = either(unit)
+    index = direction + 0x200 + k
+    try:
+        arm(
+            unit,
+            k,
+            None,
+            words=() if words_of(unit, direction, k) else other_map(unit, direction, k),
+            direction=direction,
+        )
+    except Unsupported as reason:
+        raise NotApplicable(str(reason)) from None
+    present = words_of(unit, direction, k)
+    words = other_map(unit, direction, k)
+    try:
+        remap(unit, direction, k, words)
+    except SdoAborted as abort:
+        return f"{abort.code:08X}h"
+    if words_of(unit, direction, k) == words != present:
+        raise CaseFailed(f"{where(index, 0)}: a valid PDO took another map")
+    raise CaseFailed(f"{where(index, 0)}: a map was acknowledged for a valid PDO but is not there")
+
+
+@case("3.25")
+def too_many(unit: Unit) -> str:
+    """Fill all entries with the smallest object and write a count one above their number."""
+    direction, k = either(unit)
+    index = direction + 0x200 + k
+    entries = sum(1 for sub in unit.description.objects[index].variables if 0 < sub < 0xFF)
+    smallest = min((v for v in mappable(unit, direction)), key=lambda v: v.bits)
+    filled = min(entries, 64 // smallest.bits)
+    disable(unit, direction, k)
+    clear(unit, index)
+    for sub in range(1, filled + 1):
+        unit.write(index, sub, mapped(smallest))
+    count = entries + 1 if entries < 0xFE else 0xFE
+    try:
+        unit.put(index, 0, bytes((count,)))
+    except SdoAborted as abort:
+        return f"count {count}: {unit.judge(abort):08X}h"
+    raise CaseFailed(f"{where(index, 0)} took {count}; it has {entries} entries")
+
+
+def clear(unit: Unit, index: int) -> None:
+    """Set a map's count to 0, as long as the case lasts."""
+    before = unit.read(index, 0)
+    unit.put(index, 0, b"\0")
+    unit.undo_later(index, 0, before)
+    unit.undo_later(index, 0, b"\0")
+
+
+@case("3.26")
+def too_long(unit: Unit) -> str:
+    """Map the widest object so often that 64 bits are exceeded: an entry or the count is refused."""
+    for direction in (TPDO, RPDO):
+        if not remappable(unit, direction) or not mappable(unit, direction):
+            continue
+        k = first(unit, direction)
+        index = direction + 0x200 + k
+        widest = max(mappable(unit, direction), key=lambda v: v.bits)
+        count = 64 // widest.bits + 1
+        if not unit.has(index, count):
+            continue
+        disable(unit, direction, k)
+        clear(unit, index)
+        try:
+            for sub in range(1, count + 1):
+                unit.write(index, sub, mapped(widest))
+            unit.put(index, 0, bytes((count,)))
+        except SdoAborted as abort:
+            return f"{count} times {widest.bits} bits: {unit.judge(abort):08X}h"
+        raise CaseFailed(f"{where(index, 0)} took a map of {count * widest.bits} bits")
+    raise NotApplicable("no PDO whose map can be written has entries for more than 64 bits")
+
+
+@case("3.27", direction=RPDO, access=_OUTPUT, taken=True)
+@case("3.28", direction=RPDO, access=_INPUT, taken=False)
+@case("3.30", direction=TPDO, access=_INPUT, taken=True)
+@case("3.31", direction=TPDO, access=_OUTPUT, taken=False)
+def map_one(unit: Unit, direction: int, access: tuple[str, ...], taken: bool) -> str:
+    """Map an object of this access type, alone: taken, or refused at the entry or at the count."""
+    found = [v for v in unit.variables() if v.pdo_mappable and v.access in access and fits(unit, v.bits)]
+    if not found:
+        raise NotApplicable(f"the EDS has no mappable object of access {' or '.join(access)}")
+    return _map_one(unit, direction, found, taken=taken)
+
+
+@case("3.29", direction=RPDO)
+@case("3.32", direction=TPDO)
+def map_unmappable(unit: Unit, direction: int) -> str:
+    """Map an object without PDOMapping, whose access type would fit: it is refused."""
+    access = WRITABLE if direction == RPDO else READABLE
+    found = [v for v in unit.variables() if not v.pdo_mappable and v.access in access and 0 < v.bits <= 64]
+    if not found:
+        raise NotApplicable("the EDS has no such object without PDOMapping")
+    return _map_one(unit, direction, found, taken=False)
+
+
+def _map_one(unit: Unit, direction: int, variables: list[Variable], *, taken: bool) -> str:
+    k = first(unit, direction)
+    index = direction + 0x200 + k
+    disable(unit, direction, k)
+    clear(unit, index)
+    tried = variables[:1] + unit.random.sample(variables, min(2, len(variables)))
+    for variable in dict.fromkeys(tried):
+        try:
+            unit.put(index, 0, b"\0")
+            unit.write(index, 1, mapped(variable))
+            unit.put(index, 0, b"\1")
+        except SdoAborted as abort:
+            if taken:
+                raise CaseFailed(f"{where(variable.index, variable.subindex)} cannot be mapped: {abort}") from None
+            continue
+        name = f"{where(variable.index, variable.subindex)} (AccessType={variable.access})"
+        if not taken:
+            raise CaseFailed(f"{name} was mapped into {_NAME[direction]} {k + 1}")
+        if words_of(unit, direction, k) != [mapped(variable)]:
+            raise CaseFailed(f"{name}: the map does not read back")
+    return ", ".join(where(v.index, v.subindex) for v in dict.fromkeys(tried))
+
+
+@case("3.33")
+def dummies(unit: Unit) -> str:
+    """Map every dummy type of the EDS into an RPDO, before an object, and read the map back."""
+    types = sorted(code for code in unit.description.dummies if code in DATA_TYPES)
+    if not types:
+        raise NotApplicable("[DummyUsage] of the EDS has none")
+    k = first(unit, RPDO)
+    objects = mappable(unit, RPDO)
+    disable(unit, RPDO, k)
+    for code in types:
+        bits = DATA_TYPES[code].bits
+        if not fits(unit, bits):
+            continue
+        words = [code << 16 | bits]
+        if objects and bits % 8 == 0 and bits + objects[0].bits <= 64 and unit.has(RPDO + 0x200 + k, 2):
+            words.append(mapped(objects[0]))
+        remap(unit, RPDO, k, words)
+        if words_of(unit, RPDO, k) != words:
+            raise CaseFailed(f"dummy {code:04X}h: the map does not read back")
+    if unit.number(RPDO + k, 1) & INVALID == 0:
+        raise CaseFailed(f"{where(RPDO + k, 1)} became valid by itself")
+    return ", ".join(f"{code:04X}h" for code in types)

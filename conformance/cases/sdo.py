@@ -1,0 +1,317 @@
+"""Cases 2.1 to 2.18 and 2.28 to 2.30: expedited and segmented transfers, further channels (CiA 301, section 7.2.4)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from coulombus.conformance.tester.objects import (
+    NOT_NOW,
+    REFUSED,
+    is_command,
+    is_output,
+    keeps,
+    long_object,
+    long_objects,
+)
+from coulombus.conformance.tester.registry import case
+from coulombus.conformance.tester.sdo_client import head
+from coulombus.conformance.tester.unit import Unit, encode
+from coulombus.conformance.tester.verdict import CaseFailed, NoAnswer, NotApplicable, SdoAborted, where
+from coulombus.eds.cia301 import NmtCommand
+from coulombus.eds.reader import Variable
+
+RW = ("rw", "rwr", "rww")
+
+
+def short(unit: Unit, sizes: tuple[int, ...]) -> Variable:
+    """Return a harmless writable object of so many bytes, of the communication profile where there is one."""
+    found = [
+        v
+        for v in unit.variables()
+        if v.access in RW and v.bits // 8 in sizes and v.bits % 8 == 0 and not is_command(v) and not is_output(v)
+    ]
+    if not found:
+        raise NotApplicable(f"the EDS has no writable object of {' or '.join(str(size) for size in sizes)} bytes")
+    return found[0]
+
+
+@case("2.1")
+def device_type(unit: Unit) -> None:
+    """Read 1000h:00: four bytes, expedited (with their number or without) or by segments, as the server likes; and the value."""
+    data = unit.read(0x1000, 0)
+    if len(data) != 4:
+        raise CaseFailed(f"1000h:00 has {len(data)} bytes, expected 4")
+    said = unit.default(unit.variable(0x1000)) if unit.has(0x1000) else None
+    value = int.from_bytes(data, "little")
+    if isinstance(said, int) and value != said:
+        raise CaseFailed(f"1000h:00 is {value:08X}h; the EDS says {said:08X}h")
+
+
+@case("2.2")
+def write_back(unit: Unit) -> str:
+    """Choose up to 12 writable entries of 1000h to 1FFFh at random, write each with its own value and read it again."""
+    found = [v for v in unit.variables(0x1000, 0x1FFF) if keeps(v)]
+    if not found:
+        raise NotApplicable("the EDS has no such entry")
+    chosen = unit.random.sample(found, min(12, len(found)))
+    for v in chosen:
+        try:
+            value = unit.read(v.index, v.subindex)
+            unit.put(v.index, v.subindex, value)
+        except SdoAborted as abort:
+            if abort.code not in NOT_NOW:
+                raise
+            continue
+        again = unit.read(v.index, v.subindex)
+        if again != value:
+            raise CaseFailed(f"{where(v.index, v.subindex)} was {value.hex()}, and {again.hex()} after writing that")
+    return ", ".join(where(v.index, v.subindex) for v in chosen)
+
+
+@case("2.3")
+def write_read_only(unit: Unit) -> str:
+    """Write 1000h:00 with its own value."""
+    return f"{unit.refused(0x1000, 0, unit.read(0x1000, 0)):08X}h"
+
+
+@case("2.4")
+def read_write_only(unit: Unit) -> str:
+    """Read the first write-only object."""
+    found = [v for v in unit.variables() if v.access == "wo"]
+    if not found:
+        raise NotApplicable("the EDS has no write-only object")
+    return _unreadable(unit, found[0].index, found[0].subindex)
+
+
+@case("2.5", index=0x1000, subindex=1)
+@case("2.6", index=0x1004, subindex=0)
+def read_absent(unit: Unit, index: int, subindex: int) -> str:
+    """Read an object or sub-index that is not there."""
+    if unit.has(index, subindex):
+        raise NotApplicable(f"the EDS has {where(index, subindex)}")
+    return _unreadable(unit, index, subindex)
+
+
+def _unreadable(unit: Unit, index: int, subindex: int) -> str:
+    try:
+        data = unit.read(index, subindex)
+    except SdoAborted as abort:
+        return f"{where(index, subindex)}: {unit.judge(abort):08X}h"
+    raise CaseFailed(f"{where(index, subindex)} answers with {data.hex(' ').upper()}")
+
+
+@case("2.7")
+def unknown_command(unit: Unit) -> str:
+    """Send a request with command specifier 7; then the server still serves."""
+    try:
+        answer = unit.sdo.request(head(0xE0, 0x1000, 0), 0x1000, 0, "unknown command")
+    except SdoAborted as abort:
+        code = unit.judge(abort)
+    else:
+        raise CaseFailed(f"command specifier 7 is answered with {answer.hex(' ')}")
+    unit.read(0x1000, 0)
+    return f"{code:08X}h"
+
+
+@case("2.8", sizes=(2, 1), data=b"\1\0\0\0")
+@case("2.9", sizes=(4, 2), data=b"\1")
+def wrong_size(unit: Unit, sizes: tuple[int, ...], data: bytes) -> str:
+    """Write an object of each size with another number of bytes; it keeps its value."""
+    done = []
+    for size in sizes:
+        try:
+            variable = short(unit, (size,))
+        except NotApplicable:
+            continue
+        before = unit.read(variable.index, variable.subindex)
+        code = unit.refused(variable.index, variable.subindex, data)
+        if unit.read(variable.index, variable.subindex) != before:
+            raise CaseFailed(f"{where(variable.index, variable.subindex)} has changed although it was refused")
+        done.append(f"{where(variable.index, variable.subindex)}: {code:08X}h")
+    if not done:
+        raise NotApplicable("the EDS has no writable object of that size")
+    return ", ".join(done)
+
+
+def beyond(variable: Variable, *, above: bool) -> int | None:
+    """Return the value next to a limit, if the type can hold it."""
+    limit = variable.high if above else variable.low
+    if not isinstance(limit, int) or not variable.bits:
+        return None
+    value = limit + (1 if above else -1)
+    signed = variable.data_type in (0x02, 0x03, 0x04, 0x10, 0x12, 0x13, 0x14, 0x15)
+    lowest = -(1 << variable.bits - 1) if signed else 0
+    highest = (1 << variable.bits - signed) - 1
+    return value if lowest <= value <= highest else None
+
+
+@case("2.10", above=True)
+@case("2.11", above=False)
+def beyond_limit(unit: Unit, above: bool) -> str:
+    """Write up to three objects with the value next to their limit; they keep their values."""
+    found = [v for v in unit.variables() if v.access in RW and beyond(v, above=above) is not None]
+    found = [v for v in found if not is_command(v) and not is_output(v)][:3]
+    if not found:
+        limit = "HighLimit" if above else "LowLimit"
+        raise NotApplicable(f"the EDS gives no harmless writable object a {limit} inside its type")
+    done = []
+    for v in found:
+        before = unit.read(v.index, v.subindex)
+        code = unit.refused(v.index, v.subindex, beyond(v, above=above))
+        if unit.read(v.index, v.subindex) != before:
+            raise CaseFailed(f"{where(v.index, v.subindex)} has changed although it was refused")
+        done.append(f"{where(v.index, v.subindex)}: {code:08X}h")
+    return ", ".join(done)
+
+
+@case("2.12")
+def server_identifiers(unit: Unit) -> None:
+    """Read 1200h:01 and :02."""
+    unit.need(0x1200, 1)
+    for subindex, expected in ((1, 0x600 + unit.node_id), (2, 0x580 + unit.node_id)):
+        value = unit.number(0x1200, subindex)
+        if value != expected:
+            raise CaseFailed(f"1200h:{subindex:02X} is {value:08X}h, expected {expected:08X}h")
+
+
+@case("2.13")
+def segments_of_a_short_object(unit: Unit) -> str:
+    """Read 1000h:00 by segments if the server wants them; after an expedited answer a segment request is an error, or ignored."""
+    answer = unit.sdo.initiate_upload(0x1000, 0)
+    if not answer[0] & 0x02:
+        data, last = unit.sdo.upload_segment(0x1000, 0, 0)
+        if len(data) != 4 or not last:
+            raise CaseFailed(f"1000h:00 by segments has {len(data)} bytes in the first segment")
+        return "by segments"
+    try:
+        answer = unit.sdo.request(b"\x60" + bytes(7), 0x1000, 0, "unknown command")
+    except SdoAborted as abort:
+        return f"expedited; the segment request: {abort.code:08X}h"
+    except NoAnswer:
+        unit.read(0x1000, 0)
+        return "expedited; the segment request is ignored"
+    raise CaseFailed(f"a segment request after an expedited upload is answered with {answer.hex(' ')}")
+
+
+def written_and_read(unit: Unit, index: int, value: int, write: Callable[[bytes], object]) -> None:
+    """Write an object of the communication profile with `write`, read it, and let it be restored."""
+    variable = unit.need_writable(index)
+    before = unit.read(index, 0)
+    unit.undo_later(index, 0, before)
+    unit.dirty = True
+    write(encode(variable, value))
+    if unit.number(index) != value:
+        raise CaseFailed(f"{where(index, 0)} is {unit.number(index)} after {value} was written")
+
+
+@case("2.14", index=0x100C)
+@case("2.15", index=0x1017)
+def segmented_download(unit: Unit, index: int) -> None:
+    """Write a short object by one segment and read it back."""
+    written_and_read(unit, index, 1234, lambda data: unit.sdo.download_segmented(index, 0, data))
+
+
+@case("2.16")
+def segmented_upload(unit: Unit) -> str:
+    """Read the shortest long object by segments; toggle bits and length are checked with every segment."""
+    variable, _ = long_object(unit)
+    data, segmented = unit.sdo.upload_as(variable.index, variable.subindex)
+    if not segmented:
+        raise CaseFailed(f"{where(variable.index, variable.subindex)} came expedited, with {len(data)} bytes")
+    return f"{where(variable.index, variable.subindex)}, {len(data)} bytes"
+
+
+@case("2.17")
+def wrong_toggle(unit: Unit) -> str:
+    """Repeat the toggle bit in an upload: abort, and the transfer is over."""
+    variable, _ = long_object(unit)
+    index, subindex = variable.index, variable.subindex
+    unit.sdo.initiate_upload(index, subindex)
+    try:
+        unit.sdo.request(b"\x70" + bytes(7), index, subindex, "upload segment of")
+    except SdoAborted as abort:
+        code = unit.judge(abort)
+    else:
+        raise CaseFailed(f"upload of {where(index, subindex)}: a first segment request with toggle bit 1 is answered")
+    try:
+        answer = unit.sdo.request(b"\x60" + bytes(7), index, subindex, "unknown command")
+    except SdoAborted:
+        return f"{code:08X}h"
+    except NoAnswer:
+        unit.read(0x1000, 0)
+        return f"{code:08X}h; a further segment request is ignored"
+    raise CaseFailed(f"the transfer goes on after its abort: {answer.hex(' ')}")
+
+
+@case("2.18")
+def all_long_objects(unit: Unit) -> str:
+    """Read every object of more than four bytes, twice, and compare it with itself and with a default of the EDS."""
+    found = long_objects(unit)
+    for v, content in found:
+        if unit.read(v.index, v.subindex) != content:
+            raise CaseFailed(f"{where(v.index, v.subindex)} reads differently the second time")
+        default = unit.default(v)
+        wanted = encode(v, default) if isinstance(default, str | bytes) else b""
+        if wanted and v.access == "const" and content.rstrip(b"\0") != wanted.rstrip(b"\0"):
+            raise CaseFailed(f"{where(v.index, v.subindex)} is {content!r}; the EDS says {wanted!r}")
+    return ", ".join(f"{where(v.index, v.subindex)} ({len(content)} bytes)" for v, content in found)
+
+
+def channels(unit: Unit, first: int, last: int) -> list[tuple[int, dict[int, bytes]]]:
+    """Read a range of SDO parameters; what is not in the EDS must be refused with an accepted code."""
+    found = []
+    for index in range(first, last + 1):
+        if unit.has(index):
+            subs = [s for s, v in unit.description.objects[index].variables.items() if s < 4 and v.access != "wo"]
+            found.append((index, {subindex: unit.read(index, subindex) for subindex in subs}))
+            continue
+        try:
+            unit.read(index, 1)
+        except SdoAborted as abort:
+            unit.judge(abort)
+        else:
+            raise CaseFailed(f"{where(index, 1)} answers but is not in the EDS")
+    return found
+
+
+@case("2.28")
+def further_servers(unit: Unit) -> str:
+    """Read 1201h to 127Fh: there with sensible identifiers, or refused."""
+    found = channels(unit, 0x1201, 0x127F)
+    for index, values in found:
+        for subindex in {1, 2} & values.keys():
+            cob_id = int.from_bytes(values[subindex], "little")
+            if not cob_id & 1 << 31 and not cob_id & 0x1FFFFFFF:
+                raise CaseFailed(f"{where(index, subindex)} is valid with identifier 0")
+    return f"{len(found)} further servers"
+
+
+@case("2.29")
+def further_servers_after_reset(unit: Unit) -> str:
+    """Change what can be changed in 1201h to 127Fh, reset the communication, and find it as it was."""
+    before = channels(unit, 0x1201, 0x127F)
+    for index, _ in before:
+        if unit.has(index, 1) and unit.variable(index, 1).access == "rw":
+            cob_id = unit.number(index, 1)
+            try:
+                unit.put(index, 1, encode(unit.variable(index, 1), cob_id | 1 << 31))
+            except SdoAborted as abort:
+                unit.judge(abort, REFUSED)
+    unit.reset(NmtCommand.RESET_COMMUNICATION)
+    if channels(unit, 0x1201, 0x127F) != before:
+        raise CaseFailed("1201h to 127Fh are not as they were after reset communication")
+    return f"{len(before)} further servers"
+
+
+@case("2.30")
+def clients_after_storing(unit: Unit) -> str:
+    """Store all parameters, reset the communication, and find 1280h to 12FFh as they were; the rest is refused."""
+    unit.need_ability(0x1010)
+    before = channels(unit, 0x1280, 0x12FF)
+    unit.stored = unit.dirty = True
+    unit.sdo.download(0x1010, 1, b"save")
+    unit.reset(NmtCommand.RESET_COMMUNICATION)
+    if channels(unit, 0x1280, 0x12FF) != before:
+        raise CaseFailed("1280h to 12FFh are not as they were stored")
+    unit.dirty = True
+    return f"{len(before)} clients"

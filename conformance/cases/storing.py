@@ -1,0 +1,167 @@
+"""Cases 8.1 to 8.10: storing, restoring, verify configuration, restricted identifiers (CiA 301, sections 7.5.2.13, 14, 23, 7.3.5)."""
+
+from __future__ import annotations
+
+from coulombus.conformance.tester.objects import volatile
+from coulombus.conformance.tester.registry import case
+from coulombus.conformance.tester.unit import ON_COMMAND, Unit, encode
+from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, SdoAborted, where
+
+__all__: list[str] = []
+
+SAVE, LOAD = b"save", b"load"
+STORE, RESTORE = 0x1010, 0x1011
+RESTRICTED = (0x000, 0x001, 0x07F, 0x101, 0x180, 0x581, 0x5FF, 0x601, 0x67F, 0x6E0, 0x6FF, 0x701, 0x77F, 0x780, 0x7FF)
+"""Ends of the ranges of table 38."""
+
+
+def change(unit: Unit) -> tuple[int, int, bytes, bytes]:
+    """Change a harmless communication parameter; return where it is, what it was, and what it is."""
+    index, subindex, value = volatile(unit)
+    before = unit.read(index, subindex)
+    data = encode(unit.variable(index, subindex), value)
+    if data == before:
+        data = encode(unit.variable(index, subindex), 1 - value if index == 0x1029 else value + 1)
+    unit.put(index, subindex, data)
+    return index, subindex, before, data
+
+
+def command(unit: Unit, index: int, subindex: int) -> None:
+    """Give the signature."""
+    unit.stored = unit.dirty = True
+    unit.sdo.download(index, subindex, SAVE if index == STORE else LOAD)
+
+
+def is_now(unit: Unit, index: int, subindex: int, wanted: bytes, when: str) -> None:
+    """Fail unless an object has a value."""
+    data = unit.read(index, subindex)
+    if data != wanted:
+        raise CaseFailed(f"{where(index, subindex)} is {data.hex()} {when}, expected {wanted.hex()}")
+
+
+@case("8.1", index=STORE)
+@case("8.3", index=RESTORE)
+def taken(unit: Unit, index: int) -> None:
+    """Read the ability, and write the signature; the ability reads as before."""
+    unit.need_ability(index)
+    command(unit, index, 1)
+    value = unit.number(index, 1)
+    if value != unit.abilities[index, 1]:
+        raise CaseFailed(
+            f"{where(index, 1)} is {value:08X}h after the signature, {unit.abilities[index, 1]:08X}h before"
+        )
+    unit.reset()
+    unit.read(0x1000, 0)
+
+
+@case("8.2", index=STORE)
+@case("8.4", index=RESTORE)
+def wrong_signature(unit: Unit, index: int) -> str:
+    """Write signatures that are none: refused, and nothing is stored."""
+    unit.need_ability(index)
+    place = change(unit) if index == STORE else None
+    wrong = (b"SAVE", b"evas", b"load") if index == STORE else (b"LOAD", b"daol", b"save")
+    unit.stored = unit.dirty = True
+    codes = [f"{unit.refused(index, 1, signature):08X}h" for signature in wrong]
+    if place is not None:
+        unit.reset()
+        is_now(unit, place[0], place[1], place[2], "after a reset, though nothing was stored")
+    return ", ".join(dict.fromkeys(codes))
+
+
+@case("8.5")
+def store(unit: Unit) -> str:
+    """Change a parameter, store, change it again, reset: what was stored is there."""
+    unit.need_ability(STORE)
+    index, subindex, before, data = change(unit)
+    command(unit, STORE, 1)
+    unit.put(index, subindex, before)
+    unit.reset()
+    is_now(unit, index, subindex, data, "after store and reset")
+    return where(index, subindex)
+
+
+@case("8.6")
+def store_groups(unit: Unit) -> str:
+    """The communication group, 1010h:02, in the same way; then a change that is not stored is lost with a reset."""
+    unit.need_ability(STORE, 2)
+    index, subindex, before, data = change(unit)
+    command(unit, STORE, 2)
+    unit.put(index, subindex, before)
+    unit.reset()
+    is_now(unit, index, subindex, data, "after 1010h:02 and reset")
+    unit.put(index, subindex, before)
+    unit.reset()
+    is_now(unit, index, subindex, data, "after a reset without a further store")
+    for subindex in sorted(unit.description.objects[STORE].variables):
+        if 2 < subindex < 0xFF and unit.number(STORE, subindex) & ON_COMMAND:
+            command(unit, STORE, subindex)
+    return "the communication group"
+
+
+def _restore(unit: Unit, group: int) -> str:
+    unit.need_ability(STORE)
+    unit.need_ability(RESTORE, group)
+    index, subindex, before, data = change(unit)
+    command(unit, STORE, 1)
+    unit.reset()
+    is_now(unit, index, subindex, data, "after store and reset")
+    command(unit, RESTORE, group)
+    is_now(unit, index, subindex, data, "after restore, before the reset")
+    unit.reset()
+    is_now(unit, index, subindex, before, "after restore and reset")
+    return where(index, subindex)
+
+
+@case("8.7")
+def restore(unit: Unit) -> str:
+    """Change and store a parameter, restore: it stays until the reset, and then has its default."""
+    return _restore(unit, 1)
+
+
+@case("8.8")
+def restore_groups(unit: Unit) -> str:
+    """The communication group, 1011h:02, in the same way."""
+    return _restore(unit, 2)
+
+
+@case("8.9")
+def verify_configuration(unit: Unit) -> None:
+    """Write date and time to 1020h, store, write others, reset: the stored ones are there."""
+    unit.need_ability(STORE)
+    unit.need_writable(0x1020, 1)
+    wanted = {1: (14_000).to_bytes(4, "little"), 2: (43_200_000).to_bytes(4, "little")}
+    for subindex, data in wanted.items():
+        unit.put(0x1020, subindex, data)
+    command(unit, STORE, 1)
+    for subindex in wanted:
+        unit.put(0x1020, subindex, b"\1\0\0\0")
+    unit.reset()
+    for subindex, data in wanted.items():
+        is_now(unit, 0x1020, subindex, data, "after store and reset")
+
+
+@case("8.10")
+def restricted(unit: Unit) -> str:
+    """Write every end of a restricted range to each identifier that can be configured, made invalid first: refused."""
+    places = []
+    for index, subindex in ((0x1005, 0), (0x1012, 0), (0x1014, 0), (0x1400, 1), (0x1800, 1)):
+        if unit.has(index, subindex) and unit.variable(index, subindex).access == "rw":
+            places.append((index, subindex))
+    if not places:
+        raise NotApplicable("the EDS has no identifier that can be configured")
+    done = []
+    for index, subindex in places:
+        cob_id = unit.number(index, subindex)
+        if index in (0x1014, 0x1400, 0x1800):
+            unit.write(index, subindex, cob_id | 1 << 31)
+        try:
+            unit.write(index, subindex, 0x6DF if index in (0x1005, 0x1012) else 0x80000000 | 0x6DF)
+        except SdoAborted:
+            continue  # it cannot be configured after all
+        for can_id in RESTRICTED:
+            unit.refused(index, subindex, can_id)
+        done.append(where(index, subindex))
+    if not done:
+        raise NotApplicable("no identifier can be configured")
+    return ", ".join(done)

@@ -1,0 +1,214 @@
+"""Cases 6.1 to 6.10: SYNC producer and consumer, and its counter (CiA 301, sections 7.2.5, 7.5.2.5 and 7.5.2.22)."""
+
+from __future__ import annotations
+
+from coulombus.conformance.tester.link import Frame
+from coulombus.conformance.tester.pdo_setup import Unsupported, arm, write_overflow
+from coulombus.conformance.tester.pdo_setup import sync as send_sync
+from coulombus.conformance.tester.pdo_stimuli import candidates
+from coulombus.conformance.tester.registry import case
+from coulombus.conformance.tester.unit import MS, Unit, encode
+from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, SdoAborted
+
+__all__: list[str] = []
+
+PRODUCER = 1 << 30
+PERIOD_MS = 20
+OVERFLOW = 5
+
+
+def produce(unit: Unit, overflow: int | None = None) -> None:
+    """Make the device send SYNC, with a counter that goes up to `overflow`, in the order that CiA 301 wants.
+
+    Raises
+    ------
+    NotApplicable
+        It is no SYNC producer.
+    """
+    unit.need_writable(0x1005)
+    cob_id = unit.number(0x1005)
+    unit.need_writable(0x1006)
+    if overflow is not None:
+        write_overflow(unit, overflow)
+    try:
+        unit.write(0x1006, 0, PERIOD_MS * 1000)
+        unit.write(0x1005, 0, cob_id | PRODUCER)
+    except SdoAborted as abort:
+        raise NotApplicable(f"the device refuses to produce SYNC: {abort}") from None
+
+
+def syncs(unit: Unit, count: int) -> list[Frame]:
+    """Return so many SYNCs of the device, at their period (measured up to three times: the tester may be late)."""
+    text = ""
+    for _ in range(3):
+        frames = unit.collect(unit.sync_id, count * PERIOD_MS * MS + PERIOD_MS * MS // 2)
+        if len(frames) < 3:
+            raise CaseFailed(f"{len(frames)} SYNCs in {count * PERIOD_MS} ms; 1006h is {PERIOD_MS} ms")
+        mean_ms = (frames[-1].t_ns - frames[0].t_ns) / (len(frames) - 1) / 1e6
+        if abs(mean_ms - PERIOD_MS) <= 0.1 * PERIOD_MS:
+            return frames
+        text = f"SYNC comes every {mean_ms:.2f} ms; 1006h is {PERIOD_MS} ms"
+    raise CaseFailed(text)
+
+
+@case("6.1")
+def identifier(unit: Unit) -> None:
+    """Read 1005h: identifier 80h, no producer."""
+    unit.need(0x1005)
+    value = unit.number(0x1005)
+    if value & 0x1FFFFFFF != 0x80:
+        raise CaseFailed(f"1005h is {value:08X}h, expected 00000080h")
+
+
+@case("6.2")
+def producer(unit: Unit) -> str:
+    """Set 1006h and bit 30 of 1005h, and measure the period."""
+    produce(unit)
+    frames = syncs(unit, 25)
+    return f"{len(frames)} SYNCs"
+
+
+@case("6.3")
+def tpdos(unit: Unit) -> str:
+    """Count TPDOs of type 1 against SYNCs: the device's own where it can produce them, and the tester's."""
+    can_id = synchronous(unit)
+    unit.start()
+    unit.flush()
+    for _ in range(10):
+        send_sync(unit)
+        unit.pause(5 * MS)
+    unit.pause(unit.timing.quiet_ns)
+    count = len(unit.take(can_id))
+    if count != 10:
+        raise CaseFailed(f"{count} TPDOs after 10 SYNCs of the tester")
+    try:
+        produce(unit)
+    except (NotApplicable, SdoAborted):
+        return "SYNCs of the tester"
+    unit.flush()
+    unit.pause(15 * PERIOD_MS * MS)
+    unit.write(0x1005, 0, unit.number(0x1005) & ~PRODUCER)
+    unit.pause(unit.timing.quiet_ns)
+    sent, count = len(unit.take(unit.sync_id)), len(unit.take(can_id))
+    if abs(sent - count) > 1 or sent < 10:  # the first SYNC may have been under way when the counting began
+        raise CaseFailed(f"{count} TPDOs with {sent} SYNCs of the device")
+    return f"{count} TPDOs with {sent} SYNCs of the device"
+
+
+def synchronous(unit: Unit) -> int:
+    """Set a TPDO up for every SYNC, and return its identifier."""
+    reason = ""
+    for k in candidates(unit):
+        try:
+            return arm(unit, k, 1)
+        except Unsupported as error:
+            reason = str(error)
+    raise NotApplicable(reason)
+
+
+@case("6.4")
+def consumer(unit: Unit) -> None:
+    """Set 1006h to 0 and bit 30 of 1005h to 0: no SYNC from the device, and its TPDO follows the tester's."""
+    unit.need_writable(0x1005)
+    cob_id = unit.number(0x1005)
+    if unit.has(0x1006) and unit.variable(0x1006).access not in ("ro", "const"):
+        unit.write(0x1006, 0, 0)
+    unit.write(0x1005, 0, cob_id & ~PRODUCER)
+    can_id = synchronous(unit)
+    unit.start()
+    if unit.collect(unit.sync_id, 5 * PERIOD_MS * MS):
+        raise CaseFailed("the device sends SYNC although 1006h is 0")
+    send_sync(unit)
+    unit.expect(can_id, "TPDO of type 1 after a SYNC")
+
+
+@case("6.5")
+def counter_out_of_range(unit: Unit) -> str:
+    """Write 1, 241 and 255 to 1019h."""
+    unit.need_writable(0x1019)
+    return ", ".join(f"{value}: {unit.refused(0x1019, 0, value):08X}h" for value in (1, 241, 255))
+
+
+@case("6.6")
+def no_counter(unit: Unit) -> str:
+    """Set 1019h to 0: SYNCs of the device have no data."""
+    unit.need_writable(0x1019)
+    produce(unit, 0)
+    frames = syncs(unit, 6)
+    if any(frame.length for frame in frames):
+        raise CaseFailed("SYNCs carry data although 1019h is 0")
+    return f"{len(frames)} SYNCs"
+
+
+@case("6.7")
+def counter(unit: Unit) -> str:
+    """Set 1019h, start the SYNC, and read the counter from its first value on, over two overflows."""
+    unit.need_writable(0x1019)
+    unit.flush()
+    produce(unit, OVERFLOW)
+    unit.pause((2 * OVERFLOW + 3) * PERIOD_MS * MS)
+    check_counter(unit.take(unit.sync_id), OVERFLOW, first=1)
+    return f"1 to {OVERFLOW}"
+
+
+def check_counter(frames: list[Frame], overflow: int, first: int | None = None) -> None:
+    """Fail unless the SYNCs' counter goes up by one and begins with 1 again after `overflow`."""
+    if len(frames) < overflow:
+        raise CaseFailed(f"{len(frames)} SYNCs, too few to see the counter's overflow at {overflow}")
+    if any(frame.length != 1 for frame in frames):
+        raise CaseFailed("a SYNC has not one byte although 1019h is set")
+    values = [frame.data[0] for frame in frames]
+    wanted = first or values[0]
+    for value in values:
+        if value != wanted:
+            raise CaseFailed(f"SYNC counter {' '.join(map(str, values))}; expected {wanted} (overflow {overflow})")
+        wanted = wanted % overflow + 1
+
+
+def store(unit: Unit) -> None:
+    """Store all parameters; `Unit.restore` loads the defaults again."""
+    unit.need_ability(0x1010)
+    unit.stored = unit.dirty = True
+    unit.sdo.download(0x1010, 1, b"save")
+
+
+@case("6.8")
+def counter_stored(unit: Unit) -> None:
+    """Set 1019h, store, set it to 0, reset, and read it."""
+    unit.need_writable(0x1019)
+    unit.need(0x1010, 1)
+    write_overflow(unit, 10)
+    store(unit)
+    unit.put(0x1019, 0, b"\0")
+    unit.reset()
+    value = unit.number(0x1019)
+    if value != 10:
+        raise CaseFailed(f"1019h is {value} after store and reset, expected 10")
+
+
+@case("6.9")
+def counter_while_running(unit: Unit) -> str:
+    """Set 1006h, and write 1019h: refused."""
+    unit.need_writable(0x1019)
+    unit.need_writable(0x1006)
+    unit.write(0x1006, 0, PERIOD_MS * 1000)
+    return f"{unit.refused(0x1019, 0, 10):08X}h"
+
+
+@case("6.10")
+def sync_stored(unit: Unit) -> None:
+    """Set 1019h, 1006h and the producer's bit, store, reset: the values stand, and SYNC runs with its counter."""
+    unit.need(0x1010, 1)
+    for index in (0x1005, 0x1006, 0x1019):
+        unit.need_writable(index)
+    produce(unit, OVERFLOW)
+    wanted = {index: unit.number(index) for index in (0x1005, 0x1006, 0x1019)}
+    store(unit)
+    unit.put(0x1006, 0, bytes(4))
+    unit.put(0x1005, 0, encode(unit.variable(0x1005), wanted[0x1005] & ~PRODUCER))
+    unit.put(0x1019, 0, b"\0")
+    unit.reset()
+    for index, value in wanted.items():
+        if unit.number(index) != value:
+            raise CaseFailed(f"{index:04X}h is {unit.number(index)} after store and reset, expected {value}")
+    check_counter(unit.collect(unit.sync_id, (2 * OVERFLOW + 2) * PERIOD_MS * MS), OVERFLOW)

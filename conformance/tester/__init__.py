@@ -1,0 +1,1 @@
+"""What the cases are made with: the link, clients, probes, stimuli, verdicts."""

@@ -1,0 +1,114 @@
+"""Objects of the EDS that the cases choose: what may be written without harm, what is long, what may differ from its default."""
+
+from __future__ import annotations
+
+from coulombus.conformance.tester.unit import Unit
+from coulombus.conformance.tester.verdict import NotApplicable, SdoAborted
+from coulombus.eds.cia301 import Abort
+from coulombus.eds.reader import Variable
+
+__all__ = [
+    "LONGEST",
+    "NOT_NOW",
+    "READ_ONLY",
+    "REFUSED",
+    "is_command",
+    "is_output",
+    "is_parameter",
+    "keeps",
+    "long_object",
+    "long_objects",
+    "long_texts",
+    "volatile",
+]
+
+LONGEST = 2000
+"""Objects of more bytes (a whole EDS as 1021h) would take seconds by segments; they are only begun."""
+
+READ_ONLY = ("ro", "const")
+REFUSED = (
+    *(Abort.VALUE, Abort.VALUE_HIGH, Abort.VALUE_LOW, Abort.ACCESS, Abort.READ_ONLY, Abort.GENERAL),
+    *(Abort.PARAMETER_INCOMPATIBLE, Abort.INTERNAL_INCOMPATIBLE),
+    *(Abort.CANNOT_STORE, Abort.LOCAL_CONTROL, Abort.DEVICE_STATE),
+)
+"""How a value is refused that does not fit, or not now: CiA 301 leaves the choice where it names no code."""
+
+NOT_NOW = (Abort.CANNOT_STORE, Abort.LOCAL_CONTROL, Abort.DEVICE_STATE, Abort.NO_DATA)
+"""An object may refuse an access for the state that the device is in."""
+
+_COMMANDS = (0x1003, 0x1010, 0x1011, 0x1023, 0x1F50, 0x1F51, 0x1F80)
+"""A write of these does something; the cases that test them do it."""
+
+_CHANGING = (0x1001, 0x1002, 0x1003, 0x1010, 0x1011, 0x1013, 0x1020, 0x1023, 0x1024, 0x1025, 0x1026)
+
+
+def is_command(variable: Variable) -> bool:
+    """Tell whether a write is a command rather than a parameter."""
+    return variable.index in _COMMANDS or 0x1600 <= variable.index < 0x1800 or 0x1A00 <= variable.index < 0x1C00
+
+
+def is_output(variable: Variable) -> bool:
+    """Tell whether the object may move something: from 2000h on, what a PDO writes, and the target values of CiA 402."""
+    mapped = variable.pdo_mappable and variable.access not in READ_ONLY
+    return variable.index >= 0x2000 and (mapped or variable.access == "rww" or variable.index in _SETPOINTS)
+
+
+_SETPOINTS = (0x6040, 0x6060, 0x6071, 0x607A, 0x6042, 0x60FF, 0x60B0, 0x60B1, 0x60B2, 0x60FE)
+
+
+def is_parameter(variable: Variable) -> bool:
+    """Tell whether the object has to have its default after a reset: no process value, no counter, no serial number."""
+    process = variable.index >= 0x2000 and variable.access == "ro"
+    serial = variable.index == 0x1018 and variable.subindex == 4
+    return variable.index >= 0x1000 and variable.index not in _CHANGING and not process and not serial
+
+
+def keeps(variable: Variable) -> bool:
+    """Tell whether the variable may be written with its own value at any time."""
+    fixed = 0x1800 <= variable.index < 0x1A00 and variable.subindex in (3, 6)  # while the PDO is valid
+    fixed |= variable.index == 0x1019  # while 1006h runs
+    return variable.access in ("rw", "rwr", "rww") and not is_command(variable) and not fixed
+
+
+def volatile(unit: Unit) -> tuple[int, int, int]:
+    """Return (index, sub-index, value) of a communication parameter that can be changed without effect, and another value."""
+    for index, subindex, value in ((0x1017, 0, 2500), (0x1015, 0, 250), (0x100C, 0, 250), (0x1029, 1, 1)):
+        if unit.has(index, subindex) and unit.variable(index, subindex).access == "rw":
+            return index, subindex, value
+    raise NotApplicable("the EDS has no harmless communication parameter that can be written")
+
+
+def long_objects(unit: Unit) -> list[tuple[Variable, bytes]]:
+    """Return the objects whose content has more than four bytes (and at most `LONGEST`), with it."""
+    found, aborted = [], []
+    for variable in unit.variables():
+        if variable.access == "wo" or 0 < variable.bits <= 32:
+            continue
+        try:
+            content = unit.sdo.upload_up_to(variable.index, variable.subindex, LONGEST)
+        except SdoAborted as abort:
+            aborted.append(abort)
+            continue
+        if content is not None and len(content) > 4:
+            found.append((variable, content))
+    if not found and any(abort.code not in NOT_NOW for abort in aborted):
+        raise next(abort for abort in aborted if abort.code not in NOT_NOW)
+    if not found:
+        raise NotApplicable("the device has no object of more than four bytes")
+    return found
+
+
+def long_object(unit: Unit, at_least: int = 5) -> tuple[Variable, bytes]:
+    """Return the shortest constant object of at least so many bytes."""
+    found = [one for one in long_objects(unit) if len(one[1]) >= at_least]
+    if not found:
+        raise NotApplicable(f"the device has no object of {at_least} bytes")
+    return min(found, key=lambda one: len(one[1]))
+
+
+def long_texts(unit: Unit) -> list[Variable]:
+    """Return the writable strings of the manufacturer."""
+    found = [v for v in unit.variables(0x2000) if v.access == "rw" and v.data_type in (0x0009, 0x000A)]
+    if not found:
+        raise NotApplicable("the EDS has no writable string from 2000h on")
+    return found

@@ -1,0 +1,117 @@
+"""How an error is caused over the bus alone, and what the device tells of it: three ways, from the gentlest on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+
+from coulombus.conformance.tester.link import RTR, Frame
+from coulombus.conformance.tester.pdo_setup import (
+    EXTENDED,
+    INVALID,
+    RPDO,
+    HeartbeatOfTester,
+    Unsupported,
+    arm,
+    length_of,
+    numbers,
+)
+from coulombus.conformance.tester.unit import MS, Unit
+from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable
+from coulombus.eds.cia301 import CobId
+
+__all__ = ["GUARD_MS", "cause_error", "check_emcy", "emcy_id", "short_rpdo"]
+
+GUARD_MS = 100
+
+
+def emcy_id(unit: Unit) -> int:
+    """Return the identifier of the device's EMCY; where 1014h is not valid, or of 29 bits, the case does not apply."""
+    unit.need(0x1014)
+    cob_id = unit.number(0x1014)
+    if cob_id & (INVALID | EXTENDED):
+        raise NotApplicable(f"1014h is {cob_id:08X}h: no EMCY of 11 bits")
+    return cob_id & 0x7FF
+
+
+def _by_heartbeat(unit: Unit) -> Callable[[], None]:
+    heartbeat = HeartbeatOfTester(unit)
+    return heartbeat.lose
+
+
+def _by_life_guarding(unit: Unit) -> Callable[[], None]:
+    unit.need_writable(0x100C)
+    unit.need_writable(0x100D)
+    if unit.has(0x1017) and unit.number(0x1017):
+        unit.write(0x1017, 0, 0)
+    unit.write(0x100C, 0, GUARD_MS)
+    unit.write(0x100D, 0, 2)
+
+    def lose() -> None:
+        unit.send(CobId.HEARTBEAT + unit.node_id | RTR, length=1)
+        unit.pause(2 * GUARD_MS * MS + unit.timing.quiet_ns)
+
+    return lose
+
+
+def short_rpdo(unit: Unit) -> Callable[[], None]:
+    """Set an RPDO up, start the node, and return what sends it with one byte too few, all zeros: set-points are 0."""
+    for k in numbers(unit, RPDO):
+        length = length_of(unit, RPDO, k)
+        with suppress(Unsupported):
+            can_id = arm(unit, k, 255, direction=RPDO)
+            unit.start()
+
+            def send(can_id: int = can_id, length: int = length) -> None:
+                unit.send(can_id, bytes(length - 1))
+
+            return send
+    raise NotApplicable("the EDS has no RPDO that can be used")
+
+
+_WAYS = (("a lost heartbeat", _by_heartbeat), ("life guarding", _by_life_guarding), ("a short RPDO", short_rpdo))
+
+
+def _ways(unit: Unit) -> Iterator[tuple[str, Callable[[], None]]]:
+    for name, prepare in _WAYS:
+        try:
+            yield name, prepare(unit)
+        except NotApplicable:
+            continue
+
+
+def cause_error(unit: Unit) -> tuple[str, Frame]:
+    """Cause an error; return how, and the EMCY that came.
+
+    Raises
+    ------
+    NotApplicable
+        The EDS has nothing by which an error could be caused.
+    CaseFailed
+        No EMCY came.
+    """
+    can_id = emcy_id(unit)
+    tried = []
+    for name, act in _ways(unit):
+        unit.flush()
+        act()
+        frame = unit.wait(can_id)
+        tried.append(name)
+        if frame is not None:
+            check_emcy(unit, frame)
+            return name, frame
+        unit.restore()
+    if not tried:
+        raise NotApplicable("the EDS has neither 1016h nor guarding nor RPDOs: no error can be caused over the bus")
+    raise CaseFailed(f"no EMCY ({can_id:03X}h) after {', '.join(tried)}")
+
+
+def check_emcy(unit: Unit, frame: Frame) -> None:
+    """Fail unless an EMCY that tells an error has its form."""
+    if frame.length != 8 or frame.can_id & RTR:
+        raise CaseFailed(f"an EMCY has {frame.length} bytes, expected 8")
+    code = int.from_bytes(frame.data[:2], "little")
+    if code == 0:
+        raise CaseFailed("the EMCY of an error has error code 0000h")
+    if not frame.data[2] & 0x01:
+        raise CaseFailed(f"the EMCY's error register is {frame.data[2]:02X}h: the generic error's bit is missing")

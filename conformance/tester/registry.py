@@ -1,0 +1,28 @@
+"""Which function tests which case: ``@case("2.5")`` above the function, with its parameters where several cases share it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, TypeAlias
+
+from coulombus.conformance.tester.unit import Unit
+
+__all__ = ["FUNCTIONS", "Test", "case"]
+
+Test: TypeAlias = Callable[[Unit], str | None]
+"""A case: raises when the device fails or the case does not apply; returns a remark, or nothing."""
+
+FUNCTIONS: dict[str, Test] = {}
+
+
+def case(number: str, **parameters: Any) -> Callable[[Callable[..., str | None]], Callable[..., str | None]]:
+    """Register the function below as the case `number`."""
+
+    def register(function: Callable[..., str | None]) -> Callable[..., str | None]:
+        if number in FUNCTIONS:
+            raise ValueError(f"case {number} has two functions")
+        FUNCTIONS[number] = partial(function, **parameters)
+        return function
+
+    return register

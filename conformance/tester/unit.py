@@ -1,0 +1,442 @@
+"""The device under test as the cases see it: its EDS, its services, and what is done to leave it as it was."""
+
+from __future__ import annotations
+
+import random
+import re
+import struct
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+from coulombus.conformance.tester.link import RTR, Frame, Link
+from coulombus.conformance.tester.sdo_client import SdoClient
+from coulombus.conformance.tester.verdict import CaseFailed, NoAnswer, NotApplicable, SdoAborted, where
+from coulombus.eds.cia301 import DATA_TYPES, CobId, NmtCommand, NmtState, abort_text
+from coulombus.eds.reader import Description, Value, Variable
+from coulombus.wire.address import BusUnavailable
+
+__all__ = ["MS", "Timing", "Unit", "encode"]
+
+MS = 1_000_000
+_INBOX = 20_000
+_TRACE = 400
+ON_COMMAND = 0x1
+"""Bit of 1010h and 1011h."""
+_OBJ_FLAGS = re.compile(r"(?ims)^\[([0-9a-f]{4})(?:sub([0-9a-f]{1,2}))?\]([^\[]*?)^ObjFlags\s*=\s*(\w+)")
+
+
+@dataclass(frozen=True)
+class Timing:
+    """How long the tester waits: for an answer, for what must not come, for a boot-up, for one case in all."""
+
+    answer_ns: int = 1000 * MS
+    quiet_ns: int = 60 * MS
+    settle_ns: int = 20 * MS
+    """After an NMT command: a device may take it in its main loop, and lose what comes before it has."""
+    boot_ns: int = 5000 * MS
+    case_ns: int = 60_000 * MS
+
+    @classmethod
+    def of(cls, timeout_s: float) -> Timing:
+        """Return the waits that follow from the time-out of an answer."""
+        answer_ns = int(timeout_s * 1e9)
+        quiet_ns, settle_ns = min(60 * MS, answer_ns), min(20 * MS, answer_ns)
+        return cls(answer_ns, quiet_ns, settle_ns, 5 * answer_ns, 60 * answer_ns)
+
+
+class Unit:
+    """One device on a link. Everything that is sent and received goes into the trace of the case that runs."""
+
+    def __init__(self, link: Link, description: Description, node_id: int, timing: Timing, seed: int = 0) -> None:
+        self.link, self.description, self.node_id, self.timing = link, description, node_id, timing
+        self.random = random.Random(seed)
+        self.codes: tuple[int, ...] = ()
+        self.trace: deque[Frame] = deque(maxlen=_TRACE)
+        self.boots = True
+        self.sync_id = self._sync_id()
+        self._inbox: list[Frame] = []
+        self._undo: list[tuple[int, int, bytes]] = []
+        self._deadline_ns = link.now_ns() + timing.case_ns
+        self.dirty = True
+        self.stored = self._late = self._changed_state = False
+        self._again: bytes | None = None
+        self.rooms: dict[tuple[int, int], int] = {}
+        """How many bytes a writable text was found to hold."""
+        self.abilities: dict[tuple[int, int], int] = {}
+        self.channel(self._default_id(1, CobId.SDO_RX), self._default_id(2, CobId.SDO_TX))
+
+    def channel(self, request_id: int, response_id: int) -> None:
+        """Use these identifiers for SDO."""
+        self.sdo_rx, self.sdo_tx = request_id, response_id
+        self.sdo = SdoClient(self._send_sdo, self._wait_sdo, self._stream_sdo, self._width)
+
+    def _default_id(self, subindex: int, otherwise: int) -> int:
+        value = self.description.default(0x1200, subindex, self.node_id) if self.has(0x1200, subindex) else None
+        return value & 0x7FF if isinstance(value, int) and value & 0x7FF else otherwise + self.node_id
+
+    def _sync_id(self) -> int:
+        value = self.description.default(0x1005, 0, self.node_id) if self.has(0x1005) else None
+        return value & 0x7FF if isinstance(value, int) and value & 0x7FF else CobId.SYNC
+
+    # frames
+
+    def send(self, can_id: int, data: bytes = b"", length: int | None = None) -> None:
+        """Send a frame."""
+        size = len(data) if length is None else length
+        self.trace.append(Frame(self.link.now_ns(), can_id, data, size, sent=True))
+        self.link.send(can_id, data, length)
+
+    def _next(self, until_ns: int) -> Frame | None:
+        if self.link.now_ns() > self._deadline_ns:
+            raise CaseFailed(f"the case lasts longer than {self.timing.case_ns // 1_000_000_000} s")
+        frame = self.link.receive(min(until_ns, self._deadline_ns + MS))
+        if frame is not None:
+            self.trace.append(frame)
+            self._inbox.append(frame)
+            del self._inbox[:-_INBOX]
+        return frame
+
+    def pause(self, duration_ns: int) -> None:
+        """Let time pass; what comes is kept for `take` and `wait`."""
+        until_ns = self.link.now_ns() + duration_ns
+        while self._next(until_ns) is not None or self.link.now_ns() < until_ns:
+            pass
+
+    def take(self, can_id: int) -> list[Frame]:
+        """Take the frames with this identifier that have come."""
+        taken = [frame for frame in self._inbox if frame.can_id == can_id]
+        self._inbox = [frame for frame in self._inbox if frame.can_id != can_id]
+        return taken
+
+    def flush(self) -> None:
+        """Forget all that has come."""
+        while self._next(self.link.now_ns()) is not None:
+            pass
+        self._inbox.clear()
+
+    def collect(self, can_id: int, duration_ns: int) -> list[Frame]:
+        """Return the frames with this identifier that come within `duration_ns` from now."""
+        self.flush()
+        self.pause(duration_ns)
+        return self.take(can_id)
+
+    def wait(self, can_id: int, timeout_ns: int | None = None) -> Frame | None:
+        """Return the first frame with this identifier that has come or comes in time."""
+        until_ns = self.link.now_ns() + (self.timing.answer_ns if timeout_ns is None else timeout_ns)
+        while True:
+            for k, frame in enumerate(self._inbox):
+                if frame.can_id == can_id:
+                    return self._inbox.pop(k)
+            if self._next(until_ns) is None and self.link.now_ns() >= until_ns:
+                return None
+
+    def expect(self, can_id: int, what: str, timeout_ns: int | None = None) -> Frame:
+        """Return the frame that has to come."""
+        frame = self.wait(can_id, timeout_ns)
+        if frame is None:
+            limit_ns = self.timing.answer_ns if timeout_ns is None else timeout_ns
+            raise NoAnswer(f"no {what} ({can_id & 0x7FF:03X}h) within {limit_ns / 1e6:.0f} ms")
+        return frame
+
+    # SDO
+
+    def _send_sdo(self, data: bytes) -> None:
+        if self._late:  # an answer that comes after its time-out is not the next request's
+            self._late = False
+            self.pause(self.timing.quiet_ns)
+        while self._next(self.link.now_ns()) is not None:
+            pass
+        self.take(self.sdo_tx)
+        self._again, self._changed_state = data if self._changed_state else None, False
+        self.send(self.sdo_rx, data)
+
+    def _stream_sdo(self, data: bytes) -> None:
+        """Send a segment of a block; what the server says meanwhile is kept, and may be followed by more."""
+        self.send(self.sdo_rx, data)
+        self._late = True
+
+    def _wait_sdo(self) -> bytes | None:
+        frame = self.wait(self.sdo_tx)
+        if frame is None and self._again is not None:  # the first request after a change of the NMT state
+            again, self._again, self._late = self._again, None, True
+            self._send_sdo(again)
+            frame = self.wait(self.sdo_tx)
+        self._late |= frame is None
+        return None if frame is None else frame.data
+
+    def _width(self, index: int, subindex: int) -> int:
+        return (self.variable(index, subindex).bits + 7) // 8 if self.has(index, subindex) else 0
+
+    def read(self, index: int, subindex: int = 0) -> bytes:
+        """Read an object."""
+        return self.sdo.upload(index, subindex)
+
+    def number(self, index: int, subindex: int = 0) -> int:
+        """Read an integer object, signed where the EDS says so."""
+        signed = self.has(index, subindex) and is_signed(self.variable(index, subindex))
+        return int.from_bytes(self.read(index, subindex), "little", signed=signed)
+
+    def write(self, index: int, subindex: int, value: Value) -> None:
+        """Write an object, and keep what it was for `restore`."""
+        variable = self.variable(index, subindex)
+        if variable.access != "wo":
+            self._undo.append((index, subindex, self.read(index, subindex)))
+        self.dirty = True
+        self.sdo.download(index, subindex, encode(variable, value))
+
+    def put(self, index: int, subindex: int, data: bytes) -> None:
+        """Write bytes to an object as they are; nothing is kept for `restore`."""
+        self.dirty = True
+        self.sdo.download(index, subindex, data)
+
+    def undo_later(self, index: int, subindex: int, data: bytes) -> None:
+        """Let `restore` write `data`, before what is to be restored already."""
+        self._undo.append((index, subindex, data))
+
+    def refused(self, index: int, subindex: int, value: Value | bytes, codes: Sequence[int] | None = None) -> int:
+        """Write what the device must refuse; return its abort code, which must be one of `codes` (none: any)."""
+        data = value if isinstance(value, bytes) else encode(self.variable(index, subindex), value)
+        try:
+            self.write_raw(index, subindex, data)
+        except SdoAborted as abort:
+            return self.judge(abort, codes)
+        raise CaseFailed(f"{where(index, subindex)} took {data.hex(' ').upper()}, which it has to refuse")
+
+    def write_raw(self, index: int, subindex: int, data: bytes) -> None:
+        """Write bytes; when they are taken, what was there before is kept for `restore`."""
+        before = None
+        if self.has(index, subindex) and self.variable(index, subindex).access != "wo":
+            try:
+                before = self.sdo.upload_up_to(index, subindex, 2000)
+            except SdoAborted:
+                before = None
+        self.sdo.download(index, subindex, data)
+        self.dirty = True
+        if before is not None:
+            self._undo.append((index, subindex, before))
+
+    def judge(self, abort: SdoAborted, codes: Sequence[int] | None = None) -> int:
+        """Return an expected abort's code, or fail when it is another than accepted."""
+        accepted = self.codes if codes is None else tuple(codes)
+        if accepted and abort.code not in accepted:
+            expected = ", ".join(f"{code:08X}h" for code in accepted)
+            raise CaseFailed(f"{where(abort.index, abort.subindex)}: {abort_text(abort.code)}; expected {expected}")
+        return abort.code
+
+    # NMT
+
+    def nmt(self, command: int) -> None:
+        """Send an NMT command to the device alone, and give it the time to follow; its first SDO request may come twice."""
+        self.dirty = True
+        self.send(CobId.NMT, bytes((command, self.node_id)))
+        self._changed_state = command != NmtCommand.STOP
+        self.pause(self.timing.settle_ns)
+
+    def start(self) -> None:
+        """Make it OPERATIONAL."""
+        self.nmt(NmtCommand.START)
+
+    def reset(self, command: int = NmtCommand.RESET_NODE, *, must: bool = False) -> Frame | None:
+        """Reset the device and return its boot-up message; PRE-OPERATIONAL follows.
+
+        Where a device never sent one, only `must` waits for it and fails; else its SDO server is asked.
+        """
+        self.flush()
+        self.nmt(command)
+        wait_ns = self.timing.boot_ns if self.boots or must else 3 * self.timing.quiet_ns
+        boot = self._boot_up(wait_ns)
+        self.boots = boot is not None
+        if boot is None and must:
+            raise NoAnswer(f"no boot-up message ({CobId.HEARTBEAT + self.node_id:03X}h) after NMT command {command}")
+        self.nmt(NmtCommand.ENTER_PRE_OPERATIONAL)  # 1F80h may have started it
+        self.dirty = False
+        return boot
+
+    def _boot_up(self, wait_ns: int) -> Frame | None:
+        """Return the boot-up message, past a last heartbeat; without one, what else came on its identifier."""
+        until_ns, other = self.link.now_ns() + wait_ns, None
+        while (frame := self.wait(CobId.HEARTBEAT + self.node_id, until_ns - self.link.now_ns())) is not None:
+            if frame.data == b"\0":
+                return frame
+            other = other or frame
+            if self.link.now_ns() >= until_ns:
+                break
+        return other
+
+    def state(self) -> int | None:
+        """Return the NMT state as heartbeat or guarding tell it; None where the device has neither."""
+        identifier = CobId.HEARTBEAT + self.node_id
+        if self.has(0x1017):
+            try:
+                period_ms = self.number(0x1017)
+                if period_ms:
+                    self.flush()
+                    frame = self.wait(identifier, self.timing.answer_ns + 2 * period_ms * MS)
+                    return frame.data[0] & 0x7F if frame and frame.data else None
+            except (CaseFailed, SdoAborted):
+                pass  # STOPPED: no SDO
+        if self.has(0x100C):
+            self.flush()
+            self.send(identifier | RTR, length=1)
+            frame = self.wait(identifier)
+            return frame.data[0] & 0x7F if frame and frame.data else None
+        return None
+
+    # the EDS
+
+    def has(self, index: int, subindex: int = 0) -> bool:
+        """Tell whether the EDS describes an object."""
+        return self.description.has(index, subindex)
+
+    def need(self, index: int, subindex: int = 0) -> Variable:
+        """Return an object's description; without one the case does not apply."""
+        if not self.has(index, subindex):
+            raise NotApplicable(f"the EDS has no {where(index, subindex)}")
+        return self.description.variable(index, subindex)
+
+    def need_writable(self, index: int, subindex: int = 0) -> Variable:
+        """Return the description of an object that can be written; without one the case does not apply."""
+        variable = self.need(index, subindex)
+        if variable.access in ("ro", "const"):
+            raise NotApplicable(f"{where(index, subindex)} is {variable.access} in the EDS")
+        return variable
+
+    def variable(self, index: int, subindex: int = 0) -> Variable:
+        """Return an object's description."""
+        return self.description.variable(index, subindex)
+
+    def variables(self, first: int = 0x1000, last: int = 0xFFFF) -> Iterator[Variable]:
+        """Yield all variables of the EDS in a range of indices; sub-index 255 is none."""
+        for index in sorted(self.description.objects):
+            if first <= index <= last:
+                for subindex, variable in self.description.objects[index].variables.items():
+                    if subindex != 0xFF:
+                        yield variable
+
+    def default(self, variable: Variable) -> Value:
+        """Return a default of the EDS; None where it gives none."""
+        return self.description.default(variable.index, variable.subindex, self.node_id)
+
+    @cached_property
+    def flags(self) -> dict[tuple[int, int], int]:
+        """ObjFlags of the EDS: bit 0 refuses a write on download, bit 1 a read on scan (CiA 306-1)."""
+        found = {}
+        for index, subindex, _, value in _OBJ_FLAGS.findall(self.description.text):
+            try:
+                found[int(index, 16), int(subindex or "0", 16)] = int(value, 0)
+            except ValueError:  # the reader has told it
+                continue
+        return found
+
+    @cached_property
+    def granularity(self) -> int:
+        """[DeviceInfo] Granularity: of how many bits the entries of a PDO's map are multiples; 0: no map can be written.
+
+        Bits where the file does not say it, or says what is none of 0 to 64.
+        """
+        said = {key.lower(): value for key, value in self.description.info.items()}.get("granularity", "").strip()
+        try:
+            bits = int(said, 0)
+        except ValueError:
+            return 1
+        return bits if 0 <= bits <= 64 else 1
+
+    def need_ability(self, index: int, subindex: int = 1) -> None:
+        """Make sure that 1010h or 1011h works on command (bit 0 of what it can do).
+
+        Raises
+        ------
+        NotApplicable
+            It does not, or is not in the EDS.
+        """
+        self.need(index, subindex)
+        if (index, subindex) not in self.abilities:
+            raise CaseFailed(f"{where(index, subindex)} cannot be read")
+        value = self.abilities[index, subindex]
+        if not value & ON_COMMAND:
+            raise NotApplicable(f"{where(index, subindex)} is {value:08X}h: not on command")
+
+    @property
+    def is_drive(self) -> bool:
+        """Tell whether it is a drive of CiA 402, with controlword and statusword."""
+        kind = self.default(self.variable(0x1000)) if self.has(0x1000) else None
+        profile = isinstance(kind, int) and kind & 0xFFFF == 402
+        return profile and self.has(0x6040) and self.has(0x6041)
+
+    # life of a case
+
+    def begin(self, codes: tuple[int, ...]) -> None:
+        """Bring the device to a known state: reset and PRE-OPERATIONAL, where something was done to it."""
+        self.codes = codes
+        self.trace.clear()
+        self._undo.clear()
+        self._deadline_ns = self.link.now_ns() + self.timing.case_ns
+        if self.dirty:
+            self.reset()
+        self.flush()
+
+    def restore(self) -> None:
+        """Write back what the case changed, the last first; stored parameters get their defaults again."""
+        self._deadline_ns = self.link.now_ns() + self.timing.case_ns
+        try:
+            if self._undo or self.stored:
+                self.nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
+            while self._undo:
+                index, subindex, data = self._undo.pop()
+                try:
+                    self.sdo.download(index, subindex, data)
+                except NoAnswer:
+                    return
+                except CaseFailed:
+                    continue
+        finally:
+            self._undo.clear()
+            if self.stored:
+                self.forget_stored()
+
+    def learn_abilities(self) -> None:
+        """Read what 1010h and 1011h can do, before a signature is written: a simple device keeps that as its value."""
+        for index in (0x1010, 0x1011):
+            for subindex in self.description.objects[index].variables if index in self.description.objects else ():
+                if 0 < subindex < 0xFF:
+                    try:
+                        self.abilities[index, subindex] = self.number(index, subindex)
+                    except NoAnswer:
+                        return
+                    except CaseFailed:
+                        continue
+
+    def forget_stored(self) -> None:
+        """Let the device load its defaults (1011h) and reset."""
+        self.stored = False
+        try:
+            self.sdo.download(0x1011, 1, b"load")
+        except BusUnavailable:
+            raise
+        except CaseFailed:
+            return
+        self.dirty = True
+
+
+def is_signed(variable: Variable) -> bool:
+    """Tell whether the variable is a signed integer."""
+    kind = DATA_TYPES.get(variable.data_type)
+    return bool(kind and kind.signed and kind.kind == "int")
+
+
+def encode(variable: Variable, value: Value) -> bytes:
+    """Return `value` as the bytes of the variable's type, little endian; text without a closing zero."""
+    kind = DATA_TYPES.get(variable.data_type)
+    if isinstance(value, bytes):
+        return value
+    if isinstance(value, str):
+        return value.encode("utf-16-le" if kind and kind.kind == "unicode" else "latin-1", "replace")
+    if kind and kind.kind == "real":
+        return struct.pack("<f" if kind.bits == 32 else "<d", value or 0.0)
+    size = (kind.bits + 7) // 8 if kind and kind.bits else 4
+    return (int(value or 0) & ((1 << 8 * size) - 1)).to_bytes(size, "little")
+
+
+PRE_OPERATIONAL, OPERATIONAL, STOPPED = NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL, NmtState.STOPPED

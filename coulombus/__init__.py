@@ -1,0 +1,38 @@
+"""Friction you can feel, over a CAN bus.
+
+What a script needs, imported only when it is asked for::
+
+    from coulombus import read, simulate
+
+The packages below are links to the folders beside this one: `coulombus.node` is ``node/``. Import them by this name only.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from coulombus.lab.simulate import simulate
+    from coulombus.recording.signals import read
+    from coulombus.rigs.rig import load_rig
+    from coulombus.sim_bus.network.network import VirtualNetwork
+
+__all__ = ["VirtualNetwork", "load_rig", "read", "simulate"]
+
+_PLACES = {
+    "VirtualNetwork": "coulombus.sim_bus.network.network",
+    "load_rig": "coulombus.rigs.rig",
+    "read": "coulombus.recording.signals",
+    "simulate": "coulombus.lab.simulate",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PLACES:
+        raise AttributeError(f"module 'coulombus' has no attribute {name!r}")
+    return getattr(import_module(_PLACES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,126 @@
+"""What a DCF adds to an EDS (CiA 306-1): configured values, ParameterValue and [1003Value], and [DeviceComissioning]."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+from coulombus.eds.description import Variable
+from coulombus.eds.sections import Section
+from coulombus.eds.values import ValueReader
+
+__all__ = ["COMMISSIONING", "DcfReader"]
+
+COMMUNICATION = range(0x1000, 0x2000)
+COB_ID_FLAGS = 1 << 31 | 1 << 30
+"""What a COB-ID has beside its identifier: not valid (of SYNC and TIME: is produced), no RTR."""
+
+COMMISSIONING = ("devicecomissioning", "devicecommissioning")
+"""The first spelling is CiA's."""
+BIT_RATES = (10, 20, 50, 100, 125, 250, 500, 800, 1000)
+"""Of CiA 301 [kbit/s], and 100, which is in use."""
+
+
+class DcfReader(ValueReader):
+    """Puts configured values in the place of defaults; `node_id` is that of [DeviceComissioning], 0 where there is none."""
+
+    node_id = 0
+
+    def __init__(self, path: str, raw: bytes) -> None:
+        super().__init__(path, raw)
+        self.going: list[int] = []
+        """Lines of the values that go with the node id, as their defaults do."""
+
+    def commissioning(self) -> tuple[int, int]:
+        """Return node id and bit rate [bit/s] of a DCF's [DeviceComissioning] (CiA's spelling); 0 where there is none."""
+        known = [self.sections[name] for name in COMMISSIONING if name in self.sections]
+        if not known:
+            return 0, 0
+        section = known[0]
+        if section.name.lower() != COMMISSIONING[0]:
+            text = f"the section head [{section.name}] is not spelled as CiA 306 has it"
+            self.say(section.line, text, "[DeviceComissioning]")
+        node_id, rate = (self.integer(section, key, 0) for key in ("nodeid", "baudrate"))
+        if section.get("nodeid") and not 1 <= node_id <= 127:
+            self.say(section.at("nodeid"), f"{section.what('nodeid')}={node_id} is not 1 to 127", "none")
+            node_id = 0
+        if rate not in (0, *BIT_RATES):
+            text = f"{section.what('baudrate')}={rate} is no bit rate of CiA 301 in kbit/s"
+            self.say(section.at("baudrate"), text, "none")
+            rate = 0
+        return node_id, 1000 * rate
+
+    def ambiguous(self, section: Section, key: str) -> str:
+        """Return why a PDO parameter's value can be read in two ways, if it can."""
+        twice = section.conflicts & {key, "datatype"} if section.pdo_parameter else ()
+        return f"{section.what(min(twice))} stands twice with different values" if twice else ""
+
+    def configure(self, index: int, variables: dict[int, Variable]) -> None:
+        """Give an object's variables what a DCF's [1003Value] says, sub-index by sub-index."""
+        section = self.sections.get(f"{index:04x}value", Section("", 0))
+        for subindex, key in section.numbered().items():
+            if subindex in variables:
+                variables[subindex] = self.configured(variables[subindex], section, key)
+
+    def configured(self, variable: Variable, section: Section, key: str) -> Variable:
+        """Return the variable with a DCF's value, held against type and limits as an SDO would be, for its default.
+
+        What cannot be taken leaves the default as it is, and a PDO parameter unreadable.
+        """
+        if not section.get(key) or (variable.unreadable and not variable.data_type):
+            return variable
+        value, relative, why = self.value(section, key, variable.data_type, "the default")
+        if not why and isinstance(value, int | float) and not (relative or variable.admits(value)):
+            why = f"{section.what(key)}={section.get(key)} is outside the object's limits"
+            self.say(section.at(key), why, "the default", "error")
+        why = self.ambiguous(section, key) or why
+        if why:
+            return replace(variable, default=None, unreadable=why) if section.pdo_parameter else variable
+        if value is None:
+            return variable
+        if variable.node_relative and not relative and isinstance(variable.default, int) and isinstance(value, int):
+            return self.related(variable, section, key, value)
+        return replace(variable, default=value, node_relative=relative, unreadable="")
+
+    def related(self, variable: Variable, section: Section, key: str, value: int) -> Variable:
+        """Return the variable with a constant where the default goes with the node id.
+
+        What is the default for the DCF's own node id goes with another one, too: a file that is used with another node id moves all its
+        identifiers or none. Bits 30 and 31 of a COB-ID (no RTR, not valid) are settings of their own and no part of the identifier.
+        """
+        assert isinstance(variable.default, int)
+        usual, said = variable.default + self.node_id, f"{section.what(key)}={section.get(key)}"
+        cob_id = variable.index in COMMUNICATION and variable.bits == 32
+        goes = self.node_id > 0 and not (value ^ usual) & ~(COB_ID_FLAGS if cob_id else 0)
+        if variable.access in ("ro", "const") and not (goes and value == usual):
+            self.say(section.at(key), f"{said} cannot be written", f"$NODEID+0x{variable.default:X}")
+            return variable
+        if goes:
+            self.going.append(section.at(key))
+            return replace(variable, default=value - self.node_id)
+        text = f"{said} is another identifier than the default $NODEID+0x{variable.default:X}"
+        at = f" for the node id {self.node_id}" if self.node_id else ", and the file tells no node id"
+        self.say(section.at(key), text + at, f"0x{value:X} with every node id")
+        return replace(variable, default=value, node_relative=False, unreadable="")
+
+    def check_values(self) -> None:
+        """Say that the file is a DCF, and which of its values stand in other files."""
+        values = []
+        for name, section in self.sections.items():
+            compact = re.fullmatch(r"[0-9a-f]{4}value", name) is not None
+            for key, (value, line) in section.entries.items():
+                if value and (key == "parametervalue" or (compact and key.isdecimal())):
+                    values.append(line)
+                elif value and key in ("uploadfile", "downloadfile"):
+                    self.say(line, f"{section.what(key)}={value} is another file", "no value")
+        if values:
+            text = f"the file is a DCF, with {len(values)} configured value{'s' * (len(values) > 1)}"
+            self.say(min(values), text, "that the device starts with them")
+        if self.going:
+            count = len(self.going)
+            text = f"{count} configured value{'s are' if count > 1 else ' is'} what the default is for the node id {self.node_id}"
+            self.say(
+                min(self.going),
+                text,
+                "that with another node id they move" if count > 1 else "that with another node id it moves",
+            )

@@ -1,0 +1,173 @@
+"""What an EDS file says besides its objects: device, lists of objects, and all that belongs to no object."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterable, Mapping
+
+from coulombus.eds.cia301 import DUMMY_TYPES
+from coulombus.eds.dcf import COMMISSIONING, DcfReader
+from coulombus.eds.description import Object
+from coulombus.eds.sections import OBJECT_SECTION, Section
+
+__all__ = ["FileReader"]
+
+OBJECT_LISTS: Mapping[str, tuple[tuple[int, int], ...]] = {
+    "MandatoryObjects": ((0x1000, 0x1001), (0x1018, 0x1018)),
+    "OptionalObjects": ((0x1000, 0x1FFF), (0x6000, 0xFFFF)),
+    "ManufacturerObjects": ((0x2000, 0x5FFF),),
+}
+"""The lists of objects and the indices that belong there (CiA 306-1)."""
+
+OTHER_SECTIONS = frozenset(
+    (
+        *("fileinfo", "deviceinfo", "dummyusage", "comments", "standarddatatypes", "tools", "dynamicchannels"),
+        *("mandatoryobjects", "optionalobjects", "manufacturerobjects", "supportedmodules", "connectedmodules"),
+        *COMMISSIONING,
+    )
+)
+"""Sections of CiA 306-1 that belong to no object."""
+
+OTHER_PATTERN = re.compile(r"[0-9a-f]{4}(name|value|denotation|objectlinks)|tool\d+|m\d+\w*")
+OBJECT_KEYS = frozenset(
+    (
+        *(
+            "parametername",
+            "objecttype",
+            "datatype",
+            "accesstype",
+            "defaultvalue",
+            "pdomapping",
+            "lowlimit",
+            "highlimit",
+        ),
+        *("subnumber", "objflags", "compactsubobj", "parametervalue", "denotation", "uploadfile", "downloadfile"),
+        *("parameterrefd", "uniqueidref", "factor", "offset", "unit", "description", "category"),
+    )
+)
+"""Keys of an object's section: CiA 306-1's, and those by which some tools say how to show it."""
+
+PDO_NUMBERS = {"nrofrxpdo": (0x1400, "RPDOs"), "nroftxpdo": (0x1800, "TPDOs")}
+PDO_COUNT = 512
+
+
+class FileReader(DcfReader):
+    """Reads [DeviceInfo], [DummyUsage] and the lists, and says what no other part of the reader looks at."""
+
+    def device_info(self, objects: Mapping[int, Object]) -> dict[str, str]:
+        """Return [DeviceInfo] as written; its numbers are held against the objects."""
+        if "fileinfo" not in self.sections:
+            self.say(1, "[FileInfo] is missing", "a file of no version")
+        device = self.sections.get("deviceinfo")
+        if device is None:
+            self.say(1, "[DeviceInfo] is missing", "a device without a name")
+            return {}
+        for key in ("vendornumber", "productnumber", "revisionnumber", "granularity", "lss_supported"):
+            self.integer(device, key, 0)
+        compact = self.integer(device, "compactpdo", 0)
+        for key, (first, name) in PDO_NUMBERS.items():
+            described = sum(first <= index < first + PDO_COUNT for index in objects)
+            said = self.integer(device, key, described)
+            if said > described and compact:
+                text = f"{device.what('compactpdo')}={compact}: {said} {name} are told of, {described} are described"
+                self.say(device.at("compactpdo"), text, "none but those", "error")
+            elif said != described:
+                text = f"{device.what(key)}={said}, but {described} {name} are described"
+                self.say(device.at(key), text, str(described))
+        return {device.spelled[key]: value for key, (value, _) in device.entries.items()}
+
+    def dummies(self) -> frozenset[int]:
+        """Return the types that may fill a PDO's gaps."""
+        dummy = self.sections.get("dummyusage", Section("DummyUsage", 1))
+        return frozenset(code for code in DUMMY_TYPES if self.integer(dummy, f"dummy{code:04x}", 0))
+
+    def check_lists(self, objects: Mapping[int, Object], heads: Mapping[int, Section]) -> None:
+        """Hold the lists of objects against the objects that are described."""
+        listed: dict[int, str] = {}
+        for name, ranges in OBJECT_LISTS.items():
+            section = self.sections.get(name.lower())
+            if section is None:
+                self.say(1, f"[{name}] is missing", "an empty list")
+                continue
+            keys = [key for key in section.entries if key.isdecimal()]
+            own = {key: self.integer(section, key, -1) for key in keys}
+            if len(own) != self.integer(section, "supportedobjects", len(own)):
+                said = section.get("supportedobjects")
+                self.say(section.at("supportedobjects"), f"[{name}] lists {len(own)}, not {said}", str(len(own)))
+            numbers = sorted(int(key) for key in keys)
+            if numbers and numbers != list(range(1, len(numbers) + 1)):
+                gap = next(k for k, number in enumerate(numbers, 1) if number != k)
+                self.say(
+                    section.line, f"[{name}] has no entry {gap}, its numbers jump to {numbers[-1]}", "no such entry"
+                )
+            for key, index in own.items():
+                if index < 0:
+                    continue
+                what = f"[{name}] lists {index:04X}h"
+                if index not in objects:
+                    self.say(section.at(key), f"{what}, which is not described", "no such object")
+                if index in listed:
+                    self.say(section.at(key), f"{what}, which [{listed[index]}] lists already", "one object")
+                listed.setdefault(index, name)
+            misplaced = [i for i in own.values() if i >= 0 and not any(low <= i <= high for low, high in ranges)]
+            if misplaced:
+                text = f"[{name}] lists {_some(misplaced)}, which belong into another list"
+                self.say(section.line, text, "objects like the others")
+        for index, head in heads.items():
+            if index not in listed and index >= 0x1000:
+                self.say(head.line, f"[{head.name}] stands in no list of objects", "an object like the others")
+
+    def check_rest(self, objects: Mapping[int, Object]) -> None:
+        """Say what stands in the file besides objects: values of a DCF, modules, unknown sections and keys."""
+        self.check_values()
+        for name, key, what in (
+            ("supportedmodules", "nrofentries", "modules"),
+            ("dynamicchannels", "nrofseg", "segments"),
+        ):
+            section = self.sections.get(name)
+            if section is not None and self.integer(section, key, 0):
+                self.say(section.line, f"[{section.name}] describes {what}, whose objects depend on the device", "none")
+        unknown: Counter[str] = Counter()
+        first: dict[str, Section] = {}
+        for name, section in self.sections.items():
+            if OBJECT_SECTION.fullmatch(section.name):
+                for key in section.entries.keys() - OBJECT_KEYS:
+                    unknown[key] += 1
+                    if key not in first or section.line < first[key].line:
+                        first[key] = section
+            elif OTHER_PATTERN.fullmatch(name):
+                self.check_attached(name, section, objects)
+            elif name not in OTHER_SECTIONS:
+                like = "datatype" in section.entries or "objecttype" in section.entries
+                text = f"the section [{section.name}] is none of CiA 306"
+                self.say(section.line, text, "a comment", "error" if like else "warning")
+        for key, count in unknown.items():
+            section = first[key]
+            text = f"{section.what(key)} is no key of CiA 306" + (f" ({count} times)" if count > 1 else "")
+            self.say(section.at(key), text, "a comment")
+
+    def check_attached(self, name: str, section: Section, objects: Mapping[int, Object]) -> None:
+        """Hold [1003Name] and the like against the object that they belong to."""
+        if not name.endswith(("name", "value", "denotation")):
+            return
+        index = int(name[:4], 16)
+        entry = objects.get(index)
+        keys = section.numbered()
+        for key in section.entries.keys() - set(keys.values()) - {"nrofentries"}:
+            self.say(section.at(key), f"{section.what(key)} is no sub-index in decimal", "a comment")
+        if entry is None:
+            self.say(section.line, f"[{section.name}] belongs to {index:04X}h, which is not described", "a comment")
+        elif strange := [subindex for subindex in keys if subindex not in entry.variables]:
+            text = f"[{section.name}] names the sub-index {strange[0]}, which {index:04X}h has not"
+            self.say(section.at(keys[strange[0]]), text, "a comment")
+        if len(keys) != self.integer(section, "nrofentries", len(keys)):
+            text = f"[{section.name}] has {len(keys)} entries, not {section.get('nrofentries')}"
+            self.say(section.at("nrofentries"), text, str(len(keys)))
+
+
+def _some(indices: Iterable[int], most: int = 3) -> str:
+    """Return "2000h, 2001h, 2002h and 5 more"."""
+    names = [f"{index:04X}h" for index in indices]
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more

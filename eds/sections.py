@@ -1,0 +1,227 @@
+"""The first step of reading an EDS file: bytes to text, text to sections with the line of every key.
+
+Whatever is tolerated here - code pages, doubled sections and keys, comments behind values, heads without a bracket - is said.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+
+from coulombus.eds.description import Diagnosis, Severity
+
+__all__ = ["OBJECT_SECTION", "PDO_PARAMETERS", "Number", "Section", "SectionReader", "number_of"]
+
+PDO_PARAMETERS = range(0x1400, 0x1C00)
+MOST_DIGITS = 40
+"""A longer number is none: no data type is so wide."""
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number as written: its value, a complaint about the notation, and whether it could mean another value."""
+
+    value: int
+    complaint: str = ""
+    doubtful: bool = False
+    hexadecimal: bool = False
+
+
+def number_of(text: str) -> Number | None:
+    """Read ``0x1F``, ``31``, ``-31``; also ``1Fh``, ``1F``, ``031``. None where it is no number."""
+    if len(text) > MOST_DIGITS:
+        return None
+    low = text.lower()
+    sign, low = (-1, low[1:]) if low[:1] == "-" else (1, low.removeprefix("+"))
+    if re.fullmatch(r"0x[0-9a-f]+", low):
+        return Number(sign * int(low, 16), hexadecimal=True)
+    if re.fullmatch(r"[0-9]+", low):
+        value = sign * int(low)
+        if len(low) == 1 or low[0] != "0":
+            return Number(value)
+        octal = re.fullmatch(r"[0-7]+", low) and sign * int(low, 8) != value
+        return Number(value, "is zero-padded, which may mean octal" if octal else "is zero-padded", bool(octal))
+    if re.fullmatch(r"[0-9][0-9a-f]*h", low):
+        return Number(sign * int(low[:-1], 16), "has an 'h' instead of 0x", hexadecimal=True)
+    if re.fullmatch(r"[0-9a-f]+", low):
+        otherwise = re.fullmatch(r"[0-9]+e[0-9]+|0b[01]+", low)  # a power of ten, a binary number
+        complaint = "has hexadecimal digits without 0x" + (", which may mean another number" if otherwise else "")
+        return Number(sign * int(low, 16), complaint, bool(otherwise), hexadecimal=True)
+    return None
+
+
+def _same(first: str, second: str) -> bool:
+    a, b = number_of(_without_comment(first)), number_of(_without_comment(second))
+    return a.value == b.value if a and b else first.lower() == second.lower()
+
+
+@dataclass
+class Section:
+    """Keys in lower case with value and line; `conflicts` are keys that stand twice with different values."""
+
+    name: str
+    line: int
+    entries: dict[str, tuple[str, int]] = field(default_factory=dict)
+    spelled: dict[str, str] = field(default_factory=dict)
+    conflicts: set[str] = field(default_factory=set)
+    reopened: bool = False
+
+    def get(self, key: str) -> str:
+        """Return the key's value as written; empty when it is absent."""
+        return self.entries.get(key, ("", 0))[0]
+
+    def at(self, key: str) -> int:
+        """Return the key's line, or the section's."""
+        return self.entries.get(key, ("", self.line))[1]
+
+    def what(self, key: str) -> str:
+        """Return the key as a diagnosis names it."""
+        return f"[{self.name}] {self.spelled.get(key, key)}"
+
+    def numbered(self) -> dict[int, str]:
+        """Return the keys that are numbers, by these: sub-indices of [1003Name], entries of a list."""
+        return {int(key): key for key in reversed(self.entries) if key.isdecimal() and len(key) <= MOST_DIGITS}
+
+    @property
+    def pdo_parameter(self) -> bool:
+        """True for the sections of 1400h to 1BFFh, where nothing may be assumed."""
+        match = OBJECT_SECTION.fullmatch(re.sub("(?i)value$", "", self.name))
+        return match is not None and int(match[1], 16) in PDO_PARAMETERS
+
+
+OBJECT_SECTION = re.compile(
+    r"(?:0x)?0*([0-9a-f]{1,4})(?:[\s_]*sub(?:index)?[\s_]*(?:0x)?0*([0-9a-f]{1,2}))?", re.IGNORECASE
+)
+_STRICT = re.compile(r"[0-9a-f]{1,4}(sub[0-9a-f]{1,2})?", re.IGNORECASE)
+_LINE_END = re.compile(r"\r*\n|\r")
+
+
+def _without_comment(text: str) -> str:
+    comment = re.search(r";|(?<!\S)#", text)
+    return text[: comment.start()].rstrip() if comment else text
+
+
+class SectionReader:
+    """Sections of a file's bytes `raw`; `path` names it in diagnoses."""
+
+    def __init__(self, path: str, raw: bytes) -> None:
+        self.path = path
+        self.diagnoses: list[Diagnosis] = []
+        self.sections: dict[str, Section] = {}
+        self.text = self.decode(raw)
+        self.split()
+
+    def say(self, line: int, text: str, assumed: str, severity: Severity = "warning") -> None:
+        """Note a defect, and what is assumed instead."""
+        self.diagnoses.append(Diagnosis(self.path, line, severity, text, assumed))
+
+    def decode(self, raw: bytes) -> str:
+        """Return the text: UTF-8, UTF-16 by its mark or its zeros, or else Windows-1252."""
+        wide = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}.get(raw[:2], "")
+        if not wide and any(raw[:2]) and 3 * raw.count(0) > len(raw):  # ASCII in two bytes each
+            wide = "utf-16-be" if raw[0] == 0 else "utf-16-le"
+        if wide:
+            self.say(1, "the file is UTF-16, not ASCII", "UTF-16")
+            return self.replaced(raw, wide)
+        try:
+            return raw.decode("utf-8-sig")
+        except UnicodeDecodeError as error:
+            line = len(_LINE_END.findall(raw[: error.start].decode("latin-1"))) + 1
+            self.say(line, "the file is neither ASCII nor UTF-8", "Windows-1252")
+            return self.replaced(raw, "cp1252")
+
+    def replaced(self, raw: bytes, encoding: str) -> str:
+        """Decode; what stands for no character becomes U+FFFD, and that is said."""
+        text = raw.decode(encoding, "replace")
+        if "\ufffd" in text:
+            line = len(_LINE_END.findall(text[: text.index("\ufffd")])) + 1
+            self.say(line, "there are bytes that stand for no character", "the character U+FFFD")
+        return text
+
+    # Lines to sections.
+
+    def split(self) -> None:
+        """Split the text into sections; what is neither head nor key is a comment."""
+        section: Section | None = None
+        for number, raw in enumerate(_LINE_END.split(self.text), 1):
+            line = raw.strip().strip("\x00\x1a\ufeff")
+            if not line or line[0] in ";#":
+                continue
+            key, equals, value = line.partition("=")
+            if line[0] == "[":
+                section = self.open_section(line, number)
+            elif section is None:
+                self.say(number, f"'{line[:40]}' stands before the first section", "a comment")
+            elif not equals or not key.strip():
+                self.say(number, f"'{line[:40]}' is no key=value", "a comment")
+            else:
+                self.enter(section, key.strip(), value.strip(), number)
+
+    def open_section(self, line: str, number: int) -> Section:
+        """Return the section that a head names; a second head of one name goes on with the first."""
+        name, bracket, rest = line[1:].partition("]")
+        name = name.strip()
+        if not bracket:
+            name = _without_comment(name)
+            self.say(number, f"the section head '{line[:40]}' has no ']'", f"[{name}]")
+        elif rest.strip() and rest.strip()[0] not in ";#":
+            self.say(number, f"'{rest.strip()[:40]}' stands behind the section head [{name}]", "a comment")
+        match = OBJECT_SECTION.fullmatch(name)
+        key = name.lower()
+        if match and not _STRICT.fullmatch(name):
+            strict = f"{int(match[1], 16):04X}" + (f"sub{int(match[2], 16):X}" if match[2] else "")
+            self.say(number, f"the section head [{name}] is not spelled as CiA 306 has it", f"[{strict}]")
+        if match:  # one key for [1018sub1], [1018Sub01] and [0x1018sub1]
+            key = f"{int(match[1], 16):04x}" + (f"sub{int(match[2], 16):x}" if match[2] else "")
+        known = self.sections.get(key)
+        if known is not None:
+            self.say(number, f"the section [{name}] stands in line {known.line} already", "one section, first values")
+            known.reopened = True
+            return known
+        return self.sections.setdefault(key, Section(name, number))
+
+    def enter(self, section: Section, spelled: str, value: str, number: int) -> None:
+        """Enter a key; of doubled keys the first value counts, and a conflict is kept in mind."""
+        key = spelled.lower()
+        if key not in section.entries:
+            section.entries[key] = (value, number)
+            section.spelled[key] = spelled
+            return
+        first, line = section.entries[key]
+        if _same(first, value):
+            if not section.reopened:
+                self.say(number, f"[{section.name}] {spelled} stands in line {line} already", "the same")
+            return
+        if key != "parametername":
+            section.conflicts.add(key)
+        severity: Severity = "error" if key in ("defaultvalue", "parametervalue") else "warning"
+        text = f"[{section.name}] {spelled}={value}, but line {line} says {first or 'nothing'}"
+        self.say(number, text, f"the first, {first or 'nothing'}", severity)
+
+    def bare(self, section: Section, key: str) -> str:
+        """Return a value without the comment behind it."""
+        text = section.get(key)
+        bare = _without_comment(text)
+        if bare != text:
+            self.say(section.at(key), f"{section.what(key)}={text} has a comment behind the value", bare or "no value")
+            section.entries[key] = (bare, section.at(key))
+        if len(bare) > 1 and bare[0] == bare[-1] == '"':
+            self.say(section.at(key), f"{section.what(key)}={bare} stands in quotes", bare[1:-1].strip() or "no value")
+            bare = bare[1:-1].strip()
+            section.entries[key] = (bare, section.at(key))
+        return bare
+
+    def integer(self, section: Section, key: str, assumed: int) -> int:
+        """Return a key's number; `assumed` where it is absent or empty (not said) or no number (said)."""
+        text = self.bare(section, key)
+        if not text:
+            return assumed
+        number = number_of(text)
+        if number is None:
+            self.say(section.at(key), f"{section.what(key)}={text} is no number", str(assumed), "error")
+            return assumed
+        if number.complaint:
+            self.say(section.at(key), f"{section.what(key)}={text} {number.complaint}", str(number.value))
+        return number.value
+
+    # Sections to objects.

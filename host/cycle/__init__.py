@@ -1,0 +1,1 @@
+"""The cycle's compiled step: process image, phases, limits, watches."""

@@ -1,0 +1,303 @@
+"""Everything that the cycle's compiled step works on, made from a rig file and a mode."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from coulombus.eds.codec import PDO
+from coulombus.eds.pdo import fill
+from coulombus.eds.reader import Description
+from coulombus.host.cycle.demand import brake_limit_raw
+from coulombus.host.cycle.records import CONTROL, DRIVE_PDOS, HOST, Image, Phase, SignResult, Trip
+from coulombus.host.laws.laws import LAW, LAW_STATE, MOTION, OWN_LAWS, LawError, load_law
+from coulombus.rigs.rig import Rig
+from coulombus.rigs.signals import RigPdo, Signal, deadman_mask
+from coulombus.wire.frame import Records, new_records
+
+__all__ = ["TRIP_TEXT", "Controller"]
+
+BRAKE_LAG_S = 0.02
+"""Time constant with which the brake's torque is expected at the handle (coil and fluid of a typical MR brake)."""
+SIGN_HAND_S = 0.12
+"""A little more than the period of a hand's tremor (8-12 Hz), over which the sign check averages it out."""
+SIGN_HAND_NM = 0.008
+SETTLE_S = 0.05
+ENABLE_TIMEOUT_S = 1.0
+
+IMAGE_OF_SIGNAL = {
+    "motor.controlword": Image.CONTROLWORD,
+    "motor.target_torque_Nm": Image.TARGET_TORQUE,
+    "motor.statusword": Image.STATUSWORD,
+    "motor.position_rad": Image.POSITION,
+    "motor.torque_Nm": Image.TORQUE,
+    "motor.velocity_rad_s": Image.VELOCITY,
+    "motor.deadman": Image.DEADMAN,
+    "brake.deadman": Image.DEADMAN,
+    "brake.setpoint_Nm": Image.BRAKE_SETPOINT,
+    "brake.handle_torque_Nm": Image.HANDLE_TORQUE,
+    "brake.coil_current_A": Image.COIL_CURRENT,
+    "brake.coil_temperature_degC": Image.COIL_TEMPERATURE,
+}
+
+TRIP_TEXT = {
+    Trip.SPEED: "the handle was faster than limits.speed_rad_s",
+    Trip.ENCODER_JUMP: "the encoder jumped by more than limits.encoder_jump_counts in a cycle",
+    Trip.NET_WORK: "the motor put more than limits.net_work_J into the handle within limits.net_work_window_s: is a sign wrong?",
+    Trip.HANDLE_TORQUE: "the handle torque did not fit the brake's command for limits.handle_mismatch_s",
+    Trip.TRAVEL: "the handle left +- limits.travel_rad",
+    Trip.VOLTAGE: "the drive lost its supply (statusword: voltage enabled is 0)",
+    Trip.COIL_I2T: "the brake's coil would overheat (I2t above brake.coil_continuous_A)",
+    Trip.TPDO_LOST: "no complete set of TPDOs for {missed_cycles} cycles (limits.missed_tpdo_cycles)",
+    Trip.EMCY_MOTOR: "the motor drive sent an EMCY",
+    Trip.EMCY_BRAKE: "the brake sent an EMCY",
+    Trip.HEARTBEAT_MOTOR: "the motor drive's heartbeat was lost",
+    Trip.HEARTBEAT_BRAKE: "the brake's heartbeat was lost",
+    Trip.DRIVE_STATE: "the drive left Operation Enabled by itself",
+    Trip.NMT_STATE: "a node left NMT state OPERATIONAL",
+    Trip.TRANSMIT: "the bus did not take a frame",
+    Trip.RECORDING: "the recording could not be written",
+    Trip.OTHER_AXIS: "another axis went to its safe state",
+    Trip.LAW: "the friction law returned no number (law.function)",
+    Trip.BUS_LOST: "the bus is gone: its process ended, or its interface went down",
+    Trip.SECOND_HOST: "another host sends SYNC or this host's heartbeat on the same bus",
+    Trip.DEADMAN: "the dead man's switch was not held",
+    Trip.DATA_PLANE: "the data plane's process died",
+    Trip.HOST: "the host's own process failed, ended, or stood still",
+    Trip.NOT_STILL: "arming refused: the handle was not still for limits.still_s within limits.still_timeout_s",
+    Trip.HANDLE_LOADED: "arming refused: more than limits.still_handle_torque_Nm on the handle; let go of it, or check the transducer",
+    Trip.ENABLE_TIMEOUT: "arming refused: the drive did not reach Operation Enabled",
+    Trip.SIGN_NO_MOTION: "arming refused: the sign check's torque did not move the handle: is it held, is the motor not connected, "
+    "or is there more friction than mechanics.friction_Nm?",
+    Trip.SIGN_ENCODER: "arming refused: motor and encoder disagree on the sign (mechanics.motor_polarity, mechanics.encoder_polarity)",
+    Trip.SIGN_TRANSDUCER: "arming refused: the torque transducer's sign is wrong (mechanics.transducer_polarity)",
+    Trip.SIGN_TRAVEL: "arming refused: the handle moved too far in the sign check",
+}
+"""Each trip in words, with the rig file's key that decides it; `{}` is a field of CONTROL."""
+
+
+def _cycles(seconds: float, period_s: float) -> int:
+    return max(1, round(seconds / period_s))
+
+
+def _most(description: Description, index: int, subindex: int) -> float:
+    """Return the largest number that an object takes, by its type and its HighLimit; infinite where it is not described."""
+    if not description.has(index, subindex):
+        return math.inf
+    variable = description.variable(index, subindex)
+    most = math.inf if variable.whole is None else variable.whole[1]
+    return min(most, math.inf if variable.high is None else variable.high)
+
+
+def _slot_of(slots: dict[tuple[int, int], int]) -> Callable[[int, int], int]:
+    return lambda index, subindex: slots[index, subindex]
+
+
+class Controller:
+    """The host's compiled state for one run in one mode.
+
+    Attributes
+    ----------
+    control, host : one-record arrays of CONTROL and HOST
+    rpdos, tpdos : PDO arrays; what the host sends, and what it waits for
+    law_function, motion, law, state : the friction law as a function pointer, and its three records
+
+    Raises
+    ------
+    coulombus.rigs.rig.RigError
+        the law cannot be loaded, or only a recording names it and it is none of the project's own; or a limit that the drive cannot take
+    """
+
+    def __init__(self, rig: Rig, mode: str) -> None:
+        self.rig = rig
+        self.mode = mode
+        if rig.law_of_recording and rig.law.function not in OWN_LAWS:
+            wanted = f"{' or '.join(OWN_LAWS)}: any other law that only a recording names is a stranger's program, and is not run"
+            raise rig.mistake("law.function", f"{wanted}; if you trust it, name it yourself: --law FILE.py:FUNCTION")
+        try:
+            self.law_function: Any = load_law(rig.law.function, rig.law_directory)
+        except LawError as error:
+            raise rig.mistake("law.function", f"a friction law; {error}") from error
+        self.motion = new_records(MOTION)
+        self.motion["dt_s"] = rig.bus.period_s
+        self.law = self._new_law()
+        self.state = new_records(LAW_STATE)
+        pdos = rig.pdos()
+        self.rpdos = self._new_pdos([pdo for pdo in pdos if pdo.layout.direction == "rpdo"])
+        self.tpdos = self._new_pdos([pdo for pdo in pdos if pdo.layout.direction == "tpdo"])
+        self.control = self._new_control(pdos)
+        self.host = new_records(HOST)
+        for name in ("enabled_ns", "armed_ns", "full_gain_ns", "motor_heartbeat_ns", "brake_heartbeat_ns"):
+            self.host[name] = -1
+        self.host["deadman_ok"] = 1
+
+    def _new_law(self) -> Records:
+        mode, law = self.rig.mode[self.mode], self.rig.law
+        record = new_records(LAW)
+        r = record[0]
+        r["K_p"], r["F_s"], r["F_d"] = mode.K_p_Nm_rad, mode.F_s_Nm, mode.F_d_Nm
+        r["velocity_band_counts"] = law.velocity_band_counts
+        r["paper_entry"] = law.stick_entry == "paper"
+        r["brake_spring"] = law.brake_stick == "spring"
+        r["user"][: len(law.user)] = law.user
+        return record
+
+    def _new_pdos(self, pdos: list[RigPdo]) -> Records:
+        records = new_records(PDO, DRIVE_PDOS)
+        records["cob_id"] = -1
+        for record, pdo in zip(records, pdos, strict=False):
+            slots = {(s.index, s.subindex): int(IMAGE_OF_SIGNAL[s.key]) for s in pdo.signals}
+            fill(record, pdo.layout, _slot_of(slots))
+        return records
+
+    def _signal(self, pdos: tuple[RigPdo, ...], name: str) -> Signal:
+        return next(signal for pdo in pdos for signal in pdo.signals if signal.key == name)
+
+    def _new_control(self, pdos: tuple[RigPdo, ...]) -> Records:
+        rig, mode, limits = self.rig, self.rig.mode[self.mode], self.rig.limits
+        T = rig.bus.period_s
+        control = new_records(CONTROL)
+        c = control[0]
+        c["period_ns"], c["window_ns"] = round(T * 1e9), round(rig.bus.tpdo_window_s * 1e9)
+        c["sync_cob_id"], c["host_id"] = 0x80, rig.host.node_id
+        c["motor_id"], c["brake_id"] = rig.motor.node_id, rig.brake.node_id
+        c["heartbeat_ns"] = round(rig.host.heartbeat_s * 1e9)
+        c["motor_heartbeat_timeout_ns"] = round(rig.motor.heartbeat_timeout_s * 1e9)
+        c["brake_heartbeat_timeout_ns"] = round(rig.brake.heartbeat_timeout_s * 1e9)
+        tpdos = [pdo for pdo in pdos if pdo.layout.direction == "tpdo"]
+        c["rpdos"], c["tpdos"] = len(pdos) - len(tpdos), len(tpdos)
+        for i, pdo in enumerate(tpdos):
+            if any(signal.key == "motor.position_rad" for signal in pdo.signals):
+                c["position_mask"] = 1 << i
+        c["motor_active"], c["brake_active"] = self.mode == "active", self.mode in ("passive", "hybrid")
+
+        c["rad_count"] = self._signal(pdos, "motor.position_rad").scale
+        c["Nm_pm"] = self._signal(pdos, "motor.target_torque_Nm").scale
+        c["handle_Nm_raw"] = self._signal(pdos, "brake.handle_torque_Nm").scale
+        c["brake_Nm_raw"] = self._signal(pdos, "brake.setpoint_Nm").scale
+        c["coil_A_raw"] = self._signal(pdos, "brake.coil_current_A").scale
+
+        c["friction_Nm"] = rig.mechanics.friction_Nm
+        c["compensation_Nm"] = mode.compensation * rig.mechanics.friction_Nm
+        c["viscous"] = rig.mechanics.viscous_Nms_rad
+        c["velocity_band_counts"] = rig.law.velocity_band_counts
+        c["gain_step"] = T / rig.law.gain_ramp_s if rig.law.gain_ramp_s > 0 else 1.0
+
+        c["motor_limit_pm"] = self.motor_limit_pm(float(c["Nm_pm"]))
+        c["motor_rate_Nm"] = limits.torque_rate_Nm_s * T
+        c["brake_limit_raw"] = brake_limit_raw(rig)
+        c["brake_limit_Nm"] = min(limits.brake_torque_Nm, float(c["brake_limit_raw"] * c["brake_Nm_raw"]))
+        c["speed_limit"], c["jump_counts"] = limits.speed_rad_s, limits.encoder_jump_counts
+        c["net_work_J"] = limits.net_work_J
+        c["net_work_cycles"] = _cycles(limits.net_work_window_s, T)
+        c["travel_rad"] = math.inf if limits.travel_rad == "unlimited" else float(limits.travel_rad)
+        c["mismatch_Nm"] = limits.handle_mismatch_Nm
+        c["mismatch_cycles"] = _cycles(limits.handle_mismatch_s, T)
+        c["missed_cycles"] = limits.missed_tpdo_cycles
+        c["coil_limit_A2"] = rig.brake.coil_continuous_A**2
+        c["coil_decay"] = math.exp(-T / rig.brake.coil_time_constant_s)
+        c["brake_lag_decay"] = math.exp(-T / BRAKE_LAG_S)
+
+        c["still_cycles"], c["still_handle_Nm"] = _cycles(limits.still_s, T), limits.still_handle_torque_Nm
+        c["still_timeout_cycles"] = _cycles(limits.still_timeout_s, T)
+        c["enable_timeout_cycles"] = _cycles(ENABLE_TIMEOUT_S, T)
+        c["sign_check"] = c["motor_limit_pm"] > 0
+        c["sign_step_Nm"] = limits.sign_check_rate_Nm_s * T
+        c["sign_counts"], c["sign_torque_Nm"] = limits.sign_check_counts, limits.sign_check_torque_Nm
+        c["sign_travel_counts"] = math.ceil(limits.sign_check_travel_rad / abs(c["rad_count"]))
+        c["sign_hand_Nm"], c["sign_hand_cycles"] = SIGN_HAND_NM, _cycles(SIGN_HAND_S, T)
+        c["settle_cycles"] = _cycles(SETTLE_S, T)
+
+        switch = any(signal.name.endswith(".deadman") for pdo in pdos for signal in pdo.signals)
+        c["deadman_slot"] = Image.DEADMAN if switch else -1
+        c["deadman_mask"] = deadman_mask(rig.host.deadman)
+
+        c["safe_brake_Nm"] = limits.safe_brake_Nm
+        c["safe_hold_cycles"] = _cycles(limits.safe_hold_s, T)
+        c["safe_ramp_cycles"] = _cycles(limits.safe_ramp_s, T)
+        return control
+
+    def motor_limit_pm(self, Nm_pm: float) -> int:
+        """Return the motor's torque limit in per mille, rounded down: what the drive's 6072h is set to."""
+        limit = math.floor(self.rig.motor_limit_Nm(self.mode) / abs(Nm_pm) + 1e-9)
+        motor = self.rig.description("motor")
+        target = motor.variable(0x6071, 0)
+        ends = [(0x6072, _most(motor, 0x6072, 0)), (0x6071, _most(motor, 0x6071, 0))]  # without 6072h bring-up refuses
+        if target.low is not None and target.low < 0:
+            ends.append((0x6071, -target.low))
+        index, end = min(ends, key=lambda one: one[1])
+        if limit > end:
+            raise self.rig.mistake(
+                f"mode.{self.mode}.motor_limit_Nm",
+                f"at most {end * abs(Nm_pm):.4g}: the drive's {index:04X}h ends at {end:g} per mille",
+            )
+        return limit
+
+    def can_ids(self) -> set[int]:
+        """Return the identifiers of the CANopen objects of motor and brake."""
+        c = self.control[0]
+        nodes = (int(c["motor_id"]), int(c["brake_id"]))
+        services = {base + node for base in (0x080, 0x580, 0x600, 0x700) for node in nodes}
+        return services | {
+            int(pdo["cob_id"]) for pdos in (self.rpdos, self.tpdos) for pdo in pdos if pdo["cob_id"] >= 0
+        }
+
+    def start(self, t_ns: int) -> None:
+        """Begin with the first cycle at `t_ns`; both nodes were heard just now."""
+        h = self.host[0]
+        h["next_ns"] = h["heartbeat_due_ns"] = t_ns
+        h["motor_heartbeat_ns"] = h["brake_heartbeat_ns"] = t_ns
+        h["motor_nmt"] = h["brake_nmt"] = 5
+        h["phase"] = Phase.STILL
+
+    def stop(self, trip: Trip = Trip.NONE) -> None:
+        """Ask for the safe state: the normal end of a run, or for the reason `trip`."""
+        self.host["stop"] = max(1, int(trip))
+
+    @property
+    def phase(self) -> Phase:
+        """What the cycle is doing."""
+        return Phase(int(self.host["phase"][0]))
+
+    @property
+    def trip(self) -> str | None:
+        """Why the safe state was entered, in words, or None."""
+        trip = Trip(int(self.host["trip"][0]))
+        if trip is Trip.NONE:
+            return None
+        text = f"{trip.name}: {TRIP_TEXT[trip].format(missed_cycles=int(self.control['missed_cycles'][0]))}"
+        if trip is Trip.NOT_STILL and self._starved:
+            text += (
+                f"; {int(self.host['lost_pdos'][0])} cycles lacked a TPDO within bus.tpdo_window_s, and a handle whose position does not "
+                "come does not count as still"
+            )
+        if trip in (Trip.EMCY_MOTOR, Trip.EMCY_BRAKE):
+            text += f" (error code {int(self.host['emcy_code'][0]):04X}h)"
+        return text
+
+    @property
+    def _starved(self) -> bool:
+        """Whether so many TPDOs were lost that even a handle at rest could not count as still for long enough."""
+        c = self.control[0]
+        return bool(self.host["lost_pdos"][0] * c["still_cycles"] >= c["still_timeout_cycles"])
+
+    @property
+    def sign_result(self) -> SignResult:
+        """Outcome of the sign check."""
+        return SignResult(int(self.host["sign_result"][0]))
+
+    def counters(self) -> dict[str, int]:
+        """Return the cycle's counters."""
+        names = (
+            "lost_pdos",
+            "missed_deadlines",
+            "stray_frames",
+            "malformed_pdos",
+            "clipped_torque",
+            "slowed_torque",
+            "limited_by_drive",
+            "clipped_setpoints",
+            "negative_setpoints",
+        )
+        return {name: int(self.host[name][0]) for name in names}

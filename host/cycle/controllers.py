@@ -1,0 +1,180 @@
+"""The controllers of all axes on one bus, on arrays with one row for each axis: what `host.cycle.axes` and the data plane work on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from coulombus.eds.codec import PDO
+from coulombus.host.cycle.controller import Controller
+from coulombus.host.cycle.records import CONTROL, DRIVE_PDOS, HOST, Phase, SignResult, Trip
+from coulombus.host.laws.laws import LAW, LAW_STATE, MOTION, load_law
+from coulombus.rigs.rig import Rig
+from coulombus.wire.frame import Records
+
+__all__ = ["SECTIONS", "Controllers", "arguments", "new_section"]
+
+SECTIONS: Mapping[str, tuple[np.dtype[Any], tuple[int, ...]]] = {
+    "control": (CONTROL, ()),
+    "host": (HOST, ()),
+    "rpdos": (PDO, (DRIVE_PDOS,)),
+    "tpdos": (PDO, (DRIVE_PDOS,)),
+    "motion": (MOTION, ()),
+    "law": (LAW, ()),
+    "state": (LAW_STATE, ()),
+}
+"""Name of an array -> its records, and its shape within one axis."""
+
+
+def new_section(name: str, axes: int) -> Records:
+    """Return the array `name` of so many axes, all zero."""
+    dtype, shape = SECTIONS[name]
+    return np.zeros((axes, *shape), dtype).view(np.recarray)
+
+
+def unused_law() -> Any:
+    """Return a compiled law, for kernels that are called without a host and need an argument of its type."""
+    return load_law("coulomb")
+
+
+class Controllers:
+    """One `Controller` for each axis of `rig`, which all hang on one bus (`Rig.on`).
+
+    Attributes
+    ----------
+    each : tuple of Controller
+        They work on the rows of the arrays below.
+    control, host, rpdos, tpdos, motion, law, state : record arrays, the first index is the axis
+    owner : int64 array of 2048, the axis of each identifier
+    law_function : the compiled law, one for all axes
+
+    Raises
+    ------
+    coulombus.rigs.rig.RigError
+        the law, or a limit that the drive cannot take
+    """
+
+    control: Records
+    host: Records
+    rpdos: Records
+    tpdos: Records
+    motion: Records
+    law: Records
+    state: Records
+
+    def __init__(self, rig: Rig, mode: str) -> None:
+        if len(rig.channels) > 1:
+            raise ValueError(f"the axes hang on the buses {', '.join(rig.channels)}; take those of one with Rig.on")
+        self.rig, self.mode = rig, mode
+        self.each = tuple(Controller(axis, mode) for axis in rig.axes)
+        self.law_function = self.each[0].law_function
+        for controller in self.each[1:]:  # the first axis leads
+            controller.control["sync_cob_id"] = -1
+            controller.control["heartbeat_ns"] = 0
+        self.owner = np.zeros(2048, np.int64)
+        for k, controller in enumerate(self.each):
+            self.owner[list(controller.can_ids())] = k
+        self.adopt({name: new_section(name, len(self.each)) for name in SECTIONS})
+
+    def adopt(self, arrays: Mapping[str, Records]) -> None:
+        """Go on in other arrays of the same shapes, such as shared memory: the present state is copied there."""
+        for name in SECTIONS:
+            section = arrays[name]
+            for k, controller in enumerate(self.each):
+                row = section[k : k + 1] if section.ndim == 1 else section[k]
+                row[:] = getattr(controller, name)
+                setattr(controller, name, row)
+            setattr(self, name, section)
+
+    def __iter__(self) -> Iterator[Controller]:
+        return iter(self.each)
+
+    def start(self, t_ns: int) -> None:
+        """Begin with the first cycle at `t_ns`."""
+        for controller in self.each:
+            controller.start(t_ns)
+
+    def stop(self, trip: Trip = Trip.NONE) -> None:
+        """Ask all axes for the safe state."""
+        for controller in self.each:
+            controller.stop(trip)
+
+    @property
+    def ending(self) -> bool:
+        """Whether an axis is in its safe state, or beyond."""
+        return any(controller.phase >= Phase.SAFE for controller in self.each)
+
+    @property
+    def safe(self) -> bool:
+        """Whether all axes are in their safe state, or beyond."""
+        return all(controller.phase >= Phase.SAFE for controller in self.each)
+
+    @property
+    def safe_ns(self) -> int | None:
+        """When the first axis entered its safe state; None while none has."""
+        return min((int(k.host["trip_ns"][0]) for k in self if k.phase >= Phase.SAFE), default=None)
+
+    @property
+    def done(self) -> bool:
+        """Whether all axes are disabled."""
+        return all(controller.phase is Phase.DONE for controller in self.each)
+
+    @property
+    def enabled_ns(self) -> int | None:
+        """When the last axis entered Operation Enabled; None while one is not."""
+        at = [int(controller.host["enabled_ns"][0]) for controller in self.each]
+        return None if min(at) < 0 else max(at)
+
+    @property
+    def arming_s(self) -> float:
+        """How long the slowest axis may take from the first cycle to Operation Enabled [s]; it trips by itself when it takes longer."""
+        return max(self._seconds(k, "still_timeout_cycles", "enable_timeout_cycles") for k in self)
+
+    @property
+    def ending_s(self) -> float:
+        """How long the slowest axis may take from its trip to the end of its brake's ramp [s]."""
+        return max(self._seconds(k, "safe_hold_cycles", "safe_ramp_cycles") for k in self)
+
+    @staticmethod
+    def _seconds(controller: Controller, *cycles: str) -> float:
+        return float(
+            sum(int(controller.control[name][0]) for name in cycles) * controller.control["period_ns"][0] * 1e-9
+        )
+
+    @property
+    def sign_result(self) -> SignResult:
+        """Outcome of the sign check: of several axes, the one that leaves the most doubt."""
+        return max(controller.sign_result for controller in self.each)
+
+    @property
+    def tripped(self) -> Controller | None:
+        """The axis that tripped first; one that was stopped because of another only where that is on another bus."""
+        found = [k for k in self.each if k.host["trip"][0] != Trip.NONE]
+        return min(found, key=lambda k: (k.host["trip"][0] == Trip.OTHER_AXIS, int(k.host["trip_ns"][0])), default=None)
+
+    @property
+    def trip(self) -> str | None:
+        """Why the safe state was entered, in words, with the axis where there are several; None when it was not."""
+        first = self.tripped
+        if first is None:
+            return None
+        return f"axis {first.rig.axis}: {first.trip}" if first.rig.axis else first.trip
+
+    @property
+    def trip_ns(self) -> int:
+        """When the first axis tripped."""
+        first = self.tripped
+        return 0 if first is None else int(first.host["trip_ns"][0])
+
+    def counters(self) -> dict[str, int]:
+        """Return the cycles' counters, all axes together."""
+        found = [controller.counters() for controller in self.each]
+        return {name: sum(one[name] for one in found) for name in found[0]}
+
+
+def arguments(controllers: Controllers) -> tuple[Any, ...]:
+    """Return the arrays in the order of `host.cycle.axes`' and the event loops' arguments."""
+    k = controllers
+    return (k.control, k.host, k.rpdos, k.tpdos, k.owner, k.law_function, k.motion, k.law, k.state)

@@ -1,0 +1,103 @@
+"""What a law asks of motor and brake at most, held against what they can show: a law that a limit cuts off is refused before it is armed.
+
+Of the project's own laws the largest outputs follow from the mode's parameters (`DEMANDS`). Those of a law of the user's own are not known
+before it runs; what is cut off then is counted in every cycle (``clipped_torque``, ``clipped_setpoints``) and told at the end of the run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import NamedTuple
+
+from coulombus.eds.pdo import entry_of
+from coulombus.rigs.model import Mode
+from coulombus.rigs.rig import Rig, RigError
+
+__all__ = ["DEMANDS", "brake_limit_raw", "check_demand", "cut_off"]
+
+
+class Demand(NamedTuple):
+    """One extreme of a law: the key of the mode that makes it, and its size [Nm]."""
+
+    key: str
+    torque_Nm: float
+
+
+DEMANDS: Mapping[str, Callable[[Mode], tuple[Demand, ...]]] = {
+    "karnopp": lambda m: (Demand("F_s_Nm", m.F_s_Nm), Demand("F_d_Nm", m.F_d_Nm)),  # the spring ends at F_s
+    "coulomb": lambda m: (Demand("F_d_Nm", m.F_d_Nm),),
+}
+"""What each of the project's laws displays at most, stuck and in slip."""
+
+
+def brake_limit_raw(rig: Rig) -> int:
+    """Return the largest set-point that 7300h:01 takes: the high limit of the EDS file, or what its data type holds."""
+    variable = rig.description("brake").variable(0x7300, 1)
+    entry = entry_of(variable)
+    holds = (1 << min(entry.bits - entry.signed, 32)) - 1
+    high = variable.high
+    return holds if high is None or high <= 0 else min(int(high), holds)  # a limit of 0 is one that nobody has set
+
+
+def _motor(rig: Rig, mode: str) -> Iterator[RigError]:
+    """Yield what the motor's limit cuts off: of the law in mode active, of the compensation in each."""
+    chosen, scale = rig.mode[mode], _scale(rig, "motor.target_torque_Nm")
+    compensation = chosen.compensation * rig.mechanics.friction_Nm
+    wanted = [Demand("compensation", compensation)]
+    if mode == "active":  # in slip the compensation takes its share off
+        law = _law(rig, chosen)
+        wanted = [Demand(key, Nm - compensation if key == "F_d_Nm" else Nm) for key, Nm in law] + wanted
+    limit, whose = rig.motor_limit_Nm(mode), f"mode.{mode}.motor_limit_Nm (the drive's 6072h)"
+    if limit < chosen.motor_limit_Nm:
+        whose = f"the motor in mode {mode} (1.2 x mechanics.friction_Nm)"
+    for key, torque_Nm in wanted:
+        if torque_Nm > limit + scale:
+            yield rig.mistake(f"mode.{mode}.{key}", _expected(limit, torque_Nm, whose))
+
+
+def _brake(rig: Rig, mode: str) -> Iterator[RigError]:
+    """Yield what the brake's limits cut off of the law in the modes in which the brake displays it."""
+    if mode == "active":
+        return
+    scale, variable = _scale(rig, "brake.setpoint_Nm"), rig.description("brake").variable(0x7300, 1)
+    device_Nm, own_Nm = brake_limit_raw(rig) * scale, rig.limits.brake_torque_Nm
+    limit, whose = own_Nm, "limits.brake_torque_Nm"
+    if device_Nm < own_Nm:
+        limit, whose = device_Nm, f"the brake's 7300h:01 ({rig.description('brake').path}:{variable.line})"
+    for key, torque_Nm in _law(rig, rig.mode[mode]):
+        if torque_Nm > limit + scale:
+            yield rig.mistake(f"mode.{mode}.{key}", _expected(limit, torque_Nm, whose))
+
+
+def _law(rig: Rig, mode: Mode) -> tuple[Demand, ...]:
+    """Return what the rig's law displays at most in a mode; nothing where that is not known."""
+    demands = DEMANDS.get(rig.law.function.strip())
+    return demands(mode) if demands is not None else ()
+
+
+def _expected(limit_Nm: float, torque_Nm: float, whose: str) -> str:
+    return f"a torque of at most {limit_Nm:.6g} Nm, not {torque_Nm:.6g} Nm: {whose} ends there and would cut it off"
+
+
+def _scale(rig: Rig, key: str) -> float:
+    """Return the torque of one raw count of a signal [Nm]; less than that is rounding."""
+    return next(abs(signal.scale) for pdo in rig.pdos() for signal in pdo.signals if signal.key == key)
+
+
+def cut_off(rig: Rig, mode: str) -> list[str]:
+    """Return what a limit of any axis would cut off of the law in this mode, each with ``file:line``, key and remedy."""
+    found = (error for axis in rig.axes for part in (_motor, _brake) for error in part(axis, mode))
+    return list(dict.fromkeys(text for error in found for text in error.errors))
+
+
+def check_demand(rig: Rig, mode: str) -> None:
+    """Refuse a law that a limit would cut off: what is felt would not be what the rig file says.
+
+    Raises
+    ------
+    coulombus.rigs.rig.RigError
+        with everything that would be cut off
+    """
+    found = cut_off(rig, mode)
+    if found:
+        raise RigError(found)

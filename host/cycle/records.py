@@ -1,0 +1,232 @@
+"""The host's compiled records: limits and scales (`CONTROL`), the process image, and what the cycle keeps (`HOST`).
+
+Everything here is SI at the handle, except where a name says counts, raw or pm (per mille of the motor's rated torque).
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+import numpy as np
+
+from coulombus.rigs.model import WORK_WINDOW_CYCLES
+
+__all__ = ["CONTROL", "DRIVE_PDOS", "HOST", "Image", "Phase", "SignResult", "Trip"]
+
+
+class Phase(IntEnum):
+    """What the cycle is doing; each phase leads to the next one, and any doubt leads to SAFE."""
+
+    OFF = 0  # outputs zero, controlword "disable voltage"
+    STILL = 1  # drive switched on; the handle must be still before anything else
+    ENABLE = 2  # controlword "enable operation" until the drive says so
+    SIGN = 3  # a small torque ramp: do motor, encoder and transducer agree?
+    SETTLE = 4  # torque back to zero, still again
+    RUN = 5  # the law; its gain ramps in
+    SAFE = 6  # motor torque 0, brake held, then ramped
+    DISABLE = 7  # controlword "disable voltage" until the drive says so
+    DONE = 8  # nothing more to do; outputs zero
+
+
+class Trip(IntEnum):
+    """Why the host went to its safe state, or refused to arm. 0: it did not."""
+
+    NONE = 0
+    SPEED = 1
+    ENCODER_JUMP = 2
+    NET_WORK = 3
+    HANDLE_TORQUE = 4
+    TRAVEL = 5
+    VOLTAGE = 6
+    COIL_I2T = 7
+    TPDO_LOST = 8
+    EMCY_MOTOR = 9
+    EMCY_BRAKE = 10
+    HEARTBEAT_MOTOR = 11
+    HEARTBEAT_BRAKE = 12
+    DRIVE_STATE = 13
+    NMT_STATE = 14
+    TRANSMIT = 15
+    RECORDING = 16
+    BUS_LOST = 17
+    SECOND_HOST = 18
+    DEADMAN = 19
+    DATA_PLANE = 20
+    LAW = 21
+    OTHER_AXIS = 22
+    HOST = 23
+    NOT_STILL = 32  # from here on: arming was refused
+    HANDLE_LOADED = 33
+    ENABLE_TIMEOUT = 34
+    SIGN_NO_MOTION = 35
+    SIGN_ENCODER = 36
+    SIGN_TRANSDUCER = 37
+    SIGN_TRAVEL = 38
+
+
+class SignResult(IntEnum):
+    """Outcome of the sign check."""
+
+    NOT_RUN = 0
+    AGREED = 1  # motor, encoder and transducer agree
+    REFUSED = 3  # motor, encoder or transducer disagreed, or nothing moved
+    NO_HAND = 2  # motor and encoder agree; nothing held the handle, so the transducer could not be judged
+
+
+class Image(IntEnum):
+    """Slots of the process image: raw values as they stand in the PDOs."""
+
+    CONTROLWORD = 0
+    TARGET_TORQUE = 1
+    BRAKE_SETPOINT = 2
+    STATUSWORD = 3
+    POSITION = 4
+    TORQUE = 5
+    VELOCITY = 6
+    HANDLE_TORQUE = 7
+    COIL_CURRENT = 8
+    COIL_TEMPERATURE = 9
+    DEADMAN = 10
+
+
+DRIVE_PDOS = 8
+"""PDOs that the host's tables have room for, each way."""
+
+CONTROL = np.dtype(
+    [
+        ("period_ns", np.int64),
+        ("window_ns", np.int64),  # SYNC to the last TPDO
+        ("sync_cob_id", np.int64),
+        ("host_id", np.int64),
+        ("motor_id", np.int64),
+        ("brake_id", np.int64),
+        ("heartbeat_ns", np.int64),
+        ("motor_heartbeat_timeout_ns", np.int64),  # 0: not watched
+        ("brake_heartbeat_timeout_ns", np.int64),
+        ("rpdos", np.int64),  # number of PDOs the host sends
+        ("tpdos", np.int64),  # number of PDOs it waits for
+        ("position_mask", np.int64),  # the bit of the TPDO that carries the position
+        ("motor_active", np.int64),  # 1: the motor displays the law (mode active)
+        ("brake_active", np.int64),  # 1: the brake displays the law (modes passive, hybrid)
+        # scales
+        ("rad_count", np.float64),  # signed by the encoder's polarity
+        ("Nm_pm", np.float64),  # signed by the motor's polarity
+        ("handle_Nm_raw", np.float64),
+        ("brake_Nm_raw", np.float64),
+        ("coil_A_raw", np.float64),
+        # compensation of the inherent friction
+        ("friction_Nm", np.float64),
+        ("compensation_Nm", np.float64),
+        ("viscous", np.float64),
+        ("velocity_band_counts", np.float64),
+        ("gain_step", np.float64),  # a cycle
+        # limits
+        ("motor_limit_pm", np.int64),  # the same number as the drive's 6072h
+        ("motor_rate_Nm", np.float64),  # a cycle
+        ("brake_limit_Nm", np.float64),  # the rig file's limit or the device's, whichever is less
+        ("brake_limit_raw", np.int64),  # what 7300h takes at most
+        ("speed_limit", np.float64),
+        ("jump_counts", np.int64),
+        ("net_work_J", np.float64),
+        ("net_work_cycles", np.int64),
+        ("travel_rad", np.float64),  # inf: unlimited
+        ("mismatch_Nm", np.float64),
+        ("mismatch_cycles", np.int64),
+        ("missed_cycles", np.int64),
+        ("coil_limit_A2", np.float64),
+        ("coil_decay", np.float64),  # a cycle
+        ("brake_lag_decay", np.float64),  # a cycle, of the brake torque expected at the handle
+        # arming
+        ("still_cycles", np.int64),
+        ("still_handle_Nm", np.float64),
+        ("still_timeout_cycles", np.int64),
+        ("enable_timeout_cycles", np.int64),
+        ("sign_check", np.int64),  # 0: no motor in this mode, nothing to check
+        ("sign_step_Nm", np.float64),  # a cycle
+        ("sign_counts", np.int64),
+        ("sign_torque_Nm", np.float64),
+        ("sign_travel_counts", np.int64),
+        ("sign_hand_Nm", np.float64),  # change of the handle torque that is decisive
+        ("sign_hand_cycles", np.int64),  # ... averaged over this many cycles
+        ("settle_cycles", np.int64),
+        # dead man
+        ("deadman_key", np.int64),  # 1: somebody outside keeps HOST.deadman_ok
+        ("deadman_slot", np.int64),  # slot of the process image that holds the switch; -1: none
+        ("deadman_mask", np.int64),  # bits that are all 1 while the switch is held; 0: any bit
+        # safe state
+        ("safe_brake_Nm", np.float64),
+        ("safe_hold_cycles", np.int64),
+        ("safe_ramp_cycles", np.int64),
+    ],
+    align=True,
+)
+
+HOST = np.dtype(
+    [
+        ("phase", np.int64),
+        ("phase_cycle", np.int64),  # cycles since the phase began
+        ("stop", np.int64),  # 1: somebody wants the safe state without a trip
+        ("trip", np.int64),
+        ("trip_ns", np.int64),
+        ("emcy_code", np.int64),  # error code of the EMCY that tripped
+        ("sign_result", np.int64),
+        ("sign_direction", np.int64),  # sense that the sign check tries: 1, then -1
+        ("deadman_ok", np.int64),  # 1: a hand is on the switch, or none is asked for
+        # the cycle
+        ("cycle", np.int64),
+        ("next_ns", np.int64),  # when `on_time` wants to be called
+        ("sync_ns", np.int64),  # when this cycle's SYNC was due
+        ("waiting", np.int64),  # 1: SYNC is out, TPDOs are awaited
+        ("arrived", np.int64),  # bit mask of this cycle's TPDOs
+        ("enabled_ns", np.int64),  # when the drive entered Operation Enabled; -1 before
+        ("armed_ns", np.int64),  # when the law began; -1 before
+        ("full_gain_ns", np.int64),  # when its gain came to 1; -1 before
+        ("heartbeat_due_ns", np.int64),
+        ("motor_heartbeat_ns", np.int64),  # last one heard; -1 none
+        ("brake_heartbeat_ns", np.int64),
+        ("motor_nmt", np.int64),
+        ("brake_nmt", np.int64),
+        # measured
+        ("image", np.int64, (16,)),
+        ("raw_position", np.int64),  # 6064h as it came last
+        ("counts", np.int64),  # encoder counts since the start, without the wrap of 6064h
+        ("position_age", np.int64),  # cycles since it was fresh
+        ("has_position", np.int64),
+        ("fresh", np.int64),  # 1: this cycle's position is fresh
+        ("reference_counts", np.int64),  # of the phase: where the handle was still, where the sign check began
+        ("v_counts", np.float64),
+        ("handle_Nm", np.float64),
+        # commanded
+        ("gain", np.float64),
+        ("motor_Nm", np.float64),
+        ("brake_Nm", np.float64),
+        ("brake_lagged_Nm", np.float64),
+        ("safe_from_Nm", np.float64),
+        ("ramp_cycle", np.int64),  # of the safe state's brake ramp; 0: not begun
+        ("handle_before_Nm", np.float64),  # sums of the handle torque before and in the sign check
+        ("handle_during_Nm", np.float64),
+        ("handle_samples", np.int64),
+        ("emcy", np.int64),  # a trip that an EMCY asks for
+        # watches
+        ("still", np.int64),
+        ("missed_in_a_row", np.int64),
+        ("voltage_low", np.int64),
+        ("mismatch", np.int64),
+        ("coil_A2", np.float64),
+        ("work_sum", np.float64),
+        ("work_row", np.int64),
+        ("work", np.float64, (WORK_WINDOW_CYCLES,)),
+        # counters
+        ("display_cycles", np.int64),  # cycles since Operation Enabled, until SAFE
+        ("lost_pdos", np.int64),
+        ("missed_deadlines", np.int64),
+        ("stray_frames", np.int64),
+        ("malformed_pdos", np.int64),
+        ("clipped_torque", np.int64),  # the motor's torque was more than its limit
+        ("slowed_torque", np.int64),  # ... was held back by its rate, or near the speed limit, in phase RUN
+        ("limited_by_drive", np.int64),  # the drive told of a limit of its own (statusword bit 11) in phase RUN
+        ("clipped_setpoints", np.int64),  # the brake's set-point was more than its limit
+        ("negative_setpoints", np.int64),
+    ],
+    align=True,
+)

@@ -1,0 +1,193 @@
+"""The host's cycle fed with what it received once: the same inputs give the same outputs, bit for bit.
+
+What the step depends on, and where a recording has it:
+
+========================================  =======================================================================================
+frames received, and their stamps         the recording, and which of its frames these are the trace (`recording.trace`); a stamp matters
+                                          to heartbeats only, which age against it
+which of them the step saw in a cycle     virtual time: their stamps; real time: the trace
+when a cycle was due and when it ended    the same; skipped periods let the position age, which divides the velocity
+the wish to stop, the dead man's switch   the trace; in virtual time so are the changes of the host's clock, on which its deadlines are
+rig, mode, law                            attached (a law of the user's own: its file beside the recording)
+========================================  =======================================================================================
+
+Nothing else enters: no clock, and no period but `CONTROL.period_ns`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from coulombus.host.cycle import axes
+from coulombus.host.cycle.controllers import Controllers, arguments
+from coulombus.host.cycle.records import Trip
+from coulombus.recording.trace import EVENT, Event, Moment
+from coulombus.wire.clock import CLOCK_FIELDS, bus_ns, own_ns, set_clock
+from coulombus.wire.frame import CAN_ERR_FLAG, Records, new_queue, new_records
+
+__all__ = ["Inputs", "Sent", "own_identifiers", "replay"]
+
+FOREVER_NS = 1 << 62
+AHEAD = 4096
+"""Frames and rows that are taken out of their arrays at a time."""
+
+
+class Sent(NamedTuple):
+    """A frame that the step sends: in which cycle (from 1), ready when, and until when it was on its way if at all."""
+
+    cycle: int
+    t_ns: int
+    until_ns: int
+    refusable: int
+    """Frames of this cycle that the bus did not take: so many of them are not in the recording."""
+    can_id: int
+    length: int
+    word: int
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What the host received, in the order in which it did.
+
+    frames : FRAME records that the host received
+    trace : rows of `recording.trace.TRACE`; or of EVENT: virtual time, where a frame is handled at its stamp and the host at its deadline
+    """
+
+    frames: Records
+    trace: npt.NDArray[Any]
+
+    @property
+    def virtual(self) -> bool:
+        """Whether this was in virtual time."""
+        return self.trace.dtype == EVENT
+
+
+def own_identifiers(controllers: Controllers) -> tuple[int, ...]:
+    """Return the identifiers of the frames that the cycle sends: SYNC, the host's heartbeat, the RPDOs."""
+    c = controllers.control[0]
+    rpdos = (int(pdo["cob_id"]) for one in controllers for pdo in one.rpdos if pdo["cob_id"] >= 0)
+    return (int(c["sync_cob_id"]), 0x700 + int(c["host_id"]), *rpdos)
+
+
+def replay(controllers: Controllers, inputs: Inputs) -> Iterator[Sent]:
+    """Yield the frames that new `controllers` send on these inputs, until the trace ends (virtual time: for ever)."""
+    run = _Replay(controllers, inputs)
+    return run.in_virtual_time(inputs.trace) if inputs.virtual else run.by_trace(inputs.trace)
+
+
+class _Replay:
+    def __init__(self, controllers: Controllers, inputs: Inputs) -> None:
+        self.k = controllers
+        self.clock = new_records(np.dtype(CLOCK_FIELDS))[0]
+        control, host, rpdos, tpdos, owner, *law = arguments(controllers)
+        self.queue, self.header = new_queue()
+        self.host, self.both = host, (control, host)
+        self.receiving = (control, host, tpdos, owner)
+        self.finishing = (control, host, rpdos, *law)
+        self.sending = (control, host, rpdos)
+        self.frames = inputs.frames[["t_ns", "can_id", "length", "word"]]
+        self.row = self.first = 0
+        self.ahead: list[tuple[int, ...]] = []
+
+    def _next(self) -> tuple[int, ...]:
+        """Return the next frame; behind the last one, one that never comes."""
+        if not 0 <= self.row - self.first < len(self.ahead):
+            self.first = self.row
+            self.ahead = self.frames[self.row : self.row + AHEAD].tolist() or [(FOREVER_NS, 0, 0, 0)]
+        return self.ahead[self.row - self.first]
+
+    def _feed(self) -> int:
+        """Take the next frame; return what `on_frame` says."""
+        frame = self._next()
+        self.row += 1
+        if frame[1] & CAN_ERR_FLAG:  # the loop looks at these, the step does not
+            return 0
+        return int(axes.on_frame(*self.receiving, int(own_ns(self.clock, frame[0])), *frame[1:]))
+
+    def _at(self, t_ns: int) -> tuple[Any, ...]:
+        """Return the arguments of what finishes a cycle."""
+        return (*self.finishing, t_ns, self.queue, self.header)
+
+    def _sent(self, cycle: int, until_ns: int = FOREVER_NS, refusable: int = 0) -> Iterator[Sent]:
+        count = int(self.header["count"][0])
+        if count == 0:
+            return
+        self.header["count"] = 0
+        for frame in self.queue[:count].tolist():
+            yield Sent(cycle, frame[0], until_ns, refusable, *frame[1:4])
+
+    def by_trace(self, trace: npt.NDArray[Any]) -> Iterator[Sent]:
+        """Do what the loop of `host.realtime.loop` did."""
+        out = (self.queue, self.header)
+        period_ns = int(self.k.control["period_ns"][0])
+        cycle = due_ns = refused_before = 0
+        for t_ns, received, kind, value, refused, until_ns, later in _rows(trace):
+            if received > len(self.frames):
+                return  # the recording ends before
+            if kind == Moment.START:
+                self.row = received
+                self.k.start(t_ns)
+                due_ns = t_ns - period_ns
+                continue
+            while self.row < received:
+                self._feed()
+            if kind == Moment.BEGIN:
+                cycle += 1
+                self.host["position_age"] += (t_ns - due_ns) // period_ns - 1
+                due_ns, refused_before = t_ns, refused
+                self.host["deadman_ok"] = value
+                axes.begin(*self.both, t_ns, *out)
+            elif kind == Moment.END:
+                axes.safe_setpoints(*self.sending, t_ns, *out)
+            else:
+                if value:
+                    self._stop(value)
+                finish = axes.finish_complete if kind == Moment.ARRIVED else axes.finish_waiting
+                finish(*self._at(t_ns))
+            yield from self._sent(cycle, until_ns, later - refused_before)
+
+    def _stop(self, reason: int) -> None:
+        """Ask all axes to stop, as the loop does: the first reason counts."""
+        for h in self.host:
+            if h["stop"] < reason and h["stop"] <= 1:
+                h["stop"] = reason
+
+    def in_virtual_time(self, events: npt.NDArray[Any]) -> Iterator[Sent]:
+        """Do what the kernel of `sim_bus.network.kernel` did: at one instant first what arrives, then the host."""
+        running = False
+        for t_ns, received, next_ns, kind, value in (*events.tolist(), (0, FOREVER_NS, FOREVER_NS, None, 0)):
+            while self.row < received or (running and int(self.host["next_ns"].min()) < next_ns):
+                arrives_ns = self._next()[0]
+                due_ns = int(bus_ns(self.clock, int(self.host["next_ns"].min()))) if running else FOREVER_NS
+                if min(arrives_ns, due_ns) == FOREVER_NS:
+                    return  # the recording ends before
+                now_ns = int(own_ns(self.clock, min(arrives_ns, due_ns)))
+                if due_ns < arrives_ns:
+                    axes.on_time(*self._at(now_ns))
+                elif self._feed() == 1 and running:
+                    axes.finish_complete(*self._at(now_ns))
+                for sent in self._sent(int(self.host["cycle"][0])):
+                    yield sent._replace(t_ns=int(bus_ns(self.clock, sent.t_ns)))
+            if kind == Event.START:
+                running = True
+                self.k.start(t_ns)
+            elif kind == Event.CLOCK:
+                set_clock(self.clock, t_ns, value)
+            elif kind == Event.STOP:
+                self.k.stop(Trip(value))
+
+
+def _rows(trace: npt.NDArray[Any]) -> Iterator[tuple[int, ...]]:
+    """Yield the rows, behind each when the next cycle was due, and how many frames the bus had refused by then."""
+    cycles = np.flatnonzero(np.isin(trace["kind"], (Moment.BEGIN, Moment.END)))
+    following = np.searchsorted(cycles, np.arange(len(trace)), "right")
+    columns = [trace[name] for name in ("t_ns", "received", "kind", "value", "refused")]
+    columns.append(np.append(trace["t_ns"][cycles], FOREVER_NS)[following])
+    columns.append(np.append(trace["refused"][cycles], trace["refused"][-1:])[following])
+    for first in range(0, len(trace), AHEAD):
+        yield from zip(*(column[first : first + AHEAD].tolist() for column in columns), strict=True)

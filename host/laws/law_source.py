@@ -1,0 +1,68 @@
+"""The source of a friction law, which a recording carries: so that it tells what was felt, and a replay whether the law is still the same."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import inspect
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from coulombus.eds.regular_file import read_regular
+from coulombus.host.laws import laws
+from coulombus.host.laws.laws import OWN_LAWS, LawError, find_law
+from coulombus.rigs.rig import Rig
+
+__all__ = ["SHA256", "SOURCE", "LawSource", "law_attachments", "law_source", "recorded_sha256"]
+
+MOST_BYTES = 1 << 20
+SOURCE, SHA256 = "host.law.py", "host.law.sha256"
+"""The attachments' names."""
+
+
+@dataclass(frozen=True)
+class LawSource:
+    """A law's name, and the text in which it stands.
+
+    That is a law's whole file, without what it imports; of the project's own laws the function alone.
+    """
+
+    name: str
+    text: bytes
+
+    @property
+    def sha256(self) -> str:
+        """SHA-256 of the text."""
+        return hashlib.sha256(self.text).hexdigest()
+
+    @property
+    def attachments(self) -> dict[str, bytes]:
+        """What a recording carries of it."""
+        return {SOURCE: self.text, SHA256: self.sha256.encode()}
+
+
+def law_source(rig: Rig) -> LawSource | None:
+    """Return the source of the rig's law; None where there is none to be read. The law is not run for it."""
+    name = rig.law.function
+    place, _, function = name.rpartition(":")
+    if name in OWN_LAWS:
+        return LawSource(name, inspect.getsource(getattr(laws, function)).encode())
+    try:
+        if place.endswith(".py"):
+            return LawSource(name, read_regular(find_law(place, rig.law_directory), MOST_BYTES))
+        spec = importlib.util.find_spec(place)
+        return None if spec is None or spec.origin is None else LawSource(name, Path(spec.origin).read_bytes())
+    except (OSError, LawError, ImportError, ValueError):
+        return None
+
+
+def law_attachments(rig: Rig) -> dict[str, bytes]:
+    """Return what a recording carries of the rig's law: nothing where its source cannot be read."""
+    source = law_source(rig)
+    return {} if source is None else source.attachments
+
+
+def recorded_sha256(attachments: Mapping[str, bytes]) -> str | None:
+    """Return the hash of the law's source that a recording tells; None where it tells none."""
+    return attachments[SHA256].decode(errors="replace") if SHA256 in attachments else None

@@ -1,0 +1,320 @@
+r"""Friction laws: what the display should feel like, as compiled functions of one fixed signature.
+
+A law is named in the rig file: ``karnopp`` or ``coulomb``, the laws of this module; ``file.py:function``; or
+``module:function``. It is one plain function::
+
+    def my_law(motion, law, state):
+        state.brake_Nm = law.F_d                      # what the brake should bear, >= 0
+        return law.F_d * motion.v_rad_s / (abs(motion.v_rad_s) + 0.1)
+
+motion : `MOTION` record
+    measured: angle, speed, speed in encoder counts a cycle, cycle time, handle torque
+law : `LAW` record
+    parameters of the mode: K_p, F_s, F_d, the velocity band, and ``user``, 16 numbers of the rig file
+state : `LAW_STATE` record
+    what the law keeps from cycle to cycle, and its second output ``brake_Nm``
+returns
+    :math:`\psi` [Nm], the friction to be displayed: :math:`\psi > 0` opposes :math:`v > 0`. A motor shows :math:`-\psi`; a
+    brake cannot push and is given ``state.brake_Nm`` instead.
+
+The function must be what Numba compiles; nothing may be imported in it. The compiled law is passed as a function pointer, so the
+host's kernels are not compiled again for it. A law of the user's own, and what it calls, is compiled with bounds checks: an index beyond
+an array raises as it does in Python, and a law that raises trips.
+"""
+
+from __future__ import annotations
+
+import ast
+import difflib
+import importlib
+import importlib.util
+import inspect
+import math
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from coulombus.compiled.decorator import JIT_DISABLED, cached
+
+import numba  # isort: skip  (after compiled.decorator, which names the cache directory)
+
+__all__ = ["LAW", "LAW_STATE", "MOTION", "OWN_LAWS", "LawError", "coulomb", "find_law", "karnopp", "load_law"]
+
+OWN_LAWS = ("karnopp", "coulomb")
+"""The project's own laws: of all laws that a recording may name these alone run without being named again."""
+
+OLD_PLACE = "host.laws"
+"""What stood before their names in earlier rig files."""
+
+MOTION = np.dtype(
+    [
+        ("x_rad", np.float64),
+        ("v_rad_s", np.float64),  # backward difference of the position
+        ("v_counts", np.float64),  # the same in encoder counts a cycle
+        ("dt_s", np.float64),
+        ("handle_Nm", np.float64),  # torque transducer, the hand's torque on the handle
+    ],
+    align=True,
+)
+
+LAW = np.dtype(
+    [
+        ("K_p", np.float64),  # Nm/rad
+        ("F_s", np.float64),  # Nm
+        ("F_d", np.float64),  # Nm
+        ("velocity_band_counts", np.float64),  # Delta v, in encoder counts a cycle
+        ("paper_entry", np.int64),  # 1: x_stuck = x at stick entry, as printed in the paper
+        ("brake_spring", np.int64),  # 1: the brake shows |K_p (x - x_stuck)| when stuck, as printed in the paper
+        ("user", np.float64, (16,)),
+    ],
+    align=True,
+)
+
+LAW_STATE = np.dtype(
+    [
+        ("stuck", np.int64),
+        ("x_stuck", np.float64),  # rad
+        ("psi_Nm", np.float64),  # what the law returned last; kept by the host
+        ("brake_Nm", np.float64),  # the law's set-point for the brake, >= 0
+        ("user", np.float64, (16,)),
+    ],
+    align=True,
+)
+
+
+class LawError(Exception):
+    """A law cannot be loaded; the text names it, the reason and what a law looks like."""
+
+    exit_status = 3
+
+
+def karnopp(motion: Any, law: Any, state: Any) -> float:
+    r"""Karnopp's stick-slip friction, as corrected from the paper's eq. (20).
+
+    .. math::
+
+        \psi = \begin{cases} F_d\,\mathrm{sgn}(v) & |v| > \Delta v \\
+               \mathrm{sgn}(F_a)\,\min(|F_a|, F_s) & |v| \le \Delta v \end{cases}
+        \qquad F_a = K_p\,(x - x_{stuck})
+
+    At stick entry and on saturation :math:`x_{stuck} = x - F/K_p`, so the torque neither jumps nor winds up. ``paper_entry`` takes the
+    paper's :math:`x_{stuck} = x` at entry instead. The brake bears F_s whenever stuck and F_d in slip; with ``brake_spring`` it shows
+    the spring, which on an encoder is a coarse switch (K_p = 10000 Nm/rad is 0.8 Nm a count).
+
+    Source: the paper, section 5; D. Karnopp, J. Dyn. Sys. Meas. Control 107(1), 1985, doi:10.1115/1.3140698.
+    """
+    if abs(motion.v_counts) > law.velocity_band_counts:
+        state.stuck = 0
+        state.brake_Nm = law.F_d
+        return law.F_d if motion.v_counts > 0.0 else -law.F_d
+    if state.stuck == 0:
+        state.stuck = 1
+        if law.paper_entry:
+            state.x_stuck = motion.x_rad
+        else:
+            state.x_stuck = motion.x_rad - state.psi_Nm / law.K_p
+    force = law.K_p * (motion.x_rad - state.x_stuck)
+    if abs(force) > law.F_s:
+        force = law.F_s if force > 0.0 else -law.F_s
+        state.x_stuck = motion.x_rad - force / law.K_p
+    state.brake_Nm = abs(force) if law.brake_spring else law.F_s
+    return force
+
+
+def coulomb(motion: Any, law: Any, state: Any) -> float:
+    r"""Coulomb friction, eq. (4): :math:`\psi(v) = c\,\mathrm{sgn}(v)` with :math:`c = F_d` and :math:`\mathrm{sgn}(0) = 0`.
+
+    Within the velocity band (0 counts for the paper's own simulation) psi is 0; the brake bears c at any speed.
+    Describing function: :math:`\Psi(a) = 4c/(\pi a)`, eq. (5).
+    """
+    state.brake_Nm = law.F_d
+    if abs(motion.v_counts) <= law.velocity_band_counts:
+        state.stuck = 1
+        return 0.0
+    state.stuck = 0
+    return law.F_d if motion.v_counts > 0.0 else -law.F_d
+
+
+def _signature() -> Any:
+    records = (numba.from_dtype(dtype) for dtype in (MOTION, LAW, LAW_STATE))
+    return numba.float64(*records)
+
+
+@contextmanager
+def _bounds_checked() -> Iterator[None]:
+    """Let all that is compiled meanwhile check its indices, also functions that have a decorator of their own."""
+    with numba.core.compiler_lock.global_compiler_lock:
+        before = numba.config.BOUNDSCHECK
+        numba.config.BOUNDSCHECK = 1
+        try:
+            yield
+        finally:
+            numba.config.BOUNDSCHECK = before
+
+
+def compile_law(function: Callable[..., Any], cache: bool = False) -> Any:
+    """Compile `function` for the one signature of a law; what is returned is passed to kernels as a function pointer.
+
+    A law that raises returns NaN, which trips; an index beyond an array's ends raises. Only the project's own laws are cached, and without
+    these checks, which they do not need: the cache would not notice an edit of what a law imports.
+    """
+
+    def guarded(motion: Any, law: Any, state: Any) -> float:
+        try:
+            return inner(motion, law, state)
+        except Exception:
+            return math.nan
+
+    if JIT_DISABLED:
+        inner = function
+        return guarded
+    options = {"nogil": True, "error_model": "numpy"}
+    if cache:
+        dispatcher = cached(numba.njit(**options)(function))
+        dispatcher.compile(_signature().args)
+    else:
+        with _bounds_checked():
+            inner = numba.njit(**options)(function)
+            inner.compile(_signature().args)
+            returned = inner.nopython_signatures[0].return_type
+            if not isinstance(returned, numba.types.Float | numba.types.Integer | numba.types.Boolean):
+                kind = str(returned).partition("(")[0]
+                raise TypeError(f"a law returns a number, psi [Nm], on every path; what this one returns is {kind}")
+            dispatcher = numba.njit(_signature(), **options)(guarded)
+    return numba.core.types.CompileResultWAP(dispatcher.overloads[dispatcher.signatures[0]])
+
+
+def _line(function: Any, line: int | None = None) -> str:
+    """Return the place of `function`, or of a line of its file, as ``file:line``."""
+    code = function.__code__
+    return f"{code.co_filename}:{line or code.co_firstlineno}"
+
+
+def _unknown_field(function: Any, name: str) -> str | None:
+    """Say where a law uses a field that its records do not have; None where that is not to be found."""
+    try:
+        tree = ast.parse(Path(function.__code__.co_filename).read_text(encoding="utf-8"))
+    except (OSError, ValueError, SyntaxError):
+        return None
+    arguments = dict(zip(inspect.signature(function).parameters, (MOTION, LAW, LAW_STATE), strict=False))
+    uses = [node for node in ast.walk(tree) if isinstance(node, ast.Attribute) and node.attr == name]
+    if not uses:
+        return None
+    first = function.__code__.co_firstlineno
+    use = min(uses, key=lambda node: (node.lineno < first, node.lineno))
+    record = ast.unparse(use.value)
+    fields = (arguments[record].names if record in arguments else None) or ()
+    near = difflib.get_close_matches(name, fields, 1)
+    has = f"; it has {', '.join(fields)}" if fields else ""
+    hint = f"; did you mean '{near[0]}'?" if near else ""
+    return f"{_line(function, use.lineno)}: {record} has no field '{name}'{has}{hint}"
+
+
+def _why_not(function: Any, error: Exception) -> str:
+    """Return why `function` does not compile: the user's ``file:line``, and one sentence."""
+    if (
+        isinstance(error, KeyError) and error.args and isinstance(error.args[0], str)
+    ):  # numba: no such field in a record
+        found = _unknown_field(function, error.args[0])
+        if found:
+            return found
+    text = str(error)
+    lines = [line.strip() for line in text.splitlines()]
+    first = next((i for i, line in enumerate(lines) if line and "pipeline" not in line), 0)
+    sentence: list[str] = []
+    for line in lines[first:]:
+        if line.startswith(("There are", "During:", "File ")) or (
+            sentence and not line and not sentence[-1].endswith(":")
+        ):
+            break
+        if line:
+            sentence.append(line.removeprefix(">>> "))
+    said = " ".join(sentence).partition(" Raised from ")[0].rstrip(".") or type(error).__name__
+    if "<class 'function'>" in said:
+        said += " (a function that a law calls needs numba.njit's decorator)"
+    place = getattr(error, "loc", None)
+    if place is not None and place.filename == function.__code__.co_filename:
+        return f"{_line(function, place.line)}: {said}"
+    return f"{place.filename}:{place.line}: {said}" if place is not None else f"{_line(function)}: {said}"
+
+
+def find_law(place: str, directory: Path | None) -> Path:
+    """Return the law's file: beside the rig file, else in the current folder, as EDS files are looked for."""
+    tried = [folder / place for folder in (directory, Path()) if folder is not None]
+    found = next((path for path in tried if path.is_file()), None)
+    if found is None:
+        raise LawError(f"there is no file {place}; looked for {', '.join(map(str, tried))}")
+    return found
+
+
+def load_law(name: str, directory: Path | None = None) -> Any:
+    """Return the compiled law called `name`: one of `OWN_LAWS`, ``file.py:function`` in `directory` or the current folder, or ``module:function``.
+
+    Raises
+    ------
+    LawError
+        the module, file or function does not exist, or it does not compile with a law's signature
+    """
+    place, _, attribute = name.rpartition(":")
+    alike = difflib.get_close_matches(attribute, OWN_LAWS, 1)
+    if place == OLD_PLACE and alike:
+        raise LawError(f"law {name!r} is an old name; the law is called {alike[0]!r} now")
+    if not place and attribute in OWN_LAWS:
+        place = __name__
+    if not place or not attribute:
+        hint = f"; did you mean {alike[0]!r}?" if alike else ""
+        names = ", ".join(map(repr, OWN_LAWS))
+        raise LawError(f"law {name!r}: expected {names}, 'file.py:function' or 'module:function'{hint}")
+    own_law = place == __name__
+    checked = (
+        nullcontext() if own_law or JIT_DISABLED else _bounds_checked()
+    )  # a decorator with a signature compiles at once
+    try:
+        if place.endswith(".py"):
+            path = find_law(place, directory)
+            spec = importlib.util.spec_from_file_location(f"coulombus_law_{path.stem}", path)
+            if spec is None or spec.loader is None:
+                raise LawError(f"law {name!r}: {path} is not a Python file")
+            module = importlib.util.module_from_spec(spec)
+            sys.modules[spec.name] = module
+            with checked:
+                spec.loader.exec_module(module)
+        else:
+            with checked:
+                module = importlib.import_module(place)
+    except LawError as error:
+        raise LawError(f"law {name!r}: {error}") from None
+    except Exception as error:
+        if hasattr(error, "exit_status"):  # a signal's: it interrupts, and is no mistake of the law
+            raise
+        raise LawError(f"law {name!r}: {place} cannot be imported: {error}") from error
+    own = {n: f for n, f in vars(module).items() if callable(f) and getattr(f, "__module__", "") == module.__name__}
+    function = own.get(attribute, getattr(module, attribute, None))
+    if not callable(function):
+        known = [n for n, f in own.items() if not n.startswith("_") and not isinstance(f, type)]
+        near = difflib.get_close_matches(attribute, known, 1)
+        hint = f"; did you mean '{near[0]}'?" if near else ""
+        raise LawError(
+            f"law {name!r}: {place} has no function {attribute!r}; it has {', '.join(known) or 'none'}{hint}"
+        )
+    plain = getattr(function, "py_func", function)
+    try:
+        accepts = list(inspect.signature(plain).parameters.values())
+    except (TypeError, ValueError):
+        accepts = []
+    if len(accepts) != 3 or not hasattr(plain, "__code__"):
+        where = f"{_line(plain)}: " if hasattr(plain, "__code__") else ""
+        given = ", ".join(map(str, accepts))
+        raise LawError(
+            f"law {name!r}: {where}a law takes three arguments, (motion, law, state); this one takes ({given})"
+        )
+    try:
+        return compile_law(plain, cache=own_law)
+    except Exception as error:  # numba raises many kinds
+        if hasattr(error, "exit_status"):
+            raise
+        raise LawError(f"law {name!r} does not compile: {_why_not(plain, error)}; see docs/laws.md") from error

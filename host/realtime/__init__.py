@@ -1,0 +1,1 @@
+"""The data plane: the cycle's process against the wall clock."""

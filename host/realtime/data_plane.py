@@ -1,0 +1,256 @@
+"""The parent's handle of the data plane: start its process, command it, take its log and its figures."""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from coulombus.host.cycle.controllers import SECTIONS, Controllers
+from coulombus.host.cycle.records import Trip
+from coulombus.host.errors import HostError
+from coulombus.host.realtime.loop import take_log, take_trace
+from coulombus.host.realtime.shared_memory import BINS, TRACE_ROWS, Command, SharedPlane, Status
+from coulombus.recording.trace import TRACE
+from coulombus.wire.address import BusAddress
+from coulombus.wire.client import Client
+from coulombus.wire.frame import Records, frames, new_records
+from coulombus.wire.hello import Flags, Hello
+
+__all__ = ["DataPlane", "PlaneError", "Spread", "rig_filters"]
+
+START_TIMEOUT_S = 180.0  # the first start ever compiles the loop
+BATCH_FRAMES = 1 << 14
+CAN_SFF_EXACT = 0x7FF | 0xC0000000  # the whole identifier, no extended and no remote frames
+PRIORITY = 80
+PARENT_NS = 2_000_000_000
+"""How long the parent may stand still while the rig is armed: nobody can stop it then, and nobody records it."""
+
+
+class PlaneError(HostError):
+    """The data plane's process did not start."""
+
+    exit_status = 4
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Median, 99th percentile and maximum of a time [us]."""
+
+    p50: float
+    p99: float
+    max: float
+
+    @classmethod
+    def of(cls, bins: np.ndarray[Any, np.dtype[np.int64]], max_ns: int) -> Spread | None:
+        """Return the spread of a histogram of microseconds; None when it is empty."""
+        total = int(bins.sum())
+        if total == 0:
+            return None
+        cumulated = np.cumsum(bins)
+        top = max_ns / 1000
+
+        def at(share: float) -> float:
+            row = int(np.searchsorted(cumulated, share * total))
+            return min(row + 1.0, top) if row < BINS - 1 else top
+
+        return cls(at(0.5), at(0.99), top)
+
+    def as_dict(self) -> dict[str, float]:
+        """Return plain values for JSON."""
+        return {"p50": self.p50, "p99": self.p99, "max": self.max}
+
+
+def rig_filters(controllers: Controllers) -> tuple[tuple[int, int], ...]:
+    """Return the receive filters of the data plane: the CANopen objects of host, motors and brakes, and no other identifier.
+
+    So a flood of foreign frames ends at the bus (or in Linux's CAN core) and costs the cycle nothing.
+    """
+    c = controllers.control[0]
+    wanted = {0x000, int(c["sync_cob_id"]), 0x700 + int(c["host_id"])}
+    for controller in controllers:
+        wanted |= controller.can_ids()
+    return tuple((can_id, CAN_SFF_EXACT) for can_id in sorted(wanted))
+
+
+def default_cpu() -> int | None:
+    """Return the last CPU that this process may use, None when it has only one."""
+    allowed = sorted(os.sched_getaffinity(0))
+    return allowed[-1] if len(allowed) > 1 else None
+
+
+class DataPlane:
+    """The process that runs the cycle of `controllers` on the bus at `address`. From now on they work on the shared records.
+
+    Parameters
+    ----------
+    priority : of SCHED_FIFO; None asks for no real-time right
+    cpu : CPU to pin it to; None leaves it free
+
+    Raises
+    ------
+    coulombus.wire.address.BusUnavailable
+        no such bus
+    """
+
+    MODULE = "coulombus.host.realtime.process"
+    """What the process runs."""
+
+    def __init__(
+        self, controllers: Controllers, address: BusAddress, *, priority: int | None = PRIORITY, cpu: int | None = None
+    ) -> None:
+        self._client = Client(address, Hello(Flags.ERRORS, rig_filters(controllers)))
+        self.bitrate_bit_s = self._client.bitrate_bit_s
+        self.shared = SharedPlane.create(len(controllers.each))
+        controllers.adopt({name: getattr(self.shared, name) for name in SECTIONS})
+        self.shared.owner[:] = controllers.owner
+        self.shared.plane["packed"] = address.kind == "coulombus"
+        self._controllers = controllers
+        self._batch = frames(BATCH_FRAMES)
+        self._rows = new_records(TRACE, TRACE_ROWS)
+        self.real_time: list[dict[str, Any]] = []
+        self._process = self._start(priority, cpu)
+
+    def _start(self, priority: int | None, cpu: int | None) -> subprocess.Popen[str]:
+        rig = self._controllers.rig
+        settings = {
+            "parent": os.getpid(),
+            "bus_fd": self._client.fileno(),
+            "memory_fd": self.shared.fd,
+            "axes": self.shared.axes,
+            "law": rig.law.function,
+            "law_directory": str(rig.law_directory.absolute()),
+            "priority": priority,
+            "cpu": cpu,
+        }
+        root = str(Path(__file__).parents[__name__.count(".")])
+        path = os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH"))))
+        return subprocess.Popen(
+            [sys.executable, "-P", "-m", self.MODULE, json.dumps(settings)],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            text=True,
+            pass_fds=(self._client.fileno(), self.shared.fd),
+            start_new_session=True,  # the terminal's Ctrl-C is the parent's
+            env={**os.environ, "PYTHONPATH": path, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+        )
+
+    @property
+    def pid(self) -> int:
+        """Process id of the data plane."""
+        return self._process.pid
+
+    def wait_ready(self, timeout_s: float = START_TIMEOUT_S) -> None:
+        """Wait until the data plane has loaded everything and listens; PlaneError when it does not come to that."""
+        out = self._process.stdout
+        assert out is not None
+        ready, _, _ = select.select([out], [], [], timeout_s)
+        line = out.readline() if ready else ""
+        if not line:
+            status = self._process.poll()
+            reason = "did not start in time" if status is None else f"ended at its start with status {status}"
+            raise PlaneError(f"the data plane's process {reason}; its messages are above")
+        self.real_time = json.loads(line)["real_time"]
+
+    # state
+
+    @property
+    def status(self) -> Status:
+        """What the data plane is doing."""
+        return Status(int(self.shared.plane["status"][0]))
+
+    @property
+    def cycles(self) -> int:
+        """Cycles run so far."""
+        return int(self.shared.plane["cycles"][0])
+
+    @property
+    def alive(self) -> bool:
+        """Whether the process exists."""
+        return self._process.poll() is None
+
+    @property
+    def lost_text(self) -> str:
+        """Why the bus is lost, in words."""
+        number = int(self.shared.plane["error"][0])
+        return "its process ended" if number == 0 else os.strerror(number)
+
+    # commands
+
+    def start_cycle(self, at_ns: int) -> None:
+        """Begin the cycle at CLOCK_MONOTONIC = `at_ns`."""
+        self._controllers.start(at_ns)
+        self.shared.plane["start_ns"] = at_ns
+        self.shared.plane["command"] = Command.CYCLE
+
+    def stop(self, trip: Trip = Trip.NONE) -> None:
+        """Ask for the safe state: the normal end, or for the reason `trip`; the first reason counts."""
+        plane = self.shared.plane
+        plane["stop"] = max(1, int(trip)) if plane["stop"][0] <= 1 else plane["stop"]
+
+    def attend(self) -> None:
+        """Show that the parent runs: the data plane goes to the safe state when it has not seen that for `PARENT_NS`."""
+        self.shared.plane["parent_ns"] = time.monotonic_ns() + PARENT_NS
+
+    def hold_deadman(self, until_ns: int) -> None:
+        """Let the dead man's key count as held until CLOCK_MONOTONIC = `until_ns`."""
+        self.shared.plane["deadman_ns"] = until_ns
+
+    def end_cycle(self) -> None:
+        """End the cycle, with set-points of zero torque last, and listen on."""
+        self.shared.plane["command"] = Command.LISTEN
+
+    def take(self) -> Records:
+        """Return copies of the frames that were logged since the last time; stamps of CLOCK_MONOTONIC."""
+        count = take_log(self.shared.plane, self.shared.ring, self._batch)
+        return self._batch[:count].copy()
+
+    def take_trace(self) -> Records:
+        """Return copies of the rows of the trace (`recording.trace`) since the last time; stamps of CLOCK_MONOTONIC."""
+        count = take_trace(self.shared.plane, self.shared.trace, self._rows)
+        return self._rows[:count].copy()
+
+    def close(self, timeout_s: float = 2.0) -> None:
+        """End the process: as commanded if it obeys, else by force. May be called again."""
+        if self._process.stdout is None or self._process.stdout.closed:
+            return
+        self.shared.plane["command"] = Command.QUIT
+        deadline = time.monotonic() + timeout_s
+        while self.alive and time.monotonic() < deadline:
+            time.sleep(2e-3)
+        if self.alive:
+            self._process.kill()
+        self._process.wait()
+        self._process.stdout.close()
+        self._client.close()
+        self.shared.close()
+
+    # figures
+
+    def wakeup(self) -> Spread | None:
+        """How late the cycle woke."""
+        return Spread.of(self.shared.wakeup_bins, int(self.shared.plane["wakeup_max_ns"][0]))
+
+    def latency(self) -> Spread | None:
+        """From SYNC sent to the last RPDO sent."""
+        return Spread.of(self.shared.latency_bins, int(self.shared.plane["latency_max_ns"][0]))
+
+    def cpu_us_per_cycle(self) -> float | None:
+        """Processor time of the loop for one cycle."""
+        return float(self.shared.plane["cpu_ns"][0]) / 1000 / self.cycles if self.cycles else None
+
+    def counters(self) -> dict[str, int]:
+        """Return what the data plane counted."""
+        names = (
+            *("missed_deadlines", "tx_full", "rx_frames", "rx_malformed", "rx_overflow", "error_frames"),
+            *("foreign_sync", "log_dropped"),
+        )
+        return {name: int(self.shared.plane[name][0]) for name in names}

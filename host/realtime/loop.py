@@ -1,0 +1,504 @@
+"""The data plane: the cycle against the wall clock, on a non-blocking socket, compiled into one loop without allocation.
+
+    sleep to t_k - drain what is late - SYNC - receive until all TPDOs or the end of the window - `host.cycle.step` - RPDOs - count
+
+t_k are absolute times of CLOCK_MONOTONIC. Periods that have passed are skipped and counted, never caught up. The loop logs every frame, its own and
+the others', into a ring that another process empties. However it ends, it sends set-points of zero torque last.
+
+It looks after its parent, too: one that has ended, or that has not shown itself in time (`PLANE.parent_ns`), is a reason for the safe state
+(HOST). After a parent that has ended the loop ends by itself, when all axes are done.
+
+Answers to what the system says: EINTR - again; EAGAIN, ENOBUFS on sending - the frame is lost, counted, not repeated (a frame that waits is a
+wrong set-point later), and too many cycles of it trip; everything else, and the other side closing - the bus is lost. Only the safe set-points
+behind the last cycle are sent again until they are taken, for `END_ATTEMPTS` ms: nothing comes after them.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from coulombus.compiled.decorator import kernel
+from coulombus.compiled.libc import (
+    CLOCK_REALTIME,
+    CLOCK_THREAD_CPUTIME_ID,
+    EAGAIN,
+    EINTR,
+    ENOBUFS,
+    MSG_DONTWAIT,
+    MSG_NOSIGNAL,
+    POLLIN,
+    clock_ns,
+    errno,
+    getppid,
+    load_acquire,
+    now_ns,
+    ppoll_ns,
+    send,
+    sleep_until,
+    store_release,
+)
+from coulombus.host.cycle import axes
+from coulombus.host.cycle.records import Phase, Trip
+from coulombus.host.cycle.step import SOURCE_HOST
+from coulombus.host.realtime.shared_memory import BINS, PLANE, Command, Status
+from coulombus.recording.trace import Moment
+from coulombus.wire.frame import CAN_ERR_FLAG
+from coulombus.wire.mailbox import receive
+
+__all__ = ["MESSAGE_FRAMES", "run_plane", "take_log", "take_trace"]
+
+MESSAGE_FRAMES = 64
+"""Frames that one message may bring."""
+
+SOURCE_BUS = 0
+"""Station number of everything that came from the bus, in the log."""
+
+LISTEN, CYCLE, QUIT = int(Command.LISTEN), int(Command.CYCLE), int(Command.QUIT)
+LISTENING, CYCLING, ENDED, LOST = int(Status.LISTENING), int(Status.CYCLING), int(Status.ENDED), int(Status.LOST)
+SAFE, DONE = int(Phase.SAFE), int(Phase.DONE)
+TRANSMIT, BUS_LOST, SECOND_HOST, HOST = int(Trip.TRANSMIT), int(Trip.BUS_LOST), int(Trip.SECOND_HOST), int(Trip.HOST)
+START, BEGIN, END = int(Moment.START), int(Moment.BEGIN), int(Moment.END)
+ARRIVED, WINDOW = int(Moment.ARRIVED), int(Moment.WINDOW)
+
+
+def _offset(name: str) -> int:
+    fields = PLANE.fields
+    assert fields is not None
+    return int(fields[name][1])
+
+
+AT_COMMAND, AT_STATUS, AT_STOP = _offset("command"), _offset("status"), _offset("stop")
+AT_DEADMAN, AT_HEAD, AT_TAIL = _offset("deadman_ns"), _offset("log_head"), _offset("log_tail")
+AT_TRACE_HEAD, AT_TRACE_TAIL = _offset("trace_head"), _offset("trace_tail")
+AT_CYCLES, AT_PARENT = _offset("cycles"), _offset("parent_ns")
+
+LISTEN_NS = 5_000_000  # how soon a command is seen while listening
+DRAIN_MESSAGES = 512  # bound of what one cycle takes from a bus that is flooded
+END_ATTEMPTS, END_PAUSE_NS = 20, 1_000_000  # for the last set-points, which no cycle repeats
+STAMP_AGE_NS = 1_000_000_000  # an older stamp is a clock that was set
+CAN_ERR_BUSOFF = 0x40
+CLOSED = -1
+
+# what `_take` found
+EMPTY, TOOK, COMPLETE, GONE = 0, 1, 2, 3
+
+
+@kernel
+def _log(plane: Any, ring: Any, t_ns: int, can_id: int, length: int, word: int, source: int) -> None:
+    """Append a frame to the ring; the parent sees it whole or not at all."""
+    p = plane[0]
+    head = p.log_head
+    if head - load_acquire(plane.ctypes.data + AT_TAIL) >= ring.shape[0]:
+        p.log_dropped += 1
+        return
+    f = ring[head & (ring.shape[0] - 1)]
+    f.t_ns = t_ns
+    f.can_id = can_id
+    f.length = length
+    f.word = word
+    f.source = source
+    store_release(plane.ctypes.data + AT_HEAD, head + 1)
+
+
+@kernel
+def _trace(plane: Any, trace: Any, kind: int, t_ns: int, value: int) -> None:
+    """Append a row to the trace; without room it is left out, as are the frames of that time."""
+    p = plane[0]
+    head = p.trace_head
+    if head - load_acquire(plane.ctypes.data + AT_TRACE_TAIL) >= trace.shape[0]:
+        p.log_dropped += 1
+        return
+    r = trace[head & (trace.shape[0] - 1)]
+    r.t_ns = t_ns
+    r.received = p.rx_frames
+    r.kind = kind
+    r.value = value
+    r.refused = p.tx_full
+    r.dropped = p.log_dropped
+    store_release(plane.ctypes.data + AT_TRACE_HEAD, head + 1)
+
+
+@kernel
+def take_trace(plane: Any, trace: Any, out: Any) -> int:
+    """Move rows from the trace to `out`; return how many. For the parent."""
+    p = plane[0]
+    tail = p.trace_tail
+    count = min(load_acquire(plane.ctypes.data + AT_TRACE_HEAD) - tail, out.shape[0])
+    for i in range(count):
+        f, g = trace[(tail + i) & (trace.shape[0] - 1)], out[i]
+        g.t_ns = f.t_ns
+        g.received = f.received
+        g.kind = f.kind
+        g.value = f.value
+        g.refused = f.refused
+        g.dropped = f.dropped
+    store_release(plane.ctypes.data + AT_TRACE_TAIL, tail + count)
+    return count
+
+
+@kernel
+def take_log(plane: Any, ring: Any, out: Any) -> int:
+    """Move frames from the ring to `out`; return how many. For the parent."""
+    p = plane[0]
+    tail = p.log_tail
+    count = min(load_acquire(plane.ctypes.data + AT_HEAD) - tail, out.shape[0])
+    for i in range(count):
+        f, g = ring[(tail + i) & (ring.shape[0] - 1)], out[i]
+        g.t_ns = f.t_ns
+        g.can_id = f.can_id
+        g.length = f.length
+        g.word = f.word
+        g.source = f.source
+    store_release(plane.ctypes.data + AT_TAIL, tail + count)
+    return count
+
+
+@kernel
+def _stop(p: Any, host: Any, trip: int) -> None:
+    """Ask all axes for the safe state for the reason `trip`, or without one (1); the first reason counts."""
+    if p.asked < trip and p.asked <= 1:
+        p.asked = trip
+    for k in range(host.shape[0]):
+        if host[k].stop < trip and host[k].stop <= 1:
+            host[k].stop = trip
+
+
+@kernel
+def _late(host: Any, periods: int) -> None:
+    """Let every axis know that so many periods have passed without it: what it knows is as much older."""
+    for k in range(host.shape[0]):
+        host[k].position_age += periods
+
+
+@kernel
+def _take(
+    fd: int,
+    plane: Any,
+    ring: Any,
+    box: Any,
+    words: Any,
+    control: Any,
+    host: Any,
+    tpdos: Any,
+    owner: Any,
+    live: int,
+) -> int:
+    """Receive one message if there is one; `live`: the cycle wants its frames."""
+    p, c = plane[0], control[0]
+    n = receive(fd, box, MSG_DONTWAIT)
+    if n <= 0:
+        error = 0 if n == 0 else errno()
+        if error == EAGAIN:
+            return EMPTY
+        if error == EINTR:
+            p.interrupted += 1
+            return TOOK
+        p.error = error
+        return GONE
+    m = box[0]
+    p.rx_overflow = m.overflow
+    if n % 16 != 0 or m.truncated:
+        p.rx_malformed += 1
+        return TOOK
+    t_ns = now_ns()
+    if m.stamp_ns > 0:  # the stamp is of the other clock: take its age
+        age = clock_ns(CLOCK_REALTIME) - m.stamp_ns
+        if 0 < age < STAMP_AGE_NS:
+            t_ns -= age
+    t_ns = max(t_ns, p.rx_ns)  # the queue keeps the order; two clocks that are read one after the other may not
+    p.rx_ns = t_ns
+    found = TOOK
+    for i in range(n // 16):
+        can_id = words[2 * i] & 0xFFFFFFFF
+        length = (words[2 * i] >> 32) & 0xFF
+        word = words[2 * i + 1]
+        if length > 8:
+            p.rx_malformed += 1
+            continue
+        if length < 8:
+            word &= (1 << 8 * length) - 1
+        p.rx_frames += 1
+        _log(plane, ring, t_ns, can_id, length, word, SOURCE_BUS)
+        if can_id & CAN_ERR_FLAG:
+            p.error_frames += 1
+            if live and can_id & CAN_ERR_BUSOFF:
+                _stop(p, host, BUS_LOST)
+            continue
+        if not live:
+            continue
+        if can_id == c.sync_cob_id or can_id == 0x700 + c.host_id:
+            p.foreign_sync += 1
+            _stop(p, host, SECOND_HOST)
+        if axes.on_frame(control, host, tpdos, owner, t_ns, can_id, length, word) == 1:
+            found = COMPLETE
+    return found
+
+
+@kernel
+def _transmit(fd: int, plane: Any, ring: Any, tx: Any, queue: Any, header: Any, patience: int) -> int:
+    """Send the queue's frames; return 0, or the error of a bus that is lost.
+
+    A frame that is not taken is lost; with `patience` it is offered again, so often in all, END_PAUSE_NS apart.
+    """
+    p = plane[0]
+    count = header[0].count
+    header[0].count = 0
+    for i in range(count):
+        tx[2 * i] = queue[i].can_id | queue[i].length << 32
+        tx[2 * i + 1] = queue[i].word
+    done = 0
+    while done < count:
+        frames = count - done if p.packed else 1
+        n = send(fd, tx.ctypes.data + 16 * done, 16 * frames, MSG_DONTWAIT | MSG_NOSIGNAL)
+        if n < 0:
+            error = errno()
+            if error == EINTR:
+                p.interrupted += 1
+                continue
+            if patience > 0:
+                patience -= 1
+                sleep_until(now_ns() + END_PAUSE_NS)
+                continue
+            if error != EAGAIN and error != ENOBUFS:
+                p.error = error
+                return error
+            p.tx_full += frames
+        else:
+            t_ns = now_ns()
+            for i in range(done, done + frames):
+                _log(plane, ring, t_ns, queue[i].can_id, queue[i].length, queue[i].word, SOURCE_HOST)
+        done += frames
+    return 0
+
+
+@kernel
+def _watch_parent(p: Any, base: int, host: Any) -> None:
+    """Ask for the safe state when the parent has ended or stands still; when it has ended and all axes are done, there is nothing left to do."""
+    until = load_acquire(base + AT_PARENT)
+    orphan = p.parent != 0 and getppid() != p.parent
+    if orphan or 0 < until < now_ns():
+        _stop(p, host, HOST)
+    if orphan:
+        for k in range(host.shape[0]):
+            if host[k].phase != DONE:
+                return
+        store_release(base + AT_COMMAND, QUIT)
+
+
+@kernel
+def _failed(p: Any) -> bool:
+    """Tell whether a call that returned -1 has failed for good: waiting that fails comes back at once, for ever."""
+    error = errno()
+    if error in (EINTR, EAGAIN):
+        return False
+    p.error = error
+    return True
+
+
+@kernel
+def _count(bins: Any, t_ns: int) -> None:
+    bins[min(max(t_ns, 0) // 1000, BINS - 1)] += 1
+
+
+@kernel
+def _cycle(
+    fd: int,
+    plane: Any,
+    ring: Any,
+    trace: Any,
+    box: Any,
+    words: Any,
+    tx: Any,
+    poll: Any,
+    wakeup_bins: Any,
+    latency_bins: Any,
+    control: Any,
+    host: Any,
+    rpdos: Any,
+    tpdos: Any,
+    owner: Any,
+    law_function: Any,
+    motion: Any,
+    law: Any,
+    state: Any,
+    queue: Any,
+    header: Any,
+) -> int:
+    """Cycle until the parent commands otherwise (returns 0) or the bus is lost (returns 1)."""
+    p, c = plane[0], control[0]  # of all axes alike are the cycle, the host's own identifiers and the dead man's key
+    missed_cycles = c.missed_cycles
+    for k in range(1, control.shape[0]):
+        missed_cycles = min(missed_cycles, control[k].missed_cycles)
+    base = plane.ctypes.data
+    t = p.start_ns
+    _trace(plane, trace, START, t, 0)
+    while load_acquire(base + AT_COMMAND) == CYCLE:
+        slept = sleep_until(t)
+        if slept == EINTR:
+            p.interrupted += 1
+            continue
+        if slept != 0:
+            p.error = slept
+            return 1
+        wake = now_ns()
+        _count(wakeup_bins, wake - t)
+        p.wakeup_max_ns = max(p.wakeup_max_ns, wake - t)
+        late = (wake - t) // c.period_ns
+        if late > 0:  # periods that have passed while this process did not run
+            t += late * c.period_ns
+            p.missed_deadlines += late
+            _late(host, late)
+        full = p.tx_full
+
+        found = TOOK
+        messages = 0
+        while found != EMPTY and messages < DRAIN_MESSAGES:
+            found = _take(fd, plane, ring, box, words, control, host, tpdos, owner, 1)
+            messages += 1
+            if found == GONE:
+                return 1
+        _stop(p, host, load_acquire(base + AT_STOP))
+        _watch_parent(p, base, host)
+        if c.deadman_key:
+            held = 1 if now_ns() < load_acquire(base + AT_DEADMAN) else 0
+            for k in range(host.shape[0]):
+                host[k].deadman_ok = held
+
+        _trace(plane, trace, BEGIN, t, host[0].deadman_ok)
+        axes.begin(control, host, t, queue, header)
+        if _transmit(fd, plane, ring, tx, queue, header, 0) != 0:
+            return 1
+        sync = now_ns()
+        end = sync + c.window_ns
+        messages = 0
+        while messages < DRAIN_MESSAGES:
+            left = end - now_ns()
+            if left <= 0:
+                break
+            ready = ppoll_ns(poll.ctypes.data, 1, left)
+            if ready < 0 and _failed(p):
+                return 1
+            if ready <= 0:  # the window is over, or a signal came
+                continue
+            found = _take(fd, plane, ring, box, words, control, host, tpdos, owner, 1)
+            messages += 1
+            if found == GONE:
+                return 1
+            if found == COMPLETE:
+                now = now_ns()
+                _trace(plane, trace, ARRIVED, now, p.asked)
+                waiting = axes.finish_complete(
+                    control, host, rpdos, law_function, motion, law, state, now, queue, header
+                )
+                if waiting == 0:
+                    break
+                if _transmit(fd, plane, ring, tx, queue, header, 0) != 0:
+                    return 1
+        now = now_ns()
+        _trace(plane, trace, WINDOW, now, p.asked)
+        axes.finish_waiting(control, host, rpdos, law_function, motion, law, state, now, queue, header)
+        if _transmit(fd, plane, ring, tx, queue, header, 0) != 0:
+            return 1
+        done = now_ns()
+        _count(latency_bins, done - sync)
+        p.latency_max_ns = max(p.latency_max_ns, done - sync)
+        p.full_in_a_row = p.full_in_a_row + 1 if p.tx_full > full else 0
+        if p.full_in_a_row >= missed_cycles:
+            _stop(p, host, TRANSMIT)
+        t += c.period_ns
+        late = (done - t + c.period_ns - 1) // c.period_ns
+        if late > 0:
+            t += late * c.period_ns
+            p.missed_deadlines += late
+            _late(host, late)
+        store_release(base + AT_CYCLES, p.cycles + 1)
+    return 0
+
+
+@kernel
+def run_plane(
+    fd: int,
+    plane: Any,
+    ring: Any,
+    trace: Any,
+    box: Any,
+    words: Any,
+    tx: Any,
+    poll: Any,
+    wakeup_bins: Any,
+    latency_bins: Any,
+    control: Any,
+    host: Any,
+    rpdos: Any,
+    tpdos: Any,
+    owner: Any,
+    law_function: Any,
+    motion: Any,
+    law: Any,
+    state: Any,
+    queue: Any,
+    header: Any,
+) -> int:
+    """Do what the parent commands until it commands QUIT or the bus is lost; return the `Status`."""
+    p = plane[0]
+    base = plane.ctypes.data
+    poll[0] = fd | POLLIN << 32
+    while True:
+        command = load_acquire(base + AT_COMMAND)
+        if command == CYCLE:
+            store_release(base + AT_STATUS, CYCLING)
+            cpu = clock_ns(CLOCK_THREAD_CPUTIME_ID)
+            gone = _cycle(
+                fd,
+                plane,
+                ring,
+                trace,
+                box,
+                words,
+                tx,
+                poll,
+                wakeup_bins,
+                latency_bins,
+                control,
+                host,
+                rpdos,
+                tpdos,
+                owner,
+                law_function,
+                motion,
+                law,
+                state,
+                queue,
+                header,
+            )
+            p.cpu_ns += clock_ns(CLOCK_THREAD_CPUTIME_ID) - cpu
+            for k in range(host.shape[0]):
+                if gone and host[k].phase < SAFE:
+                    host[k].trip = BUS_LOST
+                    host[k].trip_ns = now_ns()
+            error = p.error
+            now = now_ns()
+            _trace(plane, trace, END, now, 0)
+            header[0].count = 0
+            axes.safe_setpoints(control, host, rpdos, now, queue, header)
+            _transmit(fd, plane, ring, tx, queue, header, END_ATTEMPTS)
+            p.error = error
+            for k in range(host.shape[0]):
+                host[k].phase = DONE
+            if gone:
+                store_release(base + AT_STATUS, LOST)
+                return LOST
+        elif command == LISTEN:
+            store_release(base + AT_STATUS, LISTENING)
+            found = _take(fd, plane, ring, box, words, control, host, tpdos, owner, 0)
+            lost = found == GONE
+            if found == EMPTY and ppoll_ns(poll.ctypes.data, 1, LISTEN_NS) < 0:
+                lost = _failed(p)
+            if lost:
+                store_release(base + AT_STATUS, LOST)
+                return LOST
+            if p.parent != 0 and getppid() != p.parent:
+                store_release(base + AT_COMMAND, QUIT)
+        else:
+            store_release(base + AT_STATUS, ENDED)
+            return ENDED

@@ -1,0 +1,74 @@
+"""The data plane's process: ``python -m coulombus.host.realtime.process SETTINGS``, started by `coulombus.host.realtime.data_plane` with two open
+descriptors.
+
+It is apart from the parent's interpreter, so that no lock, no garbage collection and no other thread of it can hold a cycle up. Until it is ready it
+dies with its parent (PR_SET_PDEATHSIG). From then on the loop looks after the parent: when that has ended, the rig is made safe as after a
+trip, and the process ends (`host.realtime.loop`). The signals that end a verb are the parent's business: this process has a session of its own, out
+of the terminal's reach, and they are blocked.
+
+One line of JSON on the standard output tells that it is ready, and which real-time rights it was refused.
+"""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from coulombus.host.laws.laws import load_law
+from coulombus.host.realtime.loop import MESSAGE_FRAMES, run_plane
+from coulombus.host.realtime.shared_memory import Command, SharedPlane
+from coulombus.wire.frame import QUEUE_CAPACITY, new_queue
+from coulombus.wire.mailbox import new_mailbox
+from coulombus.wire.realtime import ask_for_real_time, die_with_parent, outlive_parent
+from coulombus.wire.stopping import SIGNALS
+
+__all__ = ["loop_arguments", "main"]
+
+
+def loop_arguments(fd: int, shared: SharedPlane, law_function: Any) -> tuple[Any, ...]:
+    """Return the arguments of `host.realtime.loop.run_plane` for a socket and a shared memory."""
+    box, words = new_mailbox(MESSAGE_FRAMES)
+    queue, header = new_queue()
+    s = shared
+    return (
+        *(fd, s.plane, s.ring, s.trace, box, words, np.zeros(2 * QUEUE_CAPACITY, np.int64), np.zeros(1, np.int64)),
+        *(s.wakeup_bins, s.latency_bins, s.control, s.host, s.rpdos, s.tpdos, s.owner),
+        *(law_function, s.motion, s.law, s.state, queue, header),
+    )
+
+
+def _warm_up(shared: SharedPlane, arguments: tuple[Any, ...]) -> None:
+    """Load (or compile) the loop by a call that ends at once, and touch every page of the ring and the histograms."""
+    command = int(shared.plane["command"][0])
+    shared.plane["command"] = Command.QUIT
+    run_plane(*arguments)
+    shared.plane["command"] = command
+    shared.ring["source"] = 0
+    shared.trace["kind"] = 0
+    shared.wakeup_bins[:] = 0
+    shared.latency_bins[:] = 0
+
+
+def main(settings: dict[str, Any]) -> int:
+    """Run the data plane to its end; return the exit status of the process."""
+    die_with_parent(settings["parent"])
+    signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+    shared = SharedPlane(settings["memory_fd"], settings["axes"])
+    law_function = load_law(settings["law"], Path(settings["law_directory"]))
+    arguments = loop_arguments(settings["bus_fd"], shared, law_function)
+    _warm_up(shared, arguments)
+    report = ask_for_real_time(settings["priority"], settings["cpu"])
+    shared.plane["parent"] = settings["parent"]
+    outlive_parent()
+    print(json.dumps({"ready": True, "real_time": report.as_dict()}), flush=True)
+    run_plane(*arguments)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(json.loads(sys.argv[1])))

@@ -1,0 +1,155 @@
+"""What the data plane and its parent share: one anonymous file in memory, mapped by both processes.
+
+The parent fills in CONTROL, HOST, PDOs and law, and commands; the data plane runs the cycle on the very same records, logs the frames into a ring
+and counts. Fields of PLANE that one side polls and the other writes are read and written atomically (`compiled.libc`); everything else is
+written by one side only while the other looks on.
+"""
+
+from __future__ import annotations
+
+import math
+import mmap
+import os
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+
+from coulombus.host.cycle.controllers import SECTIONS
+from coulombus.recording.trace import TRACE
+from coulombus.wire.frame import FRAME, Records
+
+__all__ = ["BINS", "PLANE", "RING_FRAMES", "TRACE_ROWS", "Command", "SharedPlane", "Status"]
+
+RING_FRAMES = 1 << 16
+"""About seven seconds of frames at 1 kHz; a power of two."""
+
+BINS = 20_000
+"""Microseconds that the histograms resolve; what is later is in the last bin, and its maximum is kept."""
+
+TRACE_ROWS = 1 << 15
+"""Rows of the trace (`recording.trace`), two or three for each cycle."""
+
+PAGE = 4096
+
+
+class Command(IntEnum):
+    """What the parent wants."""
+
+    LISTEN = 0  # log what the bus carries
+    CYCLE = 1  # run the cycle from `start_ns` on
+    QUIT = 2
+
+
+class Status(IntEnum):
+    """What the data plane is doing."""
+
+    STARTING = 0
+    LISTENING = 1
+    CYCLING = 2
+    ENDED = 3  # as commanded
+    LOST = 4  # the bus is gone; `error` is the system's number, 0 when the other side has closed
+
+
+PLANE = np.dtype(
+    [
+        # written by the parent
+        ("command", np.int64),
+        ("stop", np.int64),  # for HOST.stop: 1 a safe stop, above it a Trip
+        ("deadman_ns", np.int64),  # CLOCK_MONOTONIC until which the dead man's key counts as held
+        ("start_ns", np.int64),  # when the first cycle is due
+        ("parent", np.int64),  # its process id; 0: its end is not looked for
+        ("parent_ns", np.int64),  # CLOCK_MONOTONIC until which it counts as running; 0: not looked at
+        ("log_tail", np.int64),  # frames that the parent has taken from the ring
+        ("trace_tail", np.int64),  # and rows from the trace
+        ("packed", np.int64),  # 1: one message may carry several frames
+        # written by the data plane
+        ("status", np.int64),
+        ("error", np.int64),
+        ("log_head", np.int64),
+        ("trace_head", np.int64),
+        ("rx_ns", np.int64),  # stamp of the frame that was received last
+        ("asked", np.int64),  # the reason for which all axes were asked to stop
+        ("cycles", np.int64),
+        ("missed_deadlines", np.int64),  # periods at whose end their RPDOs were not out
+        ("full_in_a_row", np.int64),  # cycles one after another in which the bus did not take a frame
+        ("cpu_ns", np.int64),  # of this thread while it cycled
+        ("wakeup_max_ns", np.int64),
+        ("latency_max_ns", np.int64),  # SYNC to the last RPDO
+        ("interrupted", np.int64),
+        ("tx_full", np.int64),  # frames that the bus did not take: EAGAIN, ENOBUFS
+        ("rx_frames", np.int64),
+        ("rx_malformed", np.int64),
+        ("rx_overflow", np.int64),  # frames that this socket's queue has dropped
+        ("error_frames", np.int64),
+        ("foreign_sync", np.int64),  # SYNC or the host's heartbeat from another station
+        ("log_dropped", np.int64),
+    ],
+    align=True,
+)
+
+
+def _sections(axes: int) -> tuple[tuple[str, np.dtype[Any], tuple[int, ...]], ...]:
+    """Return name, records and shape of each section for so many axes."""
+    return (
+        ("plane", PLANE, (1,)),
+        *((name, dtype, (axes, *shape)) for name, (dtype, shape) in SECTIONS.items()),
+        ("owner", np.dtype(np.int64), (2048,)),
+        ("wakeup_bins", np.dtype(np.int64), (BINS,)),
+        ("latency_bins", np.dtype(np.int64), (BINS,)),
+        ("ring", FRAME, (RING_FRAMES,)),
+        ("trace", TRACE, (TRACE_ROWS,)),
+    )
+
+
+def _places(axes: int) -> tuple[dict[str, int], int]:
+    """Return where each section begins, each on a cache line of its own, and the size of the whole."""
+    places, end = {}, 0
+    for name, dtype, shape in _sections(axes):
+        places[name] = end
+        end += -(-dtype.itemsize * math.prod(shape) // 64) * 64
+    return places, -(-end // PAGE) * PAGE
+
+
+class SharedPlane:
+    """The shared memory of so many axes behind the descriptor `fd`; each section is an attribute.
+
+    The arrays point into the mapping, which lasts as long as any of them.
+    """
+
+    plane: Records
+    control: Records
+    host: Records
+    rpdos: Records
+    tpdos: Records
+    motion: Records
+    law: Records
+    state: Records
+    ring: Records
+    trace: Records
+    owner: np.ndarray[Any, np.dtype[np.int64]]
+    wakeup_bins: np.ndarray[Any, np.dtype[np.int64]]
+    latency_bins: np.ndarray[Any, np.dtype[np.int64]]
+
+    def __init__(self, fd: int, axes: int = 1) -> None:
+        self.fd, self.axes = fd, axes
+        places, size = _places(axes)
+        memory = mmap.mmap(fd, size)
+        for name, dtype, shape in _sections(axes):
+            section = np.frombuffer(memory, dtype, math.prod(shape), places[name]).reshape(shape)
+            setattr(self, name, section if dtype.names is None else section.view(np.recarray))
+
+    @classmethod
+    def create(cls, axes: int = 1) -> SharedPlane:
+        """Return new shared memory, all zero."""
+        fd = os.memfd_create("coulombus-plane", os.MFD_CLOEXEC)
+        try:
+            os.ftruncate(fd, _places(axes)[1])
+            return cls(fd, axes)
+        except BaseException:
+            os.close(fd)
+            raise
+
+    def close(self) -> None:
+        """Close the descriptor; the mapping stays while arrays use it."""
+        os.close(self.fd)

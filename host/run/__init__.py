@@ -1,0 +1,1 @@
+"""The course of a run: dead man's switch, stop, buses, result."""

@@ -1,0 +1,174 @@
+"""A rig whose axes hang on several buses: one process for each of them (where they are: `rigs.buses`).
+
+Every bus has its own cycle, its own SYNC and its own process, started with ``--channel``: the buses share no thread and no lock. Their
+supervisor passes signals on, and when one ends other than well it ends the others, which is their safe end.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from coulombus.wire.realtime import die_with_parent
+from coulombus.wire.stopping import status_of, taken
+
+__all__ = ["BusProcess", "merged", "path_on", "supervise"]
+
+SIGN_CHECKS = ("not_run", "agreed", "no_hand", "refused")
+"""Outcomes of the sign check, the most doubtful last, as in `host.cycle.records.SignResult`."""
+
+
+def path_on(path: Path, channel: str) -> Path:
+    """Return the file of one bus: ``run.pcapng`` becomes ``run.CHANNEL.pcapng``."""
+    return path.with_name(f"{path.stem}.{channel}{path.suffix}")
+
+
+@dataclass
+class BusProcess:
+    """The process of one bus and what it has said."""
+
+    channel: str
+    process: subprocess.Popen[str]
+    lines: list[str] = field(default_factory=list)
+    ended_by_us: bool = False
+
+    @property
+    def status(self) -> int:
+        """The exit status of a process that has ended, as a shell counts it."""
+        code: int = self.process.returncode
+        return code if code >= 0 else 128 - code
+
+    @property
+    def result(self) -> dict[str, Any] | None:
+        """The JSON object that it printed, None where it printed none."""
+        try:
+            found = json.loads("".join(self.lines))
+        except ValueError:
+            return None
+        return found if isinstance(found, dict) else None
+
+
+def _environment() -> dict[str, str]:
+    """Return the environment of a process that finds this project wherever it stands."""
+    root = str(Path(__file__).parents[__name__.count(".")])
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH"))))}
+
+
+def supervise(
+    channels: Sequence[str], arguments: Callable[[str], Sequence[str]], tell: Callable[[str, str], None] | None = None
+) -> list[BusProcess]:
+    """Run ``coulombus ARGUMENTS`` once for each channel, until all have ended.
+
+    Parameters
+    ----------
+    arguments : channel -> the command's words
+    tell : called with (channel, line) for each line of output; default keeps them in `BusProcess.lines`
+    """
+    buses: list[BusProcess] = []
+    wanted = 0
+
+    def end(number: int) -> None:
+        for bus in buses:
+            if bus.process.poll() is None:
+                bus.ended_by_us = True
+                bus.process.send_signal(number)
+
+    def on_signal(number: int, frame: FrameType | None) -> None:
+        nonlocal wanted
+        wanted = number
+        end(number)
+
+    def read(bus: BusProcess) -> None:
+        assert bus.process.stdout is not None
+        for line in bus.process.stdout:
+            if tell is None:
+                bus.lines.append(line)
+            else:
+                tell(bus.channel, line.rstrip("\n"))
+
+    parent = os.getpid()
+    with taken(on_signal), ExitStack() as at_the_end:
+        at_the_end.callback(end, signal.SIGTERM)
+        for channel in channels:
+            command = [
+                sys.executable,
+                "-P",
+                "-m",
+                "coulombus",
+                *arguments(channel),
+            ]  # -P: no module of the current folder
+            process = subprocess.Popen(
+                command,
+                stdout=subprocess.PIPE,
+                text=True,
+                start_new_session=True,
+                env=_environment(),
+                preexec_fn=lambda: die_with_parent(parent, signal.SIGTERM),  # its safe end, should this one be killed
+            )
+            buses.append(BusProcess(channel, process))
+            if wanted:
+                end(wanted)
+        readers = [threading.Thread(target=read, args=(bus,)) for bus in buses]
+        for reader in readers:
+            reader.start()
+        while any(bus.process.poll() is None for bus in buses):
+            if any(bus.process.returncode for bus in buses) and not any(bus.ended_by_us for bus in buses):
+                end(signal.SIGTERM)
+            for bus in buses:
+                try:
+                    bus.process.wait(0.02)
+                except subprocess.TimeoutExpired:
+                    continue
+        for reader in readers:
+            reader.join()
+    return buses
+
+
+def merged(results: Mapping[str, Mapping[str, Any] | None], statuses: Mapping[str, int]) -> dict[str, Any]:
+    """Return the results of several buses as one.
+
+    The figures of the first bus that has any, the axes of all, the sums of the counters, the sign check that leaves the most doubt, the
+    remarks of all, the first trip, every bus' own result under ``buses``, and the exit status that counts, with its reason: that of the
+    first bus that did not end well by itself.
+    """
+    told = {channel: result for channel, result in results.items() if result is not None}
+    whole: dict[str, Any] = dict(next((result for result in told.values() if "error" not in result), {}))
+    axes: dict[str, Any] = {}
+    for result in told.values():
+        axes |= result.get("axes") or {}
+    whole["axes"] = axes
+    for name in ("lost_pdos", "missed_deadlines"):
+        whole[name] = sum(result.get(name) or 0 for result in told.values())
+    counters = [result.get("counters") or {} for result in told.values()]
+    if any(counters):
+        whole["counters"] = {name: sum(one.get(name, 0) for one in counters) for one in counters for name in one}
+    checks = [SIGN_CHECKS.index(check) for result in told.values() if (check := result.get("sign_check"))]
+    if checks:
+        whole["sign_check"] = SIGN_CHECKS[max(checks)]
+    if "remarks" in whole:
+        whole["remarks"] = [text for result in told.values() for text in result.get("remarks") or ()]
+        gains: list[Any] = [result.get("full_gain_s") for result in told.values()]
+        whole["full_gain_s"] = None if None in gains else max(gains)
+    trips = [result["trip"] for result in told.values() if result.get("trip")]
+    whole["trip"] = next((trip for trip in trips if "OTHER_AXIS" not in trip), trips[0] if trips else None)
+    bad = next((channel for channel, status in statuses.items() if status not in (0, status_of(signal.SIGTERM))), None)
+    whole["exit_status"] = max(statuses.values(), default=0) if bad is None else statuses[bad]
+    if bad is not None and "error" in told.get(bad, {}):
+        whole["error"] = told[bad]["error"]
+    if any(result.get("faults") for result in told.values()):
+        whole["faults"] = [{**one, "bus": c} for c, result in told.items() for one in result.get("faults") or ()]
+        whole["controllers"] = {
+            f"{c}.{name}": one for c, result in told.items() for name, one in (result.get("controllers") or {}).items()
+        }
+    whole["buses"] = dict(told)
+    return whole

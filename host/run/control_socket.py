@@ -1,0 +1,251 @@
+"""The running host's door: a socket beside the bus', by which ``coulombus stop`` asks for a safe stop, and by which a second host knows of it.
+
+The asker sends ``stop``. The host answers ``accepted`` as soon as it has read it, and at its end what came of it, as JSON. Only after
+``accepted`` is the end of the connection the end of the host; before, it may be anything, and the rig may be armed still.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import socket
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from coulombus.host.errors import HostError, SafetyTrip
+from coulombus.wire.address import BusAddress, socket_path
+
+__all__ = ["HostSocket", "NoHost", "StopRequest", "control_path", "stop_host"]
+
+STOP_TIMEOUT_S = 30.0
+MESSAGE_BYTES = 1 << 16
+STOP, ACCEPTED = b"stop", b"accepted"
+ASKERS = 16
+"""Who may be connected at a time; one more takes the place of the one that has been silent for longest."""
+SILENT_S = 1.0
+"""How long one may be connected and say nothing."""
+BACKLOG = 8
+TOLD = {"mode": (str,), "cycles": (int,), "trip": (str, type(None))}
+"""What a host tells of its end, and of which types it is."""
+RETRY_S = 0.01
+
+
+class NoHost(HostError):
+    """No host runs on the bus, or it did not take the request, or it did not end."""
+
+    exit_status = 4
+
+
+def control_path(address: BusAddress) -> Path:
+    """Return the path of the control socket of the host on a bus."""
+    name = address.name if address.kind == "coulombus" else "socketcan-" + re.sub(r"[^A-Za-z0-9_.-]", "_", address.name)
+    return socket_path(f"{name}.host")
+
+
+def _new() -> socket.socket:
+    return socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
+
+
+class _Asker:
+    """Somebody at the door."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        connection.setblocking(False)
+        self.connection, self.since, self.accepted = connection, time.monotonic(), False
+
+    def asks(self) -> bool | None:
+        """Tell whether a stop is asked for now; None: it has gone, talks nonsense, or has said nothing for too long."""
+        try:
+            message = self.connection.recv(MESSAGE_BYTES)
+        except BlockingIOError:
+            return False if self.accepted or time.monotonic() - self.since < SILENT_S else None
+        except OSError:
+            return None
+        if message != STOP:
+            return None
+        self.accepted = True
+        self.tell(ACCEPTED)
+        return True
+
+    def tell(self, message: bytes) -> None:
+        with suppress(OSError):  # it has gone: what it asked for stands
+            self.connection.send(message)
+
+
+class HostSocket:
+    """Claims the bus at `address` for this process.
+
+    Raises
+    ------
+    SafetyTrip
+        another host of this machine has the bus
+    """
+
+    def __init__(self, address: BusAddress) -> None:
+        self._path = control_path(address)
+        self._askers: list[_Asker] = []
+        with _new() as probe:
+            try:
+                probe.connect(str(self._path))
+            except FileNotFoundError:
+                pass
+            except ConnectionRefusedError:  # left behind by a host that was killed
+                self._path.unlink(missing_ok=True)
+            except BlockingIOError:  # so many wait at its door that there is no room: it lives
+                raise SafetyTrip(_occupied(address)) from None
+            else:
+                raise SafetyTrip(_occupied(address))
+        self._listener = _new()
+        try:
+            self._listener.bind(str(self._path))
+        except OSError:
+            self._listener.close()
+            raise SafetyTrip(f"another host starts on bus {address}") from None
+        try:
+            self._listener.listen(BACKLOG)
+        except OSError:
+            self.close()
+            raise
+
+    def stop_wanted(self) -> bool:
+        """Tell whether somebody has asked for a stop since the last time. OSError: nobody can come in any more."""
+        self._let_in()
+        wanted = False
+        for asker in list(self._askers):
+            asks = asker.asks()
+            wanted = wanted or bool(asks)
+            if asks is None:
+                self._let_go(asker)
+        return wanted
+
+    def _let_in(self) -> None:
+        for _ in range(ASKERS):  # a bound: who comes again and again holds up nobody
+            try:
+                connection, _ = self._listener.accept()
+            except BlockingIOError:
+                return
+            except ConnectionAbortedError:
+                continue
+            if len(self._askers) == ASKERS:
+                silent = next((asker for asker in self._askers if not asker.accepted), None)
+                if silent is None:
+                    connection.close()
+                    continue
+                self._let_go(silent)
+            self._askers.append(_Asker(connection))
+
+    def _let_go(self, asker: _Asker) -> None:
+        self._askers.remove(asker)
+        asker.connection.close()
+
+    def close(self, result: dict[str, Any] | None = None) -> None:
+        """Tell those who asked what came of it, and let go of the bus. May be called again; raises nothing."""
+        if self._listener.fileno() < 0:
+            return
+        with suppress(Exception):  # who asked at the last moment hears of it, too
+            self.stop_wanted()
+        with suppress(OSError):
+            self._path.unlink()
+        self._listener.close()
+        for asker in self._askers:
+            if result is not None and asker.accepted:
+                asker.tell(json.dumps(result).encode())
+            asker.connection.close()
+        self._askers.clear()
+
+
+def _occupied(address: BusAddress) -> str:
+    return f"another host runs on bus {address}; end it first with `coulombus stop --bus {address}`"
+
+
+class StopRequest:
+    """Asks the host on a bus to stop safely; `result` waits for its end. What goes wrong is told there.
+
+    Parameters
+    ----------
+    timeout_s : for all of it: to get in, to be heard, and the host's end
+    """
+
+    def __init__(self, address: BusAddress, timeout_s: float = STOP_TIMEOUT_S) -> None:
+        self.address, self._timeout_s = address, timeout_s
+        self._deadline = time.monotonic() + timeout_s
+        self._failure: str | None = None
+        self._socket = _new()
+        try:
+            self._connect()
+            self._socket.send(STOP)
+        except TimeoutError:
+            self._fail(f"does not let anybody in within {timeout_s:g} s: it does not look after its door any more")
+        except (FileNotFoundError, ConnectionRefusedError):
+            self._failure = f"no host runs on bus {address}"
+        except OSError as error:
+            self._fail(f"cannot be asked to stop: {error.strerror or error}")
+
+    def _fail(self, text: str) -> None:
+        self._failure = f"the host on bus {self.address} {text}; it may be armed still: see to the rig itself"
+
+    def _connect(self) -> None:
+        path = str(control_path(self.address))
+        while True:
+            try:
+                return self._socket.connect(path)
+            except BlockingIOError:  # no room among those who wait at its door: connect() would wait for ever
+                if time.monotonic() >= self._deadline:
+                    raise TimeoutError from None
+                time.sleep(RETRY_S)
+
+    def _receive(self) -> bytes:
+        self._socket.settimeout(max(1e-3, self._deadline - time.monotonic()))
+        return self._socket.recv(MESSAGE_BYTES)
+
+    def result(self) -> dict[str, Any]:
+        """Wait for the host's end and return what it tells; empty: it took the request and ended without a word.
+
+        Raises
+        ------
+        NoHost
+            none runs there, it did not take the request, or it does not come to an end
+        """
+        with self._socket:
+            if self._failure is None:
+                try:
+                    return self._hear()
+                except TimeoutError:
+                    self._fail(f"has not stopped within {self._timeout_s:g} s")
+                except OSError as error:
+                    self._fail(f"broke off: {error.strerror or error}")
+        raise NoHost(self._failure)
+
+    def _hear(self) -> dict[str, Any]:
+        first = self._receive()
+        if first != ACCEPTED:
+            self._fail(
+                "closed the connection and did not take the request" if not first else "gave no answer that is one"
+            )
+            raise NoHost(self._failure)
+        message = self._receive()
+        if not message:
+            return {}
+        try:
+            found = json.loads(message)
+        except (ValueError, RecursionError):  # RecursionError: brackets within brackets
+            found = None
+        if not isinstance(found, dict) or not all(
+            isinstance(found.get(key, 0.5), kinds) for key, kinds in TOLD.items()
+        ):
+            self._fail("took the request, but what it told of its end cannot be read")
+            raise NoHost(self._failure)
+        return found
+
+
+def stop_host(address: BusAddress, timeout_s: float = STOP_TIMEOUT_S) -> dict[str, Any]:
+    """Ask the host on a bus to stop safely, wait for its end, and return what it tells (`StopRequest.result`).
+
+    Raises
+    ------
+    NoHost
+        none runs there, it did not take the request, or it does not come to an end
+    """
+    return StopRequest(address, timeout_s).result()

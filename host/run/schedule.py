@@ -1,0 +1,120 @@
+"""The operator's schedule in a run: the markers of its phases, each axis' from its own start, and what a run has to tell about the display."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
+
+from coulombus.host.cycle.controller import Controller
+from coulombus.host.cycle.controllers import Controllers
+from coulombus.rigs.rig import Rig
+
+__all__ = ["PhaseMarks", "display_remarks", "full_gain_s"]
+
+CLIPPED = {
+    "clipped_torque": "the law asked more of the motor than its limit (mode.{mode}.motor_limit_Nm, the drive's 6072h)",
+    "slowed_torque": "the law asked more of the motor than limits.torque_rate_Nm_s, or than it may near limits.speed_rad_s",
+    "limited_by_drive": "the drive told of a limit of its own (statusword bit 11: 6072h, 6073h, 60E0h, 60E1h)",
+    "clipped_setpoints": "the law asked more of the brake than its limit (limits.brake_torque_Nm, or 7300h:01 in its EDS file)",
+}
+"""Counters of cycles in which something cut the law off, and what."""
+
+
+class PhaseMarks:
+    """The markers "phase KIND" and "phase end" of every axis that has begun; with several axes the axis stands before, "left.phase hold"."""
+
+    def __init__(self, rig: Rig) -> None:
+        self._axes = rig.axes
+        self._waiting: list[tuple[int, str]] = []
+        self._begun: set[int] = set()
+        self._over = False
+        self._open: set[str] = set()
+        """Prefixes of the axes whose schedule has begun and not ended."""
+
+    @property
+    def begun(self) -> int:
+        """How many axes have begun."""
+        return len(self._begun)
+
+    def begin(self, axis: int, start_ns: int) -> None:
+        """Let the schedule of an axis begin at `start_ns`; once is enough."""
+        if axis in self._begun or self._over:
+            return
+        self._begun.add(axis)
+        rig = self._axes[axis]
+        starts = np.concatenate(([0.0], np.cumsum([phase.duration_s for phase in rig.phases])))
+        names = [phase.kind for phase in rig.phases] + ["end"]
+        self._waiting += [
+            (start_ns + round(start * 1e9), f"{rig.prefix}phase {name}")
+            for start, name in zip(starts.tolist(), names, strict=True)
+        ]
+        self._waiting.sort(key=lambda one: one[0])
+        self._open.add(rig.prefix)
+
+    def due(self, until_ns: int) -> Iterator[tuple[int, str]]:
+        """Yield what is to be marked before `until_ns`, once."""
+        while self._waiting and self._waiting[0][0] < until_ns:
+            t_ns, text = self._waiting.pop(0)
+            if text.endswith("phase end"):
+                self._open.discard(text.removesuffix("phase end"))
+            yield t_ns, text
+
+    def stop(self) -> None:
+        """Mark nothing more: the display is over."""
+        self._over = True
+        self._waiting.clear()
+        self._open.clear()
+
+    def end(self, t_ns: int) -> Iterator[tuple[int, str]]:
+        """Yield the ends, at `t_ns`, of the schedules that have not come to theirs."""
+        still_open = [rig.prefix for rig in self._axes if rig.prefix in self._open]
+        self.stop()
+        for prefix in still_open:
+            yield t_ns, f"{prefix}phase end"
+
+
+def full_gain_s(controllers: Controllers) -> float | None:
+    """Return when the law of the last axis was shown whole, its gain at 1, from the start of that axis' schedule [s]; None: it never was."""
+    found = [_full_gain_s(k) for k in controllers]
+    return None if None in found else max(one for one in found if one is not None)
+
+
+def _full_gain_s(controller: Controller) -> float | None:
+    at, enabled = (int(controller.host[name][0]) for name in ("full_gain_ns", "enabled_ns"))
+    return None if at < 0 or enabled < 0 else (at - enabled) * 1e-9
+
+
+def display_remarks(controllers: Controllers) -> tuple[str, ...]:
+    """Return in words where a display was not what the rig file says: a law that was cut off, a hand that began too early."""
+    return tuple(text for k in controllers for text in (*_clipped(k), *_too_early(k)))
+
+
+def _clipped(k: Controller) -> Iterator[str]:
+    for name, what in CLIPPED.items():
+        count = int(k.host[name][0])
+        if count:
+            cycles = "1 cycle" if count == 1 else f"{count} cycles"
+            yield f"{_axis(k)}in {cycles} {what.format(mode=k.mode)}: {name}"
+
+
+def _too_early(k: Controller) -> Iterator[str]:
+    """The hand's schedule counts from Operation Enabled; the sign check and the ramp of the law's gain follow that."""
+    starts = [0.0, *np.cumsum([phase.duration_s for phase in k.rig.phases]).tolist()]
+    moves = [(at, phase) for (at, _), phase in zip(pairwise(starts), k.rig.phases, strict=True) if phase.kind != "rest"]
+    if not moves or int(k.host["enabled_ns"][0]) < 0:
+        return
+    begins_s, phase = moves[0]
+    full_s = _full_gain_s(k)
+    displayed_s = int(k.host["display_cycles"][0]) * int(k.control["period_ns"][0]) * 1e-9
+    if begins_s < displayed_s and (full_s is None or full_s > begins_s) and k.trip is None:
+        when = "never" if full_s is None else f"after {full_s:.3f} s"
+        yield (
+            f"{_axis(k)}the law was shown whole {when}, and the schedule's phase {phase.kind} began after {begins_s:g} s: "
+            "a longer rest before it, or less of law.gain_ramp_s, shows all of it"
+        )
+
+
+def _axis(k: Controller) -> str:
+    return f"axis {k.rig.axis}: " if k.rig.axis else ""

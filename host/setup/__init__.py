@@ -1,0 +1,1 @@
+"""Bring-up over SDO, and the control plane."""

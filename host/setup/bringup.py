@@ -1,0 +1,282 @@
+"""Bring-up over SDO: know the devices, configure them, read everything back, start them. Then, and only then, the cycle may begin.
+
+What is written and read back stands in `host.setup.device_plan`, made from EDS and rig file. What is wrong with it is told before anything is
+sent, all of it at once; every difference of the devices is collected and told at once, too. With any of them the host refuses to go on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from contextlib import suppress
+from typing import Protocol
+
+import canopen
+from canopen.sdo import SdoAbortedError, SdoCommunicationError
+
+from coulombus.eds.cia301 import NmtState, abort_text
+from coulombus.eds.cia402 import STATE_OF_STATUSWORD, PowerState
+from coulombus.eds.own_devices import MANUFACTURER, is_own
+from coulombus.eds.reader import Value, Variable
+from coulombus.host.cycle.controllers import Controllers
+from coulombus.host.cycle.demand import check_demand
+from coulombus.host.cycle.records import Image
+from coulombus.host.errors import DeviceMismatch, NodeMissing, SdoAborted
+from coulombus.host.setup.device_plan import DevicePlan, device_plans, names_modes_without_cst
+from coulombus.host.setup.settings import Setting, encoded
+from coulombus.rigs.plan.rig_plan import plans
+from coulombus.rigs.rig import Rig
+
+__all__ = ["ControlPlane", "bring_up", "check_plan", "plans_of", "release", "shut_down"]
+
+SETTLE_NS = 50_000_000
+LATE_HEARTBEATS = 5
+"""So many more are waited for after NMT start before a node counts as missing."""
+
+
+class ControlPlane(Protocol):
+    """The slow side of a bus: a `canopen` network, and time that passes while one waits."""
+
+    network: canopen.Network
+
+    def wait_ns(self, duration_ns: int) -> None:
+        """Let `duration_ns` pass while frames are received."""
+
+    def nmt_state(self, node_id: int) -> int | None:
+        """Return the NMT state that the node's last heartbeat told, None when it was never heard."""
+
+
+class _Device:
+    """SDO access to one node, with sizes from its EDS and errors in words."""
+
+    def __init__(self, plane: ControlPlane, plan: DevicePlan, timeout_s: float) -> None:
+        self.plan, self.description = plan, plan.description
+        self.name, self.node_id = plan.name, plan.node_id
+        self.node = canopen.RemoteNode(self.node_id, canopen.ObjectDictionary())
+        self.identity = (0, 0)
+        plane.network.add_node(self.node)
+        self.node.sdo.RESPONSE_TIMEOUT = timeout_s
+
+    def _where(self, index: int, subindex: int) -> str:
+        try:
+            label = f" {self.description.variable(index, subindex).name}"
+        except KeyError:
+            label = ""
+        return f"{self.name} (node {self.node_id}), object {index:04X}h:{subindex:02X}{label}"
+
+    def _guard(self, index: int, subindex: int, error: Exception) -> Exception:
+        if isinstance(error, SdoAbortedError):
+            return SdoAborted(f"{self._where(index, subindex)}: abort {error.code:08X}h, {abort_text(error.code)}")
+        return NodeMissing(
+            f"{self.name} (node {self.node_id}) does not answer SDO: check power, cable, bit rate and node id"
+        )
+
+    def upload(self, index: int, subindex: int) -> bytes:
+        """Return the object as the device sends it."""
+        try:
+            with self.node.sdo.open(index, subindex, "rb", buffering=0) as stream:
+                data = bytes(stream.read())
+                unsized = stream.size is None and stream.exp_data is not None
+        except (SdoAbortedError, SdoCommunicationError) as error:
+            raise self._guard(index, subindex, error) from None
+        return _without_fill(data, self._variable(index, subindex)) if unsized else data
+
+    def _variable(self, index: int, subindex: int) -> Variable | None:
+        return self.description.variable(index, subindex) if self.description.has(index, subindex) else None
+
+    def number(self, index: int, subindex: int) -> int:
+        """Return an unsigned object of 32 bits, as 1000h, 1018h and 6502h are.
+
+        Raises
+        ------
+        DeviceMismatch
+            it has another length
+        """
+        data = self.upload(index, subindex)
+        if len(data) != 4:
+            raise DeviceMismatch(
+                f"{self._where(index, subindex)} has {len(data)} bytes in the device; expected 4, an UNSIGNED32"
+            )
+        return int.from_bytes(data, "little")
+
+    def write(self, setting: Setting) -> None:
+        """Write the object in the size that the EDS declares; an object of a maker's own only where the maker is this project.
+
+        Raises
+        ------
+        DeviceMismatch, OverflowError
+            a device of another maker, a value that does not fit: nothing was sent
+        """
+        index, subindex = setting.index, setting.subindex
+        if index in MANUFACTURER and not is_own(self.plan.role, self.identity):
+            vendor, product = self.identity
+            raise DeviceMismatch(
+                f"{self._where(index, subindex)} is the maker's own object, and the device is not ours "
+                f"(1018h: vendor {vendor:#010x}, product {product:#010x}); take the EDS file of this very device"
+            )
+        data = encoded(self.description.variable(index, subindex), setting.value)
+        try:
+            self.node.sdo.download(index, subindex, data)
+        except (SdoAbortedError, SdoCommunicationError) as error:
+            raise self._guard(index, subindex, error) from None
+
+    def identify(self) -> list[str]:
+        """Read device type (1000h) and identity (1018h); return how they differ from the EDS and the rig file."""
+        part = self.plan.part
+        expected: dict[tuple[int, int], tuple[str, str, Value]] = {
+            (0x1000, 0): ("device type", "the EDS file", self.description.default(0x1000, 0, self.node_id)),
+            (0x1018, 1): ("vendor id", "the rig file", part.vendor_id),
+            (0x1018, 2): ("product code", "the rig file", part.product_code),
+        }
+        differences, there = [], {}
+        for (index, subindex), (what, source, value) in expected.items():
+            there[index, subindex] = self.number(index, subindex)
+            if isinstance(value, int) and there[index, subindex] != value:
+                differences.append(
+                    f"{self.name} (node {self.node_id}): {what} {index:04X}h:{subindex:02X} is {there[index, subindex]:#010x}, "
+                    f"{source} says {value:#010x}"
+                )
+        self.identity = there[0x1018, 1], there[0x1018, 2]
+        return differences
+
+    def check_modes(self) -> None:
+        """Refuse a drive whose supported drive modes 6502h lack the one that is needed."""
+        if not self.description.has(0x6502):
+            return
+        modes = self.number(0x6502, 0)
+        if names_modes_without_cst(modes):
+            raise DeviceMismatch(
+                f"{self.name}: supported drive modes 6502h = {modes:#010x} do not include cyclic synchronous torque"
+            )
+
+    def configure(self) -> list[str]:
+        """Write every setting in its order, then read all of them back, whole; return the differences in words."""
+        for setting in self.plan.writes:
+            self.write(setting)
+        differences = []
+        for (index, subindex), value in self.plan.read_backs:
+            variable = self.description.variable(index, subindex)
+            wanted, there = encoded(variable, value), self.upload(index, subindex)
+            if len(there) != len(wanted):
+                differences.append(
+                    f"{self._where(index, subindex)} has {len(there)} bytes in the device, {len(wanted)} in {self.description.path}"
+                )
+            elif there != wanted:
+                found = int.from_bytes(there, "little", signed=value < 0 or _signed(variable))
+                differences.append(f"{self._where(index, subindex)}: wrote {value:#x}, reads back {found:#x}")
+        return differences
+
+
+def _signed(variable: Variable) -> bool:
+    return variable.whole is not None and variable.whole[0] < 0
+
+
+def _without_fill(data: bytes, variable: Variable | None) -> bytes:
+    """Return an expedited upload of no told size without the bytes behind the object's own, if those only extend its number."""
+    size = (variable.bits + 7) // 8 if variable is not None else 0
+    if not 0 < size < len(data) or variable is None:
+        return data
+    sign = _signed(variable) and data[size - 1] & 0x80
+    return data[:size] if data[size:] == (b"\xff" if sign else b"\0") * (len(data) - size) else data
+
+
+def check_plan(rig: Rig) -> None:
+    """Refuse a rig whose messages do not fit on their bus in the worst case.
+
+    Raises
+    ------
+    DeviceMismatch
+        Naming each late frame.
+    """
+    for planned in plans(rig).values():
+        if not planned.fits:
+            raise DeviceMismatch(planned.verdict())
+
+
+def plans_of(controllers: Controllers) -> tuple[DevicePlan, ...]:
+    """Return what bring-up does to each device of all axes: drive and brake of the first, of the second ..."""
+    return tuple(
+        plan
+        for controller in controllers
+        for plan in device_plans(controller.rig, controllers.mode, int(controller.control["motor_limit_pm"][0]))
+    )
+
+
+def bring_up(controllers: Controllers, plane: ControlPlane) -> tuple[str, ...]:
+    """Make all nodes ready for the cycle: identified, configured, read back, OPERATIONAL.
+
+    Parameters
+    ----------
+    controllers : whose rig it is; the drives' own torque limits 6072h are theirs
+    plane : the control plane's network; the nodes are on the bus and powered
+
+    Returns
+    -------
+    tuple of str
+        What was not written, as a device has no such object or is not ours, and what the host loses by that.
+
+    Raises
+    ------
+    NodeMissing, SdoAborted, DeviceMismatch
+        nothing was armed; the nodes are left in PRE-OPERATIONAL, or nothing was sent where EDS and rig file do not fit
+    coulombus.rigs.rig.RigError
+        a limit would cut the law off; the nodes were not touched
+    """
+    check_plan(controllers.rig)
+    check_demand(controllers.rig, controllers.mode)
+    found = plans_of(controllers)
+    _refuse(text for plan in found for text in plan.problems)
+    nmt = plane.network.nmt
+    nmt.send_command(0x80)  # enter PRE-OPERATIONAL
+    plane.wait_ns(SETTLE_NS)
+    timeout_s = controllers.rig.host.sdo_timeout_s
+    devices = [_Device(plane, plan, timeout_s) for plan in found]
+    _refuse([text for device in devices for text in device.identify()])
+    for device in devices:
+        if device.plan.role == "motor":
+            device.check_modes()
+    _refuse([text for device in devices for text in device.configure()])
+    nmt.send_command(0x01)  # start
+    heartbeat_ns = round(1e9 * max(plan.part.heartbeat_s for plan in found))
+    plane.wait_ns(SETTLE_NS + 2 * heartbeat_ns)
+    for _ in range(LATE_HEARTBEATS):
+        if all(plane.nmt_state(plan.node_id) == NmtState.OPERATIONAL for plan in found):
+            break
+        plane.wait_ns(heartbeat_ns)
+    for plan in found:
+        state = plane.nmt_state(plan.node_id)
+        if state != NmtState.OPERATIONAL:
+            heard = "was not heard" if state is None else f"says {NmtState(state).name}"
+            raise NodeMissing(f"{plan.name} (node {plan.node_id}) {heard} after NMT start; OPERATIONAL is expected")
+    return tuple(text for plan in found for text in plan.losses)
+
+
+def _refuse(differences: Iterable[str]) -> None:
+    """Raise DeviceMismatch with all differences at once, where there are any."""
+    text = "; ".join(differences)
+    if text:
+        raise DeviceMismatch(text)
+
+
+def release(controllers: Controllers, plane: ControlPlane) -> None:
+    """Put the nodes into PRE-OPERATIONAL and, at a normal end, take the watch over this host off them (1016h:01 = 0).
+
+    Else each of them would tell of a lost heartbeat (EMCY 8130h) as soon as this host has gone. After a trip, or where a drive is not known to be
+    disabled, the watch stays. To be called before the host's heartbeat is missed.
+    """
+    plane.network.nmt.send_command(0x80)
+    drives = [STATE_OF_STATUSWORD[int(k.host["image"][0, Image.STATUSWORD]) & 0x7F] for k in controllers]
+    disabled = all(drive == PowerState.SWITCH_ON_DISABLED for drive in drives)
+    if not (controllers.done and controllers.trip is None and disabled):
+        return
+    for plan in plans_of(controllers):
+        data = encoded(
+            plan.description.variable(0x1016, 1), 0
+        )  # bring-up wrote there: it is an integer that can be written
+        with suppress(SdoAbortedError, SdoCommunicationError):  # then it says so: nothing is lost by that
+            plane.network[plan.node_id].sdo.download(0x1016, 1, data)
+
+
+def shut_down(plane: ControlPlane) -> None:
+    """Leave the nodes in PRE-OPERATIONAL, where no PDO acts; only the heartbeat is still watched there."""
+    plane.network.nmt.send_command(0x80)
+    plane.wait_ns(SETTLE_NS)

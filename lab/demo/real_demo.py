@@ -1,0 +1,138 @@
+"""The paper's experiment in real time: for each mode a ``coulombus sim`` process with bus, nodes and rig, and a host on its bus."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+
+from coulombus.host.errors import HostError
+from coulombus.host.run.course import Interrupted, Signals, real_run
+from coulombus.host.run.result import RunResult
+from coulombus.host.setup.bringup import check_plan
+from coulombus.lab.demo.demo import DEMO_MODES, Demo, as_dict, judge, schedule_s
+from coulombus.rigs.rig import Rig
+from coulombus.wire.address import BusAddress
+from coulombus.wire.realtime import die_with_parent
+
+__all__ = ["SHARED_MACHINE", "SimProcess", "run_real_demo"]
+
+SHARED_MACHINE = (
+    "motor.setpoint_fault_s=0.05",
+    "brake.setpoint_fault_s=0.05",
+    "motor.sync_timeout_s=0.05",
+    "brake.sync_timeout_s=0.05",
+    "motor.heartbeat_timeout_s=0.5",
+    "brake.heartbeat_timeout_s=0.5",
+    "limits.missed_tpdo_cycles=50",
+    "host.loss_limit=1.0",
+)
+"""Overrides for a machine that is shared with others and may stand still for tens of milliseconds; the rig's PC needs none of them."""
+
+END_TIMEOUT_S = 10.0
+
+
+class SimDied(HostError):
+    """The simulation's process ended by itself."""
+
+    exit_status = 4
+
+
+class SimProcess:
+    """A ``coulombus sim`` of its own; `wait_ready` before use, and as a context manager it is ended at the end."""
+
+    def __init__(self, rig: str, address: BusAddress, mode: str, seed: int, overrides: Sequence[str]) -> None:
+        self.address = address
+        root = str(Path(__file__).parents[__name__.count(".")])
+        path = os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH"))))
+        sets = [part for override in overrides for part in ("--set", override)]
+        arguments = ["--rig", rig, "--bus", str(address), "--mode", mode, "--seed", str(seed), "--json", *sets]
+        parent, cpus = os.getpid(), sorted(os.sched_getaffinity(0))
+        if len(cpus) > 1:  # the host's cycle has the last one
+            arguments += ["--cpu", str(cpus[0])]
+        self.process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "coulombus", "sim", *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+            preexec_fn=lambda: die_with_parent(parent, signal.SIGTERM),
+            env={**os.environ, "PYTHONPATH": path},
+        )
+
+    def wait_ready(self) -> None:
+        """Wait until the bus is there; SimDied when it does not come to that."""
+        assert self.process.stdout is not None
+        if json.loads(self.process.stdout.readline() or "{}").get("event") != "ready":
+            raise SimDied(f"coulombus sim on {self.address} ended with status {self.process.wait()}")
+
+    def __enter__(self) -> SimProcess:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.process.send_signal(signal.SIGTERM)
+        try:
+            self.process.communicate(timeout=END_TIMEOUT_S)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.communicate()
+
+
+def run_real_demo(
+    rig: Rig,
+    rig_name: str,
+    directory: Path,
+    *,
+    seed: int = 0,
+    overrides: Sequence[str] = (),
+    signals: Signals | None = None,
+    progress: Callable[[str, float], None] | None = None,
+) -> Demo:
+    """Run both modes against the wall clock; write the recordings and ``demo.json`` under `directory`.
+
+    Parameters
+    ----------
+    rig : with `overrides`, as the host and the simulation use it
+    rig_name : its name or path, for the simulation's process
+    """
+    check_plan(rig)
+    directory.mkdir(parents=True, exist_ok=True)
+    seconds = schedule_s(rig)
+    results: dict[str, RunResult] = {}
+    with ExitStack() as stack:
+        sims = {}
+        for mode in DEMO_MODES:  # all at once: the second is ready when the first run is over
+            address = BusAddress("coulombus", f"demo-{os.getpid()}-{mode}")
+            sims[mode] = stack.enter_context(SimProcess(rig_name, address, mode, seed, overrides))
+        for sim in sims.values():
+            sim.wait_ready()
+        for mode, sim in sims.items():
+
+            def report(t_s: float, mode: str = mode) -> None:
+                if progress is not None:
+                    progress(mode, t_s)
+
+            results[mode] = real_run(
+                rig,
+                mode,
+                seconds,
+                bus=sim.address,
+                record=directory / f"{mode}.pcapng",
+                histogram=directory / f"{mode}-timing.png",
+                signals=signals,
+                progress=report,
+                force=True,
+            )
+            if signals is not None and signals.number:
+                raise Interrupted(signals.number)
+    demo = Demo(results, judge(rig, results))
+    (directory / "demo.json").write_text(json.dumps(as_dict(demo), indent=2) + "\n")
+    return demo

@@ -1,0 +1,1 @@
+"""Recordings again: on a bus, through the host, in the virtual rig."""

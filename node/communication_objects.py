@@ -1,0 +1,201 @@
+"""Communication objects of a node, 1000h-1FFFh: what may be written, and the record that follows.
+
+They stand in the Python dictionary; after a valid write `refresh` brings the record, the PDO records and the routes of
+the identifiers up to them. Each object is a row of `_REFRESHES`, and of `node.communication_checks.CHECKS`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from coulombus.eds.cia301 import Abort, CobId
+from coulombus.eds.pdo import COMMUNICATION
+from coulombus.node import core, guarding
+from coulombus.node.communication_checks import CHECKS, CONSUMER, INVALID, PRODUCER, SDO_SERVERS
+from coulombus.node.dictionary import Dictionary, SdoAbort
+from coulombus.node.pdo_parameters import Pdos
+from coulombus.node.record import FAR_FUTURE_NS, MAX_CONSUMERS, MAX_HISTORY
+from coulombus.wire.frame import Records
+
+__all__ = ["Communication"]
+
+
+class Communication:
+    """The communication objects of the node in row `i`."""
+
+    def __init__(self, dictionary: Dictionary, nodes: Records, rpdo: Records, tpdo: Records, i: int) -> None:
+        self._dictionary = dictionary
+        self._node = nodes[i]
+        self._rpdo = rpdo[i]
+        self._tpdo = tpdo[i]
+        self.pdos = Pdos(dictionary, nodes, rpdo, tpdo, i)
+
+    def sdo_servers(self) -> list[tuple[int, int, int]]:
+        """Return the SDO servers that are valid: (number from 0, identifier of the requests, of the responses)."""
+        number, node_id = self._dictionary.number, self._dictionary.node_id
+        servers = []
+        for k, index in enumerate(SDO_SERVERS):
+            default = (CobId.SDO_RX + node_id, CobId.SDO_TX + node_id) if k == 0 else (INVALID, INVALID)
+            rx, tx = number(index, 1, default[0]), number(index, 2, default[1])
+            if not (rx | tx) & INVALID and rx & 0x7FF and tx & 0x7FF:
+                servers.append((k, rx & 0x7FF, tx & 0x7FF))
+        return servers
+
+    def collect(self, index: int) -> None:
+        """Bring what the core keeps (1003h) to the dictionary before it is read."""
+        if index != 0x1003 or (index, 0) not in self._dictionary:
+            return
+        count = int(self._node["history_count"])
+        self._dictionary[index, 0] = count
+        for k in range(MAX_HISTORY):
+            if (index, k + 1) in self._dictionary:
+                self._dictionary[index, k + 1] = int(self._node["history"][k]) if k < count else 0
+
+    def check(self, index: int, subindex: int, value: int) -> None:
+        """Abort unless `value` may be written to a communication object now."""
+        check = CHECKS.get(index)
+        if check is not None:
+            check(self._dictionary, index, subindex, value)
+        else:
+            self.pdos.check(index, subindex, value)
+        self._check_receiver(index, subindex, value)
+
+    def _check_receiver(self, index: int, subindex: int, value: int) -> None:
+        """Abort where two services would hear one identifier, which `_route` gives to one of them; RPDOs may share theirs."""
+        own = _RECEIVERS.get(index)
+        if own is None or subindex != (own in (core.ROUTE_SDO, core.ROUTE_PDO)):
+            return
+        listens = {core.ROUTE_SYNC: True, core.ROUTE_TIME: bool(value & CONSUMER)}.get(own, not value & INVALID)
+        other = int(self._node["route"][value & 0x7FF])
+        if core.ROUTE_PDO <= other < core.ROUTE_CONSUMER:
+            other = core.ROUTE_PDO
+        if listens and other not in (core.ROUTE_NONE, own):
+            raise SdoAbort(Abort.PARAMETER_INCOMPATIBLE)
+
+    def refresh(self, index: int, subindex: int, t_ns: int) -> None:
+        """Bring the record up to an object that was written at `t_ns`."""
+        refresh = _REFRESHES.get(index)
+        if refresh is not None:
+            refresh(self, subindex, t_ns)
+        place = self.pdos.locate(index)
+        if place is not None:
+            self.pdos.refresh(place[0], place[1], t_ns)
+        self._route()
+
+    def refresh_all(self, t_ns: int) -> None:
+        """Bring the record up to all communication objects (power-on, reset)."""
+        for refresh in _REFRESHES.values():
+            refresh(self, 0, t_ns)
+        self.pdos.refresh_all(t_ns)
+        self._route()
+
+    def _refresh_sync(self, subindex: int, t_ns: int) -> None:
+        node, number = self._node, self._dictionary.number
+        cob_id, period_ns = number(0x1005, 0, 0x80), number(0x1006) * 1000
+        producer_ns = period_ns if cob_id & PRODUCER and cob_id & 0x7FF else 0
+        if node["sync_producer_ns"] != producer_ns:
+            node["sync_producer_ns"] = producer_ns
+            node["sync_next_ns"] = t_ns + producer_ns if producer_ns else FAR_FUTURE_NS
+            node["sync_counter"] = 0
+        node["sync_id"] = cob_id & 0x7FF
+        node["sync_window_ns"] = number(0x1007) * 1000
+        if node["sync_overflow"] != number(0x1019):
+            node["sync_overflow"] = number(0x1019)
+            for k in range(int(node["tpdo_used"])):
+                node["tpdo_count"][k] = -1 if self._tpdo[k]["sync_start"] and node["sync_overflow"] else 0
+
+    def _refresh_emcy(self, subindex: int, t_ns: int) -> None:
+        cob_id = self._dictionary.number(0x1014, 0, 0x80 + self._dictionary.node_id)
+        self._node["emcy_id"] = -1 if cob_id & INVALID or not cob_id & 0x7FF else cob_id & 0x7FF  # 0 is NMT's
+        inhibit_ns = self._dictionary.number(0x1015) * 100_000
+        self._node["emcy_inhibit_ns"] = inhibit_ns
+        self._node["emcy_ready_ns"] = min(int(self._node["emcy_ready_ns"]), t_ns + inhibit_ns)
+
+    def _refresh_history(self, subindex: int, t_ns: int) -> None:
+        if self._dictionary.number(0x1003) == 0:
+            self._node["history_count"] = 0
+
+    def _refresh_consumers(self, subindex: int, t_ns: int) -> None:
+        node = self._node
+        entries = [self._dictionary.number(0x1016, k + 1) for k in range(MAX_CONSUMERS)]
+        watched = [entry if entry >> 16 & 0xFF and entry & 0xFFFF else 0 for entry in entries]
+        for k in range(MAX_CONSUMERS) if subindex == 0 else (subindex - 1,):
+            node["consumer_id"][k] = watched[k] >> 16 & 0xFF
+            node["consumer_ns"][k] = (watched[k] & 0xFFFF) * 1_000_000
+            node["consumer_state"][k] = 0
+        node["consumers_used"] = max((k + 1 for k, entry in enumerate(watched) if entry), default=0)
+
+    def _refresh_heartbeat(self, subindex: int, t_ns: int) -> None:
+        period_ns = self._dictionary.number(0x1017) * 1_000_000
+        self._node["heartbeat_ns"] = period_ns
+        self._node["heartbeat_next_ns"] = t_ns + period_ns if period_ns else FAR_FUTURE_NS
+        self._refresh_guarding(0, t_ns)
+
+    def _refresh_guarding(self, subindex: int, t_ns: int) -> None:
+        node, number = self._node, self._dictionary.number
+        node["guard_on"] = number(0x1017) == 0
+        node["guard_life_ns"] = number(0x100C) * number(0x100D) * 1_000_000 if node["guard_on"] else 0
+        guarding.restart(node)
+
+    def _refresh_time(self, subindex: int, t_ns: int) -> None:
+        self._node["time_id"] = self._dictionary.number(0x1012) & 0x7FF
+
+    def _refresh_error_behaviour(self, subindex: int, t_ns: int) -> None:
+        self._node["error_behaviour"] = self._dictionary.number(0x1029, 1)
+        self._node["device_error_behaviour"] = self._dictionary.number(0x1029, 2, 1)
+
+    def _route(self) -> None:
+        """Write which identifier means what; where two claim one, the later line wins."""
+        node = self._node
+        node["rerouted"] = 1
+        route, rtr = node["route"].view(np.ndarray), node["rtr_route"].view(np.ndarray)
+        route[:] = core.ROUTE_NONE
+        rtr[:] = core.ROUTE_NONE
+        for k in range(int(node["consumers_used"])):
+            if node["consumer_ns"][k]:
+                route[0x700 + int(node["consumer_id"][k])] = core.ROUTE_CONSUMER + k
+        node["rpdo_next"][:] = -1
+        for k in reversed(range(int(node["rpdo_used"]))):
+            can_id = int(self._rpdo[k]["cob_id"])
+            if can_id >= 0:
+                if core.ROUTE_PDO <= route[can_id] < core.ROUTE_CONSUMER:
+                    node["rpdo_next"][k] = int(route[can_id]) - core.ROUTE_PDO
+                route[can_id] = core.ROUTE_PDO + k
+        for k in range(int(node["tpdo_used"])):
+            if self._tpdo[k]["cob_id"] >= 0:
+                rtr[int(self._tpdo[k]["cob_id"])] = core.ROUTE_PDO + k
+        rtr[CobId.HEARTBEAT + int(node["node_id"])] = core.ROUTE_GUARD
+        if self._dictionary.number(0x1012) & CONSUMER:
+            route[int(node["time_id"])] = core.ROUTE_TIME
+        route[int(node["sync_id"])] = core.ROUTE_SYNC
+        for _, rx, _ in self.sdo_servers():
+            route[rx] = core.ROUTE_SDO
+        route[CobId.LSS_RX] = core.ROUTE_LSS
+        route[0x000] = core.ROUTE_NMT
+
+
+_RECEIVERS: Mapping[int, int] = {
+    0x1005: core.ROUTE_SYNC,
+    0x1012: core.ROUTE_TIME,
+    **dict.fromkeys(SDO_SERVERS, core.ROUTE_SDO),
+    **dict.fromkeys(range(COMMUNICATION["rpdo"], COMMUNICATION["rpdo"] + 512), core.ROUTE_PDO),
+}
+"""Objects whose COB-ID is one to hear (from 1200h on in sub-index 1) -> the route of its frames."""
+
+_REFRESHES: Mapping[int, Callable[[Communication, int, int], None]] = {
+    0x1003: Communication._refresh_history,
+    0x1005: Communication._refresh_sync,
+    0x1006: Communication._refresh_sync,
+    0x1007: Communication._refresh_sync,
+    0x100C: Communication._refresh_guarding,
+    0x100D: Communication._refresh_guarding,
+    0x1012: Communication._refresh_time,
+    0x1014: Communication._refresh_emcy,
+    0x1015: Communication._refresh_emcy,
+    0x1016: Communication._refresh_consumers,
+    0x1017: Communication._refresh_heartbeat,
+    0x1019: Communication._refresh_sync,
+    0x1029: Communication._refresh_error_behaviour,
+}

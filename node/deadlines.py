@@ -1,0 +1,131 @@
+"""Deadlines of a node, compiled: heartbeats both ways, RPDO deadline, SYNC time-out, a stale SDO transfer.
+
+Each watch begins with the first reception (heartbeat, RPDO, SYNC) and is judged lazily: `expire` looks at what is late
+at `t_ns`, `next_deadline` tells when to look again.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from coulombus.compiled.decorator import kernel
+from coulombus.node import emcy, guarding, slots
+from coulombus.node.reactions import alarm
+from coulombus.node.record import FAR_FUTURE_NS
+from coulombus.wire.frame import push
+
+__all__ = ["expire", "heartbeat_received", "next_deadline", "settle", "stop"]
+
+_STOPPED, _OPERATIONAL = 4, 5
+_WAITING, _ALIVE, _LOST = 0, 1, 2
+
+
+@kernel
+def heartbeat_received(n: Any, i: int, k: int, t_ns: int, length: int, data: int, queue: Any, header: Any) -> None:
+    """Take a heartbeat of consumer entry `k`; a boot-up is none: who has just started has lost its connections."""
+    if length < 1:
+        n.dropped_length += 1
+        return
+    if data & 0x7F == 0:
+        return
+    n.consumer_last_ns[k] = t_ns
+    before = n.consumer_state[k]
+    if before == _ALIVE:
+        return
+    n.consumer_state[k] = _ALIVE
+    n.next_ns = min(n.next_ns, t_ns + n.consumer_ns[k])
+    if before == _LOST:
+        settle(n, i, t_ns, queue, header)
+
+
+@kernel
+def settle(n: Any, i: int, t_ns: int, queue: Any, header: Any) -> None:
+    """Release the losses that are no longer present: none lost any more, or no longer watched."""
+    heartbeats, rpdos = 0, 0
+    for k in range(n.consumers_used):
+        heartbeats += n.consumer_state[k] == _LOST
+    for k in range(n.rpdo_used):
+        rpdos += n.rpdo_lost[k]
+    if heartbeats == 0 and n.causes >> emcy.HEARTBEAT & 1:
+        emcy.gone(n, i, t_ns, emcy.HEARTBEAT, queue, header)
+    if n.guard_state != guarding.LOST and n.causes >> emcy.LIFE_GUARDING & 1:
+        emcy.gone(n, i, t_ns, emcy.LIFE_GUARDING, queue, header)
+    if rpdos == 0 and n.causes >> emcy.RPDO_DEADLINE & 1:
+        emcy.gone(n, i, t_ns, emcy.RPDO_DEADLINE, queue, header)
+    if n.sync_armed == 0 and n.causes >> emcy.SYNC_LOST & 1:
+        emcy.gone(n, i, t_ns, emcy.SYNC_LOST, queue, header)
+
+
+@kernel
+def stop(n: Any, i: int, t_ns: int, queue: Any, header: Any) -> None:
+    """NMT left OPERATIONAL: SYNC and RPDOs are no longer expected, so their loss is no longer present."""
+    n.sync_armed = 0
+    for k in range(n.rpdo_used):
+        n.rpdo_armed[k] = 0
+        n.rpdo_lost[k] = 0
+    settle(n, i, t_ns, queue, header)
+
+
+@kernel
+def expire(nodes: Any, rpdo: Any, i: int, t_ns: int, queue: Any, header: Any) -> int:
+    """Judge what is late at `t_ns`; return 1 when a heartbeat or the guarding was lost now (1029h decides what NMT does)."""
+    n = nodes[i]
+    lost_now = 0
+    if n.heartbeat_ns > 0 and t_ns >= n.heartbeat_next_ns:
+        push(queue, header, i, t_ns, 0x700 + n.node_id, 1, n.nmt)
+        n.heartbeat_next_ns += n.heartbeat_ns
+        if n.heartbeat_next_ns <= t_ns:  # called too late: no burst
+            n.heartbeat_next_ns = t_ns + n.heartbeat_ns
+    if n.emcy_waiting > 0:
+        emcy.drain(n, i, t_ns, queue, header)
+    for k in range(n.consumers_used):
+        if n.consumer_state[k] == _ALIVE and t_ns - n.consumer_last_ns[k] >= n.consumer_ns[k]:
+            n.consumer_state[k] = _LOST
+            n.latched &= ~(1 << emcy.HEARTBEAT)  # each producer that is lost is told of
+            alarm(n, i, t_ns, emcy.HEARTBEAT, n.consumer_id[k], queue, header)
+            lost_now = 1
+    if guarding.late(n, t_ns):
+        n.guard_state = guarding.LOST
+        alarm(n, i, t_ns, emcy.LIFE_GUARDING, 0, queue, header)
+        lost_now = 1
+    if n.nmt == _OPERATIONAL:
+        for k in range(n.rpdo_used):
+            p = rpdo[i, k]
+            late = p.cob_id >= 0 and p.event_ns > 0 and t_ns - n.rpdo_ns[k] >= p.event_ns
+            if late and n.rpdo_armed[k] and n.rpdo_lost[k] == 0:
+                n.rpdo_lost[k] = 1
+                alarm(n, i, t_ns, emcy.RPDO_DEADLINE, k + 1, queue, header)
+        timeout_ns = n.values[slots.SYNC_TIMEOUT_US] * 1000
+        if n.sync_armed and timeout_ns > 0 and t_ns - n.sync_ns >= timeout_ns and not n.causes >> emcy.SYNC_LOST & 1:
+            alarm(n, i, t_ns, emcy.SYNC_LOST, 0, queue, header)
+    for k in range(n.sdo_used):
+        if t_ns >= n.sdo_deadline_ns[k]:
+            if n.nmt != _STOPPED:
+                push(queue, header, i, t_ns + n.processing_ns, n.sdo_abort_id[k], 8, n.sdo_abort_word[k])
+            n.sdo_deadline_ns[k] = FAR_FUTURE_NS
+    return lost_now
+
+
+@kernel
+def next_deadline(nodes: Any, rpdo: Any, i: int, next_ns: int) -> int:
+    """Return the earlier of `next_ns` and the next of these deadlines."""
+    n = nodes[i]
+    for k in range(n.sdo_used):
+        next_ns = min(next_ns, n.sdo_deadline_ns[k])
+    next_ns = guarding.next_deadline(n, next_ns)
+    if n.emcy_waiting > 0:
+        next_ns = min(next_ns, n.emcy_ready_ns)
+    if n.heartbeat_ns > 0:
+        next_ns = min(next_ns, n.heartbeat_next_ns)
+    for k in range(n.consumers_used):
+        if n.consumer_state[k] == _ALIVE:
+            next_ns = min(next_ns, n.consumer_last_ns[k] + n.consumer_ns[k])
+    if n.nmt == _OPERATIONAL:
+        for k in range(n.rpdo_used):
+            p = rpdo[i, k]
+            if p.cob_id >= 0 and p.event_ns > 0 and n.rpdo_armed[k] and n.rpdo_lost[k] == 0:
+                next_ns = min(next_ns, n.rpdo_ns[k] + p.event_ns)
+        timeout_ns = n.values[slots.SYNC_TIMEOUT_US] * 1000
+        if n.sync_armed and timeout_ns > 0 and not n.causes >> emcy.SYNC_LOST & 1:
+            next_ns = min(next_ns, n.sync_ns + timeout_ns)
+    return next_ns

@@ -1,0 +1,216 @@
+"""PDO parameters of a node, 1400h-1BFFh: what may be written when, and the records that follow (CiA 301, 7.5.2.35-38).
+
+The procedure to change a map: destroy the PDO (bit 31 of its COB-ID), set the count to 0, write the entries, set the
+count, create the PDO again. A write that leaves the procedure is aborted, one that changes nothing is accepted. PDOs
+beyond `node.record.MAX_PDOS` of a direction have their objects but cannot be made valid.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from coulombus.eds.cia301 import DATA_TYPES, DUMMY_TYPES, Abort, predefined, restricted
+from coulombus.eds.pdo import (
+    COB_ID_EXTENDED,
+    COB_ID_INVALID,
+    COB_ID_NO_RTR,
+    COMMUNICATION,
+    EVENT_UNIT_NS,
+    INHIBIT_UNIT_NS,
+    MAPPING,
+    PDO_BITS,
+    Direction,
+    Entry,
+    PdoLayout,
+    entry_of,
+    fill,
+)
+from coulombus.node.dictionary import Dictionary, SdoAbort
+from coulombus.node.reactions import CARRIES_CONTROLWORD, CARRIES_SETPOINT, CARRIES_SPEED
+from coulombus.node.record import KIND_BRAKE, KIND_DRIVE, KIND_GENERIC, MAX_PDOS
+from coulombus.wire.frame import Records
+
+__all__ = ["Pdos", "restricted"]
+
+CARRIED: Mapping[int, Mapping[tuple[int, int], int]] = {
+    KIND_GENERIC: {},
+    KIND_DRIVE: {(0x6040, 0): CARRIES_CONTROLWORD, (0x6071, 0): CARRIES_SETPOINT, (0x60FF, 0): CARRIES_SPEED},
+    KIND_BRAKE: {(0x7300, 1): CARRIES_SETPOINT},
+}
+"""Objects by kind on which the core acts when they are written."""
+
+CONTINUOUS = frozenset((0x6064, 0x606B, 0x606C, 0x6074, 0x6077, 0x6078, 0x6079, 0x7130))
+"""Objects that change all the time: beside an event timer, their change is no event."""
+
+_READABLE, _WRITABLE = ("ro", "rw", "rwr", "const"), ("wo", "rw", "rww")
+_SYNC_MAX, _RTR_MIN, _EVENT_MIN = 240, 252, 254
+
+
+class Pdos:
+    """The PDO parameters of the node in row `i`."""
+
+    def __init__(self, dictionary: Dictionary, nodes: Records, rpdo: Records, tpdo: Records, i: int) -> None:
+        self._dictionary = dictionary
+        self._node = nodes[i]
+        self._records = {"rpdo": rpdo[i], "tpdo": tpdo[i]}
+
+    def locate(self, index: int) -> tuple[Direction, int, bool] | None:
+        """Return (direction, number from 0, whether it is a mapping) of a PDO parameter, else None."""
+        directions: tuple[Direction, ...] = ("rpdo", "tpdo")
+        for direction in directions:
+            for first, mapping in ((COMMUNICATION[direction], False), (MAPPING[direction], True)):
+                if first <= index < first + 512:
+                    return direction, index - first, mapping
+        return None
+
+    def _cob_id(self, direction: Direction, k: int) -> int:
+        """Return what a PDO's sub-index 1 says, or would say if the EDS had it; not valid where there is no such PDO."""
+        index, objects = COMMUNICATION[direction] + k, self._dictionary
+        usual = predefined(index, 1, objects.node_id) if objects.description.has(index) else None
+        return objects.number(index, 1, COB_ID_INVALID if usual is None else usual)
+
+    def _valid(self, direction: Direction, k: int) -> bool:
+        return not self._cob_id(direction, k) & COB_ID_INVALID
+
+    def check(self, index: int, subindex: int, value: int) -> None:
+        """Abort unless `value` may be written now."""
+        place = self.locate(index)
+        if place is None or value == self._dictionary[index, subindex]:
+            return
+        direction, k, mapping = place
+        if mapping:
+            if self._valid(direction, k):
+                raise SdoAbort(Abort.DEVICE_STATE)
+            if subindex == 0:
+                self._check_count(direction, index, value)
+            elif self._dictionary.number(index, 0):
+                raise SdoAbort(Abort.DEVICE_STATE)
+            elif value:
+                self._entry(direction, value)
+        elif subindex == 1:
+            self._check_cob_id(direction, k, int(self._dictionary.number(index, 1)), value)
+        elif subindex == 2:
+            reserved = range(_SYNC_MAX + 1, _EVENT_MIN if direction == "rpdo" else _RTR_MIN)
+            if value in reserved:
+                raise SdoAbort(Abort.VALUE)
+        elif subindex in (3, 6) and direction == "tpdo" and self._valid(direction, k):
+            raise SdoAbort(Abort.DEVICE_STATE)  # inhibit time and SYNC start value stand while the PDO exists
+
+    def _check_cob_id(self, direction: Direction, k: int, before: int, value: int) -> None:
+        can_id = value & 0x1FFFFFFF
+        if value & COB_ID_EXTENDED or can_id > 0x7FF:
+            raise SdoAbort(Abort.VALUE)
+        if value & COB_ID_INVALID:
+            return
+        if restricted(can_id) or (not before & COB_ID_INVALID and (before ^ value) & 0x3FFFFFFF):
+            raise SdoAbort(Abort.VALUE)
+        if k >= MAX_PDOS:
+            raise SdoAbort(Abort.INTERNAL_INCOMPATIBLE)
+        for other in range(MAX_PDOS):
+            same = self._cob_id(direction, other)
+            if direction == "tpdo" and other != k and not same & COB_ID_INVALID and same & 0x7FF == can_id:
+                raise SdoAbort(Abort.PARAMETER_INCOMPATIBLE)  # two TPDOs with one identifier collide on the bus
+
+    def _check_count(self, direction: Direction, index: int, count: int) -> None:
+        if count and (count > PDO_BITS or (index, count) not in self._dictionary):
+            raise SdoAbort(Abort.PDO_LENGTH)
+        words = [self._dictionary.number(index, sub) for sub in range(1, count + 1)]
+        if sum(self._entry(direction, word).bits for word in words) > PDO_BITS:
+            raise SdoAbort(Abort.PDO_LENGTH)
+
+    def _entry(self, direction: Direction, word: int) -> Entry:
+        """Return the entry that a client's mapping word spells, or abort."""
+        index, subindex, bits = word >> 16, word >> 8 & 0xFF, word & 0xFF
+        if index in self._dictionary.description.dummies:
+            if direction == "tpdo" or bits != DATA_TYPES[index].bits:
+                raise SdoAbort(Abort.NOT_MAPPABLE)
+            return self._read_entry(word)
+        variable = self._dictionary.find(index, subindex)
+        access = _WRITABLE if direction == "rpdo" else _READABLE
+        whole = bits == variable.bits or (variable.bits == 1 and bits == 8)
+        if not variable.pdo_mappable or variable.access not in access or not whole:
+            raise SdoAbort(Abort.NOT_MAPPABLE)
+        self._dictionary.slot(index, subindex)
+        return self._read_entry(word)
+
+    def _read_entry(self, word: int) -> Entry:
+        """Return the entry that a mapping word spells, whatever the EDS' own default maps."""
+        index, subindex, bits = word >> 16, word >> 8 & 0xFF, word & 0xFF
+        if index in DUMMY_TYPES:
+            return Entry(index, subindex, bits, DATA_TYPES[index].signed, "int", "dummy")
+        return entry_of(self._dictionary.description.variable(index, subindex), bits)
+
+    def _slot(self, index: int, subindex: int) -> int:
+        """Return an entry's slot; text in a default map has none and travels as zeros."""
+        try:
+            return self._dictionary.slot(index, subindex)
+        except SdoAbort:
+            return -1
+
+    def layout(self, direction: Direction, k: int) -> PdoLayout:
+        """Return the PDO as its parameters now describe it."""
+        number = self._dictionary.number
+        communication, mapping = COMMUNICATION[direction] + k, MAPPING[direction] + k
+        cob_id = self._cob_id(direction, k)
+        count = number(mapping, 0)
+        valid = not cob_id & COB_ID_INVALID and cob_id & 0x7FF and count and k < MAX_PDOS  # count 0: mapping disabled
+        return PdoLayout(
+            number=k + 1,
+            direction=direction,
+            cob_id=cob_id & 0x7FF if valid else -1,
+            transmission=number(communication, 2, 255),
+            inhibit_ns=number(communication, 3) * INHIBIT_UNIT_NS if direction == "tpdo" else 0,
+            event_ns=number(communication, 5) * EVENT_UNIT_NS,
+            sync_start=number(communication, 6) if direction == "tpdo" else 0,
+            rtr_allowed=not cob_id & COB_ID_NO_RTR,
+            entries=tuple(self._read_entry(number(mapping, sub)) for sub in range(1, count + 1)),
+        )
+
+    def refresh(self, direction: Direction, k: int, t_ns: int) -> None:
+        """Bring the record of one PDO up to its parameters.
+
+        An RPDO is new then, and has received nothing; a TPDO is when it did not exist, else its inhibit time goes on.
+        """
+        if k >= MAX_PDOS:
+            return
+        layout = self.layout(direction, k)
+        record, node = self._records[direction][k], self._node
+        existed = 0 <= record["cob_id"] == layout.cob_id
+        counted = existed and record["transmission"] == layout.transmission
+        fill(record, layout, self._slot)
+        valid = np.flatnonzero(self._records[direction]["cob_id"] >= 0)
+        used = int(valid[-1]) + 1 if len(valid) else 0
+        if direction == "rpdo":
+            carried = CARRIED[int(node["kind"])]
+            node["rpdo_carries"][k] = sum(carried.get((e.index, e.subindex), 0) for e in layout.entries)
+            node["rpdo_armed"][k] = node["rpdo_lost"][k] = 0
+            node["rpdo_pending"] -= node["rpdo_waits"][k]
+            node["rpdo_waits"][k] = 0
+            node["rpdo_used"] = used
+            return
+        mask = 0
+        for entry, start in zip(layout.entries, layout.starts, strict=True):
+            if layout.event_ns == 0 or entry.index not in CONTINUOUS:
+                mask |= ((1 << entry.bits) - 1) << start
+        node["tpdo_mask"][k] = mask - (1 << 64) if mask >> 63 else mask
+        if not counted:
+            node["tpdo_count"][k] = -1 if layout.sync_start and node["sync_overflow"] else 0
+        if not existed:
+            node["tpdo_ns"][k] = t_ns - layout.inhibit_ns
+            node["tpdo_due"][k] = 1
+        node["tpdo_used"] = used
+        node["tpdo_events"] = int(np.sum(self._records["tpdo"]["transmission"][valid] >= _EVENT_MIN))
+
+    def refresh_all(self, t_ns: int) -> None:
+        """Bring every PDO record up to its parameters; a valid PDO that the core has no room for is made invalid."""
+        directions: tuple[Direction, ...] = ("rpdo", "tpdo")
+        for direction in directions:
+            self._records[direction]["cob_id"] = -1
+            for k in range(MAX_PDOS):
+                if self._dictionary.description.has(COMMUNICATION[direction] + k):
+                    self.refresh(direction, k, t_ns)
+            for index in range(COMMUNICATION[direction] + MAX_PDOS, COMMUNICATION[direction] + 512):
+                if (index, 1) in self._dictionary:
+                    self._dictionary[index, 1] = self._dictionary.number(index, 1) | COB_ID_INVALID

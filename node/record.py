@@ -1,0 +1,243 @@
+"""The one record of a node, which its compiled core and its Python services share.
+
+`new_nodes` makes the records of several nodes at once: the core addresses a node by its row, so that one kernel serves
+a whole bus. Everything is int64 or float64; times are int64 nanoseconds; a time that never comes is `FAR_FUTURE_NS`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from coulombus.eds.codec import PDO
+from coulombus.wire.clock import CLOCK_FIELDS, NEVER_NS
+from coulombus.wire.frame import Records
+
+__all__ = [
+    "BLOCK_SEGMENTS",
+    "EMCY_WAITING",
+    "FAR_FUTURE_NS",
+    "KIND_BRAKE",
+    "KIND_DRIVE",
+    "KIND_GENERIC",
+    "MAX_CONSUMERS",
+    "MAX_HISTORY",
+    "MAX_PDOS",
+    "MAX_SDO_SERVERS",
+    "NODE",
+    "OUTBOX",
+    "SDO_TIMEOUT_NS",
+    "SLOTS",
+    "SPARE_SLOTS",
+    "new_nodes",
+]
+
+SLOTS = 1024
+SPARE_SLOTS = 256  # for objects that a PDO maps later, however many the EDS describes
+MAX_PDOS = 64  # of each direction
+MAX_CONSUMERS = 127  # entries of 1016h that are watched
+MAX_SDO_SERVERS = 128  # 1200h to 127Fh
+BLOCK_SEGMENTS = 127  # most segments of a block of an SDO block transfer
+OUTBOX = 1024  # segments of block uploads that wait to be sent
+MAX_HISTORY = 8  # entries of 1003h
+EMCY_WAITING = 8  # EMCY messages that wait for the end of the inhibit time
+FAR_FUTURE_NS = NEVER_NS
+SDO_TIMEOUT_NS = 1_000_000_000
+"""An SDO transfer that stands still for so long is aborted (0504 0000h)."""
+
+KIND_GENERIC, KIND_DRIVE, KIND_BRAKE = 0, 1, 2
+
+_I, _F = np.int64, np.float64
+
+NODE = np.dtype(
+    [
+        # who and when
+        ("node_id", _I),
+        ("kind", _I),  # 0 generic, 1 drive, 2 brake
+        ("nmt", _I),  # NmtState
+        ("powered", _I),
+        ("next_ns", _I),  # when on_time wants to be called; FAR_FUTURE_NS: never
+        *CLOCK_FIELDS,
+        ("processing_ns", _I),  # from a frame or an event to the answer that is ready to be sent
+        # simulated inputs, in the device's own units (written by sim_bus). After a change of in_supply_ok or in_faults
+        # set next_ns to the present: both are looked at on SYNC, on an RPDO and on time
+        ("in_position_counts", _I),
+        ("in_velocity_counts_s", _F),
+        ("in_torque_pm", _F),  # per mille of rated
+        ("in_supply_ok", _I),
+        ("in_faults", _I),  # device faults that are present, bits of node.emcy's causes
+        ("in_handle_Nm", _F),
+        ("in_coil_A", _F),
+        ("in_coil_degC", _F),
+        # simulated outputs (read by sim_bus)
+        ("out_torque_pm", _F),  # 0 unless Operation Enabled
+        ("out_brake_Nm", _F),  # >= 0 always
+        ("out_reverse_A", _F),  # current of the demagnetisation pulse, only while out_brake_Nm is 0
+        # counters
+        ("dropped_length", _I),  # RPDOs or SYNCs of a wrong length, NMT or heartbeat frames too short
+        ("dropped_unknown", _I),  # frames of this node that do not fit its state (a PDO while not OPERATIONAL ...)
+        ("dropped_window", _I),  # synchronous RPDOs that came after the window of 1007h
+        ("excess_length", _I),  # RPDOs longer than mapped, of which the first bytes were used
+        ("negative_setpoints", _I),
+        ("clipped_setpoints", _I),  # above the EDS' high limit (brake), above 6072h (drive)
+        ("emcy_count", _I),
+        # SYNC
+        ("sync_ns", _I),  # the last one
+        ("sync_armed", _I),  # one was seen since OPERATIONAL
+        ("sync_overflow", _I),  # 1019h
+        ("sync_id", _I),  # COB-ID of 1005h
+        ("sync_producer_ns", _I),  # period of 1006h when 1005h's bit 30 is set, else 0
+        ("sync_next_ns", _I),
+        ("sync_counter", _I),
+        ("sync_window_ns", _I),  # 1007h; 0: none
+        # NMT, heartbeats, error behaviour
+        ("heartbeat_ns", _I),  # 1017h; 0: none
+        ("heartbeat_next_ns", _I),
+        ("error_behaviour", _I),  # 1029h:01, communication: 0 to PRE-OPERATIONAL, 1 no change, 2 to STOPPED
+        ("device_error_behaviour", _I),  # 1029h:02, a fault of the device itself
+        ("consumers_used", _I),  # 1 + the last entry of 1016h that watches
+        ("consumer_id", _I, (MAX_CONSUMERS,)),  # node that is watched
+        ("consumer_ns", _I, (MAX_CONSUMERS,)),  # its time of 1016h; 0: none
+        ("consumer_last_ns", _I, (MAX_CONSUMERS,)),
+        ("consumer_state", _I, (MAX_CONSUMERS,)),  # 0 waits for the first heartbeat, 1 alive, 2 lost
+        # node guarding
+        ("guard_on", _I),  # 1: remote frames on 700h + id are answered (1017h is 0)
+        ("guard_toggle", _I),
+        ("guard_life_ns", _I),  # 100Ch x 100Dh; 0: not watched
+        ("guard_last_ns", _I),
+        ("guard_state", _I),  # 0 waits for the first remote frame, 1 alive, 2 lost
+        # TIME
+        ("time_id", _I),  # COB-ID of 1012h
+        ("time_set_ns", _I),  # when the time of day was told; -1: never
+        ("time_word", _I),  # what was told: bits 0-27 ms after midnight, bits 32-47 days since 1984-01-01
+        # PDOs
+        ("rpdo_ns", _I, (MAX_PDOS,)),  # last reception
+        ("rpdo_armed", _I, (MAX_PDOS,)),  # its deadline is watched
+        ("rpdo_lost", _I, (MAX_PDOS,)),
+        ("rpdo_pending", _I),  # how many RPDOs wait for the next SYNC
+        ("rpdo_waits", _I, (MAX_PDOS,)),  # this one does
+        ("rpdo_word", _I, (MAX_PDOS,)),
+        ("rpdo_carries", _I, (MAX_PDOS,)),  # bit 0: a controlword, bit 1: a set-point
+        ("rpdo_next", _I, (MAX_PDOS,)),  # next RPDO with the same COB-ID, or -1
+        ("rpdo_used", _I),  # 1 + the last valid RPDO
+        ("tpdo_used", _I),  # 1 + the last valid TPDO
+        ("tpdo_events", _I),  # how many valid TPDOs are sent on events (transmission type 254, 255)
+        ("tpdo_count", _I, (MAX_PDOS,)),  # SYNCs since the last transmission; -1: waits for the SYNC start value
+        ("tpdo_ns", _I, (MAX_PDOS,)),  # last transmission
+        ("tpdo_word", _I, (MAX_PDOS,)),  # what was sent last; sampled at SYNC for transmission type 252
+        ("tpdo_due", _I, (MAX_PDOS,)),  # an event waits for the end of the inhibit time
+        ("tpdo_mask", _I, (MAX_PDOS,)),  # bits whose change is an event
+        # EMCY
+        ("causes", _I),  # present now
+        ("latched", _I),  # told by an EMCY and not yet reset
+        ("emcy_id", _I),  # -1: none
+        ("emcy_inhibit_ns", _I),
+        ("emcy_ready_ns", _I),  # the next one goes out then at the earliest
+        ("emcy_waiting", _I),
+        ("emcy_word", _I, (EMCY_WAITING,)),
+        ("history_count", _I),
+        ("history", _I, (MAX_HISTORY,)),  # 1003h, newest first
+        ("silent_ns", _I),  # until then it hears and sends nothing (LSS: activate bit timing)
+        # SDO server: a transfer that stands still is aborted by the core
+        ("sdo_used", _I),  # 1 + the last valid channel
+        ("sdo_deadline_ns", _I, (MAX_SDO_SERVERS,)),
+        ("sdo_abort_id", _I, (MAX_SDO_SERVERS,)),
+        ("sdo_abort_word", _I, (MAX_SDO_SERVERS,)),
+        # segments of block downloads that the core collects; Python opens and closes a channel's row
+        ("segments_open", _I),  # how many rows are open
+        ("segments_id", _I, (MAX_SDO_SERVERS,)),  # identifier of the requests; 0: closed
+        ("segments_next", _I, (MAX_SDO_SERVERS,)),  # number of the segment that comes next
+        ("segments_last", _I, (MAX_SDO_SERVERS,)),  # number of the block's last segment
+        ("segments_count", _I, (MAX_SDO_SERVERS,)),  # collected and not yet taken by Python
+        ("segments_word", _I, (MAX_SDO_SERVERS, BLOCK_SEGMENTS)),
+        # what the core uploads by itself, sorted by key
+        ("sdo_rx_id", _I),  # of the first server; -1: none
+        ("sdo_tx_id", _I),
+        ("fast_count", _I),
+        ("fast_key", _I, (SLOTS,)),  # index x 256 + sub-index
+        ("fast_slot", _I, (SLOTS,)),
+        ("fast_size", _I, (SLOTS,)),  # bytes, 1 to 4
+        # segments of block uploads, a ring
+        ("outbox_first", _I),
+        ("outbox_count", _I),
+        ("outbox_next_ns", _I),
+        ("outbox_channel", _I, (OUTBOX,)),
+        ("outbox_id", _I, (OUTBOX,)),
+        ("outbox_word", _I, (OUTBOX,)),
+        # set-point of a drive or a brake
+        ("setpoint_ns", _I),  # reception of the one that acts
+        ("setpoint_armed", _I),  # its age is watched (since the first RPDO that carries one)
+        ("setpoint_stale", _I),
+        # drive (CiA 402)
+        ("power_state", _I),
+        ("torque_demand_pm", _F),
+        ("demand_ns", _I),  # when torque_demand_pm was computed
+        ("controlword", _I),  # the last one that was acted upon: for the edge of bit 7
+        ("limited", _I),  # the set-point is above 6072h now
+        ("mode", _I),  # the mode that acts: 6061h; 0 for one that is not there
+        ("slowing", _I),  # node.motion402's ramp on the way to torque 0, or 0
+        ("slowing_to", _I),  # the power state that follows it
+        ("slowing_ns", _I),  # when it began
+        ("guarded", _I),  # 607Dh or 6080h may limit
+        ("speed_max_counts_s", _F),  # 6080h
+        ("speed_demand", _F),  # counts/s
+        ("speed_kp", _F),  # per mille per count/s
+        ("speed_ki", _F),  # per mille per count
+        ("integral_pm", _F),
+        ("off_target_ns", _I),  # when the speed was last outside its window 606Dh ...
+        ("moving_ns", _I),  # ... and last above its threshold 606Fh
+        ("supply_mV", _I),  # what 6079h shows while the supply is there
+        # brake (CiA 404)
+        ("setpoint_high", _I),  # high limit of 7300h:01 in the EDS, raw
+        ("ao_gain_Nm", _F),  # torque = 7300h:01 * gain + bias (6302h, 7320h to 7323h)
+        ("ao_bias_Nm", _F),
+        ("ao_full_Nm", _F),  # full scale, no output is above it
+        ("ao_FV_Nm", _F),  # 7330h:01 for one Nm
+        ("ai_gain", _F, (3,)),  # 6126h * 10 ** 6132h
+        ("ai_bias", _F, (3,)),  # (6127h + 6124h) * 10 ** 6132h
+        ("ai_low", _F, (3,)),  # 7148h and 7149h; the other way round for a channel that is off
+        ("ai_high", _F, (3,)),
+        ("coil_A_Nm", _F),  # what the coil draws for one Nm, told by the rig; 0: no coil is known
+        ("max_A", _F),  # 2010h
+        ("short_A", _F),
+        ("least_A", _F),
+        ("open_ns", _I),
+        ("open_since_ns", _I),  # command without current since then; -1: no
+        ("warm_degC", _F),  # 2011h
+        ("hot_degC", _F),
+        ("cooled_degC", _F),  # below it the over-temperature is over
+        ("share_left", _F),  # of max_A, at hot_degC
+        ("derated", _I),
+        ("limit_Nm", _F),  # what max_A allows now
+        ("detected", _I),  # device faults that the driver found itself, as in_faults
+        ("demag_A", _F),  # 2012h
+        ("demag_ns", _I),
+        ("demag_delay_ns", _I),
+        ("pulse_due", _I),  # 1: the output was above 0 since the last pulse
+        ("pulse_ns", _I),  # when the pulse begins
+        ("ramp_to_Nm", _F),
+        ("ramp_from_Nm", _F),
+        ("ramp_start_ns", _I),
+        ("ramping", _I),  # brake: 0 the set-point acts, 1 on the way to the fault value, 2 there; drive: 1 on a slope
+        # tables
+        ("values", _I, (SLOTS,)),  # raw values of the objects, REAL as bit patterns
+        ("rerouted", _I),  # 1: `route` was written; who keeps an index of it (sim_bus.network.agenda) clears this
+        ("route", np.int16, (2048,)),  # node.core's route of each identifier
+        ("rtr_route", np.int16, (2048,)),
+    ],
+    align=True,
+)
+
+
+def new_nodes(n: int) -> tuple[Records, Records, Records]:
+    """Return the records of `n` nodes that are powered off, their RPDOs and their TPDOs (all not valid)."""
+    nodes = np.zeros(n, NODE).view(np.recarray)
+    nodes["next_ns"] = FAR_FUTURE_NS
+    nodes["processing_ns"] = 20_000
+    nodes["in_supply_ok"] = 1
+    nodes["sdo_deadline_ns"] = FAR_FUTURE_NS
+    nodes["time_set_ns"] = -1
+    nodes["outbox_next_ns"] = FAR_FUTURE_NS
+    rpdo = np.zeros((n, MAX_PDOS), PDO).view(np.recarray)
+    tpdo = np.zeros((n, MAX_PDOS), PDO).view(np.recarray)
+    rpdo["cob_id"] = tpdo["cob_id"] = -1
+    return nodes, rpdo, tpdo

@@ -1,0 +1,237 @@
+"""One SDO server channel: expedited, segmented and block transfers both ways (CiA 301, section 7.2.4).
+
+The server is a function of the requests: one 8-byte request in, at most one response out (None: no answer), and in a block
+upload a `burst` of segments. What is read and written is behind `Backend`, so that the protocol is tested without a device.
+One transfer is open at most; a new initiation replaces it, as section 7.2.4.3 wants it, and an abort in either
+direction ends it. Block transfers have their state in `node.sdo_block`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from coulombus.eds.cia301 import Abort
+from coulombus.node.dictionary import SdoAbort
+from coulombus.node.sdo_block import BLOCK_SEGMENTS, BlockDownload, BlockUpload
+
+__all__ = ["Backend", "SdoServer", "abort_frame"]
+
+_SEGMENT = 7
+_ABORT = 0x80
+_CRC = 0x04  # told back as the client says it: canopen's client believes the server's bit alone
+
+
+class Backend(Protocol):
+    """What the server serves."""
+
+    def upload(self, index: int, subindex: int) -> bytes:
+        """Return the object's bytes or raise `SdoAbort`."""
+
+    def check_download(self, index: int, subindex: int, size: int | None) -> int:
+        """Raise `SdoAbort` unless `size` bytes (None: not said) may be written; return how many at most."""
+
+    def download(self, index: int, subindex: int, data: bytes) -> None:
+        """Write the object or raise `SdoAbort`."""
+
+
+@dataclass
+class _Segmented:
+    """A segmented transfer that is open."""
+
+    index: int
+    subindex: int
+    upload: bool
+    data: bytearray
+    toggle: int = 0
+    position: int = 0
+    size: int | None = None  # of a download, when the client said it
+    longest: int = 0
+
+
+def abort_frame(index: int, subindex: int, code: int) -> bytes:
+    """Return the abort frame for an object."""
+    return bytes((_ABORT, index & 0xFF, index >> 8, subindex)) + int(code).to_bytes(4, "little")
+
+
+class SdoServer:
+    """One SDO server channel; it asks for `block_size` segments a block in downloads (1 to 127, may change at any time)."""
+
+    def __init__(self, backend: Backend, block_size: int = BLOCK_SEGMENTS) -> None:
+        self._backend = backend
+        self._open: _Segmented | BlockDownload | BlockUpload | None = None
+        self._place: tuple[int, int] | None = None  # of the open transfer, while a request that continues it is served
+        self.block_size = block_size
+        self.burst: Sequence[bytes] = ()
+        """Segments to be sent after the response of the last request, in their order."""
+
+    @property
+    def transfer(self) -> tuple[int, int] | None:
+        """(index, sub-index) of the transfer that is open."""
+        return (self._open.index, self._open.subindex) if self._open else None
+
+    @property
+    def expected(self) -> tuple[int, int]:
+        """Number of the segment of a block download that comes next, and of the block's last; (0, 0): none is expected."""
+        return self._open.expected if isinstance(self._open, BlockDownload) else (0, 0)
+
+    def take(self, content: bytes) -> None:
+        """Take the data of segments of a block download that came as `expected` says, before its last."""
+        if isinstance(self._open, BlockDownload):
+            self._open.take(content)
+
+    def drop(self) -> None:
+        """Forget the open transfer (time-out, reset)."""
+        self._open, self.burst = None, ()
+
+    def request(self, data: bytes) -> bytes | None:
+        """Serve one request of 8 bytes and return the response."""
+        self.burst, self._place = (), None
+        transfer = self._open
+        try:
+            if isinstance(transfer, BlockDownload) and transfer.receiving and data[0] != _ABORT:
+                self._place = (transfer.index, transfer.subindex)
+                return transfer.segment(data, self.block_size)
+            return _SERVICES[data[0] >> 5](self, data, data[1] | data[2] << 8, data[3])
+        except SdoAbort as abort:
+            self._open = None
+            index, subindex = self._place or (data[1] | data[2] << 8, data[3])
+            return abort_frame(index, subindex, abort.code)
+
+    # expedited and segmented
+
+    def _initiate_download(self, data: bytes, index: int, subindex: int) -> bytes:
+        self._open = None
+        expedited, sized = data[0] & 0x02, data[0] & 0x01
+        if expedited:
+            # without a size the client means as many of the four bytes as the object has
+            longest = self._backend.check_download(index, subindex, None)
+            content = data[4 : 8 - (data[0] >> 2 & 3)] if sized else data[4 : 4 + min(longest, 4)]
+            self._backend.check_download(index, subindex, len(content))
+            self._backend.download(index, subindex, content)
+        else:
+            size = int.from_bytes(data[4:8], "little") if sized else None
+            longest = self._backend.check_download(index, subindex, size)
+            self._open = _Segmented(index, subindex, False, bytearray(), size=size, longest=longest)
+        return b"\x60" + data[1:4] + b"\0\0\0\0"
+
+    def _download_segment(self, data: bytes, index: int, subindex: int) -> bytes:
+        transfer = self._expect_segmented(upload=False, toggle=data[0] & 0x10)
+        transfer.data += data[1 : 8 - (data[0] >> 1 & 7)]
+        if len(transfer.data) > (transfer.longest if transfer.size is None else transfer.size):
+            raise SdoAbort(Abort.TOO_LONG)
+        if data[0] & 0x01:
+            self._open = None
+            self._finish_download(transfer.index, transfer.subindex, bytes(transfer.data), transfer.size)
+        return bytes((0x20 | data[0] & 0x10, 0, 0, 0, 0, 0, 0, 0))
+
+    def _finish_download(self, index: int, subindex: int, content: bytes, size: int | None) -> None:
+        if size is not None and len(content) < size:
+            raise SdoAbort(Abort.TOO_SHORT)
+        self._backend.check_download(index, subindex, len(content))
+        self._backend.download(index, subindex, content)
+
+    def _initiate_upload(self, data: bytes, index: int, subindex: int) -> bytes:
+        self._open = None
+        return self._answer_upload(data, index, subindex, self._backend.upload(index, subindex))
+
+    def _answer_upload(self, data: bytes, index: int, subindex: int, content: bytes) -> bytes:
+        size = len(content)
+        if 1 <= size <= 4:
+            return _EXPEDITED[size] + data[1:4] + content + _PADDING[size]
+        self._open = _Segmented(index, subindex, True, bytearray(content))
+        return b"\x41" + data[1:4] + size.to_bytes(4, "little")
+
+    def _upload_segment(self, data: bytes, index: int, subindex: int) -> bytes:
+        transfer = self._expect_segmented(upload=True, toggle=data[0] & 0x10)
+        segment = transfer.data[transfer.position : transfer.position + _SEGMENT]
+        transfer.position += _SEGMENT
+        last = transfer.position >= len(transfer.data)
+        if last:
+            self._open = None
+        return bytes((data[0] & 0x10 | (_SEGMENT - len(segment)) << 1 | last,)) + bytes(segment).ljust(_SEGMENT, b"\0")
+
+    def _expect_segmented(self, *, upload: bool, toggle: int) -> _Segmented:
+        """Return the open transfer of this direction, its toggle bit checked and alternated."""
+        transfer = self._continue()
+        if not isinstance(transfer, _Segmented) or transfer.upload != upload:
+            raise SdoAbort(Abort.COMMAND)
+        if transfer.toggle != toggle:
+            raise SdoAbort(Abort.TOGGLE)
+        transfer.toggle ^= 0x10
+        return transfer
+
+    def _continue(self) -> _Segmented | BlockDownload | BlockUpload | None:
+        """Return the open transfer, of which the request being served is a part."""
+        self._place = self.transfer
+        return self._open
+
+    # block
+
+    def _block_download(self, data: bytes, index: int, subindex: int) -> bytes:
+        if data[0] & 0x01:
+            transfer = self._continue()
+            if not isinstance(transfer, BlockDownload):
+                raise SdoAbort(Abort.COMMAND)
+            content = transfer.end(data)
+            self._open = None
+            self._finish_download(transfer.index, transfer.subindex, content, transfer.size)
+            return b"\xa1\0\0\0\0\0\0\0"
+        self._open = None
+        size = int.from_bytes(data[4:8], "little") if data[0] & 0x02 else None
+        longest = self._backend.check_download(index, subindex, size)
+        crc = bool(data[0] & _CRC)
+        self._open = BlockDownload(index, subindex, size, longest if size is None else size, crc, self.block_size)
+        return bytes((0xA0 | data[0] & _CRC,)) + data[1:4] + bytes((self.block_size, 0, 0, 0))
+
+    def _block_upload(self, data: bytes, index: int, subindex: int) -> bytes | None:
+        what = data[0] & 0x03
+        if what == 0:
+            return self._initiate_block_upload(data, index, subindex)
+        transfer = self._continue()
+        if not isinstance(transfer, BlockUpload):
+            raise SdoAbort(Abort.COMMAND)
+        if what == 1:
+            transfer.check_end()
+            self._open = None
+            return None
+        if what == 3:
+            self.burst = transfer.start()
+            return None
+        end = transfer.acknowledge(data[1], data[2])
+        self.burst = transfer.segments() if end is None else ()
+        return end
+
+    def _initiate_block_upload(self, data: bytes, index: int, subindex: int) -> bytes:
+        self._open = None
+        block_size, switch = data[4], data[5]
+        if not 1 <= block_size <= BLOCK_SEGMENTS:
+            raise SdoAbort(Abort.BLOCK_SIZE)
+        content = self._backend.upload(index, subindex)
+        if switch and len(content) <= switch:  # the client lets a small object go by the other protocols
+            return self._answer_upload(data, index, subindex, content)
+        self._open = BlockUpload(index, subindex, content, bool(data[0] & _CRC), block_size)
+        return bytes((0xC2 | data[0] & _CRC,)) + data[1:4] + len(content).to_bytes(4, "little")
+
+    def _abort(self, data: bytes, index: int, subindex: int) -> None:
+        self._open = None
+
+    def _unknown(self, data: bytes, index: int, subindex: int) -> bytes:
+        raise SdoAbort(Abort.COMMAND)
+
+
+_EXPEDITED = tuple(bytes((0x43 | (4 - size) << 2,)) for size in range(5))
+_PADDING = tuple(bytes(4 - size) for size in range(5))
+
+_SERVICES: tuple[Callable[[SdoServer, bytes, int, int], bytes | None], ...] = (
+    SdoServer._download_segment,
+    SdoServer._initiate_download,
+    SdoServer._initiate_upload,
+    SdoServer._upload_segment,
+    SdoServer._abort,
+    SdoServer._block_upload,
+    SdoServer._block_download,
+    SdoServer._unknown,
+)
+"""The service of each client command specifier (bits 7-5 of byte 0)."""

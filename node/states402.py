@@ -1,0 +1,309 @@
+"""The motor drive of CiA 402 (IEC 61800-7-201/301), compiled: power state machine, option codes, statusword.
+
+The torque itself is `node.motion402`'s. It is 0 in every state but Operation Enabled and on a ramp that leaves it, without
+supply, and while the set-point is older than 2001h.
+
+Ways out of Operation Enabled, and what decides how (0: torque 0 at once; a ramp, and then the state):
+
+    transition          5 (605Ch)   8 (605Bh)   9         11, 12 (605Ah)       13, 14 (605Eh)   NMT (6007h)
+    to                  Switched On Ready       Disabled  Quick Stop, Disabled  Reaction, Fault  as 13, 9 or 11
+    option codes        0, 1        0, 1        at once   0, 1, 2, 5, 6         0, 1, 2          0, 1, 2, 3
+
+1 and 5 are the slow-down ramp, 2 and 6 the quick stop ramp; from 5 on the drive stays in Quick Stop Active. A fault that
+takes away what a ramp needs (supply, encoder, power stage) is torque 0 at once whatever 605Eh says.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from coulombus.compiled.decorator import inlined, kernel
+from coulombus.eds import cia402
+from coulombus.eds.cia402 import COMMAND_OF_CONTROLWORD, NEXT_STATE
+from coulombus.eds.cia402 import STATUSWORD as STATUSWORD_OF_STATE
+from coulombus.node import emcy, motion402, slots
+from coulombus.node.motion402 import MODES
+
+__all__ = [
+    "ALL_MODES",
+    "MODES",
+    "OPTION_CODES",
+    "connection_lost",
+    "fault",
+    "new_controlword",
+    "new_setpoint",
+    "next_deadline",
+    "sample",
+    "start",
+    "step",
+]
+
+OPTION_CODES: Mapping[int, tuple[int, ...]] = {
+    0x6007: (0, 1, 2, 3),
+    0x605A: (0, 1, 2, 5, 6),
+    0x605B: (0, 1),
+    0x605C: (0, 1),
+    0x605D: (1, 2),
+    0x605E: (0, 1, 2),
+}
+"""What the option codes may hold: the drive has no ramp at the current or the voltage limit (3, 4, 7, 8)."""
+
+ALL_MODES = sum(1 << (mode - 1) for mode in MODES if mode)
+"""6502h: what the drive can do."""
+
+_CST = cia402.OPERATION_MODE_CST
+_DISABLED = int(cia402.PowerState.SWITCH_ON_DISABLED)
+_SWITCHED_ON = int(cia402.PowerState.SWITCHED_ON)
+_ENABLED = int(cia402.PowerState.OPERATION_ENABLED)
+_QUICK_STOP = int(cia402.PowerState.QUICK_STOP_ACTIVE)
+_REACTION = int(cia402.PowerState.FAULT_REACTION_ACTIVE)
+_FAULT = int(cia402.PowerState.FAULT)
+_FAULT_RESET = int(cia402.Command.FAULT_RESET)
+_STOPPED = 4
+
+_HALT = 0x0100
+_WARNING, _REMOTE, _TARGET_REACHED, _LIMIT, _FOLLOWS = 0x0080, 0x0200, 0x0400, 0x0800, 0x1000
+
+_NO_ACTION, _FAULT_SIGNAL, _QUICK_STOP_COMMAND = (
+    0,
+    1,
+    3,
+)  # 6007h; 2 is "disable voltage", and so is what it may not hold
+_STAYS = 5  # 605Ah: from here on the drive stays in Quick Stop Active
+_RAMP = np.array([0, motion402.SLOW, motion402.QUICK, 0, 0, motion402.SLOW, motion402.QUICK, 0, 0], np.int64)
+"""Ramp by option code; 0: at once."""
+
+
+@kernel
+def start(n: Any, t_ns: int) -> None:
+    """Enter Switch On Disabled (transitions 0 and 1): after power-on and reset node."""
+    n.power_state = _DISABLED
+    n.controlword = 0
+    n.setpoint_armed = 0
+    n.setpoint_stale = 0
+    n.demand_ns = t_ns
+    n.limited = 0
+    motion402.stop(n)
+    n.mode = n.values[slots.MODE_DISPLAY] = 0
+    motion402.change_mode(n, t_ns)
+
+
+@kernel
+def _leave_enabled(n: Any, state: int) -> None:
+    n.power_state = state
+    motion402.stop(n)
+
+
+@inlined
+def _ramp(option: int) -> int:
+    ramp: int = _RAMP[option] if 0 <= option < _RAMP.shape[0] else 0
+    return ramp
+
+
+@inlined
+def _driven(n: Any) -> bool:
+    """Whether there may be torque."""
+    return bool(n.power_state == _ENABLED or n.power_state == _QUICK_STOP or n.power_state == _REACTION)
+
+
+@kernel
+def fault(n: Any, t_ns: int, at_once: bool) -> None:
+    """Transitions 13 and 14: the fault reaction and FAULT; what was commanded before acts no more."""
+    n.setpoint_stale = 1
+    ramp = _ramp(n.values[slots.FAULT_OPTION])
+    if at_once or ramp == 0 or not _driven(n):
+        _leave_enabled(n, _FAULT)
+    elif n.power_state != _REACTION:
+        n.power_state = _REACTION
+        motion402.begin(n, t_ns, ramp, _FAULT)
+
+
+@kernel
+def needs_supply(n: Any) -> bool:
+    """Whether the high-level power is switched on, so that its loss is a fault."""
+    return bool(_SWITCHED_ON <= n.power_state <= _REACTION)
+
+
+@kernel
+def _quick_stop(n: Any, t_ns: int) -> None:
+    """Transition 11, and 12 behind the ramp unless 605Ah lets the drive stay."""
+    option = n.values[slots.QUICK_STOP_OPTION]
+    n.power_state = _QUICK_STOP
+    following = _QUICK_STOP if option >= _STAYS else _DISABLED
+    if _ramp(option):
+        motion402.begin(n, t_ns, _ramp(option), following)
+    else:
+        _leave_enabled(n, following)
+
+
+@kernel
+def connection_lost(n: Any, t_ns: int, forced: int) -> int:
+    """NMT leaves OPERATIONAL: 6007h decides unless `forced`; return 1 when it is to be a fault.
+
+    A drive that is not enabled stays where it is.
+    """
+    option = n.values[slots.ABORT_OPTION]
+    n.setpoint_armed = 0
+    if forced or option != _NO_ACTION:
+        n.setpoint_stale = 1
+    if not _driven(n):
+        return 0
+    if not forced:
+        if option == _NO_ACTION or n.power_state == _REACTION:
+            return 0
+        if option == _FAULT_SIGNAL:
+            return 1
+        if option == _QUICK_STOP_COMMAND:
+            if n.power_state == _ENABLED:
+                _quick_stop(n, t_ns)
+            return 0
+    _leave_enabled(n, _DISABLED)
+    return 0
+
+
+@kernel
+def new_controlword(n: Any, i: int, t_ns: int, queue: Any, header: Any) -> None:
+    """Act on the controlword that was written: one row of the table at most."""
+    word = n.values[slots.CONTROLWORD]
+    rising = word & 0x80 and not n.controlword & 0x80
+    n.controlword = word
+    state = n.power_state
+    if state == _FAULT:
+        if rising and n.causes & emcy.FAULT_MASK == 0:
+            n.power_state = NEXT_STATE[state, _FAULT_RESET]
+            if n.latched & emcy.FAULT_MASK:
+                emcy.clear_latches(n, i, t_ns, emcy.FAULT_MASK, queue, header)
+        return
+    following = NEXT_STATE[state, COMMAND_OF_CONTROLWORD[word & 0xF]]
+    if following == state:
+        if state == _ENABLED and n.slowing and n.slowing_to != _ENABLED and word & 0xF == 0xF:
+            n.slowing = 0  # enabled again before the ramp was over
+        return
+    if n.in_supply_ok == 0 and (following == _ENABLED or (following == _SWITCHED_ON and state < following)):
+        return  # no high-level power: the drive cannot be switched on
+    if state == _ENABLED:
+        _leave(n, t_ns, following)
+    elif state == _QUICK_STOP:
+        if following == _ENABLED and n.values[slots.QUICK_STOP_OPTION] < _STAYS:
+            return  # transition 16 is for a drive that stays
+        _leave_enabled(n, following)
+    else:
+        n.power_state = following
+    if following == _ENABLED:
+        motion402.enter(n, t_ns)
+
+
+@kernel
+def _leave(n: Any, t_ns: int, following: int) -> None:
+    """Leave Operation Enabled by command (transitions 5, 8, 9, 11), as the option codes say."""
+    if following == _QUICK_STOP:
+        _quick_stop(n, t_ns)
+        return
+    option = 0
+    if following == _SWITCHED_ON:
+        option = n.values[slots.DISABLE_OPTION]
+    elif following != _DISABLED:
+        option = n.values[slots.SHUTDOWN_OPTION]
+    if option != 1:
+        _leave_enabled(n, following)
+    elif n.slowing == 0 or n.slowing_to == _ENABLED:
+        motion402.begin(n, t_ns, motion402.SLOW, following)
+    else:
+        n.slowing_to = following  # already on its way
+
+
+@kernel
+def new_setpoint(n: Any, t_ns: int, speed: bool) -> None:
+    """Take the set-point in 6071h, or in 60FFh (`speed`), that was received at `t_ns`, when the mode is for it."""
+    if speed != motion402.is_speed_mode(n.mode):
+        return
+    if n.setpoint_armed == 0:
+        n.next_ns = min(n.next_ns, t_ns + 1)  # to schedule the watch of its age
+    if n.ramping == 0:
+        n.demand_ns = max(n.demand_ns, t_ns)  # a slope begins now, not when this was last looked at
+    n.setpoint_ns = t_ns
+    n.setpoint_armed = 1
+    n.setpoint_stale = 0
+    if not speed:
+        target = n.values[slots.TARGET_TORQUE]
+        if target > motion402.high_limit(n) or target < motion402.low_limit(n):
+            n.clipped_setpoints += 1
+
+
+@kernel
+def step(n: Any, t_ns: int) -> None:
+    """Compute the torque that acts at `t_ns`."""
+    values = n.values
+    if values[slots.MODE] != n.mode:
+        motion402.change_mode(n, t_ns)
+    age_ns = values[slots.SETPOINT_AGE_US] * 1000
+    if n.setpoint_armed and age_ns > 0 and t_ns - n.setpoint_ns >= age_ns:
+        n.setpoint_stale = 1
+    elapsed_ns = t_ns - n.demand_ns
+    n.demand_ns = t_ns
+    n.ramping = 0
+    if n.mode != _CST or n.slowing:
+        motion402.other_mode(n, t_ns, elapsed_ns)
+        return
+    high, low = motion402.high_limit(n), motion402.low_limit(n)
+    target = values[slots.TARGET_TORQUE] + values[slots.TORQUE_OFFSET]
+    n.limited = 1 if target > high or target < low else 0
+    target = min(max(target, low), high)
+    if n.power_state != _ENABLED or n.in_supply_ok == 0 or n.setpoint_stale or n.controlword & _HALT:
+        target = 0
+    n.torque_demand_pm = n.out_torque_pm = float(target)
+    values[slots.TORQUE_DEMAND] = target
+
+
+@kernel
+def _to_int32(value: float) -> int:
+    if not value > -2147483648.0:
+        return -2147483648
+    if value > 2147483647.0:
+        return 2147483647
+    return math.floor(value + 0.5)
+
+
+@kernel
+def sample(n: Any) -> None:
+    """Write actual position, velocity, torque and the statusword to their slots."""
+    values = n.values
+    values[slots.POSITION] = (
+        (n.in_position_counts + 0x80000000) & 0xFFFFFFFF
+    ) - 0x80000000  # wraps as the counter does
+    values[slots.VELOCITY] = _to_int32(n.in_velocity_counts_s)
+    values[slots.DC_LINK_MV] = n.supply_mV if n.in_supply_ok else 0
+    values[slots.TORQUE_ACTUAL] = min(max(_to_int32(n.in_torque_pm), -32768), 32767)
+    values[slots.CURRENT_ACTUAL] = values[slots.TORQUE_ACTUAL]  # per mille of rated current: a DC motor's torque
+    word = STATUSWORD_OF_STATE[n.power_state]
+    if n.in_supply_ok:
+        word |= cia402.VOLTAGE_ENABLED
+    if n.latched & ~emcy.FAULT_MASK:
+        word |= _WARNING
+    if n.nmt != _STOPPED:
+        word |= _REMOTE
+    if n.limited:
+        word |= _LIMIT
+    if n.power_state == _ENABLED and not n.setpoint_stale:
+        if n.mode != _CST:
+            word |= motion402.target_bits(n)
+        elif not n.slowing and not n.controlword & _HALT:
+            word |= _FOLLOWS
+    elif n.power_state == _QUICK_STOP and not n.slowing:
+        word |= _TARGET_REACHED  # the quick stop is complete, and the drive stays
+    values[slots.STATUSWORD] = word
+
+
+@kernel
+def next_deadline(n: Any, next_ns: int) -> int:
+    """Return the earlier of `next_ns` and the drive's own next deadline."""
+    age_ns = n.values[slots.SETPOINT_AGE_US] * 1000
+    if n.setpoint_armed and age_ns > 0 and not n.setpoint_stale:
+        next_ns = min(next_ns, n.setpoint_ns + age_ns)
+    if n.slowing:
+        next_ns = motion402.next_deadline(n, next_ns)
+    return next_ns

@@ -1,0 +1,1 @@
+"""Recordings: pcapng and other tools' logs, signals by name in SI units, measures of a display."""

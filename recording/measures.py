@@ -1,0 +1,191 @@
+"""The figures that tell a chattering display from a still one, all computed from a recording alone.
+
+Velocity is the backward difference of the decoded 6064h at the handle, unfiltered. The windows are those of the markers that the recording
+carries: the hold from 0.8 s after it begins to 0.02 s before it ends, and of the stroke each dwell from 0.35 s to 0.95 s.
+
+A recording is gone through twice, for its phases and for its figures, block by block (`recording.signals.blocks`): the memory does not grow with it.
+Counts, flips and peaks are the same in any blocks, bit for bit. An RMS is the root of a sum of the blocks' sums, and the spectrum a mean of
+their means: against one sum over everything they are rounded differently, by less than 1e-12 of their value.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from coulombus.recording.signals import Source
+
+__all__ = ["HOLD_LEAD_S", "HOLD_TAIL_S", "STICK_WINDOW_S", "Measures", "PhaseSpan", "measure", "phases", "velocity"]
+
+Floats: TypeAlias = npt.NDArray[np.float64]
+Window: TypeAlias = tuple[float, float]
+
+HOLD_LEAD_S, HOLD_TAIL_S = 0.8, 0.02
+STICK_WINDOW_S = (0.35, 0.95)
+SPECTRUM_SAMPLES = 512
+"""Length of the segments of the averaged spectrum (Welch): about 2 Hz of resolution at 1 kHz."""
+
+
+@dataclass(frozen=True)
+class PhaseSpan:
+    """One phase of the operator's schedule, as the recording's markers tell it; `index` is its place in the rig file."""
+
+    index: int
+    kind: str
+    begin_s: float
+    end_s: float
+
+
+@dataclass(frozen=True)
+class Measures:
+    """Figures of one recording; None where the recording has no marker (or no data) for it."""
+
+    hold_velocity_rms_rad_s: float | None = None
+    hold_counts_p2p: int | None = None
+    torque_flips_per_s: float | None = None
+    stick_velocity_rms_rad_s: float | None = None
+    hold_peak_Hz: float | None = None
+    """Frequency of the largest peak in the averaged spectrum (Welch) of the velocity in the hold window."""
+    hold_push_Nm: float | None = None
+    """Largest handle torque that the transducer shows in the hold window."""
+
+
+def phases(recording: Source) -> list[PhaseSpan]:
+    """Return the phases of the schedule from the markers ``phase KIND``; the last one ends at ``phase end`` or with the recording."""
+    begins: list[tuple[float, str]] = []
+    end = 0.0
+    for block in recording:
+        begins += [(t, text.removeprefix("phase ")) for t, text in block.markers if text.startswith("phase ")]
+        end = max([end, *block["motor.position_rad"].t_s[-1:].tolist()])
+    ends = ([t for t, _ in begins[1:]] + [end])[: len(begins)]  # none where nothing was displayed
+    spans = zip(range(len(begins)), begins, ends, strict=True)
+    return [PhaseSpan(i, kind, t, min(after, end)) for i, (t, kind), after in spans if kind != "end"]
+
+
+def velocity(t_s: Floats, angle_rad: Floats, period_s: float) -> tuple[Floats, Floats]:
+    """Return times [s] and backward difference [rad/s] of the angle; a gap of several periods is divided by its whole periods."""
+    periods = np.maximum(np.rint(np.diff(t_s) / period_s), 1.0)
+    return t_s[1:], np.diff(angle_rad) / (periods * period_s)
+
+
+def _windows(recording: Source, spans: list[PhaseSpan]) -> tuple[list[Window], list[Window]]:
+    """Return the hold windows and the stick windows [s]; a stick window ends with its dwell at the latest."""
+    holds = [(s.begin_s + HOLD_LEAD_S, s.end_s - HOLD_TAIL_S) for s in spans if s.kind == "hold"]
+    sticks = []
+    for span in spans:
+        stroke = recording.rig.phases[span.index]
+        if stroke.kind == "stroke":
+            dwell = span.begin_s + stroke.move_s
+            while dwell < span.end_s:
+                last = min(dwell + min(STICK_WINDOW_S[1], stroke.dwell_s), span.end_s)
+                sticks.append((dwell + STICK_WINDOW_S[0], last))
+                dwell += stroke.move_s + stroke.dwell_s
+    return holds, sticks
+
+
+def _inside(t: Floats, windows: list[Window]) -> npt.NDArray[np.bool_]:
+    """Tell which times are in one of the windows, which follow each other; one that ends before it begins holds nothing."""
+    edges = [edge for begin, end in windows if begin < end for edge in (begin, end)]
+    inside: npt.NDArray[np.bool_] = np.searchsorted(edges, t, "right") % 2 == 1
+    return inside
+
+
+def measure(recording: Source) -> Measures:
+    """Return the figures of `recording`: all holds and all dwells together, were there several."""
+    holds, sticks = _windows(recording, phases(recording))
+    period = recording.rig.bus.period_s
+    hold, stick, spectrum, flips = _MeanSquare(), _MeanSquare(), _Spectrum(period), _Flips()
+    counts = [(np.inf, -np.inf)] * len(holds)
+    push = 0.0
+    last_t, last_angle = np.zeros((2, 0))
+    for block in recording:
+        angle, target = block["motor.position_rad"], block["motor.target_torque_Nm"]
+        handle = block["brake.handle_torque_Nm"]
+        t, v = velocity(np.append(last_t, angle.t_s), np.append(last_angle, angle.values), period)
+        last_t, last_angle = (np.append(a, b)[-1:] for a, b in ((last_t, angle.t_s), (last_angle, angle.values)))
+        v_hold = v[_inside(t, holds)]
+        hold.add(v_hold)
+        spectrum.add(v_hold)
+        stick.add(v[_inside(t, sticks)])
+        raw = np.rint(angle.values / abs(block.scale("motor.position_rad")))
+        for k, window in enumerate(holds):
+            inside = raw[_inside(angle.t_s, [window])]
+            counts[k] = np.min(inside, initial=counts[k][0]), np.max(inside, initial=counts[k][1])
+        flips.add(target.values[_inside(target.t_s, holds)])
+        push = float(np.max(np.abs(handle.values[_inside(handle.t_s, holds)]), initial=push))
+    if hold.count == 0:
+        return Measures(stick_velocity_rms_rad_s=stick.root)
+    return Measures(
+        hold_velocity_rms_rad_s=hold.root,
+        hold_counts_p2p=int(max(high - low for low, high in counts)),
+        torque_flips_per_s=flips.count / (hold.count * period),
+        stick_velocity_rms_rad_s=stick.root,
+        hold_peak_Hz=spectrum.peak_Hz if hold.total else None,
+        hold_push_Nm=push,
+    )
+
+
+@dataclass
+class _MeanSquare:
+    count: int = 0
+    total: float = 0.0
+
+    def add(self, values: Floats) -> None:
+        self.count += len(values)
+        self.total += float(np.sum(values**2))
+
+    @property
+    def root(self) -> float | None:
+        """The root of the mean square; None of nothing."""
+        return float(np.sqrt(self.total / self.count)) if self.count else None
+
+
+@dataclass
+class _Flips:
+    """Sign changes of the non-zero values."""
+
+    count: int = 0
+    sign: Floats = field(default_factory=lambda: np.zeros(0))
+
+    def add(self, values: Floats) -> None:
+        signs = np.append(self.sign, np.sign(values[values != 0]))
+        self.count += int(np.count_nonzero(np.diff(signs)))
+        self.sign = signs[-1:]
+
+
+@dataclass
+class _Spectrum:
+    """Welch's averaged spectrum of what is added, in segments of `SPECTRUM_SAMPLES` that overlap by half."""
+
+    period_s: float
+    frequency: Floats = field(default_factory=lambda: np.zeros(0))
+    power: Any = 0.0
+    rest: Floats = field(default_factory=lambda: np.zeros(0))
+    """What no segment has begun with yet."""
+
+    def add(self, values: Floats) -> None:
+        self.rest = np.append(self.rest, values)
+        step = SPECTRUM_SAMPLES // 2
+        more = len(self.rest) // step - 1
+        if more > 0:
+            self.frequency, power = _welch(self.rest[: (more + 1) * step], self.period_s, SPECTRUM_SAMPLES)
+            self.power += more * power
+            self.rest = self.rest[more * step :]
+
+    @property
+    def peak_Hz(self) -> float:
+        """The frequency of the largest mean; of fewer samples than a segment's, that of their spectrum."""
+        if not len(self.frequency):
+            self.frequency, self.power = _welch(self.rest, self.period_s, len(self.rest))
+        return float(self.frequency[np.argmax(self.power)])
+
+
+def _welch(values: Floats, period_s: float, samples: int) -> tuple[Floats, Floats]:
+    """Return frequencies and Welch's power spectrum in segments of so many samples."""
+    from scipy.signal import welch  # takes as long to load as everything else that a run needs
+
+    frequency, power = welch(values, 1 / period_s, nperseg=samples)
+    return frequency, power

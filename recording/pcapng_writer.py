@@ -1,0 +1,234 @@
+"""Recordings: pcapng files of link type 227 (SocketCAN) with nanosecond stamps, as Wireshark reads them.
+
+Every `PcapngWriter.write` hands over whole blocks with one system call, so a killed process leaves a readable file. The
+file holds no clock reading and no machine's name: same input, same bytes.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import struct
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+
+from coulombus.recording.output_file import open_new
+from coulombus.recording.pcapng_blocks import (
+    BYTE_ORDER_MAGIC,
+    ENHANCED_PACKET,
+    IF_NAME,
+    IF_TSRESOL,
+    INTERFACE,
+    LINKTYPE_CAN_SOCKETCAN,
+    OPT_COMMENT,
+    OPT_END,
+    SECTION_HEADER,
+    SHB_APPLICATION,
+    SHB_HARDWARE,
+    SHB_OS,
+    RecordingError,
+    attachment_block,
+    block,
+    option,
+)
+from coulombus.wire.frame import Records
+
+__all__ = ["PcapngWriter"]
+
+CAN_FRAME_BYTES = 16
+
+PACKET_BLOCK = np.dtype(
+    [
+        ("kind", "<u4"),
+        ("total", "<u4"),
+        ("interface", "<u4"),
+        ("stamp_high", "<u4"),
+        ("stamp_low", "<u4"),
+        ("captured", "<u4"),
+        ("original", "<u4"),
+        ("can_id", ">u4"),
+        ("length", "u1"),
+        ("flags", "u1", (3,)),
+        ("data", "<i8"),
+        ("total_again", "<u4"),
+    ]
+)
+"""One frame without options: 48 bytes."""
+
+
+class PcapngWriter:
+    """Write frames to a pcapng file.
+
+    Parameters
+    ----------
+    path
+        The file; a named pipe works too (``wireshark -k -i PIPE``).
+    attachments
+        Name -> content, stored in front of the frames with its SHA-256.
+    comment
+        Comment of the whole recording.
+    epoch_ns
+        Added to each frame's `t_ns`: nanoseconds from 1970 to the frames' time 0.
+    force
+        Replace a file that exists.
+    application, hardware, operating_system, interface
+        Texts of the section and of its one interface; empty ones are left out.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be opened or written, from here and from every later call but `close`.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        attachments: Mapping[str, bytes],
+        comment: str = "",
+        epoch_ns: int = 0,
+        force: bool = False,
+        application: str = "coulombus",
+        hardware: str = "",
+        operating_system: str = "Linux",
+        interface: str = "can0",
+    ) -> None:
+        self.path = str(path)
+        self.epoch_ns = epoch_ns
+        self.frames = 0
+        self.bytes = 0
+        self._failure: str | None = None
+        self._buffer = _template(0)
+        head = _head(comment, hardware, operating_system, application, interface)
+        head += b"".join(attachment_block(name, content) for name, content in attachments.items())
+        try:
+            self._fd = open_new(Path(self.path), force=force)
+        except FileExistsError as error:
+            raise RecordingError(f"{self.path} {error.strerror}") from error
+        except OSError as error:
+            raise RecordingError(
+                f"{self.path}: the recording cannot be created ({error.strerror}); "
+                "choose a folder that exists and can be written"
+            ) from error
+        try:
+            self._write(head)
+        except RecordingError:
+            self.close()
+            raise
+
+    def write(self, frames: Records, comments: Mapping[int, str] | None = None) -> None:
+        """Append `frames` (records of `FRAME`); `comments` maps a row of this batch to its text.
+
+        Raises
+        ------
+        RecordingError
+            Nothing of the batch, or its first whole blocks, stand in the file; nothing more is written after that.
+        ValueError
+            A row that does not exist, a stamp before 1970, a length beyond 8.
+        """
+        count = len(frames)
+        if count > len(self._buffer):
+            self._buffer = _template(count)
+        blocks = self._buffer[:count]
+        if count:
+            stamps = frames["t_ns"] + self.epoch_ns
+            if stamps.min() < 0:
+                raise ValueError(f"a frame's stamp is {stamps.min()} ns: stamps begin at 1970; raise epoch_ns")
+            if frames["length"].max() > 8 or frames["length"].min() < 0:
+                raise ValueError("a frame's length is not in 0..8: CAN FD frames are not recorded")
+            blocks["stamp_high"] = stamps >> 32
+            blocks["stamp_low"] = stamps & 0xFFFFFFFF
+            blocks["can_id"] = frames["can_id"]
+            blocks["length"] = frames["length"]
+            blocks["data"] = frames["word"]
+        self._write(_commented(blocks, comments) if comments else blocks.tobytes())
+        self.frames += count
+
+    def attach(self, name: str, content: bytes) -> None:
+        """Add an attachment between the frames: what is known only now; RecordingError as from `write`."""
+        self._write(attachment_block(name, content))
+
+    def flush(self) -> None:
+        """Ask the kernel to bring the file to the disk (a power cut; a killed process needs no flush)."""
+        try:
+            os.fsync(self._fd)
+        except OSError as error:
+            if error.errno not in (errno.EINVAL, errno.EROFS):  # a pipe cannot be synchronised
+                raise self._fail(error) from error
+
+    def close(self) -> None:
+        """Close the file; may be called again."""
+        fd, self._fd = self._fd, -1
+        if fd >= 0:
+            try:
+                os.close(fd)
+            except OSError as error:  # a network file system may refuse only here
+                if self._failure is None:
+                    raise self._fail(error) from error
+
+    def __enter__(self) -> PcapngWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _write(self, data: bytes) -> None:
+        if self._failure is not None:
+            raise RecordingError(self._failure)
+        if self._fd < 0:
+            raise ValueError(f"{self.path}: the recording is closed")
+        rest = memoryview(data)
+        try:
+            while rest:  # one call, but for a disk that is filling up, or a pipe
+                rest = rest[os.write(self._fd, rest) :]
+        except OSError as error:
+            if len(rest) < len(data):  # a torn block: cut it off, where the file system lets us
+                with suppress(OSError):
+                    os.ftruncate(self._fd, self.bytes)
+            raise self._fail(error) from error
+        self.bytes += len(data)
+
+    def _fail(self, error: OSError) -> RecordingError:
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+        self._failure = (
+            f"{self.path}: the recording stopped after {self.frames} frames, {self.bytes} bytes "
+            f"({error.strerror}); what was written stays readable; "
+            + ("free some space, or record to another disk" if full else "record to another place")
+        )
+        return RecordingError(self._failure)
+
+
+def _template(count: int) -> Records:
+    blocks = np.zeros(count, PACKET_BLOCK)
+    blocks["kind"] = ENHANCED_PACKET
+    blocks["total"] = blocks["total_again"] = PACKET_BLOCK.itemsize
+    blocks["captured"] = blocks["original"] = CAN_FRAME_BYTES
+    return blocks
+
+
+def _head(comment: str, hardware: str, operating_system: str, application: str, interface: str) -> bytes:
+    texts = ((OPT_COMMENT, comment), (SHB_HARDWARE, hardware), (SHB_OS, operating_system))
+    section = struct.pack("<IHHq", BYTE_ORDER_MAGIC, 1, 0, -1)
+    section += b"".join(option(code, text.encode()) for code, text in (*texts, (SHB_APPLICATION, application)) if text)
+    one = struct.pack("<HHI", LINKTYPE_CAN_SOCKETCAN, 0, CAN_FRAME_BYTES)
+    one += (option(IF_NAME, interface.encode()) if interface else b"") + option(IF_TSRESOL, b"\x09")
+    end = option(OPT_END, b"")
+    return block(SECTION_HEADER, section + end) + block(INTERFACE, one + end)
+
+
+def _commented(blocks: Records, comments: Mapping[int, str]) -> bytes:
+    """Return the blocks' bytes, those of the rows in `comments` with an option behind them."""
+    if min(comments) < 0 or max(comments) >= len(blocks):
+        raise ValueError(f"comments on rows {sorted(comments)}: this batch has {len(blocks)} frames, counted from 0")
+    pieces, at = [], 0
+    for row in sorted(comments):
+        body = blocks[row].tobytes()[8:-4] + option(OPT_COMMENT, comments[row].encode()) + option(OPT_END, b"")
+        pieces += [blocks[at:row].tobytes(), block(ENHANCED_PACKET, body)]
+        at = row + 1
+    return b"".join([*pieces, blocks[at:].tobytes()])

@@ -1,0 +1,125 @@
+"""A run's recording: frames as they come, the rig, EDS files and the law attached, markers as comments of the frames that follow them."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Mapping
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from types import MappingProxyType, TracebackType
+
+import numpy as np
+
+from coulombus.recording.pcapng_writer import PcapngWriter
+from coulombus.recording.trace import NAME, SENT, pack, pack_sent
+from coulombus.rigs.rig import Rig
+from coulombus.wire.frame import Records
+
+__all__ = ["PACED", "Recorder", "project_version"]
+
+NO_LAW: Mapping[str, bytes] = MappingProxyType({})
+"""What a bus attaches of the law: nobody asked it for one."""
+
+PACED = "paced"
+"""Attachment ``bus`` of a recording that the bus itself made in real time: no host was in its process."""
+
+TRACE_BATCH = 2000
+"""Rows, and frames, that an attachment of the trace tells of: some tenths of a second at 1 kHz."""
+
+
+def project_version() -> str:
+    """Return the version of this project."""
+    try:
+        return version("coulombus")
+    except PackageNotFoundError:
+        return "0+unknown"
+
+
+class Recorder:
+    """Writes frames to a pcapng file, a new one unless `force` is given; a marker is the comment of the first frame at or after its time.
+
+    Raises
+    ------
+    coulombus.recording.pcapng_blocks.RecordingError
+        the file cannot be written (from the constructor, `write` and `close`); what was written before stays readable
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        rig: Rig,
+        mode: str,
+        seed: int | None = None,
+        *,
+        law: Mapping[str, bytes] = NO_LAW,
+        bus: str = "",
+        force: bool = False,
+    ) -> None:
+        attachments = {
+            "rig.toml": rig.effective().encode(),
+            "mode": mode.encode(),
+            "version": project_version().encode(),
+        }
+        if seed is not None:
+            attachments["seed"] = str(seed).encode()
+        if bus:
+            attachments["bus"] = bus.encode()
+        attachments |= {name: text.encode() for name, text in rig.eds_texts.items()}
+        attachments |= law
+        self._writer = PcapngWriter(path, attachments=attachments, force=force)
+        self._markers: list[tuple[int, int, str]] = []
+        self._marked = 0
+        self._traces = self._sents = 0
+        self._own: list[Records] = []
+        self._rows: list[Records] = []
+        self._sent: list[Records] = []
+
+    def mark(self, t_ns: int, text: str) -> None:
+        """Let the first frame at or after `t_ns` carry the comment `text`."""
+        heapq.heappush(self._markers, (t_ns, self._marked, text))
+        self._marked += 1
+
+    def write(self, frames: Records) -> None:
+        """Append a batch of frames with rising stamps."""
+        comments: dict[int, str] = {}
+        stamps, due = frames["t_ns"], []
+        while self._markers and self._markers[0][0] <= stamps[-1]:
+            due.append(heapq.heappop(self._markers))
+        rows = np.searchsorted(stamps, [t_ns for t_ns, _, _ in due]).tolist()
+        for row, (_, _, text) in zip(rows, due, strict=True):
+            comments[row] = f"{comments[row]}\n{text}" if row in comments else text
+        self._writer.write(frames, comments)
+
+    def trace(self, own: Records, rows: Records, sent: Records | None = None) -> None:
+        """Keep what `recording.trace` keeps: whether each frame of the batch just written was none that the host received; rows; what it sent."""
+        self._own.append(own)
+        self._rows.append(rows)
+        if sent is not None and len(sent):
+            self._sent.append(sent.copy())
+        if sum(map(len, (*self._own, *self._rows, *self._sent))) >= TRACE_BATCH:
+            self._write_trace()
+
+    def _write_trace(self) -> None:
+        own, rows, sent = np.concatenate(self._own), np.concatenate(self._rows), self._sent
+        self._own, self._rows, self._sent = [], [], []
+        self._writer.attach(f"{NAME}{self._traces}", pack(own, rows))
+        self._traces += 1
+        if sent:
+            self._writer.attach(f"{SENT}{self._sents}", pack_sent(np.concatenate(sent)))
+            self._sents += 1
+
+    def close(self) -> None:
+        """Write what is left and close the file."""
+        try:
+            if self._rows:
+                self._write_trace()
+        finally:
+            self._writer.close()
+
+    def __enter__(self) -> Recorder:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

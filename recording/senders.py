@@ -1,0 +1,48 @@
+"""Who sent a recorded frame: a node, or the host. The frame does not tell; its identifier does, by the rig or by CiA 301's predefined set."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from coulombus.recording.signals import blocks
+from coulombus.rigs.rig import Rig, RigError, load_rig
+
+__all__ = ["HOST", "rig_of", "senders"]
+
+HOST, NOBODY = 0, -1
+FROM_NODES = (0x080, 0x180, 0x280, 0x380, 0x480, 0x580, 0x700)
+"""Function codes of what a node sends: EMCY, TPDO1 to 4, SDO response, heartbeat (CiA 301, 7.3.3)."""
+TO_NODES = (0x200, 0x300, 0x400, 0x500, 0x600)
+"""RPDO1 to 4, SDO request."""
+LSS_MASTER = 0x7E5
+
+
+def senders(can_ids: npt.NDArray[np.int64], rig: Rig | None = None) -> npt.NDArray[np.int64]:
+    """Return the node id of each frame's sender, 0 for the host, -1 where the identifier (with flags) tells nothing."""
+    table = np.full(0x800, NOBODY, np.int64)
+    nodes = np.arange(1, 128)
+    for code in FROM_NODES:
+        table[code + nodes] = nodes
+    for code in TO_NODES:
+        table[code + nodes] = HOST
+    table[[0x000, 0x080, 0x100, LSS_MASTER]] = HOST
+    if rig is not None:
+        table[0x700 + rig.host.node_id] = HOST
+        for pdo in rig.pdos():
+            layout = pdo.layout
+            table[layout.cob_id] = HOST if layout.direction == "rpdo" else pdo.node_id
+    bare = can_ids & ~0x40000000
+    return np.where(bare <= 0x7FF, table[bare & 0x7FF], NOBODY)
+
+
+def rig_of(path: str, name: str | None) -> Rig | None:
+    """Return the rig of that name, or else the one attached to a recording; None without both."""
+    if name is not None:
+        return load_rig(name)
+    if not path.endswith(".pcapng"):
+        return None
+    try:
+        return blocks(path).rig
+    except RigError:
+        return None

@@ -1,0 +1,371 @@
+"""A recording as arrays: every signal of the rig's PDOs by name, in SI units.
+
+::
+
+    recording = read("hybrid.pcapng")
+    angle = recording["motor.position_rad"]
+    angle.t_s, angle.values, angle.unit          # two arrays and "rad"
+    recording.markers                            # [(1.004, "phase hold"), ...]
+
+What the bits mean comes from the rig file and the EDS files attached to the recording; of a file without them (candump's,
+Wireshark's, or one that editcap has rewritten) from the rig that is given.
+
+`read` keeps everything: 40 bytes for each frame and about 8 for each of its signals. `blocks` goes through the file without keeping it, a
+`Recording` of some seconds at a time; figures and rows come of that, in a memory that does not grow with the run. `series` gathers single
+signals on the way.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Self, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from coulombus.eds.pdo import Entry
+from coulombus.recording.log_files import WALL_CLOCK_NS, LogError, is_log, read_log
+from coulombus.recording.pcapng_reader import Capture, iter_pcapng, read_pcapng
+from coulombus.rigs.rig import Rig, RigError, load_rig, load_rig_text
+from coulombus.rigs.signals import RigPdo, Signal
+from coulombus.wire.frame import Records
+
+__all__ = ["Blocks", "PdoTable", "Recording", "Series", "Source", "blocks", "decode_field", "read", "series"]
+
+Array: TypeAlias = npt.NDArray[Any]
+Floats: TypeAlias = npt.NDArray[np.float64]
+Integers: TypeAlias = npt.NDArray[np.int64]
+
+RIG = "rig.toml"
+HOST = "host."  # begins the names of what only the host's replay reads: many, and no text
+
+
+@dataclass(frozen=True)
+class Series:
+    """One signal: times [s], values in `unit`. Words of bits (unit "") are integers, the rest is float64."""
+
+    t_s: Floats
+    values: Array
+    unit: str
+
+    def __len__(self) -> int:
+        return len(self.t_s)
+
+
+@dataclass(frozen=True)
+class PdoTable:
+    """The frames of one PDO: their rows in `Recording.frames`, and one column of SI values for each signal."""
+
+    pdo: RigPdo
+    name: str
+    rows: Integers
+    columns: tuple[Array, ...]
+    malformed: int
+
+
+class Source:
+    """What figures are computed from: the recording's blocks, one after another, each a `Recording` with the times of the whole."""
+
+    path: str
+    rig: Rig
+
+    def __iter__(self) -> Iterator[Recording]:
+        """Yield the blocks."""
+        raise NotImplementedError
+
+    def seen_by(self, axis: str) -> Self:
+        """Return the recording as the axis of this name sees it, with the signals' plain names; markers of other axes are left out."""
+        raise NotImplementedError
+
+    def one_axis(self, name: str | None) -> Self:
+        """Return the recording as the axis `name` sees it; without a name the rig must have one axis only.
+
+        Raises
+        ------
+        coulombus.rigs.rig.RigError
+            see `Rig.one_axis`
+        """
+        self.rig.one_axis(name)
+        return self.seen_by(name or "")
+
+    @property
+    def axes(self) -> tuple[Self, ...]:
+        """The recording as each axis of the rig sees it, with the signals' plain names."""
+        if self.rig.axes[0] is self.rig:
+            return (self,)
+        return tuple(self.seen_by(axis.axis) for axis in self.rig.axes)
+
+    def signal(self, name: str) -> Signal:
+        """Return what the rig says of a signal: object, scale, offset, unit; KeyError names the nearest ones."""
+        signals = {signal.name: signal for pdo in self.rig.pdos() for signal in pdo.signals}
+        if name not in signals:
+            near = difflib.get_close_matches(name, signals, 3, 0.4) or list(signals)
+            raise KeyError(f"no signal {name!r} in {self.path}; there is {', '.join(near)}")
+        return signals[name]
+
+    def scale(self, name: str) -> float:
+        """Return the SI value of one raw count of a signal."""
+        return self.signal(name).scale
+
+
+@dataclass(frozen=True)
+class Recording(Source):
+    """A recording, decoded; ``recording["motor.position_rad"]`` is a `Series`.
+
+    Attributes
+    ----------
+    path
+        The file.
+    rig
+        The rig whose PDOs these are: the attached one, or the one given.
+    capture
+        The file's content as it stands: frames, comments, attachments, torn bytes.
+    epoch_ns
+        Time 0 of all `t_s`: 0 in virtual time; the first frame's stamp where stamps come from a clock.
+    signals
+        Name -> `Series`, in the order of the rig's PDOs. A PDO that never came gives empty ones.
+    markers
+        (time [s], text) of the comments, one for each line of them, in the file's order.
+    malformed
+        "motor.TPDO1" -> frames of a wrong length, which are left out of the signals.
+    """
+
+    path: str
+    rig: Rig
+    capture: Capture
+    epoch_ns: int
+    tables: tuple[PdoTable, ...]
+    signals: Mapping[str, Series]
+    markers: list[tuple[float, str]]
+    malformed: Mapping[str, int]
+
+    def __iter__(self) -> Iterator[Recording]:
+        """Yield the recording itself: it is one block."""
+        yield self
+
+    def seen_by(self, axis: str) -> Recording:
+        """Return the recording as the axis of this name sees it, with the signals' plain names; markers of other axes are left out."""
+        if not axis:
+            return self
+        seen = decode(self.capture, self.rig.one_axis(axis), self.epoch_ns)
+        return replace(seen, markers=_markers_of(axis, self.rig, seen.markers))
+
+    @property
+    def frames(self) -> Records:
+        """All frames, records of `wire.frame.FRAME`."""
+        return self.capture.frames
+
+    @property
+    def t_s(self) -> Floats:
+        """Time of each frame [s]."""
+        return (self.frames["t_ns"] - self.epoch_ns) / 1e9
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Sentences on what was left out: a torn end, damaged attachments, other packets, malformed PDOs."""
+        return _remarks(self.path, self.capture.warnings, _left_out(self))
+
+    def __getitem__(self, name: str) -> Series:
+        """Return a signal; KeyError names the nearest ones."""
+        if name not in self.signals:
+            self.signal(name)
+        return self.signals[name]
+
+
+@dataclass
+class Blocks(Source):
+    """A recording that is not kept: each iteration goes through the file, a `Recording` of some seconds at a time (see `blocks`)."""
+
+    path: str
+    rig: Rig
+    remarks: tuple[str, ...] = field(default=(), init=False)
+    """As `Recording.remarks`, of the last iteration that came to its end."""
+
+    axis: str = ""
+    """The axis of `rig` whose view this is, with the signals' plain names; "": of all that it has."""
+
+    def __post_init__(self) -> None:
+        self._whole, self.rig = self.rig, self.rig.one_axis(self.axis) if self.axis else self.rig
+
+    def __iter__(self) -> Iterator[Recording]:
+        epoch_ns, left_out, warnings = None, Counter[str](), list[str]()
+        for capture in _captures(self.path):
+            if epoch_ns is None and len(capture.frames):
+                epoch_ns = _epoch_ns(capture.frames)
+            block = decode(capture, self.rig, epoch_ns)
+            if self.axis:
+                block = replace(block, markers=_markers_of(self.axis, self._whole, block.markers))
+            left_out.update(_left_out(block))
+            warnings += capture.warnings
+            yield block
+        self.remarks = _remarks(self.path, warnings, left_out)
+
+    def seen_by(self, axis: str) -> Blocks:
+        """Return the recording as the axis of this name sees it, with the signals' plain names; markers of other axes are left out."""
+        return Blocks(self.path, self.rig, axis) if axis else self
+
+
+def _markers_of(axis: str, rig: Rig, markers: list[tuple[float, str]]) -> list[tuple[float, str]]:
+    """Return the markers as an axis of `rig` sees them: its own phases by their plain names, those of the others not at all."""
+    own = f"{axis}.phase "
+    others = tuple(f"{one.axis}.phase " for one in rig.axes if one.axis != axis)
+    return [
+        (t_s, text.removeprefix(f"{axis}.") if text.startswith(own) else text)
+        for t_s, text in markers
+        if not text.startswith(others)
+    ]
+
+
+def series(source: Source, *names: str) -> tuple[Series, ...]:
+    """Gather signals on one way through the recording: 16 bytes for each sample, at 1 kHz 16 kB for each second of each signal."""
+    found = [[block[name] for name in names] for block in source]
+    return tuple(
+        Series(
+            np.concatenate([part.t_s for part in parts]), np.concatenate([part.values for part in parts]), parts[0].unit
+        )
+        for parts in zip(*found, strict=True)
+    )
+
+
+def read(path: str | Path, rig: Rig | str | None = None) -> Recording:
+    """Read a recording whole.
+
+    Parameters
+    ----------
+    path
+        A pcapng file of SocketCAN frames, or a log that python-can reads (.log, .asc, .blf, .trc, .csv), which has no rig.
+    rig
+        Decode with this rig (a `Rig`, a packaged rig's name, or a rig file's path) and not with the attached one.
+
+    Raises
+    ------
+    coulombus.rigs.rig.RigError
+        No rig is attached and none is given, or the attached one cannot be read.
+    coulombus.recording.pcapng_blocks.PcapngError, coulombus.recording.log_files.LogError
+        The file is damaged, or is of another kind.
+    """
+    capture = next(_captures(path)) if is_log(path) else read_pcapng(path)
+    return decode(capture, _attached_rig((capture,)) if rig is None else _rig(rig))
+
+
+def blocks(path: str | Path, rig: Rig | str | None = None) -> Blocks:
+    """Return a recording to go through, as often as needed, in a memory that does not grow with it; parameters and errors as `read`.
+
+    The file is read anew each time: it must stay as it is meanwhile, and a pipe is refused (LogError).
+    """
+    if Path(path).exists() and not Path(path).is_file():
+        raise LogError(f"{path}: it is no file, and a recording is read more than once; save it to a file first")
+    return Blocks(str(path), _attached_rig(_captures(path)) if rig is None else _rig(rig))
+
+
+def _captures(path: str | Path) -> Iterator[Capture]:
+    """Yield a pcapng file's stretches; a log of another tool is one."""
+    if is_log(path):
+        frames, remarks = read_log(path)
+        return iter([Capture(str(path), frames, comments=[], attachments={}, warnings=tuple(remarks))])
+    return iter_pcapng(path)
+
+
+def _rig(rig: Rig | str) -> Rig:
+    return load_rig(rig) if isinstance(rig, str) else rig
+
+
+def _epoch_ns(frames: Records) -> int:
+    """Return time 0 of frames the first of which begin a recording."""
+    return int(frames["t_ns"][0]) if len(frames) and frames["t_ns"][0] >= WALL_CLOCK_NS else 0
+
+
+def decode(capture: Capture, rig: Rig, epoch_ns: int | None = None) -> Recording:
+    """Return the capture with the signals of the rig's PDOs; `epoch_ns` where it is a stretch of a longer one."""
+    frames = capture.frames
+    epoch_ns = _epoch_ns(frames) if epoch_ns is None else epoch_ns
+    t_s: Floats = (frames["t_ns"] - epoch_ns) / 1e9
+    can_ids = np.ascontiguousarray(frames["can_id"])
+    tables = tuple(_table(pdo, frames, can_ids) for pdo in rig.pdos())
+    signals = {}
+    for table in tables:
+        at = t_s[table.rows]
+        for signal, values in zip(table.pdo.signals, table.columns, strict=True):
+            signals[signal.name] = Series(at, values, signal.unit)
+    return Recording(
+        path=capture.path,
+        rig=rig,
+        capture=capture,
+        epoch_ns=epoch_ns,
+        tables=tables,
+        signals=MappingProxyType(signals),
+        markers=[(float(t_s[row]), line) for row, text in capture.comments for line in text.splitlines()],
+        malformed=MappingProxyType({table.name: table.malformed for table in tables}),
+    )
+
+
+def _left_out(block: Recording) -> Counter[str]:
+    """Return how much was left out, by why."""
+    return Counter({"torn": block.capture.torn, "skipped": block.capture.skipped, **block.malformed})
+
+
+def _remarks(path: str, warnings: Iterable[str], left_out: Counter[str]) -> tuple[str, ...]:
+    texts = {
+        "torn": "the last block is unfinished: {} bytes were left out",
+        "skipped": "{} packets are no classical CAN frames and were left out",
+    }
+    told = ((texts.get(name, f"{{}} frames of {name} have a wrong length"), n) for name, n in left_out.items() if n)
+    return (*warnings, *(f"{path}: {text.format(n)}" for text, n in told))
+
+
+def _attached_rig(captures: Iterable[Capture]) -> Rig:
+    """Return the rig attached to a recording, of which no more is read than its beginning."""
+    give = "give one: read(path, rig=...), or --rig on the command line"
+    texts: dict[str, str] = {}
+    warnings: list[str] = []
+    for capture in captures:
+        warnings += capture.warnings
+        files = (name for name in capture.attachments if not name.startswith(HOST))
+        texts |= {name: capture.attachments[name].decode(errors="replace") for name in files}
+        if RIG in texts and len(capture.frames):  # its EDS files stand before the frames, too
+            break
+    if RIG not in texts:
+        if capture.torn:
+            warnings.append(f"the file breaks off: its last block is unfinished, {capture.torn} bytes of it are there")
+        damaged = f" ({'; '.join(warnings)})" if warnings else ""
+        raise RigError([f"{capture.path}: no {RIG} is attached, so its PDOs have no meaning{damaged}; {give}"])
+    try:
+        return load_rig_text(texts.pop(RIG), f"{capture.path}[{RIG}]", texts, attached=True)
+    except RigError as error:
+        remedy = f"{capture.path}: its attached rig cannot be read by this version; {give}"
+        raise RigError([*error.errors, remedy]) from error
+
+
+def _table(pdo: RigPdo, frames: Records, can_ids: Integers) -> PdoTable:
+    layout = pdo.layout
+    came = np.flatnonzero(can_ids == layout.cob_id)
+    rows = came[frames["length"][came] == layout.length]
+    words = frames["word"][rows]
+    columns = tuple(
+        _si(decode_field(words, start, entry), signal)
+        for entry, start, signal in zip(layout.entries, layout.starts, pdo.signals, strict=True)
+    )
+    return PdoTable(pdo, f"{pdo.node}.{pdo.name}", rows, columns, len(came) - len(rows))
+
+
+def _si(raw: Array, signal: Signal) -> Array:
+    if not signal.unit and (signal.scale, signal.offset) == (1.0, 0.0):
+        return raw
+    return raw * signal.scale + signal.offset
+
+
+def decode_field(words: Integers, start: int, entry: Entry) -> Array:
+    """Return the field that begins at bit `start` of each data word: integers, or numbers of an IEEE 754 pattern."""
+    left, right = 64 - start - entry.bits, 64 - entry.bits
+    if entry.kind == "real":
+        pattern = words.view(np.uint64) << np.uint64(left) >> np.uint64(right)
+        return pattern.astype(f"u{entry.bits // 8}").view(f"f{entry.bits // 8}").astype(np.float64)
+    if entry.signed:
+        return words << left >> right
+    field = words.view(np.uint64) << np.uint64(left) >> np.uint64(right)
+    return field if entry.bits == 64 else field.view(np.int64)

@@ -1,0 +1,153 @@
+"""The files that a rig file names: EDS files, and the schedules of phases of kind "file"."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from coulombus.eds.reader import Description, EdsError, parse_eds, read_eds
+from coulombus.eds.regular_file import read_regular
+from coulombus.rigs.mistakes import Source, nearest
+from coulombus.rigs.signals import deadman_object, shortcomings
+
+__all__ = ["read_descriptions", "read_schedules"]
+
+COLUMNS = ("t_s", "torque_Nm")
+MOST_ERRORS = 10
+
+
+def _find(name: str, rig_path: str, package: Path | None) -> tuple[Path | None, list[Path]]:
+    """Look for a file beside the rig file, in the package, in the current folder; return it and where was looked."""
+    folders = [Path(rig_path).parent, *([package] if package else []), Path()]
+    tried = list(dict.fromkeys(folder / name for folder in folders))
+    return next((path for path in tried if path.exists()), None), tried  # a FIFO is found, and refused when it is read
+
+
+def read_descriptions(
+    values: Mapping[str, Any], source: Source, eds_texts: Mapping[str, str] | None
+) -> dict[str, Description]:
+    """Return the nodes' EDS files by "motor" and "brake"; mistakes are noted in `source`."""
+    found: dict[str, Description] = {}
+    for node in ("motor", "brake"):
+        section = values.get(node)
+        name = section.get("eds") if isinstance(section, dict) else None
+        if not isinstance(name, str) or source.is_wrong((node, "eds")):
+            continue
+        try:
+            if eds_texts is not None:
+                found[node] = _from_text(name, eds_texts)
+            else:
+                found[node] = _from_file(name, source.path)
+            for lack in shortcomings(found[node], node):
+                source.say((node, "eds"), f"'{name}' stands there, but {lack}")
+        except EdsError as error:
+            source.say((node, "eds"), f"'{name}' stands there, but {error}")
+    host = values.get("host")
+    deadman = host.get("deadman") if isinstance(host, dict) else None
+    if isinstance(deadman, str) and len(found) == 2 and not source.found:
+        try:
+            deadman_object(deadman, found)
+        except ValueError as error:
+            source.stands(("host", "deadman"), deadman, f"an input that the drive or the brake can send, but {error}")
+    return found
+
+
+def _from_text(name: str, eds_texts: Mapping[str, str]) -> Description:
+    if name not in eds_texts:
+        raise EdsError(f"its text is not given; expected one of {', '.join(eds_texts) or 'nothing'}")
+    return parse_eds(eds_texts[name].encode(), name)
+
+
+def _from_file(name: str, rig_path: str) -> Description:
+    package = Path(str(resources.files("coulombus.eds")))
+    path, tried = _find(name, rig_path, package)
+    if path is not None:
+        return read_eds(path)
+    own = sorted(entry.name for entry in package.glob("*.eds"))
+    looked = ", ".join(map(str, tried))
+    raise EdsError(
+        f"there is no such file; looked for {looked}; expected a path, or one of {', '.join(own)}{nearest(name, own)}"
+    )
+
+
+def read_schedules(values: Mapping[str, Any], source: Source, *, attached: bool = False) -> None:
+    """Fill in `t_s`, `torque_Nm` and `duration_s` of the phases of kind "file"; mistakes are noted in `source`.
+
+    Of a rig that is `attached` to a recording no file is read: the recording has the schedule's values.
+    """
+    phases = values.get("phase")
+    for i, phase in enumerate(phases if isinstance(phases, list) else ()):
+        if not isinstance(phase, dict) or phase.get("kind") != "file":
+            continue
+        if not phase.keys() & set(COLUMNS) and attached:
+            source.say(("phase", i, "path"), "the schedule's values are not attached; expected t_s and torque_Nm")
+            source.wrong.update(("phase", i, column) for column in (*COLUMNS, *({"duration_s"} - phase.keys())))
+        elif not phase.keys() & set(COLUMNS):
+            _read_schedule(phase, ("phase", i), source)
+        times = phase.get("t_s")
+        if "duration_s" not in phase and isinstance(times, list) and times and type(times[-1]) in (int, float):
+            phase["duration_s"] = float(times[-1])
+
+
+def _read_schedule(phase: dict[str, Any], key: tuple[str, int], source: Source) -> None:
+    name = phase.get("path")
+    if not isinstance(name, str):
+        if "path" not in phase:
+            source.say((*key, "path"), "missing in [[phase]]; expected a CSV file with the columns t_s,torque_Nm")
+    else:
+        path, tried = _find(name, source.path, None)
+        if path is None:
+            looked = ", ".join(map(str, tried))
+            source.stands((*key, "path"), name, f"a CSV file with the columns t_s,torque_Nm; looked for {looked}")
+        else:
+            columns: tuple[list[float], list[float]] = ([], [])
+            mistakes = list(_rows(path, columns))
+            place, _ = source.where((*key, "path"))
+            source.found += [(place, mistake) for mistake in mistakes[:MOST_ERRORS]]
+            if len(mistakes) > MOST_ERRORS:
+                source.found.append((place, f"{path}: {len(mistakes) - MOST_ERRORS} further lines cannot be read"))
+            if not mistakes:
+                phase["t_s"], phase["torque_Nm"] = columns
+                return
+    source.wrong.update((*key, column) for column in (*COLUMNS, *({"duration_s"} - phase.keys())))
+
+
+def _rows(path: Path, columns: tuple[list[float], list[float]]) -> Iterator[str]:
+    """Read a schedule into `columns`; yield the mistakes, each with file:line."""
+    try:
+        lines = read_regular(path).decode("utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "no UTF-8"
+        yield f"{path}:1: cannot be read ({reason}); expected a CSV file with the columns t_s,torque_Nm"
+        return
+    rows = [(n, line.strip()) for n, line in enumerate(lines, 1) if line.strip() and not line.lstrip().startswith("#")]
+    if not rows or [cell.strip() for cell in rows[0][1].split(",")] != list(COLUMNS):
+        number, head = rows[0] if rows else (1, "")
+        yield f"{path}:{number}: '{head[:60]}' stands there; expected the header t_s,torque_Nm"
+        return
+    before = -math.inf
+    for number, line in rows[1:]:
+        cells = line.split(",")
+        row = [_number(cell) for cell in cells]
+        if len(cells) != 2 or any(cell is None for cell in row):
+            yield f"{path}:{number}: '{line[:60]}' stands there; expected two finite numbers, t_s,torque_Nm"
+            continue
+        t, torque = (cell for cell in row if cell is not None)
+        if t <= before or t < 0:
+            yield f"{path}:{number}: t_s: '{cells[0].strip()}' stands there; expected times that grow, from 0 on"
+        before = t
+        columns[0].append(t)
+        columns[1].append(torque)
+    if len(rows) < 3:
+        yield f"{path}:{rows[-1][0]}: the file has {len(rows) - 1} rows; expected at least two"
+
+
+def _number(text: str) -> float | None:
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None

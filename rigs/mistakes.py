@@ -1,0 +1,119 @@
+"""The mistakes of a rig file: where they stand, and all of them at once."""
+
+from __future__ import annotations
+
+import difflib
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from coulombus.rigs.toml_lines import Document, Key
+
+__all__ = ["RigError", "Source", "dotted", "nearest", "shown", "toml_value"]
+
+LONGEST = 60
+
+
+class RigError(Exception):
+    """A rig file is refused; `errors` holds one line for each mistake, all that were found."""
+
+    exit_status = 3
+
+    def __init__(self, errors: Sequence[str]) -> None:
+        self.errors = tuple(errors)
+        super().__init__("\n".join(self.errors))
+
+    def __reduce__(self) -> tuple[type[RigError], tuple[tuple[str, ...]]]:
+        return type(self), (self.errors,)
+
+
+@dataclass
+class Source:
+    """Where values come from: a file's lines, and overrides by their ``--set`` text. Collects the mistakes."""
+
+    path: str
+    document: Document
+    overrides: dict[Key, str] = field(default_factory=dict)
+    axis: Key = ()
+    """("axis", NAME) while the values of one axis are looked at: what it has of its own stands below this."""
+    found: list[tuple[float, str]] = field(default_factory=list)
+    wrong: set[Key] = field(default_factory=set)
+
+    def of_axis(self, name: str) -> Source:
+        """Return a source of its own for the axis `name` of the same file."""
+        return Source(self.path, self.document, self.overrides, ("axis", name))
+
+    def full(self, key: Key) -> Key:
+        """Return `key` as the file has it: below the axis where the axis has it of its own."""
+        own = (*self.axis, *key)
+        depth = range(len(own), len(self.axis), -1)
+        return own if any(own[:n] in self.overrides or own[:n] in self.document.lines for n in depth) else key
+
+    def where(self, key: Key) -> tuple[float, str]:
+        """Return the place of `key` for sorting, and as text: ``file:line`` or ``--set KEY=VALUE``."""
+        key = self.full(key)
+        for length in range(len(key), 0, -1):
+            if key[:length] in self.overrides:
+                return float("inf"), f"--set {self.overrides[key[:length]]}"
+            if key[:length] in self.document.lines:
+                line = self.document.lines[key[:length]]
+                return line, f"{self.path}:{line}"
+        for given, text in self.overrides.items():
+            if given[: len(key)] == key:
+                return float("inf"), f"--set {text}"
+        return 1, f"{self.path}:1"
+
+    def say(self, key: Key, text: str) -> None:
+        """Note a mistake of `key`; `text` follows the key's name."""
+        place, where = self.where(key)
+        self.wrong.add(key)
+        self.found.append((place, f"{where}: {dotted(self.full(key))}: {text}"))
+
+    def stands(self, key: Key, value: Any, wanted: str, known: Iterable[str] = ()) -> None:
+        """Note that `value` is not what is `wanted`."""
+        hint = nearest(value, known) if isinstance(value, str) else ""
+        self.say(key, f"'{shown(value)}' stands there; expected {wanted}{hint}")
+
+    def is_wrong(self, key: Key) -> bool:
+        """Tell whether the value of `key`, or one that holds it, is known to be wrong."""
+        if any(key[:length] in self.wrong for length in range(1, len(key) + 1)):
+            return True
+        return self.document.is_broken(key) or (self.axis != () and self.document.is_broken((*self.axis, *key)))
+
+    def raise_all(self) -> None:
+        """Raise RigError with every mistake, in the file's order, if there is one."""
+        if self.found:
+            ordered = [text for _, text in sorted(self.found, key=lambda item: item[0])]
+            raise RigError(list(dict.fromkeys(ordered)))  # what several axes share is said once
+
+
+def dotted(key: Key) -> str:
+    """Return a key as ``--set`` takes it."""
+    return ".".join(map(str, key))
+
+
+def toml_value(value: Any) -> str:
+    """Spell a value as TOML."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{json.dumps(key)} = {toml_value(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(toml_value, value)) + "]"
+    return repr(value) if isinstance(value, float) else str(value)
+
+
+def shown(value: Any) -> str:
+    """Spell a value as TOML, shortened for a message."""
+    text = toml_value(value)
+    return text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."
+
+
+def nearest(given: str, known: Iterable[str]) -> str:
+    """Return "; did you mean ...?" for the known word nearest to `given`, or nothing."""
+    by_small = {word.lower(): word for word in known}
+    found = difflib.get_close_matches(given.lower(), by_small, 1, 0.6)
+    return f"; did you mean '{by_small[found[0]]}'?" if found else ""

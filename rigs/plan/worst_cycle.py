@@ -1,0 +1,198 @@
+"""The cycle in its worst case: by when SYNC, the TPDOs and the RPDOs are through, counted from the instant at which SYNC is queued.
+
+`rigs.plan.response_times` takes every frame for independent of the others, so that it counts SYNC and the TPDOs against an RPDO although
+they are through when the host sends it. Here their order is used: a TPDO is released by SYNC's end, an axis' RPDOs by the last
+of its TPDOs. From SYNC on one of them is pending all the time, so the bus does not rest and no lower frame comes between, but
+where a device's or the host's computing outlasts the inter-frame space::
+
+    F(m) = B + C + sum of C over what goes before m in the cycle + gaps + E(F)
+             + sum over hp of ceil((F - C + J_k + tau) / T_k) C_k
+
+B is the longest frame from outside the cycle that may have begun just before; the cycle before is through by then, or the
+plan does not fit. hp are the messages outside the cycle that have a higher priority than m, or than any TPDO of m's axis if
+m is an RPDO. A gap of length d > 3 tau (`node_ns` before the TPDOs, `host_ns` before the RPDOs) costs d - 3 tau and one more
+frame that may begin in it; then every frame of the cycle that has such a priority is taken to go before m. The host waits for
+the TPDOs no longer than `window_ns`.
+
+The same instants, one after the other, are the picture (`rigs.plan.gantt`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from coulombus.rigs.plan.response_times import ERROR_FRAME_BITS, NO_ERRORS, Errors, Message, bit_ns
+from coulombus.wire.frame import arbitration_key
+
+__all__ = ["Bar", "Cycle", "CycleFrame", "Timing", "worst_cycle"]
+
+INTER_FRAME_BITS = 3
+HORIZON_PERIODS = 50
+"""A frame that is not through after so many periods has no bound."""
+
+
+@dataclass(frozen=True)
+class Timing:
+    """What the cycle is held against.
+
+    Attributes
+    ----------
+    window_ns : int
+        How long after SYNC the host waits for the TPDOs.
+    node_ns, host_ns : int
+        Longest time that a device computes between SYNC and its TPDOs, the host between the last TPDO and its RPDOs.
+    """
+
+    bitrate_bit_s: int
+    period_ns: int
+    window_ns: int
+    node_ns: int = 0
+    host_ns: int = 0
+
+
+@dataclass(frozen=True)
+class CycleFrame:
+    """One frame of the cycle: the latest instant at which it is through, and by when it has to be."""
+
+    message: Message
+    end_ns: int
+    deadline_ns: int
+
+    @property
+    def fits(self) -> bool:
+        """Whether it is through in time."""
+        return self.end_ns <= self.deadline_ns
+
+
+@dataclass(frozen=True)
+class Bar:
+    """Something in the picture of the worst cycle; `kind` is a message's stage, "other", "gap" or "error"."""
+
+    name: str
+    kind: str
+    begin_ns: int
+    end_ns: int
+
+
+@dataclass(frozen=True)
+class Cycle:
+    """The cycle's frames in the order in which they go, and the bars of the worst case of the last one."""
+
+    frames: tuple[CycleFrame, ...]
+    bars: tuple[Bar, ...]
+
+    def latest_ns(self, stage: str) -> int:
+        """Return by when all frames of a stage are through."""
+        return max((frame.end_ns for frame in self.frames if frame.message.stage == stage), default=0)
+
+    @property
+    def fits(self) -> bool:
+        """Whether all are through in time."""
+        return all(frame.fits for frame in self.frames)
+
+
+def worst_cycle(messages: Sequence[Message], timing: Timing, errors: Errors = NO_ERRORS) -> Cycle:
+    """Return the worst cycle of `messages`, those with a `stage`, under the interference of the others.
+
+    SYNC and the TPDOs are due within the window, the RPDOs before the next SYNC is.
+    """
+    order = sorted(messages, key=lambda message: arbitration_key(message.can_id))
+    chain = _in_order([m for m in order if m.stage])
+    others = [m for m in order if not m.stage]
+    found = [_Case(m, chain, others, timing, errors) for m in chain]
+    frames = tuple(
+        CycleFrame(case.m, case.end_ns, timing.period_ns if case.m.stage == "rpdo" else timing.window_ns)
+        for case in found
+    )
+    last = max(found, key=lambda case: case.end_ns, default=None)
+    return Cycle(frames, tuple(last.bars()) if last else ())
+
+
+def _in_order(cyclic: Sequence[Message]) -> list[Message]:
+    """Return the cycle's frames, given by priority, in the order in which they go when nobody needs time to compute."""
+    gone = [m for m in cyclic if m.stage == "sync"]
+    waiting = [m for m in cyclic if m.stage == "tpdo"]
+    held = [m for m in cyclic if m.stage == "rpdo"]
+    while waiting or held:
+        pending = {m.axis for m in waiting if m.stage == "tpdo"}
+        waiting += [m for m in held if m.axis not in pending]
+        held = [m for m in held if m.axis in pending]
+        gone.append(min(waiting, key=lambda m: arbitration_key(m.can_id)))
+        waiting.remove(gone[-1])
+    return gone
+
+
+class _Case:
+    """The worst case of one frame of the cycle."""
+
+    def __init__(
+        self, m: Message, chain: Sequence[Message], others: Sequence[Message], timing: Timing, errors: Errors
+    ) -> None:
+        self.m, self.timing = m, timing
+        rate = timing.bitrate_bit_s
+        self.tau = bit_ns(1, rate)
+        lowest = arbitration_key(m.can_id)
+        if m.stage == "rpdo":
+            lowest = max(
+                [lowest, *(arbitration_key(k.can_id) for k in chain if k.stage == "tpdo" and k.axis == m.axis)]
+            )
+        self.higher = [k for k in others if arbitration_key(k.can_id) < lowest]
+        self.blocking = self._longest(k for k in others if k not in self.higher)
+        self.before = list(chain[: chain.index(m)])
+        waits = {"tpdo": timing.node_ns, "rpdo": timing.host_ns}
+        stages = {"sync": (), "tpdo": ("tpdo",), "rpdo": ("tpdo", "rpdo")}[m.stage or "sync"]
+        gaps = {stage: waits[stage] - INTER_FRAME_BITS * self.tau for stage in stages}
+        gaps = {stage: length for stage, length in gaps.items() if length > 0}
+        later = [
+            k for k in chain if k.stage == "rpdo" and k.axis == m.axis and k not in self.before
+        ]  # m may be of them
+        rest = [k for k in chain if k is not m and k not in self.before and k not in later]
+        if gaps:
+            self.before += [k for k in rest if arbitration_key(k.can_id) < lowest]
+        behind = self._longest(k for k in [*others, *rest] if k not in self.higher and k not in self.before)
+        self.gaps = {stage: (length, behind) for stage, length in gaps.items()}  # and the frame that may begin in it
+        self.frame_ns = self._duration(m)
+        each = bit_ns(ERROR_FRAME_BITS, rate) + max(self._duration(k) for k in [*self.before, *self.higher, m])
+        fixed = self._duration(self.blocking) + sum(map(self._duration, self.before))
+        fixed += sum(length + self._duration(frame) for length, frame in self.gaps.values())
+        self.counts, self.error_ns = [0] * len(self.higher), 0
+        end, after = 0, fixed + self.frame_ns
+        while after > end and after <= HORIZON_PERIODS * timing.period_ns:
+            end = after
+            self.counts = [-(-(end - self.frame_ns + k.jitter_ns + self.tau) // k.period_ns) for k in self.higher]
+            self.error_ns = errors.cost_ns(end, each)
+            after = fixed + self.frame_ns + self.error_ns
+            after += sum(n * self._duration(k) for n, k in zip(self.counts, self.higher, strict=True))
+        self.end_ns = after
+
+    def _duration(self, message: Message | None) -> int:
+        return 0 if message is None else bit_ns(message.bits, self.timing.bitrate_bit_s)
+
+    def _longest(self, messages: Iterable[Message]) -> Message | None:
+        return max(messages, key=lambda k: k.bits, default=None)
+
+    def bars(self) -> Iterable[Bar]:
+        """Yield the worst case as it goes over the wire; the independent frames of higher priority come first."""
+        t = 0
+
+        def bar(name: str, kind: str, duration_ns: int) -> Bar:
+            nonlocal t
+            t += duration_ns
+            return Bar(name, kind, t - duration_ns, t)
+
+        if self.blocking is not None:
+            yield bar(self.blocking.name, "other", self._duration(self.blocking))
+        for n, k in zip(self.counts, self.higher, strict=True):
+            for _ in range(n):
+                yield bar(k.name, "other", self._duration(k))
+        if self.error_ns:
+            yield bar("errors", "error", self.error_ns)
+        gaps = dict(self.gaps)
+        for k in [*self.before, self.m]:
+            if k.stage in gaps:
+                length, frame = gaps.pop(k.stage)
+                yield bar("computing", "gap", length)
+                if frame is not None:
+                    yield bar(frame.name, "other", self._duration(frame))
+            yield bar(k.name, k.stage, self._duration(k))

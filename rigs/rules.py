@@ -1,0 +1,193 @@
+"""What several keys of a rig file must be together, and what is allowed but may not be meant."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from itertools import combinations, pairwise
+from typing import Any
+
+from coulombus.rigs.mistakes import Source, dotted, shown
+from coulombus.rigs.model import CIA_301_BIT_RATES, MODES, WORK_WINDOW_CYCLES, to_ns
+from coulombus.rigs.toml_lines import Key
+
+__all__ = ["check", "remarks"]
+
+INT16_MAX = 32767
+NODES = ("host", "motor", "brake")
+
+
+@dataclass(frozen=True)
+class Rule:
+    """`holds` over the values of `keys`; when it does not, the first key is named and `expected` is formatted."""
+
+    keys: tuple[Key, ...]
+    holds: Callable[..., bool]
+    expected: str
+
+
+def _key(path: str) -> Key:
+    return tuple(path.split("."))
+
+
+def _rule(paths: str, holds: Callable[..., bool], expected: str) -> Rule:
+    return Rule(tuple(_key(path) for path in paths.split()), holds, expected)
+
+
+def _less(first: float, second: float) -> bool:
+    return first < second
+
+
+def _at_most(first: float, second: float) -> bool:
+    return first <= second
+
+
+def _zero(value: float) -> bool:
+    return value == 0
+
+
+RULES = (
+    _rule(
+        "bus.period_s plant.step_s",
+        lambda period, step: to_ns(step) > 0 and to_ns(period) % to_ns(step) == 0,
+        "a whole multiple of plant.step_s, which is {1}",
+    ),
+    _rule("bus.tpdo_window_s bus.period_s", _less, "less than bus.period_s, which is {1}"),
+    *(
+        _rule(
+            f"{second}.node_id {first}.node_id", lambda a, b: a != b, f"another id than {first}.node_id, which is {{1}}"
+        )
+        for first, second in combinations(NODES, 2)
+    ),
+    *(
+        _rule(
+            f"{beat}.heartbeat_s {watch}.heartbeat_timeout_s",
+            _less,
+            f"less than {watch}.heartbeat_timeout_s, which is {{1}}",
+        )
+        for beat, watch in (("host", "motor"), ("host", "brake"), ("motor", "motor"), ("brake", "brake"))
+    ),
+    *(
+        _rule(
+            f"{node}.{key} bus.period_s",
+            lambda timeout, period: timeout > period,
+            "more than bus.period_s, which is {1}",
+        )
+        for node in ("motor", "brake")
+        for key in ("setpoint_fault_s", "sync_timeout_s")
+    ),
+    *(
+        _rule(
+            f"mode.{mode}.motor_limit_Nm motor.rated_torque_Nm mechanics.ratio",
+            lambda limit, rated, ratio: limit <= INT16_MAX * 1e-3 * rated * ratio,
+            "at most 32.767 x motor.rated_torque_Nm x mechanics.ratio, as 6071 is an INTEGER16 in per mille",
+        )
+        for mode in MODES
+    ),
+    _rule("mode.passive.motor_limit_Nm", _zero, "0: the motor has no part in this mode"),
+    _rule("mode.passive.compensation", _zero, "0: the motor has no part in this mode"),
+    _rule("limits.brake_torque_Nm brake.rated_torque_Nm", _at_most, "at most brake.rated_torque_Nm, which is {1}"),
+    _rule(
+        "limits.net_work_window_s bus.period_s",
+        lambda window, period: window <= WORK_WINDOW_CYCLES * period,
+        f"at most {WORK_WINDOW_CYCLES} x bus.period_s, which is {{1}}",
+    ),
+    _rule("plant.brake_off_state_Nm plant.brake_max_Nm", _at_most, "at most plant.brake_max_Nm, which is {1}"),
+    _rule(
+        "limits.sign_check_travel_rad limits.travel_rad",
+        lambda check, travel: travel == "unlimited" or check < travel,
+        "less than limits.travel_rad, which is {1}",
+    ),
+)
+
+REMARKS = (
+    _rule("bus.bitrate_bit_s", lambda rate: rate in CIA_301_BIT_RATES, "one of CiA 301's bit rates for a real bus"),
+    *(
+        _rule(f"plant.{key} mechanics.{key}", lambda truth, belief: truth == belief,
+              f"the same as mechanics.{key} ({{1}}), unless a wrong rig is to be simulated")
+        for key in ("motor_polarity", "encoder_polarity", "transducer_polarity", "ratio")
+    ),
+    _rule("plant.encoder_counts_rev motor.encoder_counts_rev", lambda truth, belief: truth == belief,
+          "the same as motor.encoder_counts_rev ({1}), unless a wrong rig is to be simulated"),
+    _rule("plant.motor_rated_torque_Nm motor.rated_torque_Nm", lambda truth, belief: truth == belief,
+          "the same as motor.rated_torque_Nm ({1}), unless a wrong rig is to be simulated"),
+    *(
+        _rule(f"mode.{mode}.F_d_Nm mode.{mode}.F_s_Nm", _at_most,
+              "at most F_s_Nm ({1}): this friction grows when it slips")
+        for mode in MODES
+    ),
+    _rule("mode.active.F_s_Nm mode.active.motor_limit_Nm", _at_most, "at most motor_limit_Nm ({1}), which cuts it off"),
+    *(
+        _rule(f"mode.{mode}.F_s_Nm limits.brake_torque_Nm", _at_most,
+              "at most limits.brake_torque_Nm ({1}), which cuts it off")
+        for mode in ("passive", "hybrid")
+    ),
+    *(
+        _rule(f"mode.{mode}.motor_limit_Nm mode.{mode}.compensation mechanics.friction_Nm",
+              lambda limit, share, friction: share * friction <= limit,
+              "at least compensation x mechanics.friction_Nm ({1} x {2}), else it is cut off")
+        for mode in MODES
+    ),
+)  # fmt: skip
+
+
+def _broken_rules(rules: tuple[Rule, ...], values: Mapping[str, Any], source: Source) -> Iterator[tuple[Key, Any, str]]:
+    for rule in rules:
+        if any(source.is_wrong(key) for key in rule.keys):
+            continue
+        found: list[Any] = []
+        for key in rule.keys:
+            value: Any = values
+            for part in key:
+                value = value.get(part) if isinstance(value, Mapping) else None
+            found.append(value)
+        if None not in found and not rule.holds(*found):
+            yield rule.keys[0], found[0], rule.expected.format(*map(shown, found))
+
+
+def check(values: Mapping[str, Any], source: Source) -> None:
+    """Note what is wrong between keys that are right by themselves."""
+    for key, value, wanted in list(_broken_rules(RULES, values, source)):
+        source.stands(key, value, wanted)
+    modes = values.get("mode")
+    if isinstance(modes, Mapping) and not modes.keys() & set(MODES) and not source.is_wrong(("mode",)):
+        wanted = ", ".join(f"[mode.{mode}]" for mode in MODES)
+        source.say(("mode",), f"no mode is given; expected at least one of {wanted}")
+    phases = values.get("phase")
+    for i, phase in enumerate(phases if isinstance(phases, list) else ()):
+        if isinstance(phase, dict) and phase.get("kind") == "file" and not source.is_wrong(("phase", i)):
+            _check_columns(phase, ("phase", i), source)
+
+
+def _check_columns(phase: Mapping[str, Any], key: Key, source: Source) -> None:
+    times, torques = phase.get("t_s"), phase.get("torque_Nm")
+    if (
+        not isinstance(times, list)
+        or not isinstance(torques, list)
+        or any(source.is_wrong((*key, column)) for column in ("t_s", "torque_Nm"))
+    ):
+        return
+    if len(times) != len(torques) or len(times) < 2:
+        source.say(
+            (*key, "torque_Nm"),
+            f"{len(torques)} values stand there, t_s has {len(times)}; expected as many, two or more",
+        )
+    elif times[0] < 0 or any(later <= earlier for earlier, later in pairwise(times)):
+        source.stands((*key, "t_s"), times, "times that grow, from 0 on")
+
+
+def remarks(values: Mapping[str, Any], source: Source) -> tuple[str, ...]:
+    """Return what is allowed and yet may not be meant, with file:line."""
+    found = [
+        f"{source.where(key)[1]}: {dotted(source.full(key))}: '{shown(value)}' stands there; expected {wanted}"
+        for key, value, wanted in _broken_rules(REMARKS, values, source)
+    ]
+    for i, phase in enumerate(values.get("phase", ())):
+        for tap in phase.get("taps_s", ()) if phase["kind"] == "hold" else ():
+            if tap >= phase["duration_s"]:
+                key = ("phase", i, "taps_s")
+                text = f"the tap at {shown(tap)} comes after the phase's end ({shown(phase['duration_s'])} s)"
+                found.append(
+                    f"{source.where(key)[1]}: {dotted(source.full(key))}: {text}; expected a tap within the phase"
+                )
+    return tuple(found)

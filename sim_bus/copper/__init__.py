@@ -1,0 +1,1 @@
+"""The wire bit by bit: arbitration, errors, fault confinement, the cut cable."""

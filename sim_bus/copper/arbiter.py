@@ -1,0 +1,129 @@
+"""The wire: one frame at a time, the lowest identifier first, each for exactly as long as its bits take.
+
+`BUS` is the wire's state. A frame that waits (`sim_bus.copper.waiting`) starts when the bus is free and it is ready; of all that are
+ready at that instant the one with the lowest arbitration field goes (ISO 11898-1, 10.4.2.5: base before extended, data before remote,
+first come first served among equals). Receivers have the frame at its end of frame, `end_ns`; the bus is free again three
+bits of inter-frame space later, at `free_ns`. Where something is amiss, `sim_bus.copper.attempt` has a closer look (`alert`).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from coulombus.compiled.decorator import inlined
+from coulombus.sim_bus.copper.attempt import ATTEMPT_FIELDS, INTER_FRAME_BITS, attempt, end_attempt
+from coulombus.sim_bus.copper.controller import CONTROLLER, STATIONS
+from coulombus.sim_bus.copper.faults import FAULT_FIELDS
+from coulombus.sim_bus.copper.slow_motion import SLOW_FIELDS
+from coulombus.sim_bus.copper.waiting import (
+    FAR_NS,
+    HALF_FIELDS,
+    STATION_MASK,
+    WAITING_FIELDS,
+    first_ns,
+    first_order,
+    hold,
+    win,
+)
+from coulombus.wire.bits import data_frame_bits
+from coulombus.wire.frame import Records, new_records
+
+__all__ = [
+    "BUS",
+    "FAR_NS",
+    "INTER_FRAME_BITS",
+    "end_frame",
+    "new_bus",
+    "receives",
+    "start_frame",
+    "start_ns",
+]
+
+BUS = np.dtype(
+    [
+        ("bit_rate", np.int64),  # bit/s; 0: a frame takes no time here (another bus carries it)
+        ("busy", np.int64),
+        ("end_ns", np.int64),
+        ("free_ns", np.int64),
+        ("t_ns", np.int64),  # the frame on the wire, fields as in FRAME
+        ("can_id", np.int64),
+        ("length", np.int64),
+        ("word", np.int64),
+        ("source", np.int64),
+        ("frames", np.int64),  # counters
+        ("bits", np.int64),
+        *HALF_FIELDS,
+        *WAITING_FIELDS,
+        *ATTEMPT_FIELDS,
+        *SLOW_FIELDS,
+        *FAULT_FIELDS,
+        ("stations", CONTROLLER, (STATIONS,)),
+    ],
+    align=True,
+)
+
+
+def new_bus(bitrate_bit_s: int) -> Records:
+    """Return an idle bus: its record, and that of the second half for when the cable is cut (`sim_bus.copper.cut`)."""
+    bus = new_records(BUS, 2)
+    bus["bit_rate"] = bitrate_bit_s
+    bus["alarm_ns"] = bus["stuck_from_ns"] = bus["stuck_until_ns"] = FAR_NS
+    bus["noise_ns"], bus["partial_row"] = FAR_NS, -1
+    bus["stations"]["restart_at_ns"] = FAR_NS
+    return bus
+
+
+@inlined
+def start_ns(bus: Any, queue: Any, header: Any) -> int:
+    """Return when the next waiting frame can start, or when a scripted fault wants the bus, `FAR_NS` when nothing does."""
+    return max(min(first_ns(bus, queue, header), bus.alarm_ns), bus.free_ns)
+
+
+@inlined
+def start_frame(bus: Any, queue: Any, header: Any, now_ns: int) -> None:
+    """Arbitrate among the frames that are ready at `now_ns` and put the winner on the wire."""
+    if bus.alert:
+        attempt(bus, queue, header, now_ns)
+    elif win(bus, queue, header, now_ns) and bus.on_count > 0 and bus.bit_rate > 0:
+        hold(bus, first_order(bus.can_id) | 1, bus.can_id, bus.length, bus.word, bus.source, now_ns)
+        attempt(bus, queue, header, now_ns)
+    else:
+        bits = data_frame_bits(bus.can_id, bus.length, bus.word)
+        bus.t_ns = now_ns
+        bus.end_ns = bus.free_ns = now_ns
+        if bus.bit_rate > 0:
+            bus.end_ns = now_ns + (bits - INTER_FRAME_BITS) * 1_000_000_000 // bus.bit_rate
+            bus.free_ns = now_ns + bits * 1_000_000_000 // bus.bit_rate
+        bus.busy = 1
+        bus.closely = bus.partial = 0
+        bus.frames += 1
+        bus.bits += bits
+
+
+@inlined
+def end_frame(bus: Any, queue: Any, header: Any, log: Any, row: int) -> int:
+    """Take the frame off the wire and write it to `log[row]`, stamped with its end of frame; return how many rows were written.
+
+    Error frames may stand before it, or instead of it: `bus.delivered` tells whether there is a frame for its receivers, the last row.
+    """
+    if bus.closely:
+        return end_attempt(bus, queue, header, log, row)
+    bus.busy = 0
+    bus.delivered = 1
+    frame = log[row]
+    frame.t_ns = bus.end_ns
+    frame.can_id = bus.can_id
+    frame.length = bus.length
+    frame.word = bus.word
+    frame.source = bus.source
+    return 1
+
+
+@inlined
+def receives(bus: Any, station: int) -> bool:
+    """Tell whether a station has the frame that has just ended."""
+    if bus.partial:
+        return bus.stations[station & STATION_MASK].hears != 0
+    return bus.source != station

@@ -1,0 +1,159 @@
+"""The cable cut into two halves: each is a wire of its own, with its own time, its own waiting frames and its own acknowledgement.
+
+A bus is an array of two records `sim_bus.copper.arbiter.BUS`. The first is the whole cable, and the first half while it is cut; the second is in use
+only then. A station's half stands in `half` of its controller, which is in the record of its half.
+
+A cut and its mend act between two frames: what is on a wire at that instant ends first. When the cable is to be mended, the half that has come to
+an end begins nothing new until the other one has too, so no frame is torn.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from coulombus.compiled.decorator import kernel
+from coulombus.sim_bus.copper.attempt import refresh
+from coulombus.sim_bus.copper.controller import STATIONS
+from coulombus.sim_bus.copper.faults import MOST_TOLD, FaultKind, plan_alarm
+from coulombus.sim_bus.copper.noise import next_noise, seeded
+from coulombus.sim_bus.copper.waiting import FAR_NS, STATION_MASK, accept, first_ns, hold, withdraw
+from coulombus.wire.frame import Records
+
+__all__ = ["APART", "MENDING", "WHOLE", "choose", "divide", "join", "merged_faults", "split", "wire_of"]
+
+WHOLE, APART, MENDING = 0, 1, 2
+"""`BUS.cut` of the first record."""
+
+
+@kernel
+def divide(bus: Any, queue: Any, header: Any) -> None:
+    """Let what was asked for since the last time wait with its sender's half; the queue is empty then."""
+    for i in range(header[0].count):
+        frame = queue[i]
+        if not accept(bus[bus[0].stations[frame.source & STATION_MASK].half], frame):
+            header[0].dropped += 1
+    header[0].count = 0
+    header[0].waiting = bus[0].held + bus[1].held
+
+
+@kernel
+def _next_ns(bus: Any, queue: Any, header: Any) -> int:
+    """Return when a half's frame ends, or the next one starts."""
+    if bus.busy:
+        return int(bus.end_ns)
+    return int(max(min(first_ns(bus, queue, header), bus.alarm_ns), bus.free_ns))
+
+
+@kernel
+def choose(bus: Any, queue: Any, header: Any) -> int:
+    """Return the half in which something happens next; of equals an end goes before a start, then the first half."""
+    near, far = bus[0], bus[1]
+    if header[0].count > 0:
+        divide(bus, queue, header)
+    near.fault_calls |= far.fault_calls
+    far.fault_calls = 0
+    if near.cut == MENDING:
+        if far.busy:
+            return 1
+        near.fault_calls |= 1 << near.cut_row
+        return 0
+    t_near, t_far = _next_ns(near, queue, header), _next_ns(far, queue, header)
+    return 1 if t_far < t_near or (t_far == t_near and far.busy > near.busy) else 0
+
+
+def wire_of(bus: Records, station: int) -> Any:
+    """Return the record of the wire that a station is on."""
+    return bus[int(bus[0].stations[station & STATION_MASK].half)]
+
+
+def _number(row: int) -> int:
+    return -1 if row == STATION_MASK else row
+
+
+def split(bus: Records, queue: Records, header: Records, row: int, t_ns: int) -> Records:
+    """Cut the idle cable as row `row` of the faults says, at `t_ns`; return the faults as they were, for `join`."""
+    divide(bus, queue, header)
+    bus[1:2] = bus[0:1]
+    near, far = bus[0], bus[1]
+    before: Records = near.faults.copy()
+    halves = near.faults[row].far.astype(np.int64)
+    switched_on = [int(station) for station in near.on[: near.on_count]]
+    waits = [station for station in range(STATIONS) if near.waiting_of[station]]
+    for half, one in enumerate((near, far)):
+        one.half = half
+        one.stations["half"] = halves
+        stay = [station for station in switched_on if halves[station] == half]
+        one.on_count = len(stay)
+        one.on[: len(stay)] = stay
+        for station in range(STATIONS):
+            if halves[station] != half:
+                one.stations[station].attached = one.stations[station].hears = 0
+                if station in waits:
+                    withdraw(one, queue, header, _number(station))
+    for name in ("frames", "bits", "errors", "retransmissions", "told", "fault_due", "fault_calls", "noise_hits"):
+        far[name] = 0
+    far.partial_row = -1
+    far.noise_state = seeded(int(near.noise_state))
+    next_noise(far, t_ns)
+    for fault in far.faults:
+        if fault.kind == FaultKind.CUT:
+            fault.next_ns = FAR_NS
+    fault = near.faults[row]
+    near.cut, near.cut_row = APART, row
+    near.mend_ns = fault.next_ns = min(t_ns + int(fault.lasts_ns), FAR_NS)
+    for one in (near, far):
+        plan_alarm(one, t_ns)
+        refresh(one)
+    return before
+
+
+def merged_faults(bus: Records, before: Records) -> Records:
+    """Return the faults as both halves together have met them since they were `before`."""
+    near, far = bus[0], bus[1]
+    out: Records = near.faults.copy()
+    for n in range(int(near.fault_count)):
+        row, other, base = out[n], far.faults[n], before[n]
+        if row.kind == FaultKind.BABBLE and near.stations[int(row.station) & STATION_MASK].half:
+            out[n] = other
+            continue
+        firsts = [int(one.first_ns) for one in (row, other) if one.fired]
+        row.first_ns = min(firsts, default=0)
+        row.last_ns = max(int(row.last_ns), int(other.last_ns))
+        row.fired += other.fired - base.fired
+        row.seen += other.seen - base.seen
+    return out
+
+
+def join(bus: Records, header: Records, before: Records, t_ns: int) -> None:
+    """Mend the cable, both halves of which are idle, at `t_ns`."""
+    near, far = bus[0], bus[1]
+    near.faults[:] = merged_faults(bus, before)
+    for station in range(STATIONS):
+        if near.stations[station].half:
+            near.stations[station] = far.stations[station]
+    for station in far.on[: far.on_count]:
+        near.on[int(near.on_count)] = station
+        near.on_count += 1
+    near.stations["half"] = 0
+    near.sequence = max(int(near.sequence), int(far.sequence))
+    ready = [(0, int(place)) for place in far.ready_place[: far.ready]]
+    later = [(int(t), int(place)) for t, place in zip(far.later_key, far.later_place[: far.later], strict=False)]
+    for ready_ns, place in ready + later:
+        order, can_id = far.held_order[place], far.held_can_id[place]
+        length, word, source = far.held_length[place], far.held_word[place], far.held_source[place]
+        if not hold(near, order, can_id, length, word, source, ready_ns):
+            header["dropped"] += 1
+    for name in ("frames", "bits", "errors", "retransmissions"):
+        near[name] += far[name]
+    for k in range(min(int(far.told), MOST_TOLD - int(near.told))):
+        for name in ("told_ns", "told_row", "told_id"):
+            near[name][near.told] = far[name][k]
+        near.told += 1
+    far.told = far.on_count = far.held = 0
+    for name in ("free_ns", "recessive_ns", "unsettled"):
+        near[name] = max(int(near[name]), int(far[name]))
+    near.cut = WHOLE
+    plan_alarm(near, t_ns)
+    refresh(near)

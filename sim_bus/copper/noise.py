@@ -1,0 +1,73 @@
+"""Random bit errors at a rate, from a seed: when the next disturbed bit is on the wire, in a frame or on an idle wire."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from coulombus.compiled.decorator import kernel
+from coulombus.sim_bus.copper.waiting import FAR_NS
+
+__all__ = ["disturber", "next_noise", "renew", "seeded"]
+
+MODULUS, MULTIPLIER = 2_147_483_647, 48_271
+MOST_BITS = 1e12
+NS = 1_000_000_000
+
+
+def seeded(seed: int) -> int:
+    """Return the generator's state for a seed."""
+    return (seed * 2_654_435_761 + 0x5DEECE66) % (MODULUS - 1) + 1
+
+
+@kernel
+def renew(bus: Any, t_ns: int) -> None:
+    """Let the noises that are at work at `t_ns` be the bus's: together they disturb a bit with the probability 1 - (1 - r1)(1 - r2)..."""
+    rate = 0.0
+    bus.noise_until_ns = FAR_NS
+    for row in range(bus.fault_count):
+        f = bus.faults[row]
+        if f.active:
+            rate += f.rate * (1.0 - rate)
+            bus.noise_until_ns = min(bus.noise_until_ns, f.until_ns)
+    bus.noise_rate = rate
+    next_noise(bus, t_ns)
+
+
+@kernel
+def disturber(bus: Any) -> int:
+    """Return the row of the noise that disturbs this bit: of several, drawn by their rates."""
+    last = count = 0
+    rates = 0.0
+    for row in range(bus.fault_count):
+        if bus.faults[row].active:
+            last = row
+            count += 1
+            rates += bus.faults[row].rate
+    if count > 1:
+        bus.noise_state = bus.noise_state * MULTIPLIER % MODULUS
+        left = bus.noise_state / MODULUS * rates
+        for row in range(last):
+            if bus.faults[row].active:
+                left -= bus.faults[row].rate
+                if left < 0.0:
+                    return row
+    return last
+
+
+@kernel
+def next_noise(bus: Any, t_ns: int) -> None:
+    """Draw `noise_ns`, the begin of the next disturbed bit: the undisturbed bits from `t_ns` on are geometric, with the rate as its probability.
+
+    The generator is Park's and Miller's minimal standard (doi:10.1145/63039.63042) with the multiplier 48271: all of it in int64.
+    """
+    if bus.noise_rate <= 0.0:
+        bus.noise_ns = FAR_NS
+        return
+    bus.noise_state = bus.noise_state * MULTIPLIER % MODULUS
+    bits = 0.0
+    if bus.noise_rate < 1.0:
+        bits = min(math.log(bus.noise_state / MODULUS) / math.log1p(-bus.noise_rate), MOST_BITS)
+    bus.noise_ns = t_ns + int(bits) * NS // bus.bit_rate
+    if bus.noise_ns >= bus.noise_until_ns:
+        bus.noise_ns = FAR_NS

@@ -1,0 +1,1 @@
+"""The fault file, and its faults on the bus."""

@@ -1,0 +1,373 @@
+"""A fault file: what goes wrong on the bus, and when (docs/bus.md).
+
+::
+
+    seed = 7                             # of the noise; without it the run's seed
+
+    [[fault]]
+    kind = "flip"                        # FaultKind, in small letters
+    on = "3rd TPDO1 of node 2"           # or { frame = "TPDO1", node = 2, nth = 3, every = 10 }
+    bit = 30
+
+    [[fault]]
+    kind = "noise"
+    at_s = 1.5                           # from power-on; with after = "enabled" from the drive's Operation Enabled
+    duration_s = 10.0
+    rate = 1e-4
+
+    [[controller]]
+    node = "motor"
+    restart_ms = 100                     # bus-off to the begin of recovery; "manual": never
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_args
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, field_validator, model_validator
+
+from coulombus.eds.regular_file import read_regular
+from coulombus.rigs.toml_lines import MOST_CHARACTERS, Document, Key, read_toml
+from coulombus.sim_bus.copper.faults import MAX_FAULTS, TAIL_BIT
+from coulombus.sim_bus.faults.words import mistakes
+
+__all__ = [
+    "BASES",
+    "BIT_NAMES",
+    "OF_NO_NODE",
+    "RESTART_MS",
+    "Babble",
+    "Cut",
+    "Delay",
+    "Drift",
+    "FaultError",
+    "FaultPlan",
+    "Flip",
+    "Lasting",
+    "NodeName",
+    "Noise",
+    "OnFrame",
+    "Reset",
+    "Trigger",
+    "read_faults",
+]
+
+NodeName = Annotated[str | int, Field(union_mode="left_to_right")]
+"""A node by its name in the rig ("motor", "brake", "host") or by its node id."""
+
+RESTART_MS = 100
+"""From bus-off to the begin of recovery, as a CAN interface is usually set up: long enough that whoever depends on the station notices."""
+
+BASES = {
+    "NMT": 0x000,
+    "SYNC": 0x080,
+    "EMCY": 0x080,
+    "TIME": 0x100,
+    **{f"TPDO{n}": 0x080 + 0x100 * n for n in range(1, 5)},
+    **{f"RPDO{n}": 0x100 + 0x100 * n for n in range(1, 5)},
+    "SDO RESPONSE": 0x580,
+    "SDO REQUEST": 0x600,
+    "HEARTBEAT": 0x700,
+}
+"""Identifiers of the predefined connection set (CiA 301, 7.3.5); a node's is that plus its node id."""
+OF_NO_NODE = ("NMT", "SYNC", "TIME")
+MOST_COUNTED = 10**12
+LAST_BIT = 160
+TAIL_BITS = ("crc_delimiter", "ack_slot", "ack_delimiter", *(f"eof{n}" for n in range(1, 8)))
+BIT_NAMES = {name: TAIL_BIT + n for n, name in enumerate((*TAIL_BITS, "intermission1", "intermission2"))}
+_TRIGGER = re.compile(
+    r"(?:(?P<every>every)\s+)?(?:(?P<nth>\d+)(?:st|nd|rd|th)\s+)?(?P<frame>0x[0-9a-f]+|[a-z]+ ?[a-z]*\d?)(?:\s+of\s+(?:node\s+)?(?P<node>[\w.]+))?",
+    re.IGNORECASE,
+)
+
+
+class FaultError(ValueError):
+    """A fault file that cannot be used; one line for each mistake, with its place."""
+
+    exit_status = 3
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+class Trigger(_Strict):
+    """Which frames are meant: the `nth` one of a kind, and then every `every`-th; without either, the first."""
+
+    frame: str | None = None
+    can_id: int | None = Field(None, ge=0, le=0x1FFFFFFF)
+    extended: bool = False
+    remote: bool = False
+    node: NodeName | None = None
+    sender: NodeName | None = None
+    nth: int = Field(1, ge=1, le=MOST_COUNTED)
+    every: int = Field(0, ge=0, le=MOST_COUNTED)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _words(cls, given: Any) -> Any:
+        if not isinstance(given, str):
+            return given
+        found = _TRIGGER.fullmatch(given.strip())
+        if found is None:
+            raise ValueError('expected a text such as "3rd TPDO1 of node 2", "every 10th SYNC" or "1st 0x181"')
+        nth, node = int(found["nth"] or 1), found["node"]
+        words: dict[str, Any] = {"nth": nth, "every": nth if found["every"] else 0}
+        if found["frame"].lower().startswith("0x"):
+            words["can_id"] = int(found["frame"], 16)
+        else:
+            words["frame"] = found["frame"]
+        if node is not None:
+            words["node"] = int(node) if node.isdigit() else node
+        return words
+
+    @model_validator(mode="after")
+    def _one_frame(self) -> Trigger:
+        if (self.frame is None) == (self.can_id is None):
+            raise ValueError('expected either frame, as in "TPDO1", or can_id')
+        if self.frame is not None:
+            name = self.frame.upper()
+            if name not in BASES:
+                near = difflib.get_close_matches(name, BASES, 1)
+                hint = f"; did you mean {near[0]}?" if near else ""
+                raise ValueError(f"frame '{self.frame}'; expected {', '.join(BASES)}{hint}")
+            if name == "EMCY" and self.node is None:
+                raise ValueError('EMCY: expected a node too, as in "EMCY of node 1"')
+        if self.node is not None and (self.frame is None or self.frame.upper() in OF_NO_NODE):
+            what = "an identifier" if self.frame is None else self.frame.upper()
+            raise ValueError(
+                f"{what} is of no node; leave the node out, or say who sends it with the table's key sender"
+            )
+        if isinstance(self.node, int) and not 1 <= self.node <= 127:
+            raise ValueError(f"node {self.node}; expected a node id from 1 to 127")
+        return self
+
+
+class _OnBus(_Strict):
+    bus: str | None = None
+
+
+class _Fault(_OnBus):
+    at_s: float = Field(0.0, ge=0, le=1e7)
+    after: Literal["start", "enabled"] = "start"
+
+
+class OnFrame(_Fault):
+    """A fault of the frames `on`."""
+
+    on: Trigger | None = None
+    duration_s: float | None = Field(None, ge=1e-9, le=1e7)
+    most: int = Field(0, ge=0, le=MOST_COUNTED)
+
+
+class Lasting(_Fault):
+    """A fault that is there for a time."""
+
+    duration_s: float | None = Field(None, ge=1e-9, le=1e7)
+
+
+class Flip(OnFrame):
+    """Turn one bit of a frame around, for all or for one receiver."""
+
+    kind: Literal["flip"]
+    bit: int | str = 0
+    seen_by: NodeName | None = None
+
+    @field_validator("bit", mode="before")
+    @classmethod
+    def _known(cls, bit: Any) -> Any:
+        if bit in BIT_NAMES if isinstance(bit, str) else type(bit) is int and 0 <= bit <= LAST_BIT:
+            return bit
+        raise ValueError(f"expected 0 (the start of frame) to {LAST_BIT}, or {', '.join(BIT_NAMES)}")
+
+
+class CorruptCrc(OnFrame):
+    """Send a frame with a wrong CRC."""
+
+    kind: Literal["corrupt_crc"]
+
+
+class Drop(OnFrame):
+    """Lose a frame without an error, for all or for one receiver."""
+
+    kind: Literal["drop"]
+    lost_for: NodeName | None = None
+
+
+class Delay(OnFrame):
+    """Hold a frame back."""
+
+    kind: Literal["delay"]
+    delay_us: float = Field(ge=1e-3, le=1e9)
+
+
+class Duplicate(OnFrame):
+    """Send a frame twice."""
+
+    kind: Literal["duplicate"]
+
+
+class Reset(OnFrame):
+    """Reset a node, as by NMT, when the frame has been sent or at a time."""
+
+    kind: Literal["reset"]
+    node: NodeName
+
+
+class Cut(_Fault):
+    """Cut the cable into two halves, at a time or when a frame has been sent; whom `halves` does not name is in the first."""
+
+    kind: Literal["cut"]
+    on: Trigger | None = None
+    most: int = Field(0, ge=0, le=MOST_COUNTED)
+    duration_s: float | None = Field(None, ge=1e-9, le=1e7)
+    halves: tuple[list[NodeName], list[NodeName]] = Field(strict=False)  # TOML has lists only
+
+    @field_validator("halves")
+    @classmethod
+    def _two(cls, halves: tuple[list[NodeName], list[NodeName]]) -> tuple[list[NodeName], list[NodeName]]:
+        both = set(halves[0]) & set(halves[1])
+        if both or not halves[1]:
+            raise ValueError('expected the nodes of both halves, each in one, as in [["host", "brake"], ["motor"]]')
+        return halves
+
+
+class Drift(Lasting):
+    """Let a node's clock run fast, or slow."""
+
+    kind: Literal["drift"]
+    node: NodeName
+    ppm: float = Field(ge=-1e5, le=1e5)
+
+
+class Babble(Lasting):
+    """Let a node send one frame again and again, whatever else it does."""
+
+    kind: Literal["babble"]
+    node: NodeName
+    can_id: int = Field(ge=0, le=0x1FFFFFFF)
+    extended: bool = False
+    data: str = Field("", pattern=r"^([0-9A-Fa-f]{2} ?){0,8}$")
+    period_us: float = Field(100.0, ge=10, le=1e9)
+
+
+class StuckDominant(Lasting):
+    """Hold the wire dominant."""
+
+    kind: Literal["stuck_dominant"]
+
+
+class Noise(Lasting):
+    """Turn bits around at random, each with the probability `rate`, for all or for one receiver."""
+
+    kind: Literal["noise"]
+    rate: float = Field(gt=0, le=1)
+    seen_by: NodeName | None = None
+
+
+AnyFault = Annotated[
+    Flip | CorruptCrc | Drop | Delay | Duplicate | Reset | Cut | Drift | Babble | StuckDominant | Noise,
+    Field(discriminator="kind"),
+]
+
+
+class Controller(_OnBus):
+    """How a node's CAN controller is set up."""
+
+    node: NodeName
+    restart_ms: Annotated[float, Field(ge=0, le=1e7)] | Literal["manual"] = RESTART_MS
+    one_shot: bool = False
+    listen_only: bool = False
+    loopback: bool = False
+    queue_limit: int = Field(0, ge=0, le=1000)
+
+
+class _File(_Strict):
+    seed: int | None = Field(None, ge=0, lt=2**62)
+    fault: list[AnyFault] = []
+    controller: list[Controller] = []
+
+
+@dataclass(frozen=True)
+class FaultPlan:
+    """A fault file's contents, or those about one bus; `faults` and `controllers` tell where in the file they stand, `lines` in which line."""
+
+    path: str
+    file: _File
+    lines: tuple[int, ...]
+    document: Document
+    faults: tuple[int, ...]
+    controllers: tuple[int, ...]
+
+    def on(self, channel: str, channels: Collection[str]) -> FaultPlan:
+        """Return the plan of one of the buses `channels` of a rig.
+
+        Raises
+        ------
+        FaultError
+            an entry names another bus, or none where the rig has several
+        """
+        kept: dict[str, list[int]] = {"fault": [], "controller": []}
+        known = ", ".join(f'"{one}"' for one in channels if one) or "one without a name; leave the key out"
+        for section, entries in (("fault", self.file.fault), ("controller", self.file.controller)):
+            for n, entry in enumerate(entries):
+                if entry.bus is None and len(channels) > 1:
+                    raise self.mistake((section, n), f"the rig has several buses; expected bus = one of {known}")
+                if entry.bus is not None and entry.bus not in channels:
+                    raise self.mistake((section, n, "bus"), f"there is no bus '{entry.bus}'; the rig has {known}")
+                if entry.bus in (None, channel):
+                    kept[section].append(n)
+        return replace(
+            self,
+            file=self.file.model_copy(
+                update={
+                    "fault": [self.file.fault[n] for n in kept["fault"]],
+                    "controller": [self.file.controller[n] for n in kept["controller"]],
+                }
+            ),
+            lines=tuple(self.lines[n] for n in kept["fault"]),
+            faults=tuple(kept["fault"]),
+            controllers=tuple(kept["controller"]),
+        )
+
+    def mistake(self, key: Key, text: str) -> FaultError:
+        """Return the error of a value, with its place."""
+        return FaultError(f"{self.path}:{self.document.line(key)}: {'.'.join(str(part) for part in key)}: {text}")
+
+
+def read_faults(path: Path) -> FaultPlan:
+    """Return the faults of the file `path`.
+
+    Raises
+    ------
+    FaultError
+        it cannot be read, or holds a mistake; the text has a line for each, with file and line
+    """
+    try:
+        raw = read_regular(path, MOST_CHARACTERS)
+    except OSError as error:
+        raise FaultError(f"{path}: the fault file cannot be read ({error.strerror or error})") from None
+    try:
+        text = raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = raw.count(b"\n", 0, error.start) + 1
+        raise FaultError(f"{path}:{line}: byte {raw[error.start]:02X}h is not UTF-8; save the file as UTF-8") from None
+    document = read_toml(text)
+    if document.problems:
+        raise FaultError("\n".join(f"{path}:{line}: {problem}" for line, problem in document.problems))
+    try:
+        file = TypeAdapter(_File).validate_python(document.values)
+    except ValidationError as error:
+        raise FaultError(
+            "\n".join(mistakes(str(path), document, error, _File, get_args(get_args(AnyFault)[0])))
+        ) from None
+    if len(file.fault) > MAX_FAULTS:
+        line = document.line(("fault", MAX_FAULTS))
+        raise FaultError(f"{path}:{line}: {len(file.fault)} faults; a file may have {MAX_FAULTS}")
+    lines = tuple(document.line(("fault", n)) for n in range(len(file.fault)))
+    return FaultPlan(str(path), file, lines, document, tuple(range(len(lines))), tuple(range(len(file.controller))))

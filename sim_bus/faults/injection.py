@@ -1,0 +1,182 @@
+"""A fault file at work on a virtual bus: rows into the bus's table, resets out of it, and what was injected for results and recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from coulombus.eds.cia301 import NmtCommand
+from coulombus.host.cycle.step import SOURCE_HOST
+from coulombus.sim_bus.copper.attempt import detach
+from coulombus.sim_bus.copper.controller import STATIONS, CanState, ErrorKind
+from coulombus.sim_bus.copper.cut import MENDING, WHOLE, join, merged_faults, split, wire_of
+from coulombus.sim_bus.copper.faults import NO_FRAME, fire, plan_alarm
+from coulombus.sim_bus.copper.slow_motion import CLIENT_ROWS, CLIENTS
+from coulombus.sim_bus.faults.file import FaultError, FaultPlan
+from coulombus.sim_bus.faults.rows import begin_enabled, injections, install
+from coulombus.sim_bus.network.network import TAP
+from coulombus.wire.clock import set_clock
+
+if TYPE_CHECKING:
+    from coulombus.sim_bus.network.network import VirtualNetwork
+    from coulombus.sim_bus.network.virtual_rig import VirtualRig
+
+__all__ = ["Injection", "controllers_of", "stations_of"]
+
+
+def stations_of(world: VirtualRig) -> tuple[dict[str, int], dict[int, int]]:
+    """Return the stations of a rig's bus by name and by node id: ``motor``, ``brake`` (``AXIS.motor`` with several axes) and ``host``.
+
+    Where the host is another process it is one of the clients, and they all stand for it.
+    """
+    names, node_ids = {}, {}
+    for a, one in enumerate(world.rig.axes):
+        for k, role in enumerate(("motor", "brake")):
+            names[one.prefix + role] = 2 * a + k
+            node_ids[(one.motor, one.brake)[k].node_id] = 2 * a + k
+    return {**names, "host": SOURCE_HOST if world.has_host else CLIENTS}, node_ids
+
+
+class Injection:
+    """The faults of `plan` on the bus of `world`, from now on.
+
+    `on_fault` is called with the time and a text for each injection, before the frames around it are handed over.
+
+    Raises
+    ------
+    coulombus.sim_bus.faults.file.FaultError
+        the file names a node that is not on this bus, or the bus takes no time
+    """
+
+    def __init__(
+        self, world: VirtualRig, plan: FaultPlan, seed: int, on_fault: Callable[[int, str], None] | None = None
+    ) -> None:
+        if int(world.bus["bit_rate"][0]) == 0:
+            raise FaultError(f"{plan.path}: a bus without bit times has no faults; leave --unpaced and socketcan out")
+        self.plan, self._world, self._on_fault = plan, world, on_fault
+        self._bus = world.bus[0]
+        self._drifts: dict[int, int] = {}  # by station: the fault that its clock drifts by
+        detach(self._bus, TAP)
+        world.keep_sent()
+        self._later = install(self._bus, plan, seed, *stations_of(world))
+        for row, fault in enumerate(plan.file.fault):
+            if fault.after == "start":
+                self._plan(row, round(fault.at_s * 1e9))
+            if fault.kind == "drift" and self._bus.faults[row].station == CLIENTS:
+                raise plan.mistake(
+                    ("fault", plan.faults[row], "node"), "the host is another process here, with a clock of its own"
+                )
+        world.injection = self
+
+    def _plan(self, row: int, t_ns: int) -> None:
+        """Plan what Python does at a time: a reset, a clock that drifts."""
+        fault = self.plan.file.fault[row]
+        if fault.kind == "reset" and fault.on is None:
+            self._world.at(t_ns, lambda world: self._reset(world, row))
+        elif fault.kind == "drift":
+            self._world.at(t_ns, lambda world: self._drift(row, round(fault.ppm * 1e3), begins=True))
+            if fault.duration_s is not None:
+                self._world.at(t_ns + round(fault.duration_s * 1e9), lambda world: self._drift(row, 0))
+
+    def enabled(self, t_ns: int) -> None:
+        """The drive has entered Operation Enabled: what counts from there begins."""
+        begin_enabled(self._bus, self._later, t_ns)
+        for row, after_ns in self._later:
+            self._plan(row, t_ns + after_ns)
+        self._later = []
+
+    def _cut(self, row: int) -> None:
+        """Cut the cable, or mend it; one cut at a time, and only while the wire is idle."""
+        near, now, fault = self._bus, self._world.t_ns, self._bus.faults[row]
+        queue, header = self._world.queue
+        if near.cut == WHOLE and near.busy:  # what is on the wire is played to its end
+            fault.next_ns = now
+            plan_alarm(near, now)
+        elif near.cut == WHOLE:
+            if not fault.framed:
+                fire(near, row, now, NO_FRAME)
+            self._before = split(self._world.bus, queue, header, row, now)
+            self._mark(now, f"the cable is cut (line {self.plan.lines[row]})")
+        elif near.cut_row == row and now >= near.mend_ns:
+            near.cut = MENDING
+            if not self._world.bus[1].busy:
+                self.tell()
+                join(self._world.bus, header, self._before, now)
+                self._mark(now, f"the cable is mended (line {self.plan.lines[row]})")
+
+    def _mark(self, t_ns: int, text: str) -> None:
+        if self._on_fault is not None:
+            self._on_fault(t_ns, text)
+
+    def act(self) -> None:
+        """Do what a frame has triggered and the bus cannot do itself: reset nodes, cut the cable."""
+        calls, self._bus.fault_calls = int(self._bus.fault_calls), 0
+        for row in range(len(self.plan.file.fault)):
+            if calls >> row & 1:
+                if self.plan.file.fault[row].kind == "cut":
+                    self._cut(row)
+                else:
+                    self._reset(self._world, row, count=False)
+
+    def _reset(self, world: VirtualNetwork, row: int, *, count: bool = True) -> None:
+        """Reset a node in the midst of what it does: what it had waiting to be sent is gone."""
+        station = int(self._bus.faults[row].station)
+        if count:
+            fire(self._bus, row, world.t_ns, NO_FRAME)
+        if 0 <= station < len(world.devices):
+            world.withdraw(station)
+            world.nmt_command(station, NmtCommand.RESET_NODE)
+
+    def _drift(self, row: int, ppb: int, *, begins: bool = False) -> None:
+        """Let a node's clock run fast or slow from now on."""
+        world, station = self._world, int(self._bus.faults[row].station)
+        if begins:
+            fire(self._bus, row, world.t_ns, NO_FRAME)
+            self._drifts[station] = row
+        elif self._drifts[station] != row:  # the next drift has begun at the same time
+            return
+        if station == SOURCE_HOST:
+            world.set_host_clock(ppb)
+        else:
+            set_clock(world.nodes[station], world.t_ns, ppb)
+
+    def tell(self) -> None:
+        """Tell what was injected since the last time."""
+        halves = self._world.bus.view(np.ndarray)  # a plain array answers faster than a recarray
+        if self._on_fault is not None:
+            columns = [halves[name] for name in ("told_ns", "told_row", "told_id")]
+            found: list[tuple[int, int, int]] = []
+            for half, count in enumerate(halves["told"]):
+                found += zip(*(column[half, :count].tolist() for column in columns), strict=True)
+            for one in sorted(found):
+                self._tell_one(*one)
+        halves["told"] = 0
+
+    def _tell_one(self, t_ns: int, row: int, can_id: int) -> None:
+        what = "" if can_id == NO_FRAME else f" {can_id & 0x1FFFFFFF:X}h"
+        self._mark(t_ns, f"fault {self.plan.file.fault[row].kind}{what} (line {self.plan.lines[row]})")
+
+    def results(self) -> list[dict[str, Any]]:
+        """Return what each fault of the file came to, for JSON."""
+        rows = merged_faults(self._world.bus, self._before) if self._bus.cut else self._bus.faults
+        return [asdict(one) for one in injections(rows, self.plan)]
+
+
+def controllers_of(world: VirtualRig) -> dict[str, dict[str, Any]]:
+    """Return the CAN controllers' states and counters by node, for JSON; of clients that stand for the host the worst state, and the sums."""
+    stations, _ = stations_of(world)
+    counters = ("retransmissions", "arbitration_lost", "dropped", "passives", "bus_offs", "restarts")
+    out = {}
+    for name, station in stations.items():
+        rows = range(CLIENT_ROWS.start, CLIENT_ROWS.stop) if station == CLIENTS else (station % STATIONS,)
+        each = [wire_of(world.bus, row).stations[row] for row in rows]
+        out[name] = {
+            "state": CanState(max(int(c.state) for c in each)).name.lower().replace("_", "-"),
+            **{key: max(int(c[key]) for c in each) for key in ("tec", "rec")},
+            **{key: sum(int(c[key]) for c in each) for key in counters},
+            "errors": {kind.name.lower(): sum(int(c.errors[kind]) for c in each) for kind in ErrorKind},
+        }
+    return out

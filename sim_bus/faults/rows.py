@@ -1,0 +1,259 @@
+"""A fault plan becomes rows of the bus's tables: the faults it injects, and its stations' controllers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from coulombus.rigs.toml_lines import Key
+from coulombus.sim_bus.copper.attempt import refresh
+from coulombus.sim_bus.copper.controller import MANUAL, STATIONS
+from coulombus.sim_bus.copper.faults import FaultKind, plan_alarm
+from coulombus.sim_bus.copper.noise import seeded
+from coulombus.sim_bus.copper.slow_motion import ALL, CLIENT_ROWS, CLIENTS
+from coulombus.sim_bus.copper.waiting import FAR_NS
+from coulombus.sim_bus.faults.file import (
+    BASES,
+    BIT_NAMES,
+    OF_NO_NODE,
+    RESTART_MS,
+    Babble,
+    Cut,
+    Delay,
+    Drift,
+    FaultPlan,
+    Flip,
+    Lasting,
+    Noise,
+    OnFrame,
+    Reset,
+    Trigger,
+)
+from coulombus.wire.frame import CAN_EFF_FLAG, CAN_RTR_FLAG, data_word
+
+__all__ = ["Injected", "begin_enabled", "injections", "install"]
+
+HOST_ROW = 255
+SOURCE_HOST = -1
+
+
+@dataclass(frozen=True)
+class Injected:
+    """What a fault of the file came to."""
+
+    kind: str
+    line: int
+    times: int
+    first_s: float | None
+    last_s: float | None
+
+
+class _Nodes:
+    """Station numbers of the nodes that a file names."""
+
+    def __init__(self, plan: FaultPlan, stations: Mapping[str, int], node_ids: Mapping[int, int]) -> None:
+        self.plan, self.stations, self.node_ids = plan, stations, node_ids
+
+    def station(self, name: str | int | None, key: Key) -> int:
+        """Return the station of a node, `ALL` of None."""
+        if name is None:
+            return ALL
+        table: Mapping[Any, int] = self.node_ids if isinstance(name, int) else self.stations
+        if name not in table:
+            known = ", ".join([*self.stations, *map(str, self.node_ids)])
+            raise self.plan.mistake(key, f"there is no node {name!r} on this bus; it has {known}")
+        return table[name]
+
+    def node_id(self, name: str | int, key: Key) -> int:
+        """Return the node id of a node."""
+        if isinstance(name, int):
+            return name
+        station = self.station(name, key)
+        for node_id, other in self.node_ids.items():
+            if other == station:
+                return node_id
+        raise self.plan.mistake(key, f"'{name}' has no node id; name the sender with sender = \"{name}\"")
+
+
+def _match(row: Any, on: Trigger, nodes: _Nodes, key: Key) -> None:
+    flags = (CAN_EFF_FLAG if on.extended else 0) | (CAN_RTR_FLAG if on.remote else 0)
+    if on.can_id is not None:
+        if on.can_id > 0x7FF:
+            flags |= CAN_EFF_FLAG
+        row.match_id, row.match_mask = on.can_id | flags, 0xFFFFFFFF
+    else:
+        assert on.frame is not None
+        name = on.frame.upper()
+        row.match_id, row.match_mask = BASES[name] | flags, 0xFFFFFFFF
+        if name not in OF_NO_NODE:
+            if on.node is None:
+                row.match_mask = 0xFFFFFF80
+            else:
+                row.match_id |= nodes.node_id(on.node, (*key, "node"))
+    row.framed, row.nth, row.every = 1, on.nth, on.every
+    row.match_source = nodes.station(on.sender, (*key, "sender"))
+
+
+def _at_one_time(a: Lasting, b: Lasting) -> bool:
+    """Tell whether two faults may last at the same time; when Operation Enabled is, nobody knows before."""
+    if a.after != b.after:
+        return True
+    first, second = sorted((a, b), key=lambda one: one.at_s)
+    return first.duration_s is None or round((first.at_s + first.duration_s) * 1e9) > round(second.at_s * 1e9)
+
+
+def _refuse_twice(plan: FaultPlan, nodes: _Nodes) -> None:
+    """Refuse what a file says twice: a node's controller, and, for one time, the drift of a node's clock."""
+    known: dict[int, int] = {}
+    for n, given in enumerate(plan.file.controller):
+        key = ("controller", plan.controllers[n], "node")
+        station = nodes.station(given.node, key)
+        if station in known:
+            line = plan.document.line(("controller", plan.controllers[known[station]]))
+            raise plan.mistake(key, f"{given.node!r} has a [[controller]] in line {line} already; put all of it there")
+        known[station] = n
+    for n, fault in enumerate(plan.file.fault):
+        for m, other in enumerate(plan.file.fault[:n]):
+            if isinstance(fault, Drift) and isinstance(other, Drift):
+                clocks = {
+                    nodes.station(one.node, ("fault", plan.faults[k], "node")) for k, one in ((m, other), (n, fault))
+                }
+                if len(clocks) == 1 and _at_one_time(fault, other):
+                    text = f"the clock of {fault.node!r} drifts by line {plan.lines[m]} already; let one end before the other begins"
+                    raise plan.mistake(("fault", plan.faults[n], "node"), text)
+
+
+def install(
+    bus: Any, plan: FaultPlan, seed: int, stations: Mapping[str, int], node_ids: Mapping[int, int]
+) -> list[tuple[int, int]]:
+    """Put the faults of a file into the bus's table; return (row, nanoseconds) of those that count from Operation Enabled.
+
+    Parameters
+    ----------
+    bus : the record of `sim_bus.copper.arbiter.BUS`
+    seed : of the noise, where the file has none of its own
+    stations, node_ids : stations by name and by node id
+
+    Raises
+    ------
+    FaultError
+        a node is named that is not on this bus, or something is said twice
+    """
+    nodes = _Nodes(plan, stations, node_ids)
+    _refuse_twice(plan, nodes)
+    bus.noise_state = seeded(plan.file.seed if plan.file.seed is not None else seed)
+    later = []
+    for n, fault in enumerate(plan.file.fault):
+        row, key = bus.faults[n], ("fault", plan.faults[n])
+        row.kind = int(FaultKind[fault.kind.upper()])
+        row.nth, row.every, row.most = 1, 0, 0
+        row.match_source = row.station = ALL
+        duration = getattr(fault, "duration_s", None)
+        _what(row, fault, nodes, key)
+        if isinstance(fault, OnFrame):
+            row.most = fault.most
+            if fault.on is not None:
+                _match(row, fault.on, nodes, (*key, "on"))
+            elif duration is not None:
+                row.every = 1
+        elif isinstance(fault, Cut):
+            row.most, row.lasts_ns = fault.most, FAR_NS if duration is None else round(duration * 1e9)
+            duration = None
+            if fault.on is not None:
+                _match(row, fault.on, nodes, (*key, "on"))
+        length_ns = FAR_NS if duration is None else round(duration * 1e9)
+        if fault.after == "enabled":
+            row.from_ns = row.next_ns = FAR_NS
+            row.until_ns = length_ns
+            later.append((n, round(fault.at_s * 1e9)))
+        else:
+            _begin(row, round(fault.at_s * 1e9), length_ns)
+    bus.fault_count = len(plan.file.fault)
+    for station in stations.values():
+        bus.stations["restart_ns"][_rows(station)] = RESTART_MS * 1_000_000
+    for n, given in zip(plan.controllers, plan.file.controller, strict=True):
+        place: Key = ("controller", n)
+        station = nodes.station(given.node, (*place, "node"))
+        if station == CLIENTS and given.listen_only:
+            raise plan.mistake(
+                (*place, "listen_only"), "here each client says itself whether it listens only; leave it out"
+            )
+        c, rows = bus.stations, _rows(station)
+        c["restart_ns"][rows] = MANUAL if given.restart_ms == "manual" else round(given.restart_ms * 1e6)
+        for name in ("one_shot", "loopback", "queue_limit"):
+            c[name][rows] = getattr(given, name)
+        if station != CLIENTS:
+            c["listen_only"][rows] = given.listen_only
+    plan_alarm(bus, 0)
+    refresh(bus)
+    return later
+
+
+def _rows(station: int) -> slice:
+    """Return the rows of a station, or of all that it stands for."""
+    row = station % STATIONS
+    return CLIENT_ROWS if station == CLIENTS else slice(row, row + 1)
+
+
+def _begin(row: Any, from_ns: int, length_ns: int) -> None:
+    row.from_ns = from_ns
+    row.next_ns = FAR_NS if row.framed else from_ns
+    row.until_ns = min(from_ns + length_ns, FAR_NS)
+
+
+def begin_enabled(bus: Any, later: list[tuple[int, int]], now_ns: int) -> None:
+    """Let the faults that count from Operation Enabled count from `now_ns`."""
+    for n, after_ns in later:
+        row = bus.faults[n]
+        _begin(row, now_ns + after_ns, int(row.until_ns))
+    plan_alarm(bus, now_ns)
+    refresh(bus)
+
+
+def _what(row: Any, fault: Any, nodes: _Nodes, key: Key) -> None:
+    """Set what a fault does, and to whom."""
+    for name in ("seen_by", "lost_for", "node"):
+        if getattr(fault, name, None) is not None:
+            row.station = nodes.station(getattr(fault, name), (*key, name))
+    host = row.station in (SOURCE_HOST, CLIENTS)
+    if isinstance(fault, Reset) and host:
+        raise nodes.plan.mistake((*key, "node"), "the host is no node that could be reset; expected a node of the rig")
+    if isinstance(fault, Babble) and host:
+        row.station = SOURCE_HOST  # in a bus of clients a station of its own
+    if isinstance(fault, Flip | Noise) and row.station not in (ALL, CLIENTS):
+        row.station %= STATIONS  # the controller that sees it, by its row: the host's is the last
+    if isinstance(fault, Flip):
+        row.bit = BIT_NAMES[fault.bit] if isinstance(fault.bit, str) else fault.bit
+    elif isinstance(fault, Cut):
+        named_before: set[int] = set()
+        for half, named in enumerate(fault.halves):
+            for k, node in enumerate(named):
+                station = nodes.station(node, (*key, "halves", half, k))
+                station = HOST_ROW if station == CLIENTS else station % STATIONS
+                if station in named_before:
+                    raise nodes.plan.mistake((*key, "halves", half, k), f"{node!r} is named twice; name each node once")
+                named_before.add(station)
+                row.far[station] = half
+        if row.far[HOST_ROW]:
+            row.far[CLIENT_ROWS] = 1
+    elif isinstance(fault, Delay):
+        row.delay_ns = round(fault.delay_us * 1e3)
+    elif isinstance(fault, Noise):
+        row.rate = fault.rate
+    elif isinstance(fault, Babble):
+        data = bytes.fromhex(fault.data)
+        row.can_id = fault.can_id | (CAN_EFF_FLAG if fault.extended or fault.can_id > 0x7FF else 0)
+        row.length, row.word = len(data), data_word(data)
+        row.period_ns = round(fault.period_us * 1e3)
+
+
+def injections(rows: Any, plan: FaultPlan) -> list[Injected]:
+    """Return what each fault of the file came to."""
+    out = []
+    for n, fault in enumerate(plan.file.fault):
+        row = rows[n]
+        times = int(row.fired)
+        seconds = (int(row.first_ns) * 1e-9, int(row.last_ns) * 1e-9) if times else (None, None)
+        out.append(Injected(fault.kind, plan.lines[n], times, *seconds))
+    return out

@@ -1,0 +1,1 @@
+"""Bus, nodes and rig in virtual time."""

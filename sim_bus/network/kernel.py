@@ -1,0 +1,356 @@
+"""The virtual-time event loop: a bus, its devices, any number of axes and perhaps a host, as functions of time in one compiled kernel.
+
+`run` goes from event to event in integer nanoseconds and returns to Python only when the control plane has work, as a virtual
+machine exits to its monitor (`Exit`). Events at the same instant go in a fixed order: a frame's end first (so what arrives is handled
+before a deadline is judged), then the script, the devices, the host, and at last the start of the next frame (so that everything that is ready
+takes part in the arbitration).
+
+A device is a row of the node records; that row is its station number. An axis is a motor's row, a brake's row, and the rig between them: a row of the
+plants and one of the blocks of the operator's force. A device that belongs to no axis has no rig, and none of this costs it anything.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+
+from coulombus.compiled.decorator import borrowed, inlined, kernel
+from coulombus.eds.cia402 import PowerState
+from coulombus.host.cycle import axes as host_axes
+from coulombus.host.cycle import step
+from coulombus.node import clock, core, emcy
+from coulombus.sim_bus.copper.arbiter import FAR_NS, end_frame, receives, start_frame, start_ns
+from coulombus.sim_bus.copper.attempt import MOST_ROWS
+from coulombus.sim_bus.copper.cut import choose
+from coulombus.sim_bus.network.agenda import keep_deadline, look_again, next_device
+from coulombus.sim_bus.rig.plant import advance, coil_current, sample_noise
+from coulombus.wire.clock import CLOCK_FIELDS, bus_ns, own_ns, to_bus
+from coulombus.wire.frame import FRAME, QUEUE_CAPACITY
+
+__all__ = ["AXIS", "BRAKE", "LOG_FRAMES", "MOST_DEVICES", "MOTOR", "WORLD", "Exit", "next_event", "refresh", "run"]
+
+MOTOR, BRAKE = 0, 1
+"""Rows of the node records of a rig, and their station numbers."""
+MOST_DEVICES = 127
+
+ENCODER_LOST = 1 << emcy.ENCODER - emcy.FIRST_DEVICE_CAUSE
+OPERATION_ENABLED = int(PowerState.OPERATION_ENABLED)
+SYNC = 0x80
+
+
+class Exit(IntEnum):
+    """Why the kernel returned."""
+
+    UNTIL = 0  # the time was reached
+    FORCE = 1  # a plant needs the next block of the operator's force: that of `axis`
+    LOG = 2  # the frame log is full
+    SERVICE = 3  # the last frame of the log is for Python: `services`, `control_plane` and `heard` tell who wants it
+    ENABLED = 4  # the drive of `axis` entered Operation Enabled: the schedule begins
+    PHASE = 5  # the host went to another phase
+    SCRIPT = 6  # a script's entry is due
+    FAULT = 7  # a frame has triggered a fault that the bus cannot do itself
+
+
+EXIT_UNTIL, EXIT_FORCE, EXIT_LOG = int(Exit.UNTIL), int(Exit.FORCE), int(Exit.LOG)
+EXIT_SERVICE, EXIT_ENABLED, EXIT_PHASE, EXIT_SCRIPT = (
+    int(Exit.SERVICE),
+    int(Exit.ENABLED),
+    int(Exit.PHASE),
+    int(Exit.SCRIPT),
+)
+
+EXIT_FAULT = int(Exit.FAULT)
+
+FRAME_END, SCRIPT, DEVICE, HOST, FRAME_START, NOTHING = 0, 1, 2, 3, 4, 5
+"""What happens next, in the order of events at the same instant."""
+
+LOG_FRAMES = 1 << 15
+SENT_FRAMES = 1 << 12
+"""Frames that the log, and what is kept of the host's, have room for."""
+
+WORLD = np.dtype(
+    [
+        ("t_ns", np.int64),
+        ("until_ns", np.int64),
+        ("script_ns", np.int64),
+        ("stale", np.int64),  # 1: Python has worked on the records since the kernel last looked at all of them
+        ("host_on", np.int64),  # 1: the host's cycle runs
+        ("host_elsewhere", np.int64),  # 1: the host is another process, or there is none
+        *CLOCK_FIELDS,  # the host's
+        ("phase", np.int64),  # the phases of the host's axes that Python knows, four bits each
+        ("log_count", np.int64),
+        # what only a replay of the host needs to know (`recording.trace`)
+        ("had", np.int8, (LOG_FRAMES,)),  # by row of the log: 1: the host has received this frame
+        ("keep_sent", np.int64),  # 1: keep what the host asks the bus to send, whatever becomes of it
+        ("sent_count", np.int64),
+        ("sent", FRAME, (SENT_FRAMES,)),
+        # who wants the last frame
+        ("services", np.int64),  # how many devices
+        ("service", np.int64, (MOST_DEVICES,)),  # which
+        ("control_plane", np.int64),  # 1: the host's
+        ("heard", np.int64),  # 1: one of Python's stations
+        ("listen_all", np.int64),  # 1: one of them wants what is not in `listening`: remote, extended and error frames
+        # axes
+        ("axis", np.int64),  # whose exit it is
+        ("to_begin", np.int64),  # axes whose schedule has not begun
+        ("force_end_ns", np.int64),  # the first time at which an axis' block of force ends
+    ],
+    align=True,
+)
+
+AXIS = np.dtype(
+    [
+        ("motor", np.int64),  # rows of the node records
+        ("brake", np.int64),
+        ("operator_start_ns", np.int64),  # -1: the schedule has not begun
+        ("force_step", np.int64),  # the plant's step at which the force block begins
+        ("force_end_ns", np.int64),  # the time at which it ends
+        ("steps_per_knot", np.int64),
+        ("truth_on", np.int64),
+        ("torque_pm", np.float64),  # what motor and brake are held at since the plant was last advanced
+        ("brake_Nm", np.float64),
+    ],
+    align=True,
+)
+
+
+@inlined
+def _sample(p: Any, motor: Any, brake: Any) -> None:
+    """Let the devices look at the rig: encoder, motor current, transducer, coil."""
+    if motor.in_faults & ENCODER_LOST:
+        motor.in_velocity_counts_s = 0.0  # the counter stands still
+    else:
+        motor.in_position_counts = int(np.floor(p.x * p.counts_rad + 0.5))
+        motor.in_velocity_counts_s = p.v * p.counts_rad
+    motor.in_torque_pm = p.motor / p.motor_Nm_pm
+    brake.in_handle_Nm = p.transducer_polarity * (p.f_operator + p.noise * sample_noise(p))
+    brake.in_coil_A = coil_current(p, brake.out_brake_Nm)
+    brake.in_coil_degC = p.temperature
+
+
+@inlined
+def _advance(axis: Any, p: Any, f_h: Any, truth: Any, t_ns: int) -> None:
+    """Bring the plant to the last grid point at or before `t_ns` (within the force block) under the held commands."""
+    steps = (t_ns - p.t_ns) // p.step_ns
+    if steps > 0:
+        first = p.t_ns // p.step_ns - axis.force_step
+        row = first if axis.truth_on else -1
+        advance(p, axis.torque_pm, axis.brake_Nm, f_h, axis.steps_per_knot, first, steps, truth, row)
+
+
+@inlined
+def _look(axes: Any, plant: Any, nodes: Any, f_h: Any, truth: Any, a: int, t_ns: int) -> None:
+    """Bring the rig of axis `a` to `t_ns` and let its devices look at it."""
+    axis, p = axes[a], plant[a]
+    _advance(axis, p, f_h[a], truth[a], t_ns)
+    _sample(p, nodes[axis.motor], nodes[axis.brake])
+
+
+@inlined
+def _actuate(axes: Any, plant: Any, nodes: Any, f_h: Any, truth: Any, a: int, t_ns: int) -> None:
+    """Let the rig of axis `a` feel what its devices command from `t_ns` on, when that has changed."""
+    axis = axes[a]
+    torque, brake = nodes[axis.motor].out_torque_pm, nodes[axis.brake].out_brake_Nm
+    reverse_A = nodes[axis.brake].out_reverse_A
+    if torque != axis.torque_pm or brake != axis.brake_Nm or reverse_A != plant[a].reverse_A:
+        _advance(axis, plant[a], f_h[a], truth[a], t_ns)
+        plant[a].reverse_A = reverse_A
+        axis.torque_pm = torque
+        axis.brake_Nm = brake
+
+
+@kernel
+def _keep(w: Any, queue: Any, header: Any, first: int) -> None:
+    """Keep what the host has pushed from place `first` on."""
+    if w.clock_on != 0:
+        to_bus(w, queue, header, first)
+    if w.keep_sent != 0:
+        for k in range(first, header[0].count):
+            frame, kept = queue[k], w.sent[w.sent_count]
+            kept.t_ns = frame.t_ns
+            kept.can_id = frame.can_id
+            kept.length = frame.length
+            kept.word = frame.word
+            w.sent_count += 1
+
+
+@kernel
+def refresh(w: Any, nodes: Any, axes: Any, deadlines: Any, wants: Any) -> None:
+    """Bring all that is looked up instead of asked for up to the records that Python may have written."""
+    w.stale = 0
+    look_again(nodes, deadlines, wants)
+    w.to_begin = 0
+    w.force_end_ns = FAR_NS
+    for a in range(axes.shape[0]):
+        w.to_begin += axes[a].operator_start_ns < 0
+        w.force_end_ns = min(w.force_end_ns, axes[a].force_end_ns)
+
+
+@inlined
+def next_event(w: Any, b: Any, queue: Any, header: Any, deadlines: Any, host: Any) -> tuple[int, int]:
+    """Return when something happens next, and what."""
+    t = b.end_ns if b.busy else FAR_NS  # strict comparisons keep the order of equals
+    what = FRAME_END
+    if w.script_ns < t:
+        t, what = w.script_ns, SCRIPT
+    if deadlines[1] < t:
+        t, what = deadlines[1], DEVICE
+    if w.host_on:
+        t_host = bus_ns(w, host_axes.next_ns(host))
+        if t_host < t:
+            t, what = t_host, HOST
+    if not b.busy:
+        t_start = start_ns(b, queue, header)
+        if t_start < t:
+            t, what = t_start, FRAME_START
+    return t, what
+
+
+@kernel
+def run(
+    world: Any,
+    bus: Any,
+    queue: Any,
+    header: Any,
+    log: Any,
+    nodes: Any,
+    rpdo: Any,
+    tpdo: Any,
+    deadlines: Any,
+    wants: Any,
+    listening: Any,
+    axes: Any,
+    axis_of: Any,
+    plant: Any,
+    f_h: Any,
+    truth: Any,
+    control: Any,
+    host: Any,
+    host_rpdos: Any,
+    host_tpdos: Any,
+    owner: Any,
+    law_function: Any,
+    motion: Any,
+    law: Any,
+    state: Any,
+) -> int:
+    """Run until Python is needed; return the `Exit` that says why."""
+    w, cable = world[0], bus[0]
+    queue, header, log = borrowed(queue), borrowed(header), borrowed(log)
+    nodes, rpdo, tpdo = borrowed(nodes), borrowed(rpdo), borrowed(tpdo)
+    deadlines, wants, listening = borrowed(deadlines), borrowed(wants), borrowed(listening)
+    axes, axis_of, plant = borrowed(axes), borrowed(axis_of), borrowed(plant)
+    f_h, truth = borrowed(f_h), borrowed(truth)
+    control, host, owner = borrowed(control), borrowed(host), borrowed(owner)
+    host_rpdos, host_tpdos = borrowed(host_rpdos), borrowed(host_tpdos)
+    motion, law, state = borrowed(motion), borrowed(law), borrowed(state)
+    if w.stale:
+        refresh(w, nodes, axes, deadlines, wants)
+    while True:
+        if w.log_count + MOST_ROWS > log.shape[0] or w.sent_count + QUEUE_CAPACITY > SENT_FRAMES:
+            return EXIT_LOG
+        b = cable
+        if cable.cut != 0:
+            b = bus[choose(bus, queue, header)]
+        if cable.fault_calls != 0:
+            for a in range(axes.shape[0]):
+                _look(axes, plant, nodes, f_h, truth, a, w.t_ns)
+            return EXIT_FAULT
+        t, what = next_event(w, b, queue, header, deadlines, host)
+        if t < w.t_ns:
+            t = w.t_ns
+        if t > w.until_ns:
+            t, what = w.until_ns, NOTHING
+        if t > w.force_end_ns:
+            w.t_ns = t = w.force_end_ns
+            for a in range(axes.shape[0]):
+                if axes[a].force_end_ns == t:
+                    _advance(axes[a], plant[a], f_h[a], truth[a], t)
+                    w.axis = a
+                    return EXIT_FORCE
+        w.t_ns = t
+        if what == FRAME_START:
+            start_frame(b, queue, header, t)
+            continue
+        if what in (NOTHING, SCRIPT):
+            for a in range(axes.shape[0]):
+                _advance(axes[a], plant[a], f_h[a], truth[a], t)
+            return EXIT_UNTIL if what == NOTHING else EXIT_SCRIPT
+        if what == HOST:
+            first, t_host = header[0].count, own_ns(w, t)
+            host_axes.on_time(control, host, host_rpdos, law_function, motion, law, state, t_host, queue, header)
+            if w.clock_on + w.keep_sent != 0:
+                _keep(w, queue, header, first)
+        elif what == DEVICE:
+            i = next_device(deadlines)
+            a = axis_of[i]
+            if a >= 0:
+                _look(axes, plant, nodes, f_h, truth, a, t)
+            if nodes[i].clock_on == 0:
+                core.on_time(nodes, rpdo, tpdo, i, t, queue, header)
+            else:
+                clock.on_time(nodes, rpdo, tpdo, i, t, queue, header)
+            keep_deadline(deadlines, i, nodes[i])
+            if a >= 0:
+                _actuate(axes, plant, nodes, f_h, truth, a, t)
+        else:
+            w.log_count += end_frame(b, queue, header, log, w.log_count)
+            if b.links != 0:
+                b.links = 0
+                for i in range(nodes.shape[0]):
+                    link, b.stations[i].link = b.stations[i].link, 0
+                    if link != 0:
+                        clock.link_changed(nodes, rpdo, tpdo, i, t, link, queue, header)
+                        keep_deadline(deadlines, i, nodes[i])
+                        if axis_of[i] >= 0:
+                            _actuate(axes, plant, nodes, f_h, truth, axis_of[i], t)
+            if b.delivered == 0:
+                continue
+            w.services = w.control_plane = w.heard = 0
+            if b.can_id == SYNC:
+                for a in range(axes.shape[0]):
+                    _look(axes, plant, nodes, f_h, truth, a, t)
+            plain = b.can_id <= 0x7FF
+            for k in range(wants[b.can_id, 0] if plain else nodes.shape[0]):
+                i = wants[b.can_id, k + 1] if plain else k
+                if nodes[i].powered and receives(b, i):
+                    if nodes[i].clock_on == 0:
+                        wanted = core.on_frame(nodes, rpdo, tpdo, i, t, b.can_id, b.length, b.word, queue, header)
+                    else:
+                        wanted = clock.on_frame(nodes, rpdo, tpdo, i, t, b.can_id, b.length, b.word, queue, header)
+                    if wanted != 0:
+                        w.service[w.services] = i
+                        w.services += 1
+                    keep_deadline(deadlines, i, nodes[i])
+                    if axis_of[i] >= 0:
+                        _actuate(axes, plant, nodes, f_h, truth, axis_of[i], t)
+            if not w.host_elsewhere and receives(b, step.SOURCE_HOST):
+                w.had[w.log_count - 1] = 1
+                first, t_host = header[0].count, own_ns(w, t)
+                wanted = host_axes.on_frame(control, host, host_tpdos, owner, t_host, b.can_id, b.length, b.word)
+                if wanted == 1 and w.host_on:
+                    host_axes.finish_complete(
+                        control, host, host_rpdos, law_function, motion, law, state, t_host, queue, header
+                    )
+                    if w.clock_on + w.keep_sent != 0:
+                        _keep(w, queue, header, first)
+                elif wanted == 2:
+                    w.control_plane = 1
+            w.heard = listening[b.can_id] if plain else w.listen_all
+            if w.services + w.control_plane + w.heard != 0:
+                for a in range(axes.shape[0]):
+                    _look(axes, plant, nodes, f_h, truth, a, t)
+                return EXIT_SERVICE
+        if w.to_begin > 0:
+            for a in range(axes.shape[0]):
+                if axes[a].operator_start_ns < 0 and nodes[axes[a].motor].power_state == OPERATION_ENABLED:
+                    axes[a].operator_start_ns = t
+                    w.to_begin -= 1
+                    w.axis = a
+                    return EXIT_ENABLED
+        phases = host_axes.phases(host)
+        if phases != w.phase:
+            w.phase = phases
+            return EXIT_PHASE

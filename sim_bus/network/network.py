@@ -1,0 +1,352 @@
+"""A CANopen network in virtual time: a bit-true bus, any number of devices, and stations written in Python.
+
+For tests, conformance runs and fuzzers. Nothing sleeps, no thread runs, and the same calls give the same frames to the nanosecond::
+
+    from coulombus.eds.cia301 import NmtCommand
+    from coulombus.sim_bus.network.network import VirtualNetwork
+
+    network = VirtualNetwork(bitrate_bit_s=500_000)
+    device = network.add("eds/motor.eds", 5)              # any EDS; kind=KIND_DRIVE or KIND_BRAKE for ours
+    tester = network.station()                            # hears every frame; station({0x585}): that one only
+    network.power_on()                                    # all devices; boot-ups go out
+    network.wait_ns(10_000_000)
+    assert tester.take(0x705)[0].data == b"\\0"
+
+    tester.send(0x000, bytes((NmtCommand.START, 5)))      # now; at_ns=... for later
+    tester.send(0x605, bytes.fromhex("4017100000000000"))
+    assert tester.wait_for(0x585, timeout_ns=10_000_000) is not None
+    device[0x6064, 0]                                     # look into the device, or write as it does itself
+
+A station may answer at once: ``network.station(on_frame=lambda frame: ...)`` is called with each `Heard` at its end of frame, and may `send`.
+``network.at(t_ns, action)`` calls ``action(network)`` at a time; `run_until` takes a condition that ends it sooner. Devices are switched with
+`power_on` and `power_off`; ``network.canopen()`` is a `canopen.Network` on this bus (its SDO requests let virtual time pass).
+``on_frames`` of the constructor sees every batch of frames that the bus has carried, as FRAME records, for recordings.
+
+What costs: a device that a frame does not concern costs nothing, and a frame that no Python station hears is not seen by Python at all. So
+name the identifiers that a station hears where speed matters. A device whose EDS cannot be read right raises `eds.reader.EdsError`.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol, Self
+
+import numpy as np
+
+from coulombus.compiled.decorator import JIT_DISABLED
+from coulombus.eds.cia301 import NmtCommand
+from coulombus.eds.cia305 import UNCONFIGURED
+from coulombus.eds.reader import Description, read_eds
+from coulombus.host.cycle.controllers import SECTIONS, new_section, unused_law
+from coulombus.host.cycle.step import SOURCE_HOST
+from coulombus.node.device import Device
+from coulombus.node.record import KIND_GENERIC, new_nodes
+from coulombus.sim_bus.copper.arbiter import FAR_NS, new_bus
+from coulombus.sim_bus.copper.attempt import attach, detach
+from coulombus.sim_bus.copper.cut import divide, wire_of
+from coulombus.sim_bus.copper.waiting import withdraw
+from coulombus.sim_bus.network.agenda import IDENTIFIERS, new_deadlines, new_wants
+from coulombus.sim_bus.network.interrupts import InterruptsHeld
+from coulombus.sim_bus.network.kernel import AXIS, LOG_FRAMES, MOST_DEVICES, WORLD, Exit, run
+from coulombus.sim_bus.network.stations import CanopenNetwork, Heard, Station
+from coulombus.sim_bus.rig.plant import PLANT, TRUTH_COLUMNS
+from coulombus.wire.clock import own_ns, to_bus
+from coulombus.wire.frame import CAN_RTR_FLAG, Records, data_bytes, data_word, frames, new_queue, new_records, push
+
+__all__ = ["CanopenNetwork", "Heard", "Station", "VirtualNetwork"]
+
+CAPACITY = 16
+FIRST_STATION, MOST_STATIONS = 192, 62
+"""Station numbers of Python's stations: devices have their rows, clients of a bus in real time 128 and so on, the host -1."""
+TAP = 254
+"""An analyser that only acknowledges, so that a device alone on the bus does not send one frame for ever; a fault file takes it away."""
+
+
+@dataclass(frozen=True)
+class Mechanics:
+    """What hangs on the devices of a network: its axes with their plants and force blocks, and the host, as the kernel's arrays.
+
+    Their types are the same without an axis and without a host, so that one compiled kernel serves every network.
+    """
+
+    axes: Any
+    axis_of: Any
+    plant: Any
+    f_h: Any
+    truth: Any
+    host: tuple[Any, ...]
+
+
+def without_mechanics(devices: int) -> Mechanics:
+    """Return no axis and no host."""
+    idle = {name: new_section(name, 1) for name in SECTIONS}
+    return Mechanics(
+        axes=new_records(AXIS, 0),
+        axis_of=np.full(devices, -1, np.int64),
+        plant=new_records(PLANT, 0),
+        f_h=np.zeros((0, 1)),
+        truth=np.zeros((0, 1, len(TRUTH_COLUMNS))),
+        host=(
+            *(idle[name] for name in ("control", "host", "rpdos", "tpdos")),
+            *(np.zeros(IDENTIFIERS, np.int64), unused_law()),
+            *(idle[name] for name in ("motion", "law", "state")),
+        ),
+    )
+
+
+class Injected(Protocol):
+    """The faults on the bus, as the network needs them (`sim_bus.faults.injection.Injection`)."""
+
+    def act(self) -> None:
+        """Do what a frame has triggered and the bus cannot do itself."""
+
+    def tell(self) -> None:
+        """Tell what was injected since the last time."""
+
+    def enabled(self, t_ns: int) -> None:
+        """The drive has entered Operation Enabled."""
+
+    def results(self) -> list[dict[str, Any]]:
+        """Return what each fault came to."""
+
+
+class VirtualNetwork:
+    """A bus in virtual time and what is on it.
+
+    Parameters
+    ----------
+    bitrate_bit_s : any number; 0: a frame takes no time
+    capacity : devices that may be added, at most 127
+    on_frames : called with each batch of frames (FRAME records, end-of-frame stamps) as the bus has carried them
+    """
+
+    def __init__(
+        self,
+        bitrate_bit_s: int = 1_000_000,
+        *,
+        capacity: int = CAPACITY,
+        on_frames: Callable[[Records], None] | None = None,
+        mechanics: Mechanics | None = None,
+    ) -> None:
+        if not 0 <= capacity <= MOST_DEVICES:
+            raise ValueError(f"capacity {capacity}; expected 0 to {MOST_DEVICES} devices")
+        self.exits = dict.fromkeys(Exit, 0)
+        self.devices: list[Device] = []
+        self.injection: Injected | None = None
+        self._on_frames = on_frames
+        self._stations: list[Station] = []
+        self._script: list[tuple[int, int, Callable[[Any], None]]] = []
+        self._planned = 0
+
+        self.nodes, self.rpdo, self.tpdo = new_nodes(capacity)
+        self.bus = new_bus(bitrate_bit_s)
+        self._queue, self._header = new_queue()
+        self._log = frames(LOG_FRAMES)
+        self._listening = np.zeros(IDENTIFIERS, np.int8)
+        self._world = np.zeros(1, WORLD)  # Python looks at it often: a plain array answers faster than a recarray
+        w = self._world[0]
+        w["script_ns"], w["force_end_ns"], w["stale"], w["host_elsewhere"] = FAR_NS, FAR_NS, 1, mechanics is None
+        m = mechanics or without_mechanics(capacity)
+        self.axes, self.plant = m.axes, m.plant
+        self._arrays = (
+            *(self._world.view(np.recarray), self.bus, self._queue, self._header, self._log),
+            *(self.nodes, self.rpdo, self.tpdo, new_deadlines(capacity), new_wants(capacity), self._listening),
+            *(m.axes, m.axis_of, m.plant, m.f_h, m.truth, *m.host),
+        )
+        attach(self.bus[0], TAP)
+        if mechanics is not None:
+            attach(self.bus[0], SOURCE_HOST)
+        self._run = self._compiled_run()
+
+    def _compiled_run(self) -> Callable[..., int]:
+        """Return the kernel without the dispatcher, which would look at each argument's type at each call (40 us)."""
+        if JIT_DISABLED:
+            return run
+        self._world["until_ns"] = 0  # nothing is due: the call only compiles, or loads what was compiled
+        run(*self._arrays)
+        entry: Callable[..., int] = run.overloads[run.nopython_signatures[-1].args].entry_point  # type: ignore[attr-defined]
+        return entry
+
+    @property
+    def arguments(self) -> tuple[Any, ...]:
+        """The arrays, in the order of `sim_bus.network.kernel.run`'s arguments; since it ran last, somebody may have written to the records."""
+        self._world["stale"] = 1
+        return self._arrays
+
+    @property
+    def queue(self) -> tuple[Records, Records]:
+        """The frames that were asked for since the bus last looked, and their header: what `wire.frame.push` takes."""
+        return self._queue, self._header
+
+    # what is on the bus
+
+    def add(self, eds: Description | str | Path, node_id: int, kind: int = KIND_GENERIC, **options: Any) -> Device:
+        """Put a device on the bus, switched off, and return it; `options` are those of `node.device.Device`.
+
+        Raises
+        ------
+        coulombus.eds.reader.EdsError
+            the file is no EDS
+        ValueError
+            the network has no room, or the node id is taken or out of range
+        """
+        row = len(self.devices)
+        if row >= len(self.nodes):
+            raise ValueError(f"the network has room for {row} devices; make it with capacity={min(2 * row + 2, 127)}")
+        if node_id != UNCONFIGURED and any(device.node_id == node_id for device in self.devices):
+            raise ValueError(f"node id {node_id} is taken")
+        description = eds if isinstance(eds, Description) else read_eds(Path(eds))
+        self.devices.append(Device(description, node_id, kind, self.nodes, self.rpdo, self.tpdo, row, **options))
+        return self.devices[row]
+
+    def station(
+        self, can_ids: Collection[int] | None = None, on_frame: Callable[[Heard], None] | None = None
+    ) -> Station:
+        """Put a station on the bus that hears the frames `can_ids` (11-bit identifiers; None: every frame) of the others.
+
+        `on_frame` is called with each of them at its end of frame; without it they wait in `Station.heard`.
+        """
+        if len(self._stations) >= MOST_STATIONS:
+            raise ValueError(f"the network has {MOST_STATIONS} stations already")
+        wanted = None if can_ids is None else frozenset(can_ids)
+        station = Station(self, FIRST_STATION + len(self._stations), wanted, on_frame)
+        self._stations.append(station)
+        attach(self.bus[0], station.number)
+        if wanted is None:
+            self._listening[:] = 1
+            self._world["listen_all"] = 1
+        else:
+            self._listening[list(wanted)] = 1
+        return station
+
+    def canopen(self, sdo_timeout_s: float = 1.0) -> CanopenNetwork:
+        """Return a `canopen.Network` on this bus; add nodes to it, and let time pass with `wait_ns`."""
+
+        def send(can_id: int, data: bytes, remote: bool) -> None:
+            station.send(can_id | (CAN_RTR_FLAG if remote else 0), data)
+
+        def answer(can_id: int) -> None:
+            heard.clear()
+            self.run_until(self.t_ns + round(sdo_timeout_s * 1e9), lambda: can_id in heard)
+
+        def listen(frame: Heard) -> None:
+            heard.add(frame.can_id)
+            network.notify(frame.can_id, bytearray(frame.data), frame.t_ns * 1e-9)
+
+        heard: set[int] = set()
+        network, station = CanopenNetwork(send, answer), self.station(None, listen)
+        return network
+
+    # time
+
+    @property
+    def t_ns(self) -> int:
+        """Present time."""
+        return int(self._world["t_ns"][0])
+
+    def wait_ns(self, duration_ns: int) -> None:
+        """Let time pass."""
+        self.run_until(self.t_ns + duration_ns)
+
+    def run_until(self, t_ns: int, condition: Callable[[], bool] | None = None) -> None:
+        """Run to `t_ns`, or until `condition` holds after an exit of the kernel."""
+        world = self._world
+        world["until_ns"] = t_ns
+        with InterruptsHeld() as interrupts:
+            while True:
+                reason = Exit(self._run(*self.arguments))
+                self.exits[reason] += 1
+                self.answer(reason)
+                interrupts.pass_on()
+                if reason is Exit.UNTIL or (condition is not None and condition()):
+                    return
+
+    def at(self, t_ns: int, action: Callable[[Self], None]) -> None:
+        """Call `action(network)` at the virtual time `t_ns`: a script's entry."""
+        heapq.heappush(self._script, (t_ns, self._planned, action))
+        self._planned += 1
+        self._world["script_ns"] = self._script[0][0]
+
+    # the kernel's exits
+
+    def answer(self, why: int) -> None:
+        """Do what the kernel needs Python for (`sim_bus.network.kernel.Exit`), at the present time."""
+        if why == Exit.SERVICE:
+            self._serve()
+        elif why == Exit.LOG:
+            self.flush()
+        elif why == Exit.FAULT and self.injection is not None:
+            self.injection.act()
+        elif why == Exit.SCRIPT:
+            _, _, action = heapq.heappop(self._script)
+            self._world["script_ns"] = self._script[0][0] if self._script else FAR_NS
+            action(self)
+
+    def _serve(self) -> None:
+        """Give the last frame of the log to the devices' services and to the stations that want it."""
+        w = self._world[0]
+        frame = self._log[int(w["log_count"]) - 1]
+        t_ns, can_id = int(frame["t_ns"]), int(frame["can_id"])
+        length, data, source = int(frame["length"]), int(frame["word"]), int(frame["source"])
+        for row in w["service"][: int(w["services"])]:
+            self._by_its_clock(row, self.devices[row].service, t_ns, can_id, length, data)
+        if w["control_plane"]:
+            self._control_plane(t_ns, can_id, data_bytes(data, length))
+        if w["heard"] and not wire_of(self.bus, source).half:  # Python's stations are in the first half of a cut cable
+            heard = Heard(t_ns, can_id, length, data_bytes(data, length), source)
+            for station in self._stations:
+                if station.number != source and (station.can_ids is None or can_id in station.can_ids):
+                    station.hear(heard)
+
+    def _control_plane(self, t_ns: int, can_id: int, data: bytes) -> None:
+        """Take a frame for the host's control plane; a network without a host has none."""
+
+    def flush(self) -> None:
+        """Hand over the frames that the bus has carried since the last time."""
+        count = int(self._world["log_count"][0])
+        self._world["log_count"] = 0
+        if self.injection is not None:
+            self.injection.tell()
+        if self._on_frames is not None and count:
+            self._on_frames(self._log[:count])
+
+    # the devices
+
+    def power_on(self, device: int | None = None) -> None:
+        """Switch all devices on, or that of a row; one that is on stays so."""
+        for row, one in enumerate(self.devices):
+            if device in (None, row) and not one.record["powered"]:
+                attach(wire_of(self.bus, row), row)
+                self._by_its_clock(row, one.power_on, self.t_ns)
+
+    def power_off(self, device: int) -> None:
+        """Switch the device of a row off; what it had waiting to be sent is gone."""
+        self.devices[device].power_off()
+        self.withdraw(device)
+        detach(wire_of(self.bus, device), device)
+
+    def withdraw(self, device: int) -> None:
+        """Forget what the device of a row has waiting to be sent."""
+        if self.bus[0].cut:
+            divide(self.bus, self._queue, self._header)
+        withdraw(wire_of(self.bus, device), self._queue, self._header, device)
+
+    def nmt_command(self, device: int, command: NmtCommand | int) -> None:
+        """Let the device of a row act as on an NMT command to it."""
+        self._by_its_clock(device, self.devices[device].nmt_command, self.t_ns, command)
+
+    def _by_its_clock(self, row: int, act: Callable[..., None], t_ns: int, *arguments: Any) -> None:
+        """Call a device's `act` at its own time (`node.clock`)."""
+        node, first = self.devices[row].record, int(self._header["count"][0])
+        if not node["clock_on"]:
+            act(t_ns, *arguments, self._queue, self._header)
+        else:
+            act(int(own_ns(node, t_ns)), *arguments, self._queue, self._header)
+            to_bus(node, self._queue, self._header, first)
+
+    def send(self, can_id: int, data: bytes) -> None:
+        """Queue a frame of the host's control plane."""
+        push(self._queue, self._header, SOURCE_HOST, self.t_ns, can_id, len(data), data_word(data))

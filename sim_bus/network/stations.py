@@ -1,0 +1,110 @@
+"""Participants of a network in virtual time that are written in Python: a station, and `canopen`'s network."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import canopen
+
+from coulombus.wire.frame import Records, data_word, push
+
+__all__ = ["CanopenNetwork", "Heard", "Station"]
+
+SDO_REQUEST, SDO_RESPONSE, SDO_ABORT = 0x600, 0x580, 0x80
+
+
+@dataclass(frozen=True)
+class Heard:
+    """A frame that the bus has carried; `can_id` with Linux's flags (`wire.frame`), `t_ns` its end of frame."""
+
+    t_ns: int
+    can_id: int
+    length: int
+    data: bytes
+    source: int
+    """Number of the station that sent it: a device's row, a station's `number`, -1 the host."""
+
+
+class Bus(Protocol):
+    """What a station needs of its network (`sim_bus.network.network.VirtualNetwork`)."""
+
+    @property
+    def t_ns(self) -> int:
+        """The present."""
+
+    @property
+    def queue(self) -> tuple[Records, Records]:
+        """What was asked to be sent, and its header."""
+
+    def run_until(self, t_ns: int, condition: Callable[[], bool] | None = None) -> None:
+        """Let time pass until `t_ns`, or until `condition` holds."""
+
+
+class Station:
+    """A participant written in Python; made by `VirtualNetwork.station`."""
+
+    def __init__(
+        self,
+        network: Bus,
+        number: int,
+        can_ids: frozenset[int] | None,
+        on_frame: Callable[[Heard], None] | None,
+    ) -> None:
+        self.number, self.can_ids = number, can_ids
+        self.heard: list[Heard] = []
+        """What it has heard and nobody has taken; stays empty where `on_frame` is given."""
+        self._network, self._on_frame = network, on_frame
+
+    def send(self, can_id: int, data: bytes = b"", *, at_ns: int | None = None, length: int | None = None) -> None:
+        """Ask to send a frame, now or from `at_ns` on; `length` gives the DLC of a remote frame.
+
+        Raises
+        ------
+        ValueError
+            more than eight bytes
+        """
+        if len(data) > 8:
+            raise ValueError(f"{len(data)} bytes of data; a frame of CAN 2.0 carries at most 8")
+        size = len(data) if length is None else length
+        ready = self._network.t_ns if at_ns is None else at_ns
+        push(*self._network.queue, self.number, ready, can_id, size, data_word(bytes(data)))
+
+    def take(self, can_id: int | None = None) -> list[Heard]:
+        """Take what was heard (with this identifier) out of `heard`."""
+        taken = [frame for frame in self.heard if can_id in (None, frame.can_id)]
+        self.heard = [frame for frame in self.heard if can_id not in (None, frame.can_id)]
+        return taken
+
+    def wait_for(self, can_id: int, timeout_ns: int) -> Heard | None:
+        """Let time pass until a frame `can_id` comes, and return it, or None after `timeout_ns`; it stays in `heard`."""
+        seen, network = len(self.heard), self._network
+        network.run_until(network.t_ns + timeout_ns, lambda: any(f.can_id == can_id for f in self.heard[seen:]))
+        return next((frame for frame in self.heard[seen:] if frame.can_id == can_id), None)
+
+    def hear(self, frame: Heard) -> None:
+        """Take a frame of another station."""
+        if self._on_frame is not None:
+            self._on_frame(frame)
+        else:
+            self.heard.append(frame)
+
+
+class CanopenNetwork(canopen.Network):  # type: ignore[misc]  # canopen has no types
+    """A `canopen` network without threads: what it sends goes into the virtual bus, and an SDO request lets time pass."""
+
+    def __init__(self, send: Callable[[int, bytes, bool], None], answer: Callable[[int], None]) -> None:
+        """`send` sends a frame; `answer` lets time pass until a frame with an identifier was heard, or for the SDO time-out."""
+        super().__init__()
+        self._send, self._answer = send, answer
+
+    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
+        """Queue a frame; when it is an SDO request, run the bus until the node's response or the time-out."""
+        self._send(can_id, bytes(data), remote)
+        if can_id & 0x780 == SDO_REQUEST and data[0] != SDO_ABORT:  # nobody answers an abort
+            self._answer(SDO_RESPONSE + (can_id & 0x7F))
+
+    def send_periodic(self, can_id: int, data: bytes, period: float, remote: bool = False) -> Any:
+        """Refused: periodic frames are the kernel's."""
+        raise NotImplementedError("periodic frames belong to the kernel: see coulombus.sim_bus.network.kernel")

@@ -1,0 +1,290 @@
+"""The whole rig in virtual time: bus, nodes, plants and hands, the host's cycle, and `canopen` as its control plane.
+
+`VirtualRig` is a `VirtualNetwork` of two devices for each axis, with the rig's mechanics between them. Nothing sleeps, and the same
+seed gives the same bytes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+
+from coulombus.host.cycle.controllers import Controllers, arguments
+from coulombus.host.cycle.records import Trip
+from coulombus.node.emcy import DEVICE_FAULTS, FIRST_DEVICE_CAUSE
+from coulombus.node.record import KIND_BRAKE, KIND_DRIVE
+from coulombus.recording.trace import EVENT, Event
+from coulombus.rigs.rig import Rig
+from coulombus.sim_bus.network.kernel import AXIS, BRAKE, MOTOR, Exit
+from coulombus.sim_bus.network.network import CanopenNetwork, Mechanics, VirtualNetwork
+from coulombus.sim_bus.rig.operator import KNOT_S, Operator
+from coulombus.sim_bus.rig.plant import COIL_INTACT, COIL_OPEN, COIL_SHORT, PLANT, TRUTH_COLUMNS, new_plant
+from coulombus.wire.clock import own_ns, set_clock
+from coulombus.wire.frame import Records, new_records
+
+__all__ = ["VirtualRig"]
+
+BLOCK_KNOTS = 8000
+TRUTH_BLOCK_KNOTS = 500  # less memory for the block of the true course
+SEED_STEP = 1_000_003  # between the noises of two axes
+COIL_STATES = {"coil_open": COIL_OPEN, "coil_short": COIL_SHORT}
+"""Faults that are the coil's: the driver finds them by what it measures."""
+
+BOOT_NS = 1_000_000  # power-on to the first SDO: both boot-ups are on the bus
+
+
+class Planned(Protocol):
+    """What happens to the rig at a time (`sim_bus.network.script.Entry`)."""
+
+    @property
+    def t_ns(self) -> int:
+        """When, counted from `after`."""
+
+    @property
+    def after(self) -> str:
+        """What the time counts from: "start" or "enabled"."""
+
+    def act(self, world: Any) -> None:
+        """Do it now."""
+
+
+class VirtualRig(VirtualNetwork):
+    """Bus, nodes, plant, hand and host of `rig` in mode `mode`.
+
+    Parameters
+    ----------
+    seed : starts the transducer's noise
+    on_frames : called with each batch of frames (FRAME records, end-of-frame stamps) as the bus has carried them
+    truth : keep the plant's true course (`truth()` returns it)
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        mode: str,
+        *,
+        seed: int = 0,
+        on_frames: Callable[[Records], None] | None = None,
+        truth: bool = False,
+    ) -> None:
+        self.rig, self.mode = rig, mode
+        self.controllers = Controllers(rig, mode)
+        self.controller = self.controllers.each[0]
+        self.operators = [Operator(controller.rig, mode) for controller in self.controllers]
+        self.network = CanopenNetwork(lambda can_id, data, _: self.send(can_id, data), self._await_answer)
+        self._left: list[tuple[float, float] | None] = [None] * len(
+            rig.axes
+        )  # a schedule that was left: its start and its end [s]
+        self._heard: set[int] = set()
+        self._had, self._events = 0, list[tuple[int, ...]]()
+        self.on_host: Callable[[Records, Records, Records], None] | None = None
+        """Called with each batch, after `on_frames`: which of its frames the host received, rows of `recording.trace.EVENT`, what the host asked
+        for."""
+        self._waiting: list[Planned] = []
+
+        n = len(rig.axes)
+        knots = TRUTH_BLOCK_KNOTS if truth else BLOCK_KNOTS
+        axes = new_records(AXIS, n)
+        self._axes = axes.view(np.ndarray)  # Python looks at it often: a plain array answers faster than a recarray
+        self._axes["motor"], self._axes["brake"] = MOTOR + 2 * np.arange(n), BRAKE + 2 * np.arange(n)
+        self._axes["operator_start_ns"], self._axes["truth_on"] = -1, truth
+        self._axes["steps_per_knot"] = [max(1, round(KNOT_S / one.plant.step_s)) for one in rig.axes]
+        self._f_h = np.zeros((n, knots + 1))
+        steps = knots * int(self._axes["steps_per_knot"].max())
+        self._truth_block = np.zeros((n, steps if truth else 1, len(TRUTH_COLUMNS)))
+        self._truth: list[list[Any]] = [[] for _ in range(n)]
+        self._truth_from = [0] * n
+        plant = new_records(PLANT, n)
+        for a, one in enumerate(rig.axes):
+            plant[a : a + 1] = new_plant(one, seed + a * SEED_STEP)
+        super().__init__(
+            rig.bus.bitrate_bit_s,
+            capacity=2 * n,
+            on_frames=on_frames,
+            mechanics=Mechanics(
+                axes, np.arange(2 * n) // 2, plant, self._f_h, self._truth_block, arguments(self.controllers)
+            ),
+        )
+        self.nodes["coil_A_Nm"][BRAKE::2] = [one.brake.coil_A_Nm for one in rig.axes]
+        for one in rig.axes:
+            self.add(one.description("motor"), one.motor.node_id, KIND_DRIVE)
+            self.add(one.description("brake"), one.brake.node_id, KIND_BRAKE)
+        self.motor, self.brake = self.devices[MOTOR], self.devices[BRAKE]
+        for a in range(n):
+            self._new_force_block(a)
+
+    # time
+
+    @property
+    def starts_ns(self) -> tuple[int | None, ...]:
+        """When each axis' drive entered Operation Enabled, which began its operator's schedule; None while it has not."""
+        return tuple(None if start < 0 else start for start in self._axes["operator_start_ns"].tolist())
+
+    @property
+    def enabled_ns(self) -> int | None:
+        """When the last axis' drive entered Operation Enabled, which began its operator's schedule; None while one has not."""
+        starts = self._axes["operator_start_ns"]
+        return None if starts.min() < 0 else int(starts.max())
+
+    def run_until_heard(self, can_id: int, timeout_ns: int) -> None:
+        """Run until the control plane has heard a frame `can_id`, or for `timeout_ns`."""
+        self._heard.clear()
+        self.run_until(self.t_ns + timeout_ns, lambda: can_id in self._heard)
+
+    def _await_answer(self, can_id: int) -> None:
+        self.run_until_heard(can_id, round(self.rig.host.sdo_timeout_s * 1e9))
+
+    # the kernel's exits
+
+    def answer(self, why: int) -> None:
+        """Do what the kernel needs Python for (`sim_bus.network.kernel.Exit`), at the present time."""
+        if why in (Exit.FORCE, Exit.ENABLED):
+            self._new_force_block(int(self._world["axis"][0]))
+            if why == Exit.ENABLED:
+                for entry in self._waiting:
+                    self.at(self.t_ns + entry.t_ns, entry.act)
+                self._waiting = []
+                if self.injection is not None:
+                    self.injection.enabled(self.t_ns)
+        else:
+            super().answer(why)
+        self._actuate()
+
+    def _actuate(self) -> None:
+        """What a service or a script made of the devices' outputs acts from now on: the plants were advanced to the present."""
+        self.plant["reverse_A"] = self.nodes["out_reverse_A"][BRAKE::2]
+        for axis in self._axes:
+            axis["torque_pm"] = self.nodes[axis["motor"]]["out_torque_pm"]
+            axis["brake_Nm"] = self.nodes[axis["brake"]]["out_brake_Nm"]
+
+    def _control_plane(self, t_ns: int, can_id: int, data: bytes) -> None:
+        self._heard.add(can_id)
+        self.network.notify(can_id, bytearray(data), t_ns * 1e-9)
+
+    def _new_force_block(self, a: int) -> None:
+        """Compute the next block of the hand's force on axis `a`, from the present on."""
+        axis, plant, f_h = self._axes[a], self.plant[a], self._f_h[a]
+        self._keep_truth(a)
+        step = int(plant["t_ns"]) // int(plant["step_ns"])
+        axis["force_step"] = step
+        axis["force_end_ns"] = (step + (len(f_h) - 1) * int(axis["steps_per_knot"])) * int(plant["step_ns"])
+        self._truth_from[a] = step
+        knots = step + np.arange(len(f_h)) * int(axis["steps_per_knot"])
+        t = np.asarray(knots * float(plant["h"]), np.float64)
+        start = int(axis["operator_start_ns"])
+        if start >= 0:
+            self._left[a] = None
+        f_h[:] = self.operators[a].torque_Nm(t, *(self._left[a] or (None if start < 0 else start * 1e-9, None)))
+
+    # what a replay of the host needs to know besides the frames
+
+    def keep_sent(self) -> None:
+        """Keep from now on what the host asks the bus to send: a fault may swallow it."""
+        self._world["keep_sent"] = 1
+
+    def _note(self, event: Event, t_ns: int, value: int = 0) -> None:
+        w = self._world[0]
+        received = self._had + int(np.count_nonzero(w["had"][: w["log_count"]]))
+        next_ns = min(int(h["next_ns"]) for one in self.controllers for h in one.host)
+        self._events.append((t_ns, received, next_ns if w["host_on"] else 0, event, value))
+
+    def flush(self) -> None:
+        """Hand over the frames that the bus has carried since the last time, and what the host did meanwhile."""
+        w = self._world[0]
+        had = w["had"][: w["log_count"]].astype(bool)
+        super().flush()
+        if self.on_host is not None:
+            self.on_host(had, np.array(self._events, EVENT), w["sent"][: w["sent_count"]])
+        self._had += int(np.count_nonzero(had))
+        w["had"][: len(had)] = w["sent_count"] = 0
+        self._events = []
+
+    # the control plane
+
+    def nmt_state(self, node_id: int) -> int | None:
+        """Return the NMT state that the node's last heartbeat told."""
+        for controller in self.controllers:
+            for role, part in (("motor", controller.rig.motor), ("brake", controller.rig.brake)):
+                if part.node_id == node_id:
+                    state = int(controller.host[f"{role}_nmt"][0])
+                    return None if state < 0 else state
+        return None
+
+    # the rig
+
+    def plan(self, script: Sequence[Planned]) -> None:
+        """Take the entries of a script file: those that wait for Operation Enabled until then."""
+        self._waiting = [entry for entry in script if entry.after == "enabled"]
+        for entry in script:
+            if entry.after == "start":
+                self.at(entry.t_ns, entry.act)
+
+    def inject(self, node: int, fault: str, present: bool) -> None:
+        """Let a fault of `node.emcy.DEVICE_FAULTS` come or go in the node of a row; it finds out at once, or by what it measures."""
+        if fault in COIL_STATES:
+            plant, broken = self.plant[node // 2], COIL_STATES[fault]
+            if present:
+                plant["coil_fault"] = broken
+            elif plant["coil_fault"] == broken:
+                plant["coil_fault"] = COIL_INTACT
+            return
+        record = self.nodes[node]
+        bit = 1 << DEVICE_FAULTS[fault] - FIRST_DEVICE_CAUSE
+        record["in_faults"] = record["in_faults"] | bit if present else record["in_faults"] & ~bit
+        if record["powered"]:
+            record["next_ns"] = own_ns(record, self.t_ns)
+
+    def boot(self) -> None:
+        """Switch the nodes on, and wait until both boot-ups are on the bus."""
+        self.power_on()
+        self.wait_ns(BOOT_NS)
+
+    def start_host(self) -> None:
+        """Begin the host's cycle on the next whole period."""
+        period = int(self.controller.control["period_ns"][0])
+        start_ns = (int(own_ns(self.host_clock, self.t_ns)) // period + 1) * period
+        self._note(Event.START, start_ns)
+        self.controllers.start(start_ns)
+        self._world["host_on"] = 1
+
+    def ask_to_stop(self, trip: Trip = Trip.NONE) -> None:
+        """Ask the host for the safe state: the normal end, or for the reason `trip`."""
+        self._note(Event.STOP, self.t_ns, trip)
+        self.controllers.stop(trip)
+
+    def set_host_clock(self, ppb: int) -> None:
+        """Let the host's clock run fast by `ppb` (1e-9) from now on."""
+        self._note(Event.CLOCK, self.t_ns, ppb)
+        set_clock(self.host_clock, self.t_ns, ppb)
+
+    @property
+    def has_host(self) -> bool:
+        """Whether the host is part of this world, and not another process."""
+        return not self._world["host_elsewhere"][0]
+
+    @property
+    def host_clock(self) -> Any:
+        """The record with the host's clock (`wire.clock`)."""
+        return self._world.view(np.recarray)[0]
+
+    def stop_host(self) -> None:
+        """End the host's cycle at once, as if it had died: no safe set-points, no SYNC, no heartbeat."""
+        self._world["host_on"] = 0
+
+    # the true course
+
+    def _keep_truth(self, a: int) -> None:
+        if self._axes[a]["truth_on"]:
+            begin = int(self._axes[a]["force_step"])  # the block's first row
+            step = int(self.plant["t_ns"][a]) // int(self.plant["step_ns"][a])
+            self._truth[a].append(self._truth_block[a, self._truth_from[a] - begin : step - begin].copy())
+            self._truth_from[a] = step
+
+    def truth(self, a: int = 0) -> Mapping[str, Any]:
+        """Return the true course of the plant of axis `a` so far, one array for each of TRUTH_COLUMNS."""
+        self._keep_truth(a)
+        table = np.concatenate(self._truth[a]) if self._truth[a] else np.zeros((0, len(TRUTH_COLUMNS)))
+        self._truth[a] = [table]
+        return dict(zip(TRUTH_COLUMNS, table.T, strict=True))

@@ -1,0 +1,1 @@
+"""The simulated rig: the plant's physics, the operator's hand."""

@@ -1,0 +1,329 @@
+r"""The simulated rig at the handle: motor, MR brake, inherent friction and the operator's hand.
+
+One degree of freedom, angle :math:`x` [rad], speed :math:`v` [rad/s], all torques [Nm] at the handle:
+
+.. math::
+
+    (m + m_o)\,\dot v + (b + b_o)\,v + k_o\,x = f_h(t) + \tau_m - \lambda_b - \lambda_f
+
+with the operator :math:`f_h - f = Z_o v`, :math:`Z_o = m_o s + b_o + k_o/s` (paper, eq. 19). Brake and inherent friction
+are set-valued: :math:`\lambda \in F\,\mathrm{Sgn}(v)`. They are *solved*, never approximated by a steep function of speed:
+stuck is exactly :math:`v = 0`, and :math:`\lambda v \ge 0` holds in every step, so neither can ever push.
+
+A step is the implicit midpoint rule for the smooth part. When the speed would change its sign inside a step, the step is
+split at the instant of the crossing: from there the handle sticks if the friction can hold the load, else it slips on in the
+other direction. The work of each torque is its torque times the step's mean speed, so the energy balance
+
+.. math:: W_{op} + W_m - W_{visc} + W_b + W_f = \Delta(\tfrac12 m v^2)
+
+closes to rounding in every step, whatever the step's length.
+
+The motor follows its command with a first-order lag. The brake's torque capacity follows its command through two
+first-order lags in series, the coil and the fluid; its off-state torque is always there.
+
+Between them is the iron. It remembers a share :math:`r` of the largest torque, and a current of the opposite sign takes
+that away: with the coil at :math:`c` (the torque that its current stands for) and the remanent torque :math:`R`
+
+.. math:: M = \max(c, R),\ R \leftarrow \max(R, r c) \quad (c \ge 0), \qquad
+          R \leftarrow \min(R, \max(R_0 + c, 0)),\ M = \max(R, -R_0 - c) \quad (c < 0)
+
+with :math:`R_0`, the :math:`R` at which the current changed its sign. The coil's temperature is one thermal lag,
+:math:`\tau\dot T = T_{amb} + R_{th} R_{coil} i^2 - T`, and has no part in the mechanics. An open coil carries no current; one
+that is short takes the supply's, outside the winding.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from coulombus.compiled.decorator import inlined, kernel
+from coulombus.rigs.rig import Rig
+from coulombus.wire.frame import Records, new_records
+
+__all__ = [
+    "COIL_INTACT",
+    "COIL_OPEN",
+    "COIL_SHORT",
+    "PLANT",
+    "TRUTH_COLUMNS",
+    "advance",
+    "coil_current",
+    "new_plant",
+    "sample_noise",
+]
+
+COIL_INTACT, COIL_OPEN, COIL_SHORT = 0, 1, 2
+SHORT_A = 25.0
+"""What the driver drives into a short circuit."""
+NEGLIGIBLE_Nm = 1e-200
+
+PLANT = np.dtype(
+    [
+        # parameters
+        ("step_ns", np.int64),
+        ("h", np.float64),
+        ("inertia", np.float64),
+        ("viscous", np.float64),
+        ("coulomb", np.float64),
+        ("off_state", np.float64),
+        ("operator_inertia", np.float64),
+        ("operator_damping", np.float64),
+        ("operator_stiffness", np.float64),
+        ("motor_decay", np.float64),  # exp(-h / lag)
+        ("motor_Nm_pm", np.float64),  # torque at the handle for one per mille, with the true polarity
+        ("motor_peak_pm", np.float64),
+        ("coil_decay", np.float64),
+        ("fluid_decay", np.float64),
+        ("brake_max", np.float64),
+        ("coil_A_Nm", np.float64),
+        ("counts_rad", np.float64),  # encoder counts for one radian at the handle, with the true polarity
+        ("noise", np.float64),
+        ("transducer_polarity", np.float64),
+        ("ambient", np.float64),
+        ("K_A2", np.float64),  # steady rise of the coil's temperature for the square of its current
+        ("thermal_s", np.float64),
+        ("remanence", np.float64),
+        # state
+        ("temperature", np.float64),
+        ("coil_fault", np.int64),  # COIL_INTACT, COIL_OPEN, COIL_SHORT
+        ("reverse_A", np.float64),  # the driver's current of the opposite sign
+        ("remanent", np.float64),  # brake torque that the iron remembers
+        ("remanent_before", np.float64),  # ... before the current became negative
+        ("t_ns", np.int64),
+        ("x", np.float64),
+        ("v", np.float64),
+        ("motor", np.float64),  # motor torque at the handle
+        ("coil", np.float64),  # brake torque that the coil's present current stands for
+        ("fluid", np.float64),  # brake torque that the fluid can bear now, without the off-state part
+        ("random", np.int64),
+        # torques on the handle in the step that ended at t_ns
+        ("f_operator", np.float64),
+        ("f_motor", np.float64),
+        ("f_brake", np.float64),
+        ("f_friction", np.float64),
+        # cumulative work of each on the handle, and the viscous loss
+        ("w_operator", np.float64),
+        ("w_motor", np.float64),
+        ("w_brake", np.float64),
+        ("w_friction", np.float64),
+        ("w_viscous", np.float64),
+    ],
+    align=True,
+)
+
+TRUTH_COLUMNS = (
+    "t_s",
+    "angle_rad",
+    "speed_rad_s",
+    "operator_Nm",
+    "motor_Nm",
+    "brake_Nm",
+    "friction_Nm",
+    "operator_work_J",
+    "motor_work_J",
+    "brake_work_J",
+    "friction_work_J",
+    "viscous_loss_J",
+    "kinetic_energy_J",
+)
+"""Columns of the true course at the plant's step; torques are those on the handle at the end of the step that ends
+at t (after the stop, where the speed crosses zero within it); the works are exact."""
+
+
+def _decay(step_s: float, lag_s: float) -> float:
+    return math.exp(-step_s / lag_s) if lag_s > 0 else 0.0
+
+
+def new_plant(rig: Rig, seed: int = 0) -> Records:
+    """Return the plant of `rig` at rest at angle 0, as an array of one record; `seed` starts the transducer's noise."""
+    p, hand = rig.plant, rig.operator
+    plant = new_records(PLANT)
+    r = plant[0]
+    r["step_ns"] = round(p.step_s * 1e9)
+    r["h"] = p.step_s
+    r["inertia"], r["viscous"], r["coulomb"] = p.inertia_kg_m2, p.viscous_Nms_rad, p.coulomb_Nm
+    r["off_state"], r["brake_max"] = p.brake_off_state_Nm, p.brake_max_Nm
+    r["operator_inertia"] = hand.inertia_kg_m2
+    r["operator_damping"] = hand.damping_Nms_rad
+    r["operator_stiffness"] = hand.stiffness_Nm_rad
+    r["motor_decay"] = _decay(p.step_s, p.motor_lag_s)
+    r["coil_decay"] = _decay(p.step_s, p.brake_coil_lag_s)
+    r["fluid_decay"] = _decay(p.step_s, p.brake_fluid_lag_s)
+    r["motor_Nm_pm"] = p.motor_polarity * p.motor_rated_torque_Nm * p.ratio / 1000
+    r["motor_peak_pm"] = 1000 * p.motor_peak_ratio
+    r["coil_A_Nm"] = rig.brake.coil_A_Nm
+    r["counts_rad"] = p.encoder_polarity * p.encoder_counts_rev * p.ratio / (2 * math.pi)
+    r["noise"], r["transducer_polarity"] = p.transducer_noise_Nm, p.transducer_polarity
+    r["temperature"], r["ambient"] = p.temperature_degC, p.ambient_degC
+    r["K_A2"], r["thermal_s"] = p.coil_thermal_K_W * p.coil_resistance_ohm, p.coil_thermal_s
+    r["remanence"] = p.brake_remanence
+    r["random"] = (seed * 0x5DEECE66D + 0x2545F491) & 0xFFFFFFFFFFFF
+    return plant
+
+
+@kernel
+def sample_noise(p: Any) -> float:
+    """Return the next value of the transducer's noise: four uniforms summed, unit variance, bounded at 3.5 sigma."""
+    total = 0.0
+    state = int(p.random)
+    for _ in range(4):
+        state = (state * 0x5DEECE66D + 0xB) & 0xFFFFFFFFFFFF
+        total += state * 3.552713678800501e-15  # 2**-48
+    p.random = state
+    return (total - 2.0) * 1.7320508075688772
+
+
+@kernel
+def coil_current(p: Any, brake_Nm: float) -> float:
+    """Return what the driver measures as the coil's current [A] while it commands `brake_Nm`."""
+    if p.coil_fault == COIL_SHORT and brake_Nm > 0.0:
+        return SHORT_A
+    current: float = p.coil * p.coil_A_Nm
+    return 0.0 if p.coil_fault != COIL_INTACT else current
+
+
+@kernel
+def _magnetise(p: Any) -> float:
+    """Let the coil's present current act on the iron; return the torque that it stands for."""
+    if p.coil > -1e-4 * p.brake_max:  # a lag only comes near to 0
+        p.remanent = max(p.remanent, p.remanence * p.coil)
+        p.remanent_before = p.remanent
+        return max(p.coil, p.remanent)
+    left = p.remanent_before + p.coil
+    p.remanent = min(p.remanent, max(left, 0.0))
+    return max(p.remanent, -left)
+
+
+@kernel
+def _heat(p: Any, duration_s: float, square: float) -> None:
+    """Let the coil warm up for `duration_s` with the mean `square` of its torque [Nm^2]."""
+    target = p.ambient + p.K_A2 * square * p.coil_A_Nm * p.coil_A_Nm
+    p.temperature = target + (p.temperature - target) * math.exp(-duration_s / p.thermal_s)
+
+
+@inlined
+def _settled(value: float) -> float:
+    """Let a lag that decays to 0 reach it: it would stay at a subnormal number for ever, with which a processor computes slowly."""
+    return 0.0 if abs(value) < NEGLIGIBLE_Nm else value
+
+
+@kernel
+def _move(p: Any, dt: float, drive: float, f_h: float, level: float, motor: float, capacity: float) -> float:
+    """Move on by at most `dt` [s] without a change of the speed's sign; return the time [s] that was left over."""
+    x, v0 = p.x, p.v
+    stiffness = p.operator_stiffness
+    load = drive - stiffness * x
+    if v0 == 0.0:
+        if abs(load) <= level:  # stuck: the friction gives what the load asks for
+            inherent = min(max(load, -p.coulomb), p.coulomb)
+            p.f_friction = -inherent
+            p.f_brake = inherent - load
+            p.f_operator = f_h - stiffness * x
+            return 0.0
+        sign = 1.0 if load > 0.0 else -1.0
+    else:
+        sign = 1.0 if v0 > 0.0 else -1.0
+    mass = p.inertia + p.operator_inertia
+    damping = p.viscous + p.operator_damping
+    c = 0.5 * dt * (damping + 0.5 * dt * stiffness)
+    v1 = (v0 * (mass - c) + dt * (load - sign * level)) / (mass + c)
+    left = 0.0
+    if v1 * sign < 0.0:
+        # The speed reaches zero inside the step, at the root of the midpoint rule (linear guess, one Newton step).
+        slope = load - sign * level - 0.5 * damping * v0
+        t = -mass * v0 / slope
+        curve = -0.25 * stiffness * v0
+        t -= (mass * v0 + t * (slope + t * curve)) / (slope + 2.0 * t * curve)
+        t = min(max(t, 0.0), dt)
+        left = dt - t
+        dt = t
+        v1 = 0.0
+    mean = 0.5 * (v0 + v1)
+    way = mean * dt
+    if dt > 0.0:
+        p.f_operator = (
+            f_h - p.operator_inertia * (v1 - v0) / dt - p.operator_damping * mean - stiffness * (x + 0.5 * way)
+        )
+    p.f_brake = -sign * capacity
+    p.f_friction = -sign * p.coulomb
+    p.x = x + way
+    p.v = v1
+    p.w_operator += p.f_operator * way
+    p.w_motor += motor * way
+    p.w_brake += p.f_brake * way
+    p.w_friction += p.f_friction * way
+    p.w_viscous += p.viscous * mean * way
+    return left
+
+
+@kernel
+def advance(
+    p: Any, motor_pm: float, brake_Nm: float, f_h: Any, per_knot: int, first: int, steps: int, truth: Any, row: int
+) -> None:
+    """Advance the plant by `steps` of its steps under held commands.
+
+    Parameters
+    ----------
+    p : PLANT record
+    motor_pm : per mille of the motor's rated torque, as the drive commands it
+    brake_Nm : torque that the brake driver commands, >= 0
+    f_h : float64 array, the operator's muscle torque [Nm] at knots of `per_knot` steps each, linear between them
+    first : the first step, counted from f_h[0]
+    truth : float64 array (rows, len(TRUTH_COLUMNS)); rows from `row` on are written unless `row` is negative
+    """
+    motor_pm = min(max(motor_pm, -p.motor_peak_pm), p.motor_peak_pm)
+    target = motor_pm * p.motor_Nm_pm
+    coil_target = min(max(brake_Nm, 0.0), p.brake_max)
+    if p.reverse_A > 0.0:
+        coil_target = -min(p.reverse_A / p.coil_A_Nm, p.brake_max)
+    if p.coil_fault != COIL_INTACT:
+        coil_target = 0.0
+    remembers = p.remanence > 0.0 or coil_target < 0.0 or p.coil < 0.0
+    square = 0.0
+    h = p.h
+    knot = first // per_knot
+    within = first - knot * per_knot
+    slope = (f_h[knot + 1] - f_h[knot]) / per_knot
+    for k in range(steps):
+        motor = target + (p.motor - target) * p.motor_decay
+        torque = 0.5 * (p.motor + motor)
+        p.motor = motor
+        p.coil = coil_target + (p.coil - coil_target) * p.coil_decay
+        square += p.coil * p.coil
+        iron = _magnetise(p) if remembers else p.coil
+        p.fluid = iron + (p.fluid - iron) * p.fluid_decay
+        capacity = p.fluid + p.off_state
+        level = capacity + p.coulomb
+        hand = f_h[knot] + slope * (within + 0.5)
+        drive = hand + torque
+        p.f_motor = torque
+        left = _move(p, h, drive, hand, level, torque, capacity)
+        if left > 0.0:
+            _move(p, left, drive, hand, level, torque, capacity)
+        p.t_ns += p.step_ns
+        within += 1
+        if within == per_knot and k + 1 < steps:
+            within = 0
+            knot += 1
+            slope = (f_h[knot + 1] - f_h[knot]) / per_knot
+        if row >= 0:
+            out = truth[row + k]
+            out[0] = p.t_ns * 1e-9
+            out[1] = p.x
+            out[2] = p.v
+            out[3] = p.f_operator
+            out[4] = p.f_motor
+            out[5] = p.f_brake
+            out[6] = p.f_friction
+            out[7] = p.w_operator
+            out[8] = p.w_motor
+            out[9] = p.w_brake
+            out[10] = p.w_friction
+            out[11] = p.w_viscous
+            out[12] = 0.5 * p.inertia * p.v * p.v
+    p.motor, p.coil, p.fluid = _settled(p.motor), _settled(p.coil), _settled(p.fluid)
+    if p.K_A2 > 0.0 and steps > 0:
+        _heat(p, steps * h, square / steps)

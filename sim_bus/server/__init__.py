@@ -1,0 +1,1 @@
+"""The virtual bus in real time: clients, live nodes, the bridge."""

@@ -1,0 +1,331 @@
+"""The clients of a bus in real time, compiled: their messages in, what the bus has carried out.
+
+A client is a row of `SLOT` with its mailbox, its filters and its batch. It is a station with one FIFO: only its first frame takes part in the
+arbitration, and its next message is read when the last frame of this one has gone; one that sends faster than the bus carries finds its own
+socket full (EAGAIN). What the bus has carried goes out in batches; a client that does not read loses frames, counted, and holds up nobody.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+
+from coulombus.compiled.decorator import inlined, kernel
+from coulombus.compiled.libc import (
+    EAGAIN,
+    ECONNRESET,
+    EINTR,
+    ENETDOWN,
+    ENOBUFS,
+    ENODEV,
+    ENXIO,
+    EPIPE,
+    MSG_DONTWAIT,
+    MSG_NOSIGNAL,
+    errno,
+    send,
+)
+from coulombus.sim_bus.copper.arbiter import receives
+from coulombus.sim_bus.copper.cut import divide
+from coulombus.sim_bus.copper.error_frames import with_counters
+from coulombus.sim_bus.copper.waiting import ROOM, STATION_MASK, take_in
+from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, push
+from coulombus.wire.mailbox import receive
+
+__all__ = ["BATCH", "MESSAGE_FRAMES", "SLOT", "SLOTS", "STATION", "Need", "State", "flush", "hand_out", "take"]
+
+SLOTS = 32
+"""Clients at a time."""
+STATION = 128
+"""Station number of the client in slot 0."""
+MESSAGE_FRAMES = 1024
+"""The longest message that a client may send."""
+BATCH = 64
+"""The longest message that it is sent."""
+CLOCK_STEP_NS = 1_000_000
+
+
+class Need(IntEnum):
+    """What a client needs Python for; the numbers begin after those of `sim_bus.network.kernel.Exit`."""
+
+    MESSAGE = 20  # it sent a message that is no frames
+    CLOSED = 21  # it has gone
+    GONE = 22  # the SocketCAN interface does not exist any more
+
+
+class State(IntEnum):
+    """Of a slot."""
+
+    FREE = 0
+    GREETING = 1  # connected, has not greeted yet
+    OPEN = 2
+    SOCKETCAN = 3  # an AF_CAN socket: the world's nodes are its stations
+    JOINED = 4  # the virtual bus of another process: so are they there
+
+
+FREE, GREETING, OPEN = int(State.FREE), int(State.GREETING), int(State.OPEN)
+SOCKETCAN, JOINED = int(State.SOCKETCAN), int(State.JOINED)
+MESSAGE, CLOSED, GONE = int(Need.MESSAGE), int(Need.CLOSED), int(Need.GONE)
+OWN, LISTEN_ONLY, ERRORS = 1, 2, 4  # wire.hello.Flags
+INVERTED = 0x20000000  # CAN_INV_FILTER
+ECHO = 1 << 40
+"""The first padding byte of struct can_frame: the client's own frame comes back to it, as MSG_CONFIRM tells on SocketCAN."""
+BUS_ERROR = 0x080  # CAN_ERR_BUSERROR
+SENDING = 0x80 << 16  # CAN_ERR_PROT_TX in data[2]
+
+SLOT = np.dtype(
+    [
+        ("fd", np.int64),
+        ("state", np.int64),
+        ("flags", np.int64),
+        ("filters", np.int64),  # how many; 0: everything
+        ("staged", np.int64),  # frames of its message that is being sent
+        ("next", np.int64),  # the first of them that is not on the bus yet
+        ("ready_ns", np.int64),  # world time at which the message was sent
+        ("dry", np.int64),  # nothing was left to read since the last ppoll
+        ("gone", np.int64),  # it has gone, and its last frames are still to be carried
+        ("out", np.int64),  # frames that wait in its batch
+        ("watched", np.int64),  # its place among those that the loop waits for; 0: none
+        # counters
+        ("sent", np.int64),  # frames on the bus from it
+        ("delivered", np.int64),  # frames that it was given
+        ("lost", np.int64),  # frames that it did not get because it did not read
+        ("malformed", np.int64),  # messages or frames that were dropped
+        ("overflow", np.int64),  # SocketCAN: frames that this process did not read in time (SO_RXQ_OVFL)
+        ("no_buffer", np.int64),  # SocketCAN: frames of the nodes that the interface did not take (ENOBUFS)
+        ("net_down", np.int64),  # SocketCAN: times that the interface was found down (ENETDOWN)
+        ("error_frames", np.int64),  # SocketCAN: error frames that came
+    ],
+    align=True,
+)
+
+
+@inlined
+def _passes(slot: Any, filters: Any, can_id: int) -> bool:
+    """Tell whether SocketCAN's filters let a frame through."""
+    if can_id & CAN_ERR_FLAG:
+        return slot.flags & ERRORS != 0
+    if slot.filters == 0:
+        return True
+    for k in range(slot.filters):
+        wanted, mask = filters[k, 0], filters[k, 1] & ~INVERTED
+        equal = can_id & mask == wanted & ~INVERTED & mask
+        if equal != (wanted & INVERTED != 0):
+            return True
+    return False
+
+
+@kernel
+def flush(slot: Any, batch: Any) -> None:
+    """Give a client its batch; what it has no room for is lost to it."""
+    if slot.out == 0:
+        return
+    while send(slot.fd, batch.ctypes.data, 16 * slot.out, MSG_DONTWAIT | MSG_NOSIGNAL) < 0:
+        number = errno()
+        if number != EINTR:
+            if number not in (EPIPE, ECONNRESET):  # then it has gone, and its end will be read
+                slot.lost += slot.out
+            slot.out = 0
+            return
+    slot.delivered += slot.out
+    slot.out = 0
+
+
+@kernel
+def _to_interface(slot: Any, batch: Any) -> int:
+    """Write the frame in `batch` to the bus that carries it, a SocketCAN interface takes one at a time; return 0, or GONE.
+
+    That a bus of another process has gone is found on reading.
+    """
+    while send(slot.fd, batch.ctypes.data, 16, MSG_DONTWAIT | MSG_NOSIGNAL) < 0:
+        number = errno()
+        if number == EINTR:
+            continue
+        if number in (ENODEV, ENXIO):
+            return GONE
+        if number == ENETDOWN:
+            slot.net_down += 1
+        elif number in (ENOBUFS, EAGAIN):
+            slot.no_buffer += 1
+        slot.lost += 1
+        return 0
+    slot.delivered += 1
+    return 0
+
+
+@kernel
+def hand_out(w: Any, p: Any, bus: Any, log: Any, slots: Any, filters: Any, batches: Any) -> int:
+    """Put what the bus has carried into the batches of all who want it."""
+    for row in range(p.handed_out, w.log_count):
+        f = log[row]
+        head = f.can_id | f.length << 32
+        error = f.can_id & CAN_ERR_FLAG != 0
+        for i in range(slots.shape[0]):
+            s = slots[i]
+            b = bus[0]
+            if b.cut != 0:  # who is in the other half hears nothing of it
+                half = b.stations[STATION + i].half
+                if half != b.stations[f.source & STATION_MASK].half:
+                    continue
+                b = bus[half]
+            if s.state in (SOCKETCAN, JOINED):
+                if f.source < STATION:
+                    batches[i, 0], batches[i, 1] = head, f.word
+                    if _to_interface(s, batches[i]) != 0:
+                        p.slot = i
+                        return GONE
+            elif s.state == OPEN:
+                own = f.source == STATION + i
+                word = f.word
+                if error:  # of the bus, with the counters of the client's own controller; or of its own state
+                    if not own and f.can_id & BUS_ERROR == 0:
+                        continue
+                    word = with_counters(word, b.stations[STATION + i])
+                    if not own:
+                        word &= ~SENDING
+                elif (own and s.flags & OWN == 0) or (
+                    not own and b.partial_row == row and not receives(b, STATION + i)
+                ):
+                    continue
+                if not _passes(s, filters[i], f.can_id):
+                    continue
+                batches[i, 2 * s.out] = head | ECHO if own and not error else head
+                batches[i, 2 * s.out + 1] = word
+                s.out += 1
+                if s.out == BATCH:
+                    flush(s, batches[i])
+    p.handed_out = w.log_count
+    return 0
+
+
+@kernel
+def _read(p: Any, slots: Any, boxes: Any, i: int, offset_ns: int, t_ns: int) -> int:
+    """Read one message of the client in slot `i`; return 0, or why Python is needed.
+
+    `offset_ns` is world time minus CLOCK_REALTIME, `t_ns` the present.
+    """
+    s = slots[i]
+    n = receive(s.fd, boxes[i : i + 1], MSG_DONTWAIT)
+    if n < 0:
+        number = errno()
+        if number in (EINTR, ECONNRESET):  # it went without reading all; what it sent is still here, and then its end
+            return 0
+        s.dry = 1
+        if number == EAGAIN:
+            return 0
+        p.slot = i
+        if s.state == SOCKETCAN:
+            if number == ENETDOWN:
+                s.net_down += 1
+                return 0
+            p.error = number
+            return GONE
+        s.gone = 1
+        return 0
+    box = boxes[i]
+    if n == 0 and s.state != SOCKETCAN:
+        s.dry = s.gone = 1
+        return 0
+    if s.state == SOCKETCAN:
+        s.overflow = box.overflow
+    if box.truncated or n == 0:
+        s.malformed += 1
+        return 0
+    if s.state == GREETING or (n % 16 == 8 and s.state != JOINED):
+        p.slot = i
+        p.message_bytes = n
+        return MESSAGE
+    if n % 16 != 0:
+        s.malformed += 1
+        return 0
+    s.staged = n // 16
+    s.next = 0
+    s.ready_ns = t_ns
+    if box.stamp_ns != 0 and box.stamp_ns + offset_ns < t_ns + CLOCK_STEP_NS:
+        s.ready_ns = box.stamp_ns + offset_ns
+    return 0
+
+
+@kernel
+def _offer(w: Any, bus: Any, s: Any, words: Any, station: int, queue: Any, header: Any) -> None:
+    """Let a client's first waiting frame take part in the arbitration, unless one of its does already."""
+    b = bus[0]
+    if b.cut != 0:
+        divide(bus, queue, header)
+        b = bus[b.stations[station & STATION_MASK].half]
+    else:
+        take_in(b, queue, header)
+    if b.waiting_of[station & STATION_MASK] > 0 or b.held >= ROOM:
+        return
+    while s.next < s.staged:
+        head, word = words[2 * s.next], words[2 * s.next + 1]
+        s.next += 1
+        length = head >> 32 & 0xFF
+        can_id = head & 0xFFFFFFFF
+        if can_id & CAN_ERR_FLAG:
+            if s.state == SOCKETCAN:
+                s.error_frames += 1
+            else:
+                s.malformed += 1
+            continue
+        if length > 8 or s.flags & LISTEN_ONLY:
+            s.malformed += 1
+            continue
+        can_id &= (0x1FFFFFFF | CAN_EFF_FLAG | CAN_RTR_FLAG) if can_id & CAN_EFF_FLAG else 0x7FF | CAN_RTR_FLAG
+        if can_id & CAN_RTR_FLAG:
+            word = 0
+        elif length < 8:
+            word &= (1 << (8 * length)) - 1
+        s.sent += 1
+        push(queue, header, station, max(s.ready_ns, w.t_ns), can_id, length, word)
+        return
+
+
+@kernel
+def _under_way(bus: Any, station: int, queue: Any, header: Any) -> bool:
+    """Tell whether a frame of a client waits for the bus, or is on it: it is carried, though its sender may have gone."""
+    b = bus[0]
+    if b.cut != 0:
+        divide(bus, queue, header)
+        b = bus[b.stations[station].half]
+    elif header[0].count > 0:
+        take_in(b, queue, header)
+    if b.waiting_of[station] > 0 or (b.busy and b.source == station):
+        return True
+    if b.busy and b.slowly:
+        for k in range(b.senders):
+            if b.tx_source[k] == station:
+                return True
+    return False
+
+
+@kernel
+def take(
+    w: Any,
+    p: Any,
+    bus: Any,
+    slots: Any,
+    boxes: Any,
+    words: Any,
+    queue: Any,
+    header: Any,
+    offset_ns: int,
+    t_ns: int,
+) -> int:
+    """Offer the bus each client's next frame, reading its next message when the last one has gone; return 0, or why Python is needed."""
+    for i in range(slots.shape[0]):
+        s = slots[i]
+        if s.state == FREE:
+            continue
+        while s.next >= s.staged and not s.dry:
+            why = _read(p, slots, boxes, i, offset_ns, t_ns)
+            if why != 0:
+                return why
+        if s.gone and s.next >= s.staged and not (s.state == OPEN and _under_way(bus, STATION + i, queue, header)):
+            p.slot = i
+            return CLOSED
+        if s.next < s.staged:
+            _offer(w, bus, s, words[i], STATION + i, queue, header)
+    return 0

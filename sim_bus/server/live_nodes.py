@@ -1,0 +1,188 @@
+"""``coulombus node``: any EDS as a live node, on a bus that is there or on one of its own.
+
+What is served is what the description says: every object with its default, PDOs, SDO, NMT, heartbeat, EMCY, LSS. There is no behaviour
+behind it, a value stays what was written to it last, unless the file is one of our own devices' or a kind is asked for.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+from coulombus.eds.own_devices import PRODUCTS, VENDOR_ID, told_identity
+from coulombus.eds.reader import Description, read_eds
+from coulombus.node.device import Device
+from coulombus.node.record import KIND_BRAKE, KIND_DRIVE, KIND_GENERIC
+from coulombus.node.store import FileStore, Store
+from coulombus.sim_bus.network.network import Heard, VirtualNetwork
+from coulombus.sim_bus.server.server import BusServer
+from coulombus.sim_bus.server.serving import run_sim
+from coulombus.wire.address import BusAddress
+
+__all__ = ["KINDS", "LiveNodes", "NodeError", "run_nodes"]
+
+KINDS = {"generic": KIND_GENERIC, "drive": KIND_DRIVE, "brake": KIND_BRAKE}
+OWN_DEVICES = {(VENDOR_ID, PRODUCTS["motor"]): KIND_DRIVE, (VENDOR_ID, PRODUCTS["brake"]): KIND_BRAKE}
+"""1018h:01 and 1018h:02 of our own devices' files, and what lives behind their objects."""
+BOOT_UP, SDO_RESPONSE = 0x700, 0x580
+BIT_RATE = 1_000_000
+
+
+class NodeError(ValueError):
+    """Options that do not fit together; the text says what to do."""
+
+    exit_status = 2
+
+
+@dataclass
+class LiveNodes:
+    """The descriptions that become nodes, and what is told about them.
+
+    Attributes
+    ----------
+    eds : sequence of (path, node id); None: the node id of the file, a DCF
+    kind : what lives behind the objects of all; None: behind our own devices' files what they are, behind others nothing
+    bit_rate : [bit/s] that the bus should have; 0: that of the DCFs, else 1 Mbit/s where it is served here
+    node_ids : of the nodes
+    """
+
+    eds: Sequence[tuple[Path, int | None]]
+    kind: int | None = None
+    store: Path | None = None
+    processing_us: float = 20.0
+    as_json: bool = False
+    bit_rate: int = 0
+    descriptions: list[Description] = field(default_factory=list)
+    told: set[tuple[str, int]] = field(default_factory=set)
+    server: BusServer | None = None
+    node_ids: list[int] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.descriptions = [read_eds(path) for path, _ in self.eds]
+        self._commission()
+        ids = self.node_ids
+        if len(set(ids)) < len(ids):
+            raise NodeError(f"node ids {', '.join(map(str, ids))}: each node needs an id of its own")
+        if self.store is not None and len(ids) > 1:
+            raise NodeError(f"--store {self.store}: one file keeps one node; start a `coulombus node` for each")
+        if self.store is not None and (
+            (self.store.exists() and not self.store.is_file()) or not self.store.absolute().parent.is_dir()
+        ):
+            raise NodeError(f"--store {self.store}: expected a file, in a directory that is there")
+        for (path, _), description in zip(self.eds, self.descriptions, strict=True):
+            if description.diagnoses:
+                number = len(description.diagnoses)
+                found = f"{number} diagnos{'i' if number == 1 else 'e'}s"
+                text = f"{found}, read tolerantly; see `coulombus eds check {path}`"
+                print(f"coulombus: {path}: {text}", file=sys.stderr)
+        kept = Store if self.store is None else partial(FileStore, self.store)
+        for device in self._devices(
+            VirtualNetwork(capacity=len(ids)), kept, tell=False
+        ):  # refused before a bus is opened
+            for text in device.unreadable:
+                print(f"coulombus: {text}; the PDO is not valid at start, everything else is served", file=sys.stderr)
+
+    def _commission(self) -> None:
+        """Settle node ids and bit rate: what was said wins over what a DCF says."""
+        for (path, node_id), description in zip(self.eds, self.descriptions, strict=True):
+            chosen = node_id or description.node_id
+            if not chosen:
+                raise NodeError(f"{path} has no node id ([DeviceComissioning] of a DCF has one); give --node-id")
+            self.node_ids.append(chosen)
+            if chosen != description.node_id and description.node_id:
+                told = f"is a DCF for the node id {description.node_id} and is served as {chosen}"
+                print(
+                    f"coulombus: {path}: {told}; which identifiers go with it tells `coulombus eds check {path}`",
+                    file=sys.stderr,
+                )
+        rates = {description.bit_rate for description in self.descriptions} - {0}
+        if len(rates) > 1 and not self.bit_rate:
+            wanted = " and ".join(map(str, sorted(rates)))
+            raise NodeError(f"the DCFs tell of {wanted} bit/s, but a bus has one bit rate; give --bitrate")
+        self.bit_rate = self.bit_rate or max(rates, default=0)
+
+    def make_world(self, bit_rate: int, trial: bool) -> VirtualNetwork:
+        """Return the network of the nodes, and nothing else on it; a trial keeps nothing and tells nothing."""
+        network = VirtualNetwork(bit_rate, capacity=len(self.eds))
+        if trial:
+            self._devices(network, Store)
+            return network
+        devices = self._devices(network, lambda: Store() if self.store is None else FileStore(self.store))
+        own = {BOOT_UP + device.node_id: row for row, device in enumerate(devices)}
+        own |= {SDO_RESPONSE + device.node_id: row for row, device in enumerate(devices)}
+        network.station(own, lambda frame: self._heard(devices[own[frame.can_id]], own[frame.can_id], frame))
+        return network
+
+    def _devices(self, network: VirtualNetwork, store: Callable[[], Store], *, tell: bool = True) -> list[Device]:
+        devices = []
+        for node_id, description in zip(self.node_ids, self.descriptions, strict=True):
+            kept = store()
+            kind = _kind(description) if self.kind is None else self.kind
+            devices.append(network.add(description, node_id, kind, store=kept))
+            devices[-1].record["processing_ns"] = round(self.processing_us * 1e3)
+            if isinstance(kept, FileStore) and kept.foreign:
+                raise NodeError(f"--store {kept.diagnosis}; such a file is not replaced: name another one")
+            if tell and isinstance(kept, FileStore) and kept.diagnosis:
+                print(f"coulombus: {kept.diagnosis}", file=sys.stderr)
+        return devices
+
+    def _heard(self, device: Device, row: int, frame: Heard) -> None:
+        """Tell of the first boot-up of a node, and of another node that has its id."""
+        if frame.source == row:
+            if frame.can_id == BOOT_UP + device.node_id:
+                self._tell("ready", device, row, frame)
+        else:
+            self._tell("duplicate", device, row, frame)
+
+    def _tell(self, event: str, device: Device, row: int, frame: Heard) -> None:
+        if (event, row) in self.told or self.server is None:
+            return
+        self.told.add((event, row))
+        server, node_id, path = self.server, device.node_id, self.eds[row][0]
+        if self.as_json:
+            line: dict[str, object] = {"event": event, "node_id": node_id, "eds": str(path), "bus": str(server.address)}
+            if event == "ready":
+                line |= {"bitrate_bit_s": server.bit_rate, "serves_bus": serves(server)}
+            else:
+                line |= {"can_id": frame.can_id, "data": frame.data.hex()}
+            print(json.dumps(line), flush=True)
+        elif event == "ready":
+            print(f"node {node_id} ({path}) is on bus {server.address}; Ctrl-C ends it", flush=True)
+        if event == "duplicate":
+            text = f"another node on bus {server.address} has the node id {node_id}: it sent {frame.can_id:03X}h"
+            print(f"coulombus: {text} {frame.data.hex(' ')}; give one of them another id", file=sys.stderr, flush=True)
+
+
+def _kind(description: Description) -> int:
+    """Return what lives behind a file's objects, as its identity object says."""
+    return OWN_DEVICES.get(told_identity(description), KIND_GENERIC)
+
+
+def serves(server: BusServer) -> bool:
+    """Tell whether the virtual bus is this process' own."""
+    return server.address.kind == "coulombus" and not server.joined
+
+
+def run_nodes(nodes: LiveNodes, address: BusAddress, seconds: float | None) -> None:
+    """Serve the nodes until the time is over, or a signal of `wire.stopping`; end with the exit status."""
+
+    def make() -> BusServer:
+        server = BusServer(nodes.make_world, address, nodes.bit_rate or BIT_RATE, join=True)
+        nodes.server = server
+        return server
+
+    def tell_bus(server: BusServer, as_json: bool) -> None:
+        rate = f"{server.bit_rate / 1e6:g} Mbit/s"
+        if serves(server):
+            text = f"nobody served bus {address}: it is served here, at {rate}; others may join"
+        elif server.joined and nodes.bit_rate not in (0, server.bit_rate):
+            text = f"bus {address} runs at {rate}, as its server says, and not at {nodes.bit_rate / 1e6:g} Mbit/s"
+        else:
+            return
+        print(f"coulombus: {text}", file=sys.stderr)
+
+    run_sim(make, seconds, priority=None, cpu=None, as_json=nodes.as_json, tell_ready=tell_bus)

@@ -1,0 +1,262 @@
+"""The virtual bus against the wall clock: one compiled loop between the clients' sockets and the world of `sim_bus.network.kernel`.
+
+The world's time is CLOCK_MONOTONIC minus its start. The loop sleeps in ppoll(2) until the world's next event or a client's message, lets
+the world run up to the present and hands out what the bus has carried, each frame at its end of frame. Python is entered for what is rare:
+a client that comes, greets or goes, and the services of the nodes (`sim_bus.network.kernel.Exit`, `sim_bus.server.clients.Need`, `Serve`).
+
+A frame is ready when the kernel took it from its sender (SO_TIMESTAMPNS), not when this loop came to see it. So what waited in a socket
+while this process could not run is on the wire, and handled by the nodes, before a deadline is judged.
+Where the whole machine stood still, so that nobody sent anything either, the world stood still with it (`stalled_ns`): no deadline passes in a time
+in which nobody could have kept it.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+
+from coulombus.compiled.decorator import kernel
+from coulombus.compiled.libc import (
+    CLOCK_REALTIME,
+    EAGAIN,
+    EBADF,
+    EINTR,
+    POLLIN,
+    POLLNVAL,
+    clock_ns,
+    errno,
+    load_acquire,
+    now_ns,
+    ppoll_ns,
+)
+from coulombus.eds.cia402 import PowerState
+from coulombus.sim_bus.copper.cut import choose
+from coulombus.sim_bus.network.kernel import Exit, next_event, refresh, run
+from coulombus.sim_bus.server.clients import FREE, GONE, flush, hand_out, take
+
+__all__ = ["PACE", "Serve", "serve"]
+
+STALL_NS = 5_000_000
+LONGEST_SLEEP_NS = 100_000_000
+KEPT_NS = 100_000_000
+"""Frames wait no longer to be recorded, and the loop sleeps no longer than LONGEST_SLEEP_NS: a killed process loses less than 0.25 s."""
+
+
+class Serve(IntEnum):
+    """Why the loop returned, besides `sim_bus.network.kernel.Exit` and `sim_bus.server.clients.Need`."""
+
+    STOP = 30  # asked to
+    TIME = 31  # the time is over
+    ACCEPT = 32  # a client waits at the listener
+    RESTED = 33  # the drive of an axis left Operation Enabled: the operator's schedule is over
+    RECORD = 34  # `PACE.keep` frames wait in the log to be recorded, or the oldest for KEPT_NS
+    FAILED = 35  # a system call that the loop cannot do without; `PACE.error`
+
+
+STOP, TIME, ACCEPT, RESTED = int(Serve.STOP), int(Serve.TIME), int(Serve.ACCEPT), int(Serve.RESTED)
+UNTIL, LOG = int(Exit.UNTIL), int(Exit.LOG)
+RECORD, FAILED = int(Serve.RECORD), int(Serve.FAILED)
+OPERATION_ENABLED = int(PowerState.OPERATION_ENABLED)
+
+PACE = np.dtype(
+    [
+        ("stop", np.int64),  # first: Python and a signal handler write it, the loop reads it with `load_acquire`
+        ("start_ns", np.int64),  # CLOCK_MONOTONIC at world time 0
+        ("end_ns", np.int64),  # world time at which to end
+        ("listener", np.int64),  # descriptors
+        ("wake", np.int64),
+        ("slot", np.int64),
+        ("message_bytes", np.int64),
+        ("error", np.int64),  # of the call that failed; 0: none
+        ("handed_out", np.int64),  # rows of the log that the clients have
+        ("keep", np.int64),  # frames that stay in the log until Python takes them; 0: none
+        (
+            "planned_ns",
+            np.int64,
+        ),  # world time at which the loop meant to be awake, or was when it last called for Python
+        ("wakeups", np.int64),
+        ("stalls", np.int64),
+        ("stalled_ns", np.int64),
+        ("latest_ns", np.int64),  # longest from an end of frame to its delivery
+    ],
+    align=True,
+)
+
+
+@kernel
+def _wait(p: Any, slots: Any, pollfds: Any, timeout_ns: int) -> int:
+    """Sleep until a client has something or the time is over; return ACCEPT when one waits at the listener, FAILED, or 0.
+
+    Only what is watched stands in `pollfds`: they are never more than this process may open (RLIMIT_NOFILE), which ppoll refuses.
+    """
+    pollfds[0] = (p.listener & 0xFFFFFFFF) | POLLIN << 32
+    pollfds[1] = (p.wake & 0xFFFFFFFF) | POLLIN << 32
+    n, count = slots.shape[0], 2
+    for i in range(n):
+        s = slots[i]  # a client whose message is not done is not asked, not even whether it is still there
+        s.watched = 0
+        if s.state != FREE and s.next >= s.staged and s.gone == 0:
+            pollfds[count] = s.fd | POLLIN << 32
+            s.watched = count
+            count += 1
+    ready = ppoll_ns(pollfds.ctypes.data, count, timeout_ns)
+    p.wakeups += 1
+    if ready < 0:
+        number = errno()
+        if number in (EINTR, EAGAIN):
+            return 0
+        p.error = number
+        return FAILED
+    if ready > 0:
+        if pollfds[1] >> 48 & POLLNVAL:
+            p.error = EBADF
+            return FAILED
+        for i in range(n):
+            if slots[i].watched != 0 and pollfds[slots[i].watched] >> 48 != 0:
+                slots[i].dry = 0
+        if pollfds[0] >> 48 != 0:
+            return ACCEPT
+    return 0
+
+
+@kernel
+def _forgive(p: Any, slots: Any, planned_ns: int, t_ns: int) -> int:
+    """Take out of the world's time what the whole machine stood still since `planned_ns`; return by how much."""
+    first = t_ns
+    for i in range(slots.shape[0]):
+        if slots[i].state != FREE and slots[i].next < slots[i].staged:
+            first = min(first, slots[i].ready_ns)
+    lost = first - planned_ns
+    if lost < STALL_NS:
+        return 0
+    for i in range(slots.shape[0]):
+        slots[i].ready_ns -= lost
+    p.start_ns += lost
+    p.stalls += 1
+    p.stalled_ns += lost
+    return lost
+
+
+@kernel
+def serve(
+    pace: Any,
+    slots: Any,
+    boxes: Any,
+    words: Any,
+    filters: Any,
+    batches: Any,
+    pollfds: Any,
+    world: Any,
+    bus: Any,
+    queue: Any,
+    header: Any,
+    log: Any,
+    nodes: Any,
+    rpdo: Any,
+    tpdo: Any,
+    deadlines: Any,
+    wants: Any,
+    listening: Any,
+    axes: Any,
+    axis_of: Any,
+    plant: Any,
+    f_h: Any,
+    truth: Any,
+    control: Any,
+    host: Any,
+    host_rpdos: Any,
+    host_tpdos: Any,
+    owner: Any,
+    law_function: Any,
+    motion: Any,
+    law: Any,
+    state: Any,
+) -> int:
+    """Serve until Python is needed; return an `Exit` or a `Serve` that says why."""
+    p, w, cable = pace[0], world[0], bus[0]
+    flag = pace.ctypes.data
+    if w.stale:
+        refresh(w, nodes, axes, deadlines, wants)
+    while True:
+        t_ns = now_ns() - p.start_ns
+        offset_ns = t_ns - clock_ns(CLOCK_REALTIME)
+        taken = take(w, p, bus, slots, boxes, words, queue, header, offset_ns, t_ns)
+        if t_ns > p.planned_ns + STALL_NS:
+            t_ns -= _forgive(p, slots, p.planned_ns, t_ns)
+        p.planned_ns = t_ns
+        if taken != 0:
+            return taken
+        # the world up to the present, event by event: each start of a frame makes room for its sender's next
+        while True:
+            b = cable
+            if cable.cut != 0:
+                b = bus[choose(bus, queue, header)]
+            t_event, _ = next_event(w, b, queue, header, deadlines, host)
+            if t_event > t_ns:
+                break
+            w.until_ns = max(t_event, w.t_ns)
+            reason = run(
+                world,
+                bus,
+                queue,
+                header,
+                log,
+                nodes,
+                rpdo,
+                tpdo,
+                deadlines,
+                wants,
+                listening,
+                axes,
+                axis_of,
+                plant,
+                f_h,
+                truth,
+                control,
+                host,
+                host_rpdos,
+                host_tpdos,
+                owner,
+                law_function,
+                motion,
+                law,
+                state,
+            )
+            if w.log_count > p.handed_out:
+                p.latest_ns = max(p.latest_ns, t_ns - log[w.log_count - 1].t_ns)
+                if hand_out(w, p, bus, log, slots, filters, batches) != 0:
+                    return GONE
+            if reason in (UNTIL, LOG):
+                if p.keep == 0:
+                    p.handed_out = w.log_count = 0
+                elif w.log_count >= p.keep:
+                    reason = RECORD
+                for a in range(axes.shape[0]):
+                    if axes[a].operator_start_ns >= 0 and nodes[axes[a].motor].power_state != OPERATION_ENABLED:
+                        w.axis = a
+                        reason = RESTED
+            if reason not in (UNTIL, LOG):
+                for i in range(slots.shape[0]):
+                    flush(slots[i], batches[i])
+                return reason
+            taken = take(w, p, bus, slots, boxes, words, queue, header, offset_ns, t_ns)
+            if taken != 0:
+                break
+        for i in range(slots.shape[0]):
+            flush(slots[i], batches[i])
+        if taken != 0:
+            return taken
+        if p.keep != 0 and 0 < w.log_count <= p.handed_out and t_ns - log[0].t_ns >= KEPT_NS:
+            return RECORD
+        if load_acquire(flag) != 0:
+            return STOP
+        t_ns = now_ns() - p.start_ns
+        if t_ns >= p.end_ns:
+            return TIME
+        p.planned_ns = min(min(t_event, p.end_ns), t_ns + LONGEST_SLEEP_NS)
+        why = _wait(p, slots, pollfds, max(p.planned_ns - t_ns, 0))
+        p.planned_ns = max(p.planned_ns, t_ns)
+        if why != 0:
+            return why

@@ -1,0 +1,128 @@
+"""``coulombus sim``: bus, nodes and rig as one process in real time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from coulombus.eds.cia402 import PowerState
+from coulombus.host.cycle.step import SOURCE_HOST
+from coulombus.recording.recorder import PACED, Recorder
+from coulombus.rigs.rig import Rig
+from coulombus.sim_bus.copper.attempt import detach
+from coulombus.sim_bus.faults.file import FaultError, FaultPlan
+from coulombus.sim_bus.faults.injection import Injection, controllers_of
+from coulombus.sim_bus.network.virtual_rig import VirtualRig
+from coulombus.sim_bus.server.clients import STATION
+from coulombus.sim_bus.server.paced import Serve
+from coulombus.sim_bus.server.server import BusServer, SimResult
+from coulombus.wire.address import BusAddress
+from coulombus.wire.frame import Records, push
+
+if TYPE_CHECKING:
+    from coulombus.sim_bus.network.script import Entry
+
+__all__ = ["PacedRig", "SimServer"]
+
+
+class PacedRig(VirtualRig):
+    """The rig of a process in which no host runs."""
+
+    def __init__(
+        self, rig: Rig, mode: str, seed: int, bit_rate: int, on_frames: Callable[[Records], None] | None = None
+    ) -> None:
+        super().__init__(rig, mode, seed=seed, on_frames=on_frames)
+        self.bus["bit_rate"] = bit_rate
+        self._world["host_elsewhere"] = 1
+        detach(self.bus[0], SOURCE_HOST)
+
+    def ask(self, t_ns: int, can_id: int, length: int, word: int) -> None:
+        """Let a frame of a client take part in the arbitration from `t_ns` on, as one did that was recorded."""
+        push(self._queue, self._header, STATION, t_ns, can_id, length, word)
+
+    def rest(self) -> None:
+        """End the schedule of each axis whose drive has left Operation Enabled: what `sim_bus.server.paced` looks for after each event."""
+        for axis, one in enumerate(self._axes):
+            state = self.nodes[int(one["motor"])]["power_state"]
+            if one["operator_start_ns"] >= 0 and state != PowerState.OPERATION_ENABLED:
+                self._world["axis"] = axis
+                self.answer(Serve.RESTED)
+
+    def answer(self, why: int) -> None:
+        """Do what the kernel needs Python for, at the world's present time."""
+        if why == Serve.RESTED:
+            axis = int(self._world["axis"][0])
+            self._left[axis] = int(self._axes[axis]["operator_start_ns"]) * 1e-9, self.t_ns * 1e-9
+            self._axes[axis]["operator_start_ns"] = -1
+            self._new_force_block(axis)
+        else:
+            super().answer(why)
+        self._actuate()
+
+
+class SimServer(BusServer):
+    """A bus with the nodes and the rig of `rig` on it, in real time.
+
+    Parameters
+    ----------
+    mode : whose F_s sets the size of the operator's pushes
+    script : what happens to the nodes, and when
+    unpaced : frames take no time
+    record : a recording of every frame, stamped with its end of frame in the bus's own time from power-on
+    faults : what goes wrong on the bus, and when
+    force : replace `record` where it exists
+
+    Raises
+    ------
+    coulombus.wire.address.BusUnavailable
+        (exit status 4) a live process serves this bus already, or the SocketCAN interface is not there
+    coulombus.sim_bus.faults.file.FaultError
+        (exit status 3) the file names a node that is not there, or the bus has no bit times
+    """
+
+    world: PacedRig
+
+    def __init__(
+        self,
+        rig: Rig,
+        address: BusAddress,
+        *,
+        mode: str = "hybrid",
+        seed: int = 0,
+        script: Sequence[Entry] = (),
+        unpaced: bool = False,
+        record: Path | None = None,
+        faults: FaultPlan | None = None,
+        force: bool = False,
+    ) -> None:
+        if faults is not None and (unpaced or address.kind == "socketcan"):
+            raise FaultError(f"{faults.path}: a bus without bit times has no faults; leave --unpaced and socketcan out")
+        recorder = None if record is None else Recorder(record, rig, mode, seed, bus=PACED, force=force)
+
+        def make_world(bit_rate: int, trial: bool) -> PacedRig:
+            return PacedRig(rig, mode, seed, bit_rate, None if trial or recorder is None else recorder.write)
+
+        self._script, self._recorder = tuple(script), recorder
+        self._faults, self._seed = faults, seed
+        super().__init__(make_world, address, 0 if unpaced else rig.bus.bitrate_bit_s)
+        if recorder is not None:
+            self.keep_frames()
+
+    def close(self) -> None:
+        """Close the sockets, remove the socket's file, close the recording."""
+        super().close()
+        if self._recorder is not None:
+            self._recorder.close()
+
+    def _plan(self) -> None:
+        self.world.plan(self._script)
+        if self._faults is not None:
+            Injection(self.world, self._faults, self._seed, None if self._recorder is None else self._recorder.mark)
+
+    def _finish(self) -> SimResult:
+        result = super()._finish()
+        if self.world.injection is not None:
+            result.faults = self.world.injection.results()
+            result.controllers = controllers_of(self.world)
+        return result

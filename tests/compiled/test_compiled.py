@@ -1,0 +1,270 @@
+"""The kernels' cache: nothing compiles twice, and an edited kernel is never served stale."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from coulombus.compiled.decorator import CACHE_DIR, JIT_DISABLED, source_key
+from coulombus.compiled.kernel_cache import KEPT, MARKER
+
+import pytest  # isort: skip
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+
+CALLEE = "from coulombus.compiled.decorator import kernel\n@kernel\ndef callee(x):\n    return x + {}\n"
+CALLER = (
+    "from coulombus.compiled.decorator import kernel\n"
+    "from coulombus.host.callee import callee\n@kernel\ndef caller(x):\n    return 10 * callee(x)\n"
+)
+
+
+def run(code, directory, **environment):
+    return python(code, directory, **environment).stdout.strip()
+
+
+def python(code, directory, **environment):
+    clean = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
+    return subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=directory,
+        env={**clean, "PYTHONPATH": str(directory), **environment},
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=120,
+    )
+
+
+@pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
+def test_an_edited_callee_in_another_file_is_compiled_anew(tmp_path):
+    for package in ("coulombus", "coulombus/compiled", "coulombus/host"):
+        (tmp_path / package).mkdir()
+        (tmp_path / package / "__init__.py").touch()
+    rooms = tmp_path / "coulombus"
+    for name in ("decorator.py", "kernel_cache.py", "kernel_files.py"):
+        (rooms / "compiled" / name).write_text((ROOT / "compiled" / name).read_text())
+    (rooms / "host" / "caller.py").write_text(CALLER)
+    call = "from coulombus.host.caller import caller; print(caller(1), sum(caller.stats.cache_hits.values()))"
+    cache = {"XDG_CACHE_HOME": str(tmp_path / "cache")}
+    (rooms / "host" / "callee.py").write_text(CALLEE.format(1))
+    assert run(call, tmp_path, **cache) == "20 0"
+    assert run(call, tmp_path, **cache) == "20 1"
+    (rooms / "host" / "callee.py").write_text(CALLEE.format(2))
+    assert run(call, tmp_path, **cache) == "30 0"
+
+
+@pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
+def test_nothing_compiles_on_the_second_start():
+    code = "from coulombus.lab.simulate import simulate; simulate('bench', 'hybrid', 0.01)"
+    base = {"NUMBA_CACHE_DIR": str(CACHE_DIR)}
+    run(code, ROOT, **base)
+    before = {path: path.stat().st_mtime_ns for path in CACHE_DIR.rglob("*.nb[ic]")}
+    run(code, ROOT, **base)
+    after = {path: path.stat().st_mtime_ns for path in CACHE_DIR.rglob("*.nb[ic]")}
+    assert before
+    assert after == before
+
+
+def test_the_key_follows_every_source(tmp_path):
+    (tmp_path / "node").mkdir()
+    empty = source_key(tmp_path)
+    (tmp_path / "node" / "core.py").write_text("a = 1\n")
+    one = source_key(tmp_path)
+    (tmp_path / "node" / "core.py").write_text("a = 2\n")
+    two = source_key(tmp_path)
+    (tmp_path / "node" / "deeper").mkdir()
+    (tmp_path / "node" / "deeper" / "core.py").write_text("a = 1\n")
+    three = source_key(tmp_path)
+    (tmp_path / "node" / "deeper" / "core.py").write_text("a = 2\n")
+    assert len({empty, one, two, three, source_key(tmp_path)}) == 5
+
+
+WHERE = "import coulombus.compiled.decorator; print(coulombus.compiled.decorator.CACHE_DIR)"
+
+
+def made_before(base, number, mtime_s):
+    """Make a cache as another state of the sources left it."""
+    directory = base / "coulombus" / f"kernels-{number:016x}"
+    (directory / "host_1a2b").mkdir(parents=True)
+    for name in ("step.f-1.py311.nbi", "step.f-1.py311.1.nbc", "step.f-1.py311.nbi.tmp.0123456789abcdef"):
+        (directory / "host_1a2b" / name).write_bytes(b"code")
+    (directory / MARKER).write_text(f"{directory.name}\n")
+    os.utime(directory / MARKER, (mtime_s, mtime_s))
+    return directory
+
+
+def test_directories_of_the_user_stay_whatever_they_are_called(tmp_path):
+    user = [tmp_path / f"{n:016x}" for n in range(8)] + [tmp_path / "my-measurements1"]
+    user += [tmp_path / "coulombus" / f"{n:016x}" for n in range(8)]
+    user += [tmp_path / "coulombus" / f"kernels-{n:016x}" for n in range(8)]  # without a marker: not made here
+    for directory in user:
+        directory.mkdir(parents=True)
+        (directory / "data.nbi").write_text("mine")
+    moved = made_before(tmp_path, 99, 1).rename(tmp_path / "coulombus" / f"kernels-{98:016x}")
+    for n in range(1000, 1000 + 2 * KEPT):
+        made_before(tmp_path, n, n)
+    run(WHERE, ROOT, NUMBA_CACHE_DIR=str(tmp_path))
+    assert [path for path in user if not (path / "data.nbi").exists()] == []
+    assert (moved / MARKER).exists()  # it says another name than its own
+
+
+def test_the_oldest_of_our_own_caches_are_removed(tmp_path):
+    old = [made_before(tmp_path, n, n) for n in range(1, 2 * KEPT)]
+    chosen = Path(run(WHERE, ROOT, NUMBA_CACHE_DIR=str(tmp_path)))
+    assert chosen.parent == tmp_path / "coulombus"
+    assert [path for path in old if path.exists()] == old[-(KEPT - 1) :]
+
+
+def test_a_cache_that_a_process_uses_stays(tmp_path):
+    old = [made_before(tmp_path, n, n) for n in range(1, 2 * KEPT)]
+    with (old[0] / MARKER).open() as lock:
+        fcntl.flock(lock, fcntl.LOCK_SH)
+        run(WHERE, ROOT, NUMBA_CACHE_DIR=str(tmp_path))
+    assert (old[0] / "host_1a2b" / "step.f-1.py311.nbi").exists()
+    assert not old[1].exists()
+
+
+def test_a_process_holds_its_cache_as_long_as_it_lives(tmp_path):
+    # LOCK_EX | LOCK_NB
+    code = "import fcntl, coulombus.compiled.decorator as c; m = open(c.CACHE_DIR / 'coulombus-kernels', 'r+'); fcntl.flock(m, 6)"
+    with pytest.raises(subprocess.CalledProcessError) as refused:
+        run(code, ROOT, NUMBA_CACHE_DIR=str(tmp_path))
+    assert "BlockingIOError" in refused.value.stderr
+
+
+def test_no_link_is_followed_out_of_a_cache(tmp_path):
+    base, user = tmp_path / "base", tmp_path / "user"
+    user.mkdir()
+    (user / "data.nbi").write_text("mine")
+    old = [made_before(base, n, n) for n in range(1, 2 * KEPT)]
+    (old[0] / "linked").symlink_to(user)
+    (old[1] / "host_1a2b" / "notes.txt").write_text("mine")
+    stranger = base / "coulombus" / f"kernels-{77:016x}"
+    stranger.symlink_to(old[2].rename(tmp_path / "elsewhere"))
+    run(WHERE, ROOT, NUMBA_CACHE_DIR=str(base))
+    assert (user / "data.nbi").read_text() == "mine"
+    assert (old[1] / "host_1a2b" / "notes.txt").read_text() == "mine"
+    assert (tmp_path / "elsewhere" / MARKER).exists()
+
+
+def test_a_child_takes_the_place_of_its_parent(tmp_path):
+    child = (
+        "import subprocess, sys; print(subprocess.check_output([sys.executable, '-c', sys.argv[1]], text=True).strip())"
+    )
+    code = f"{WHERE}; import sys; sys.argv = ['', {WHERE!r}]; {child}"
+    first, second = run(code, ROOT, NUMBA_CACHE_DIR=str(tmp_path)).splitlines()
+    assert first == second
+    other = str(tmp_path / "coulombus" / f"kernels-{5:016x}")  # of a parent with other sources
+    assert run(WHERE, ROOT, NUMBA_CACHE_DIR=other) == first
+
+
+def test_a_place_that_cannot_be_written_is_told_or_has_a_substitute(tmp_path):
+    (tmp_path / "file").write_text("")
+    no_base = {"XDG_CACHE_HOME": str(tmp_path / "file"), "TMPDIR": str(tmp_path)}
+    assert run(WHERE, ROOT, **no_base).startswith(str(tmp_path / f"coulombus-{os.getuid()}"))
+    private = tmp_path / f"coulombus-{os.getuid()}"
+    private.rename(tmp_path / "other")
+    private.write_text("a file")
+    done = python(WHERE, ROOT, **no_base)
+    assert "every start compiles; name a directory by NUMBA_CACHE_DIR" in done.stderr
+    assert not Path(done.stdout.strip()).exists()  # of no use to anybody else: removed at the end
+    private.unlink()
+    private.symlink_to(tmp_path / "other")
+    assert "every start compiles" in python(WHERE, ROOT, **no_base).stderr
+
+
+def test_without_any_place_to_write_everything_is_compiled_in_memory(tmp_path):
+    (tmp_path / "own.py").write_text(
+        "from coulombus.compiled.decorator import kernel\n@kernel\ndef f(x):\n    return x + 1\n"
+    )
+    code = f"import sys, tempfile; tempfile.tempdir = '/proc'; sys.path.append({str(tmp_path)!r}); import own; print(own.f(1))"
+    done = python(code, ROOT, NUMBA_CACHE_DIR="/proc")
+    assert done.stdout.strip() == "2"
+    assert done.stderr.count("no directory can be written; name one by NUMBA_CACHE_DIR") == 1
+
+
+OWN = "from coulombus.compiled.decorator import kernel\n@kernel\ndef f(x):\n    return x + 1\n@kernel\ndef g(x):\n    return x - f(x)\n"
+
+
+@pytest.fixture
+def own_kernels(tmp_path):
+    """Return a call of two kernels in a process of its own: what it printed, and on stderr."""
+    (tmp_path / "own.py").write_text(OWN)
+
+    def call(more="pass"):
+        code = f"import sys; sys.path.append({str(tmp_path)!r}); import own; {more}; print(own.f(1), own.g(5), sum(own.f.stats.cache_hits.values()))"
+        done = python(code, ROOT, NUMBA_CACHE_DIR=str(tmp_path / "cache"))
+        return done.stdout.strip(), done.stderr
+
+    return call
+
+
+@pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda whole: b"",
+        lambda whole: whole[: len(whole) // 2],
+        lambda whole: bytes(len(whole)),
+        lambda whole: whole[:-20] + bytes([whole[-20] ^ 1]) + whole[-19:],
+    ],
+    ids=["empty", "half", "zeros", "one bit"],
+)
+def test_a_damaged_cache_is_told_once_and_compiled_again(own_kernels, tmp_path, spoil):
+    assert own_kernels() == ("2 -1 0", "")
+    for pattern in ("own.f-*.nbc", "own.g-*.nbi"):
+        (path,) = (tmp_path / "cache").rglob(pattern)
+        path.write_bytes(spoil(path.read_bytes()))
+    result, told = own_kernels()
+    assert result == "2 -1 0"
+    assert told.count("\n") == told.count("was damaged; it is compiled again") == 1
+    assert own_kernels() == ("2 -1 1", "")
+
+
+@pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
+def test_a_file_that_two_processes_named_alike_is_not_taken_for_the_other(own_kernels, tmp_path):
+    own_kernels()
+    (one, other) = sorted((tmp_path / "cache").rglob("*.nbc"))
+    one.write_bytes(other.read_bytes())  # whole, and of another function
+    assert own_kernels()[0] == "2 -1 0"
+
+
+@pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
+def test_a_cache_that_takes_no_more_is_told_once(own_kernels):
+    full = "import os; from numba.core.caching import IndexDataCacheFile as F; F._save_data = lambda *_: os.write(os.open('/dev/full', 1), b'x')"
+    result, told = own_kernels(full)
+    assert result == "2 -1 0"
+    assert told.count("\n") == told.count("cannot be kept") == 1
+    assert "No space left on device" in told
+
+
+INTERRUPTED = """
+import os, signal, sys
+from numba.core.codegen import JITCodeLibrary
+
+def hook(module, _):
+    if module.name == "f":
+        os.kill(os.getpid(), signal.SIGINT)
+        for _ in range(9):
+            pass
+
+JITCodeLibrary._object_compiled_hook = hook
+sys.path.append({place!r})
+import own
+try:
+    own.f(1)
+except KeyboardInterrupt:
+    print("interrupted")
+"""
+
+
+@pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
+def test_ctrl_c_within_the_compiler_ends_it(own_kernels, tmp_path):
+    """LLVM calls this hook back; what is raised in it nobody can catch."""
+    code = INTERRUPTED.format(place=str(tmp_path))
+    done = python(code, ROOT, NUMBA_CACHE_DIR=str(tmp_path / "cache"))
+    assert (done.stdout, done.stderr) == ("interrupted\n", "")

@@ -1,0 +1,385 @@
+"""Bring-up and devices of others: what is written to which device, what is refused before anything is sent, what is read back."""
+
+from __future__ import annotations
+
+import re
+from io import BytesIO
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from coulombus.eds.reader import parse_eds
+from coulombus.host.cycle.controller import Controller
+from coulombus.host.cycle.controllers import Controllers
+from coulombus.host.errors import DeviceMismatch
+from coulombus.host.setup import bringup
+from coulombus.host.setup.bringup import bring_up, plans_of
+from coulombus.host.setup.settings import encoded
+from coulombus.rigs.rig import RigError, load_rig_text
+from coulombus.sim_bus.network.virtual_rig import BOOT_NS, VirtualRig
+from coulombus.verbs.main import main
+from coulombus.wire.frame import data_bytes
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+CORPUS = ROOT.parent / "shared" / "eds-corpus"
+MOTOR, BRAKE = ((ROOT / "eds" / name).read_text() for name in ("motor.eds", "mr_brake.eds"))
+BENCH = (ROOT / "rigs" / "bench.toml").read_text()
+OURS, FOREIGN = 0x402, 0x1234
+U8, I8, U16, I16, I32, U32, REAL32, TEXT = "0x5", "0x2", "0x6", "0x3", "0x4", "0x7", "0x8", "0x9"
+
+
+def edit(text, section, **keys):
+    """Set keys of a section of an EDS file; None takes the section out."""
+    head, mark, rest = text.partition(f"[{section}]\n")
+    assert mark, section
+    body, gap, tail = rest.partition("\n\n")
+    if keys.pop("gone", False):
+        return head + tail
+    for key, value in keys.items():
+        line = f"{key}={value}"
+        body = re.sub(f"(?m)^{key}=.*$", line, body) if re.search(f"(?m)^{key}=", body) else f"{body}\n{line}"
+    return head + mark + body + gap + tail
+
+
+def gone(text, *sections):
+    for section in sections:
+        text = edit(text, section, gone=True)
+    return text
+
+
+def identified(text, vendor=FOREIGN, product=FOREIGN):
+    return edit(edit(text, "1018sub1", DefaultValue=vendor), "1018sub2", DefaultValue=product)
+
+
+def rig_of(motor=MOTOR, brake=BRAKE, *overrides):
+    return load_rig_text(BENCH, "bench.toml", {"motor.eds": motor, "mr_brake.eds": brake}, overrides)
+
+
+IS_FOREIGN = (f"motor.vendor_id={FOREIGN}", f"motor.product_code={FOREIGN}")
+
+
+class Wire:
+    """A rig in virtual time whose SDO requests are kept."""
+
+    def __init__(self, rig, mode="hybrid", host_eds=None):
+        self.log = []
+        self.world = VirtualRig(rig, mode, on_frames=lambda frames: self.log.append(frames.copy()))
+        if host_eds is not None:
+            rig._descriptions["motor"] = parse_eds(host_eds.encode(), "host.eds")
+
+    def bring_up(self, prepare=lambda motor: None):
+        self.world.power_on()
+        self.world.wait_ns(BOOT_NS)
+        prepare(self.world.motor)
+        try:
+            return bring_up(self.world.controllers, self.world)
+        finally:
+            self.world.flush()
+
+    def requests(self, node, specifier):
+        """(index, sub-index, data) of the SDO requests of one kind to a node, in their order: 1 downloads, 2 uploads."""
+        frames = np.concatenate(self.log) if self.log else []
+        rows = [data_bytes(int(f["word"]), 8) for f in frames if f["can_id"] == 0x600 + node]
+        return [
+            (row[1] | row[2] << 8, row[3], row[4 : 8 - (row[0] >> 2 & 3)]) for row in rows if row[0] >> 5 == specifier
+        ]
+
+    def written(self, node):
+        return [index for index, _, _ in self.requests(node, 1)]
+
+
+def makers(indices):
+    return [index for index in indices if 0x2000 <= index < 0x6000]
+
+
+# other makers' devices
+
+MOTOR_PARA = edit(identified(MOTOR), "2002", ParameterName="MotorPara", DefaultValue=0)
+BIT_RATES = edit(identified(MOTOR), "2001", ParameterName="CAN bit rate", DataType=U8, DefaultValue=4)
+BIT_RATES = edit(BIT_RATES, "2002", ParameterName="RS232 bit rate", DataType=U8, DefaultValue=5)
+
+
+@pytest.mark.parametrize("text", [MOTOR_PARA, BIT_RATES])
+def test_nothing_of_another_makers_own_objects_is_written(text):
+    wire = Wire(rig_of(text, BRAKE, *IS_FOREIGN))
+    before = [wire.world.motor.dictionary.default(index, 0) for index in (0x2001, 0x2002)]
+    losses = wire.bring_up()
+    assert makers(wire.written(1)) == []
+    assert 0x6072 in wire.written(1)
+    assert [wire.world.motor[index, 0] for index in (0x2001, 0x2002)] == before
+    assert makers(wire.written(2)) == [0x2002, 0x2001, 0x2005]  # the brake is our own
+    assert ["2002h" in losses[0], "2001h" in losses[1], len(losses)] == [True, True, 2]
+    assert all("motor (node 1)" in text and "1018h of the EDS file is not ours" in text for text in losses)
+
+
+@pytest.mark.parametrize("device", [OURS, FOREIGN])
+@pytest.mark.parametrize("rig", [OURS, FOREIGN])
+@pytest.mark.parametrize("eds", [OURS, FOREIGN, ""])
+def test_a_maker_s_own_objects_are_written_where_file_and_device_are_ours(eds, rig, device):
+    """Neither the EDS file alone nor the rig file alone opens 2000h to 5FFFh, nor the two of them against the device."""
+    text = edit(MOTOR, "1018sub2", DefaultValue=eds)
+    wire = Wire(rig_of(text, BRAKE, f"motor.product_code={rig}"))
+
+    def identify(motor):
+        motor[0x1018, 2] = device
+
+    if rig == device and eds in (rig, ""):
+        wire.bring_up(identify)
+        assert makers(wire.written(1)) == ([0x2002, 0x2001] if eds == OURS == device else [])
+    else:
+        with pytest.raises(DeviceMismatch, match="product code 1018h:02"):
+            wire.bring_up(identify)
+        assert wire.written(1) == wire.written(2) == []
+
+
+def test_a_device_that_is_not_ours_gets_nothing_of_ours_whatever_the_plan_says():
+    """The last line of defence: the gate is at the download, too."""
+    (plan, _) = plans_of(Controllers(rig_of(), "hybrid"))
+    device = bringup._Device(SimpleNamespace(network=SimpleNamespace(add_node=lambda node: None)), plan, 0.1)
+    device.node = SimpleNamespace(sdo=None)
+    device.identity = (0x4C0, 0x403)
+    with pytest.raises(DeviceMismatch, match=r"2002h.*not ours.*0x00000403"):
+        device.write(next(s for s in plan.writes if s.index == 0x2002))
+
+
+def test_what_an_own_device_lacks_is_told_too():
+    losses = Wire(rig_of(gone(MOTOR, "2001"), gone(BRAKE, "2005"))).bring_up()
+    assert [
+        re.search(r"(\w+) \(node.*: (\w+h) is not written, it is not described; ", text).groups() for text in losses
+    ] == [
+        ("motor", "2001h"),
+        ("brake", "2005h"),
+    ]
+    assert Wire(rig_of()).bring_up() == ()
+
+
+# values that do not fit
+
+
+def test_all_values_that_do_not_fit_are_refused_at_once_and_before_anything_is_sent():
+    """3000 us into 8 bits would be 184 us."""
+    text = edit(edit(MOTOR, "2001", DataType=U8), "1017", HighLimit=20)
+    wire = Wire(rig_of(edit(text, "6072", LowLimit=100), edit(BRAKE, "7341sub1", LowLimit=5)))
+    with pytest.raises(DeviceMismatch) as refused:
+        wire.bring_up()
+    outside = "is outside the EDS file's LowLimit"
+    for place, what in (
+        (
+            "motor (node 1), object 2001h:00",
+            "3000 (0xbb8) does not fit into its type, which holds 0 to 255; change motor.setpoint_zero_cycles",
+        ),
+        ("motor (node 1), object 1017h:00", f"50 (0x32) {outside} any and HighLimit 20; change motor.heartbeat_s"),
+        (
+            "motor (node 1), object 6072h:00",
+            f"97 (0x61) {outside} 100 and HighLimit 10000; change mode.hybrid.motor_limit_Nm",
+        ),
+        ("brake (node 2), object 7341h:01", f"0 {outside} 5 and HighLimit 5000"),
+    ):
+        assert re.search(f"{re.escape(place)}[^:;]*: {re.escape(what)}", str(refused.value)), place
+    assert [f for batch in wire.log for f in batch if f["can_id"] in (0x000, 0x601, 0x602)] == []
+
+
+@pytest.mark.parametrize(
+    ("code", "value", "data"),
+    [
+        (0x5, 255, b"\xff"),
+        (0x5, 256, None),
+        (0x5, -1, None),
+        (0x2, -128, b"\x80"),
+        (0x2, -129, None),
+        (0x2, 128, None),
+        (0x3, -2, b"\xfe\xff"),
+        (0x10, -2, b"\xfe\xff\xff"),
+        (0x10, 1 << 23, None),
+        (0x7, 0xFFFFFFFF, b"\xff\xff\xff\xff"),
+        (0x7, 1 << 32, None),
+        (0x1, 1, b"\x01"),
+        (0x1, 2, None),
+        (0x8, 0, None),
+        (0x9, 0, None),
+    ],
+)
+def test_no_value_is_ever_cut(code, value, data):
+    text = edit(MOTOR, "2001", DataType=f"0x{code:X}")
+    variable = parse_eds(text.encode(), "x.eds").variable(0x2001, 0)
+    if data is None:
+        with pytest.raises(OverflowError):
+            encoded(variable, value)
+    else:
+        assert encoded(variable, value) == data
+
+
+# what is read back
+
+
+class Other:
+    """An SDO server of another width: it keeps `keep` bytes of what is written and sends `send` bytes, the size told or not."""
+
+    RESPONSE_TIMEOUT = 0.0
+
+    def __init__(self, keep, send, told, fill=b"\0"):
+        self.keep, self.send, self.told, self.fill, self.values = keep, send, told, fill, {}
+
+    def download(self, index, subindex, data):
+        self.values[index, subindex] = data
+
+    def open(self, index, subindex, mode, buffering):
+        data = self.values[index, subindex]
+        if index == 0x6071:
+            data = (data[: self.keep] + 8 * self.fill)[: self.send or len(data)]
+        stream = BytesIO(data)
+        stream.size, stream.exp_data = (len(data) if self.told else None), None if self.told else data
+        return stream
+
+
+@pytest.mark.parametrize(
+    ("server", "value", "difference"),
+    [
+        (Other(2, 2, True), -5, None),
+        (Other(1, 1, True), 3, "has 1 bytes in the device, 2 in"),
+        (Other(1, 2, True), 3000, "wrote 0xbb8, reads back 0xb8"),
+        (Other(1, 2, True), -5, "wrote -0x5, reads back 0xfb"),
+        (Other(2, 4, True), 3, "has 4 bytes in the device, 2 in"),
+        (Other(2, 4, False), 3, None),  # an expedited upload whose size is not told has four bytes
+        (Other(2, 4, False, b"\xff"), -5, None),
+        (Other(2, 4, False, b"\xff"), 5, "has 4 bytes in the device"),
+        (Other(2, 4, False), -5, "has 4 bytes in the device"),
+    ],
+)
+def test_read_backs_are_compared_whole(server, value, difference):
+    (plan, _) = plans_of(Controllers(rig_of(), "hybrid"))
+    device = bringup._Device(SimpleNamespace(network=SimpleNamespace(add_node=lambda node: None)), plan, 0.1)
+    device.identity, device.node = (0x4C0, OURS), SimpleNamespace(sdo=server)
+    object.__setattr__(plan, "writes", tuple(bringup.Setting(0x6071, 0, value) for _ in range(2)))
+    object.__setattr__(plan, "read_backs", (((0x6071, 0), value),))
+    told = device.configure()
+    assert len(told) == (difference is not None)
+    assert difference is None or difference in told[0]
+
+
+def test_bring_up_writes_and_reads_back_just_what_the_plan_says():
+    wire = Wire(rig_of())
+    wire.bring_up()
+    for plan in plans_of(wire.world.controllers):
+        at = plan.description.variable
+        writes = [(s.index, s.subindex, encoded(at(s.index, s.subindex), s.value)) for s in plan.writes]
+        assert wire.requests(plan.node_id, 1) == writes
+        assert [key[:2] for key in wire.requests(plan.node_id, 2)][-len(plan.read_backs) :] == [
+            key for key, _ in plan.read_backs
+        ]
+        assert {key for key, _ in plan.read_backs} == {(s.index, s.subindex) for s in plan.writes}
+
+
+# `check` and bring-up say the same
+
+QUIRKS = {
+    "own": (MOTOR, BRAKE, ()),
+    "foreign": (identified(MOTOR), BRAKE, IS_FOREIGN),
+    "no 6072h": (gone(MOTOR, "6072"), BRAKE, ()),
+    "no deadline": (gone(MOTOR, "1400sub5"), BRAKE, ()),
+    "no heartbeat consumer": (gone(MOTOR, "1016sub1"), BRAKE, ()),
+    "no heartbeat": (gone(MOTOR, "1017"), BRAKE, ()),
+    "no 1005h": (gone(MOTOR, "1005"), BRAKE, ()),
+    "no product code": (gone(MOTOR, "1018sub2"), BRAKE, ()),
+    "no device type": (gone(MOTOR, "1000"), BRAKE, ()),
+    "constant 1005h": (edit(MOTOR, "1005", AccessType="const"), BRAKE, ()),
+    "another constant 1005h": (edit(MOTOR, "1005", AccessType="const", DefaultValue="0x81"), BRAKE, ()),
+    "constant 1005h of no value": (edit(MOTOR, "1005", AccessType="ro", DefaultValue=""), BRAKE, ()),
+    "no torque mode": (edit(MOTOR, "6502", DefaultValue="0x6D"), BRAKE, ()),
+    "no 6502h": (gone(MOTOR, "6502"), BRAKE, ()),
+    "narrow 1016h": (edit(MOTOR, "1016sub1", DataType=U16), BRAKE, ()),
+    "map of another object that stands": (
+        edit(edit(MOTOR, "1801sub1", AccessType="ro"), "1A01sub1", DefaultValue="0x60640020"),
+        BRAKE,
+        (),
+    ),
+    "6072h from 100 on": (edit(MOTOR, "6072", LowLimit=100, DefaultValue=100), BRAKE, ()),
+    "real 6072h": (edit(MOTOR, "6072", DataType=REAL32, LowLimit="", HighLimit=""), BRAKE, ()),
+    "text 1017h": (edit(MOTOR, "1017", DataType=TEXT), BRAKE, ()),
+    "read-only identifiers": (edit(MOTOR, "1800sub1", AccessType="ro"), BRAKE, ()),
+    "read-only inhibit time of 0": (edit(MOTOR, "1800sub3", AccessType="ro", DefaultValue=0), BRAKE, ()),
+    "read-only map of our own": (edit(MOTOR, "1600sub1", AccessType="ro"), BRAKE, ()),
+    "write-only mode": (edit(MOTOR, "6060", AccessType="wo"), BRAKE, ()),
+    "no fault mode": (MOTOR, gone(BRAKE, "6340sub1"), ()),
+    "wrong file": (identified(MOTOR), BRAKE, ()),
+}
+
+
+@pytest.mark.parametrize("name", QUIRKS)
+def test_check_says_ok_where_bring_up_goes_on_and_nowhere_else(name, tmp_path):
+    motor, brake, overrides = QUIRKS[name]
+    (tmp_path / "motor.eds").write_text(motor)
+    (tmp_path / "mr_brake.eds").write_text(brake)
+    (tmp_path / "rig.toml").write_text(BENCH)
+    sets = [word for text in overrides for word in ("--set", text)]
+    result = CliRunner().invoke(main, ["check", "--rig", str(tmp_path / "rig.toml"), *sets])
+    failures = [line.removeprefix("FAIL: ") for line in result.output.splitlines() if line.startswith("FAIL: ")]
+    told = []
+    for mode in ("active", "passive", "hybrid"):
+        wire = Wire(rig_of(motor, brake, *overrides), mode)
+        try:
+            wire.bring_up()
+        except DeviceMismatch as error:
+            told.append(str(error))
+            assert wire.written(1) == wire.written(2) == []
+    assert result.exit_code == (1 if told else 0), result.output
+    assert ("ok" in result.output.splitlines()) is not bool(told)
+    strip = re.compile(r"in \S+|but \S+ does")
+    for line in failures:
+        assert any(strip.sub("", line) in strip.sub("", text) for text in told), line
+
+
+def test_check_tells_all_that_is_wrong_with_what_to_do(tmp_path):
+    motor = gone(edit(MOTOR, "6060", AccessType="wo"), "6072", "1005", "1400sub5", "1016sub1")
+    (tmp_path / "motor.eds").write_text(motor)
+    (tmp_path / "rig.toml").write_text(BENCH)
+    result = CliRunner().invoke(main, ["check", "--rig", str(tmp_path / "rig.toml")])
+    assert result.exit_code == 1
+    failures = [line for line in result.output.splitlines() if line.startswith("FAIL: ")]
+    for place in ("6072h:00", "1005h:00", "1400h:05", "1016h:01", "6060h:00"):
+        (line,) = (line for line in failures if f"object {place}" in line)
+        assert re.search(r"; (take|correct|change) ", line)
+
+
+def test_what_the_file_does_not_tell_is_open_and_no_plain_ok(tmp_path):
+    (tmp_path / "motor.eds").write_text(edit(MOTOR, "6502", DefaultValue=""))
+    (tmp_path / "rig.toml").write_text(BENCH)
+    result = CliRunner().invoke(main, ["check", "--rig", str(tmp_path / "rig.toml")])
+    assert result.exit_code == 0
+    assert "6502h; bring-up asks the device" in result.output
+    assert result.output.splitlines()[-1] == "ok, if the devices answer what is open above"
+
+
+def test_a_pdo_of_ten_bytes_is_refused_with_its_objects():
+    with pytest.raises(
+        RigError, match=r"6041h:0 in 16 bits and 6064h:0 in 32 bits and 6077h:0 in 32 bits.*TPDO1; at most 64"
+    ):
+        rig_of(edit(MOTOR, "6077", DataType=I32))
+
+
+@pytest.mark.parametrize(("code", "most"), [(I8, 127), (U8, 255), (I16, 4500), (I32, 4500)])
+def test_the_brakes_set_point_is_never_wider_than_its_object(code, most):
+    text = edit(edit(BRAKE, "7300sub1", DataType=code), "7300sub1", HighLimit="" if code in (I8, U8) else 4500)
+    assert Controller(rig_of(MOTOR, text), "hybrid").control[0]["brake_limit_raw"] == most
+
+
+def test_the_motors_limit_is_never_wider_than_its_set_point():
+    with pytest.raises(RigError, match=r"mode.active.motor_limit_Nm.*the drive's 6071h ends at 127 per mille"):
+        Controller(rig_of(edit(MOTOR, "6071", DataType=I8, LowLimit="", HighLimit="")), "active")
+
+
+@pytest.mark.skipif(not CORPUS.is_dir(), reason="the vendors' files are not part of this project")
+@pytest.mark.parametrize("own", ["motor.eds", "mr_brake.eds"])
+def test_no_vendors_file_ends_in_a_traceback(own, tmp_path):
+    files = sorted(path for path in CORPUS.iterdir() if path.suffix in (".eds", ".dcf"))
+    assert files
+    for path in files:
+        rig = tmp_path / "rig.toml"
+        rig.write_text(BENCH.replace(f'"{own}"', f'"{path}"'))
+        result = CliRunner().invoke(main, ["check", "--rig", str(rig)])
+        assert isinstance(result.exception, SystemExit), (path.name, result.exception)
+        assert result.exit_code in (1, 3), (path.name, result.output)
+        assert "FAIL: " in result.output or "expected" in result.output or "which the host maps" in result.output

@@ -1,0 +1,218 @@
+"""What the rig file's limits become in the compiled cycle: each key reaches its field, in the field's unit."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+
+import pytest
+
+from coulombus.host.cycle.controller import SIGN_HAND_NM, Controller, _cycles
+from coulombus.host.cycle.records import Image, Phase, Trip
+from coulombus.rigs.rig import RigError, load_rig_text
+from host_bench import rig_of
+
+RAD_COUNT = 2 * math.pi / (8192 * 9.587)
+NM_PM = 0.180 * 9.587 / 1000
+
+
+def control(mode="hybrid", *overrides):
+    return Controller(rig_of("bench", overrides), mode).control[0]
+
+
+FIELDS = [
+    ("bus.period_s=0.002", "period_ns", 2_000_000),
+    ("bus.tpdo_window_s=700e-6", "window_ns", 700_000),
+    ("bus.tpdo_window_s=0.0007000019", "window_ns", 700_002),
+    ("motor.heartbeat_timeout_s=1.003", "motor_heartbeat_timeout_ns", 1_003_000_000),
+    ("brake.heartbeat_timeout_s=1.005", "brake_heartbeat_timeout_ns", 1_005_000_000),
+    ("host.node_id=101", "host_id", 101),
+    ("motor.node_id=9", "motor_id", 9),
+    ("brake.node_id=11", "brake_id", 11),
+    ("host.heartbeat_s=0.037", "heartbeat_ns", 37_000_000),
+    ("motor.heartbeat_timeout_s=0.21", "motor_heartbeat_timeout_ns", 210_000_000),
+    ("brake.heartbeat_timeout_s=0.23", "brake_heartbeat_timeout_ns", 230_000_000),
+    ("mechanics.friction_Nm=0.145", "friction_Nm", 0.145),
+    ("mechanics.friction_Nm=0.145", "compensation_Nm", 0.97 * 0.145),
+    ("mode.hybrid.compensation=0.5", "compensation_Nm", 0.07),
+    ("mechanics.viscous_Nms_rad=0.007", "viscous", 0.007),
+    ("law.velocity_band_counts=3", "velocity_band_counts", 3.0),
+    ("law.gain_ramp_s=0.25", "gain_step", 0.004),
+    ("law.gain_ramp_s=0.0", "gain_step", 1.0),
+    ("limits.torque_rate_Nm_s=400.0", "motor_rate_Nm", 0.4),
+    ("limits.brake_torque_Nm=4.25", "brake_limit_Nm", 4.25),
+    ("limits.speed_rad_s=12.0", "speed_limit", 12.0),
+    ("limits.encoder_jump_counts=400", "jump_counts", 400),
+    ("limits.net_work_J=0.125", "net_work_J", 0.125),
+    ("limits.net_work_window_s=0.15", "net_work_cycles", 150),
+    ('limits.travel_rad="unlimited"', "travel_rad", math.inf),
+    ("limits.travel_rad=1.5", "travel_rad", 1.5),
+    ("limits.handle_mismatch_Nm=1.25", "mismatch_Nm", 1.25),
+    ("limits.handle_mismatch_s=0.25", "mismatch_cycles", 250),
+    ("limits.missed_tpdo_cycles=4", "missed_cycles", 4),
+    ("brake.coil_continuous_A=0.5", "coil_limit_A2", 0.25),
+    ("brake.coil_time_constant_s=8.0", "coil_decay", math.exp(-0.001 / 8.0)),
+    ("bus.period_s=0.002", "brake_lag_decay", math.exp(-0.1)),
+    ("limits.still_s=0.25", "still_cycles", 250),
+    ("limits.still_handle_torque_Nm=0.125", "still_handle_Nm", 0.125),
+    ("limits.still_timeout_s=4.0", "still_timeout_cycles", 4000),
+    ("bus.period_s=0.002", "enable_timeout_cycles", 500),
+    ("limits.sign_check_rate_Nm_s=0.5", "sign_step_Nm", 0.0005),
+    ("limits.sign_check_counts=24", "sign_counts", 24),
+    ("limits.sign_check_torque_Nm=0.375", "sign_torque_Nm", 0.375),
+    ("limits.sign_check_travel_rad=0.15", "sign_travel_counts", math.ceil(0.15 / RAD_COUNT)),
+    ("mechanics.encoder_polarity=-1", "sign_travel_counts", math.ceil(0.2 / RAD_COUNT)),
+    ("bus.period_s=0.002", "sign_hand_cycles", 60),
+    ("bus.period_s=0.002", "settle_cycles", 25),
+    ("limits.safe_brake_Nm=0.75", "safe_brake_Nm", 0.75),
+    ("limits.safe_hold_s=0.15", "safe_hold_cycles", 150),
+    ("limits.safe_ramp_s=0.4", "safe_ramp_cycles", 400),
+    ("mechanics.encoder_polarity=-1", "rad_count", -RAD_COUNT),
+    ("mechanics.motor_polarity=-1", "Nm_pm", -NM_PM),
+    ("mechanics.transducer_polarity=-1", "handle_Nm_raw", -0.001),
+    ("brake.coil_continuous_A=0.8", "coil_A_raw", 0.001),
+    ("brake.coil_continuous_A=0.8", "brake_Nm_raw", 0.001),
+    ("bus.period_s=0.001", "sync_cob_id", 0x80),
+    ("bus.period_s=0.001", "rpdos", 2),
+    ("bus.period_s=0.001", "tpdos", 3),
+    ("bus.period_s=0.001", "position_mask", 1),
+    ("bus.period_s=0.001", "sign_hand_Nm", 0.008),
+    ("bus.period_s=0.001", "brake_limit_raw", 5000),
+    ("bus.period_s=0.001", "deadman_slot", -1),
+]
+
+
+@pytest.mark.parametrize(("override", "field", "value"), FIELDS, ids=lambda value: str(value))
+def test_each_key_of_the_rig_file_reaches_its_field(override, field, value):
+    assert control("hybrid", override)[field] == pytest.approx(value, rel=1e-12)
+
+
+def test_times_are_rounded_to_nanoseconds():
+    """Of 1.001 s and of 1001 us the product of reals is a little less than the whole number."""
+    long = ("host.heartbeat_s=1.001", "motor.heartbeat_timeout_s=1.2", "brake.heartbeat_timeout_s=1.2")
+    assert control("hybrid", *long)["heartbeat_ns"] == 1_001_000_000
+    assert control("hybrid", "bus.period_s=0.001001", "plant.step_s=0.000077")["period_ns"] == 1_001_000
+
+
+def test_the_sign_of_a_hand_is_told_by_8_mNm():
+    assert SIGN_HAND_NM == 0.008
+
+
+@pytest.mark.parametrize(("seconds", "cycles"), [(0.2, 200), (0.0014, 1), (0.0016, 2), (0.0002, 1), (0.0, 1)])
+def test_a_time_is_so_many_cycles_and_at_least_one(seconds, cycles):
+    assert _cycles(seconds, 0.001) == cycles
+
+
+@pytest.mark.parametrize(
+    ("mode", "motor", "brake", "limit_pm"), [("active", 1, 0, 869), ("passive", 0, 1, 0), ("hybrid", 0, 1, 97)]
+)
+@pytest.mark.parametrize("polarity", [1, -1])
+def test_the_mode_says_who_displays_and_how_strong_the_motor_is(mode, motor, brake, limit_pm, polarity):
+    c = control(mode, f"mechanics.motor_polarity={polarity}")
+    assert (c["motor_active"], c["brake_active"], c["motor_limit_pm"]) == (motor, brake, limit_pm)
+    assert c["sign_check"] == (limit_pm > 0)
+
+
+def test_a_motor_of_one_per_mille_is_checked_too():
+    assert control("active", "mode.active.motor_limit_Nm=0.002")["motor_limit_pm"] == 1
+    assert control("active", "mode.active.motor_limit_Nm=0.002")["sign_check"] == 1
+
+
+@pytest.mark.parametrize("polarity", [1, -1])
+def test_the_motors_limit_is_rounded_down_but_not_by_a_rounding_error(polarity):
+    controller = Controller(rig_of("bench", ("mode.active.motor_limit_Nm=1.5",)), "active")
+    assert controller.motor_limit_pm(polarity * 0.25) == 6
+    assert controller.motor_limit_pm(polarity * 0.26) == 5
+    assert controller.motor_limit_pm(polarity * 0.1) == 15  # 1.5 / 0.1 is 14.999999999999998 or 15
+    assert controller.motor_limit_pm(polarity * 1.5 / 7) == 7
+
+
+@pytest.mark.parametrize("polarity", [1, -1])
+def test_a_limit_that_6072h_cannot_hold_is_refused_with_the_most(polarity):
+    controller = Controller(rig_of("bench"), "active")
+    high = controller.rig.description("motor").variable(0x6072, 0).high
+    assert controller.motor_limit_pm(polarity * 1.5 / high) == high
+    with pytest.raises(RigError, match=f"at most {high * 1.4 / high:.4g}: the drive's 6072h ends at {high} per mille"):
+        controller.motor_limit_pm(polarity * 1.4 / high)
+
+
+def own_files(motor=None, brake=None, *overrides):
+    """The bench with its EDS files edited by `motor` and `brake`."""
+    bench, folder = rig_of("bench"), Path(__file__).parent.parent.parent / "eds"
+    texts = {}
+    for name, edit in (("motor.eds", motor), ("mr_brake.eds", brake)):
+        text = (folder / name).read_text()
+        texts[name] = edit(text) if edit else text
+    return load_rig_text(bench.text, bench.path, texts, overrides)
+
+
+def high_limit(section, line):
+    """Return an edit that puts `line` in the place of the section's high limit."""
+    return lambda text: re.sub(rf"(\[{section}\]\n(?:\w+=.*\n)*?)HighLimit=\d+\n", rf"\g<1>{line}", text)
+
+
+def with_inputs(text):
+    count = int(re.search(r"\[OptionalObjects\]\nSupportedObjects=(\d+)", text)[1])
+    listed = text.replace(
+        f"[OptionalObjects]\nSupportedObjects={count}\n",
+        f"[OptionalObjects]\nSupportedObjects={count + 1}\n{count + 1}=0x60FD\n",
+    )
+    return listed + "\n[60FD]\nParameterName=Inputs\nObjectType=0x7\nDataType=0x0007\nAccessType=ro\nPDOMapping=1\n"
+
+
+def test_a_switch_in_a_tpdo_has_its_slot():
+    rig = own_files(with_inputs, None, "host.deadman=object:60FD:0:0x00010000")
+    c = Controller(rig, "hybrid").control[0]
+    assert (c["deadman_slot"], c["deadman_mask"]) == (Image.DEADMAN, 0x10000)
+    assert (c["rpdos"], c["tpdos"]) == (2, len([pdo for pdo in rig.pdos() if pdo.layout.direction == "tpdo"]))
+
+
+def test_the_limit_of_6072h_is_its_own_and_may_be_absent():
+    assert Controller(own_files(high_limit("6072", "HighLimit=869\n")), "active").control[0]["motor_limit_pm"] == 869
+    with pytest.raises(RigError, match="6072h ends at 868 per mille"):
+        Controller(own_files(high_limit("6072", "HighLimit=868\n")), "active")
+    assert Controller(own_files(high_limit("6072", "")), "active").control[0]["motor_limit_pm"] == 869
+
+
+@pytest.mark.parametrize(("line", "most"), [("HighLimit=4100\n", 4100), ("HighLimit=40000\n", 32767), ("", 32767)])
+def test_the_brakes_set_point_ends_at_its_objects_limit_and_at_16_bits(line, most):
+    rig = own_files(None, high_limit("7300sub1", line))
+    assert Controller(rig, "hybrid").control[0]["brake_limit_raw"] == most
+
+
+def test_a_set_point_without_a_sign_ends_at_its_own_limit():
+    wide = lambda text: text.replace(  # noqa: E731
+        "DataType=0x0003\nLowLimit=0\nHighLimit=5000\n", "DataType=0x0006\nLowLimit=0\nHighLimit=40000\n"
+    )
+    rig = own_files(None, wide)
+    assert Controller(rig, "hybrid").control[0]["brake_limit_raw"] == 40000
+
+
+def test_the_positions_bit_is_that_of_its_tpdo():
+    controller = Controller(rig_of("bench"), "hybrid")
+    pdos = controller.rig.pdos()
+    tpdos = [pdo for pdo in pdos if pdo.layout.direction == "tpdo"][::-1]
+    at = [any(signal.key == "motor.position_rad" for signal in pdo.signals) for pdo in tpdos].index(True)
+    assert at > 0
+    assert (
+        controller._new_control(tuple(tpdos) + tuple(p for p in pdos if p not in tpdos))[0]["position_mask"] == 1 << at
+    )
+
+
+def test_a_run_begins_still_with_both_nodes_just_heard():
+    controller = Controller(rig_of("bench"), "hybrid")
+    assert controller.phase is Phase.OFF
+    h = controller.host[0]
+    h["motor_nmt"] = h["brake_nmt"] = 4
+    controller.start(77)
+    assert (h["next_ns"], h["heartbeat_due_ns"], h["motor_heartbeat_ns"], h["brake_heartbeat_ns"]) == (77,) * 4
+    assert (h["motor_nmt"], h["brake_nmt"], h["phase"]) == (5, 5, Phase.STILL)
+
+
+@pytest.mark.parametrize("trip", [Trip.NONE, Trip.SPEED, Trip.RECORDING])
+def test_a_wish_to_stop_is_1_or_the_trip(trip):
+    controller = Controller(rig_of("bench"), "hybrid")
+    controller.stop(trip)
+    assert controller.host[0]["stop"] == (int(trip) or 1)
+    assert int(Trip.SPEED) == 1

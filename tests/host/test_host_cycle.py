@@ -1,0 +1,580 @@
+"""The host's cycle, function by function: SYNC, frames, the motor's limit, and what each phase sends; both senses, away from 0."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from coulombus.eds.cia402 import PowerState
+from coulombus.host.cycle.records import Image, Phase, Trip
+from coulombus.host.cycle.step import SOURCE_HOST, _limit_motor, begin
+from coulombus.host.laws.laws import compile_law
+from host_bench import MS, HostBench
+
+BOTH = pytest.mark.parametrize("sign", [1, -1])
+TPDO1, TPDO2, BRAKE_TPDO = 0x181, 0x281, 0x182
+
+
+def test_the_host_is_no_station_of_the_bus():
+    assert SOURCE_HOST == -1
+
+
+# begin
+
+
+def begun(bench, t_ns):
+    bench.header[0].count = 0
+    begin(bench.c, bench.h, t_ns, bench.queue, bench.header)
+    return bench.frames()
+
+
+def test_a_cycle_begins_with_sync_and_a_window_for_the_tpdos():
+    bench = HostBench().enter(Phase.RUN)
+    bench.h.heartbeat_due_ns = 10**12
+    bench.h.arrived = 0b111
+    assert begun(bench, 101 * MS) == [(101 * MS, 0x80, 0, 0)]
+    h = bench.h
+    assert (h.cycle, h.sync_ns, h.next_ns) == (101, 101 * MS, 101 * MS + bench.c.window_ns)
+    assert (h.arrived, h.waiting, h.lost_pdos) == (0, 1, 0)
+    assert bench.queue[0].source == SOURCE_HOST
+
+
+@pytest.mark.parametrize("phase", Phase)
+@pytest.mark.parametrize("arrived", range(8))
+@pytest.mark.parametrize("cycle", [0, 1, 9])
+def test_a_cycle_that_lacked_a_tpdo_is_counted_until_the_safe_state(phase, arrived, cycle):
+    bench = HostBench()
+    assert bench.c.tpdos == 3
+    bench.h.phase, bench.h.arrived, bench.h.cycle, bench.h.lost_pdos = int(phase), arrived, cycle, 7
+    begun(bench, 5 * MS)
+    assert bench.h.lost_pdos == 7 + (cycle > 0 and phase < Phase.SAFE and arrived != 7)
+
+
+@pytest.mark.parametrize("early_ns", [1, 0, -1])
+def test_the_hosts_heartbeat_goes_out_when_it_is_due(early_ns):
+    bench = HostBench()
+    bench.h.heartbeat_due_ns = 8 * MS + early_ns
+    beat = [(8 * MS, 0x700 + bench.c.host_id, 1, 5)] if early_ns <= 0 else []
+    assert begun(bench, 8 * MS) == [(8 * MS, 0x80, 0, 0), *beat]
+    assert bench.h.heartbeat_due_ns == (8 * MS + bench.c.heartbeat_ns if beat else 8 * MS + 1)
+
+
+def test_a_heartbeat_of_one_nanosecond_is_one_and_of_none_is_none():
+    bench = HostBench()
+    bench.c.heartbeat_ns = 0
+    assert len(begun(bench, 8 * MS)) == 1
+    bench.c.heartbeat_ns = 1
+    assert len(begun(bench, 9 * MS)) == 2
+
+
+def test_an_axis_that_does_not_lead_sends_neither_sync_nor_heartbeat():
+    bench = HostBench()
+    bench.c.sync_cob_id = -1
+    assert begun(bench, 8 * MS) == []
+    assert bench.h.cycle == 1
+    bench.c.sync_cob_id = 0
+    assert begun(bench, 9 * MS)[0][1] == 0
+
+
+# frames
+
+
+def test_the_tpdo_that_completes_the_cycle_says_so():
+    bench = HostBench()
+    bench.h.waiting = 1
+    assert [bench.frame(i, 8 if i == TPDO1 else n, 0) for i, n in ((TPDO1, 8), (BRAKE_TPDO, 6), (TPDO2, 4))] == [
+        0,
+        0,
+        1,
+    ]
+    assert bench.h.arrived == 7
+    assert bench.frame(TPDO2, 4, 0) == 1  # again: nothing is lacking
+    bench.h.waiting = 0  # too late
+    assert bench.frame(TPDO2, 4, 0) == 0
+    assert (bench.h.malformed_pdos, bench.h.stray_frames) == (0, 0)
+
+
+@pytest.mark.parametrize("k", range(3))
+def test_a_tpdo_fills_its_own_slots_and_its_own_bit(k):
+    bench = HostBench()
+    bench.h.waiting, bench.h.malformed_pdos = 1, 2
+    pdo = bench.k.tpdos[k]
+    before = list(bench.h.image)
+    assert bench.frame(int(pdo.cob_id), int(pdo.length), 0x0102030405060708 & ((1 << 8 * int(pdo.length)) - 1)) == 0
+    changed = {slot for slot, (a, b) in enumerate(zip(before, bench.h.image, strict=True)) if a != b}
+    assert changed == {int(slot) for slot in pdo.slot[: pdo.count]}
+    assert bench.h.arrived == 1 << k
+    for length in (pdo.length - 1, pdo.length + 1):
+        bench.h.arrived = 0
+        kept = list(bench.h.image)
+        assert bench.frame(int(pdo.cob_id), int(length), -1) == 0
+        assert list(bench.h.image) == kept
+        assert bench.h.arrived == 0
+    assert bench.h.malformed_pdos == 4
+
+
+@pytest.mark.parametrize("node", ["motor", "brake"])
+def test_a_heartbeat_is_news_when_the_state_is(node):
+    bench = HostBench()
+    h, other = bench.h, "brake" if node == "motor" else "motor"
+    node_id = getattr(bench.c, f"{node}_id")
+    bench.t_ns = 33 * MS
+    answers = [bench.frame(0x700 + node_id, 1, state) for state in (5, 127, 0x80 | 127, 127, 4, 5)]
+    assert answers == [0, 2, 0, 0, 2, 2]
+    assert getattr(h, f"{node}_nmt") == 5
+    assert getattr(h, f"{node}_heartbeat_ns") == 33 * MS
+    assert (getattr(h, f"{other}_nmt"), getattr(h, f"{other}_heartbeat_ns")) == (5, 0)
+    assert h.stray_frames == 0
+    assert bench.frame(0x700 + node_id, 1, 127) == 2
+    assert getattr(h, f"{node}_nmt") == 127
+
+
+def test_a_heartbeat_of_another_node_or_of_no_length_is_none_of_ours():
+    bench = HostBench()
+    assert bench.frame(0x705, 1, 127) == 2  # not known: the control plane looks at it
+    for length in (0, 2):
+        assert bench.frame(0x701, length, 127) == 0
+    assert [bench.frame(can_id, 1, 127) for can_id in (0x081, 0x082, 0x101)] == [0, 0, 0]
+    assert bench.h.stray_frames == 5
+    assert (bench.h.motor_nmt, bench.h.brake_nmt) == (5, 5)
+
+
+def test_answers_of_sdo_servers_go_to_the_control_plane():
+    bench = HostBench()
+    assert [bench.frame(i, 8, 0) for i in (0x581, 0x582, 0x5FF, 0x601)] == [2, 2, 2, 0]
+    assert bench.h.stray_frames == 1
+
+
+@pytest.mark.parametrize(("can_id", "trip"), [(0x081, Trip.EMCY_MOTOR), (0x082, Trip.EMCY_BRAKE)])
+def test_an_emcy_asks_for_a_trip_and_the_first_code_stays(can_id, trip):
+    bench = HostBench()
+    h = bench.h
+    assert bench.frame(can_id, 8, 0x11_0000) == 2  # an error reset
+    assert h.emcy == Trip.NONE
+    assert [bench.frame(can_id, n, 0x11_8250) for n in (0, 7)] == [0, 0]
+    assert (h.emcy, h.stray_frames) == (Trip.NONE, 2)
+    assert bench.frame(0x083, 8, 0x11_8250) == 0
+    assert (h.emcy, h.stray_frames) == (Trip.NONE, 3)
+    assert bench.frame(can_id, 8, 0x11_0001) == 2
+    assert (h.emcy, h.emcy_code) == (trip, 1)
+    assert bench.frame(0x081, 8, 0x11_F250) == bench.frame(0x082, 8, 0x11_F250) == 2
+    assert (h.emcy, h.emcy_code) == (trip, 1)
+
+
+@pytest.mark.parametrize("code", [0x8250, 0xFFFF, 0x7FFF])
+def test_the_code_of_an_emcy_has_16_bits(code):
+    bench = HostBench()
+    bench.frame(0x081, 8, 0xFF_0000 | code)
+    assert bench.h.emcy_code == code
+
+
+@pytest.mark.parametrize("can_id", [0x800, 0x8000_0081, 0x4000_0081, 0x2000_0081, 0x881, 0xF01, 0x333, 0x101, 0x7FF])
+def test_a_frame_of_nobody_is_counted_and_does_nothing(can_id):
+    bench = HostBench()
+    image = list(bench.h.image)
+    assert bench.frame(can_id, 8 if can_id != 0x7FF else 2, 0x8250) == 0
+    assert (bench.h.stray_frames, bench.h.emcy, bench.h.arrived) == (1, Trip.NONE, 0)
+    assert list(bench.h.image) == image
+
+
+# the motor's limit
+
+
+def limited(wanted, *, before=0.0, v_counts=0.0, age=0, motor=1, encoder=1, limit_pm=256):
+    bench = HostBench("active")
+    c, h = bench.c, bench.h
+    c.Nm_pm, c.rad_count, c.period_ns = motor * 2.0**-8, encoder * 2.0**-6, 500_000_000
+    c.motor_limit_pm, c.motor_rate_Nm, c.speed_limit = limit_pm, 0.5, 20.0
+    h.motor_Nm, h.v_counts, h.position_age, h.clipped_torque = before, v_counts, age, 5
+    torque = _limit_motor(c, h, wanted)
+    return torque, h.clipped_torque - 5
+
+
+@BOTH
+@pytest.mark.parametrize("motor", [1, -1])
+@pytest.mark.parametrize("encoder", [1, -1])
+@pytest.mark.parametrize(
+    ("wanted", "before", "speed", "expected", "clipped"),
+    [
+        (0.25, 0.0, 0, 0.25, 0),
+        (0.75, 0.0, 0, 0.5, 0),  # rate
+        (0.75, 0.5, 0, 0.75, 0),
+        (-0.75, 0.5, 0, 0.0, 0),
+        (-0.25, 0.25, 0, -0.25, 0),
+        (1.0, 0.75, 0, 1.0, 0),
+        (1.25, 0.75, 0, 1.0, 1),  # size
+        (9.0, 1.0, 0, 1.0, 1),
+        (0.25, 0.0, 16.0, 0.25, 0),  # at 0.8 of the speed limit
+        (0.25, 0.0, 16.25, 0.0, 0),  # above it
+        (-0.25, 0.0, 16.25, -0.25, 0),  # braking
+        (0.25, 0.0, -16.0, 0.25, 0),
+        (0.25, 0.0, -16.25, 0.25, 0),
+        (-0.25, 0.0, -16.25, 0.0, 0),
+        (2.0**-8, 0.0, 16.25, 0.0, 0),
+        (-(2.0**-8), 0.0, 16.25, -(2.0**-8), 0),
+    ],
+)
+def test_the_motor_is_limited_in_rate_size_and_near_the_speed_limit(
+    sign, motor, encoder, wanted, before, speed, expected, clipped
+):
+    v_counts = sign * encoder * speed * 0.5 * 2**6
+    done = limited(sign * wanted, before=sign * before, v_counts=v_counts, motor=motor, encoder=encoder)
+    assert done == (sign * expected, clipped)
+
+
+@BOTH
+@pytest.mark.parametrize("motor", [1, -1])
+def test_a_small_limit_keeps_the_torques_sense(sign, motor):
+    assert limited(sign * 0.5, motor=motor, limit_pm=64) == (sign * 0.25, 1)
+    assert limited(sign * 0.5, motor=motor, limit_pm=0) == (0.0, 1)
+
+
+@BOTH
+def test_a_position_older_than_one_cycle_is_torque_zero(sign):
+    assert limited(sign * 0.25, age=1) == (sign * 0.25, 0)
+    assert limited(sign * 0.25, age=2) == (0.0, 0)
+    assert limited(math.nan, age=2) == (0.0, 0)
+
+
+def test_what_is_no_number_is_torque_zero_and_counted():
+    assert limited(math.nan, before=0.5) == (0.0, 1)
+
+
+# finish
+
+
+@pytest.mark.parametrize("late_ns", [0, 1])
+def test_a_cycle_that_ends_after_the_next_should_begin_is_counted(late_ns):
+    bench = HostBench().enter(Phase.OFF)
+    h = bench.h
+    h.sync_ns, h.waiting, h.missed_deadlines = 100 * MS, 1, 4
+    bench.t_ns = 101 * MS + late_ns
+    bench.finish()
+    assert (h.waiting, h.next_ns, h.missed_deadlines) == (0, 101 * MS, 4 + late_ns)
+
+
+@pytest.mark.parametrize("arrived", range(8))
+def test_cycles_without_all_tpdos_are_counted_in_a_row(arrived):
+    bench = HostBench().enter(Phase.OFF)
+    bench.h.arrived, bench.h.missed_in_a_row = arrived, 1
+    bench.finish()
+    assert bench.h.missed_in_a_row == (0 if arrived == 7 else 2)
+
+
+@pytest.mark.parametrize("phase", [p for p in Phase if p < Phase.SAFE])
+@pytest.mark.parametrize("state", PowerState)
+def test_a_drive_that_leaves_operation_enabled_by_itself_trips(phase, state):
+    bench = HostBench().enter(phase, counts=-400)
+    bench.state = int(state)
+    bench.cycle()
+    leaves = Phase.ENABLE < phase < Phase.SAFE and state != PowerState.OPERATION_ENABLED
+    assert bench.h.trip == (Trip.DRIVE_STATE if leaves else Trip.NONE)
+    assert (bench.phase is Phase.SAFE) == leaves
+
+
+@pytest.mark.parametrize("phase", [p for p in Phase if p < Phase.SAFE])
+def test_a_dead_mans_switch_that_is_let_go_trips_once_arming_has_begun(phase):
+    bench = HostBench().enter(phase, counts=300)
+    bench.h.deadman_ok = 0
+    bench.cycle()
+    assert bench.h.trip == (Trip.DEADMAN if phase > Phase.STILL else Trip.NONE)
+
+
+@pytest.mark.parametrize("value", [0, 1, 255, -1])
+def test_a_switch_in_the_process_image_holds_while_it_is_not_zero(value):
+    bench = HostBench().enter(Phase.RUN, counts=300)
+    bench.c.deadman_slot = int(Image.DEADMAN)
+    bench.h.image[Image.DEADMAN], bench.h.deadman_ok = value, 0 if value else 1
+    bench.cycle()
+    assert bench.h.deadman_ok == (value != 0)
+    assert bench.h.trip == (Trip.NONE if value else Trip.DEADMAN)
+
+
+def test_slot_0_may_hold_the_switch_and_minus_1_is_none():
+    bench = HostBench().enter(Phase.RUN)
+    bench.c.deadman_slot, bench.h.image[0] = 0, 0
+    bench.cycle()
+    assert bench.h.trip == Trip.DEADMAN
+    bench = HostBench().enter(Phase.RUN)
+    assert bench.c.deadman_slot == -1
+    bench.h.image[-1] = 0
+    bench.cycle()
+    assert bench.h.trip == Trip.NONE
+
+
+def test_the_first_doubt_of_a_cycle_is_the_one_that_is_told():
+    """Encoder, then motion, then devices, then the drive, then the switch, then the wish to stop."""
+    wrong = [
+        (Trip.ENCODER_JUMP, lambda b: setattr(b, "counts", b.counts + 600)),
+        (Trip.SPEED, lambda b: setattr(b.c, "speed_limit", -1.0)),
+        (Trip.NMT_STATE, lambda b: setattr(b.h, "motor_nmt", 4)),
+        (Trip.DRIVE_STATE, lambda b: setattr(b, "state", int(PowerState.SWITCHED_ON))),
+        (Trip.DEADMAN, lambda b: setattr(b.h, "deadman_ok", 0)),
+        (Trip.RECORDING, lambda b: setattr(b.h, "stop", int(Trip.RECORDING))),
+    ]
+    for k, (trip, _) in enumerate(wrong):
+        bench = HostBench().enter(Phase.RUN, counts=300)
+        for _, doubt in wrong[k:]:
+            doubt(bench)
+        bench.cycle()
+        assert bench.h.trip == trip
+
+
+@pytest.mark.parametrize("phase", Phase)
+@pytest.mark.parametrize("stop", [0, 1, 2, int(Trip.RECORDING)])
+def test_a_wish_to_stop_leads_to_the_safe_state_once(phase, stop):
+    bench = HostBench().enter(phase, counts=-300)
+    bench.h.stop, bench.h.phase_cycle = stop, 40
+    bench.cycle()
+    stops = stop and phase < Phase.SAFE
+    assert bench.h.trip == (stop if stops and stop > 1 else Trip.NONE)
+    if stops:
+        assert bench.phase is Phase.SAFE
+        assert bench.h.phase_cycle == 1
+        assert bench.h.trip_ns == bench.t_ns
+    elif phase in (Phase.SAFE, Phase.DISABLE):
+        assert bench.h.phase_cycle == 41
+    else:
+        assert bench.phase is phase or phase in (Phase.ENABLE, Phase.STILL)
+
+
+CONTROLWORDS = {
+    # phase: the controlword by the drive's state, Not Ready to Switch On to Fault
+    Phase.OFF: [0x00] * 8,
+    Phase.STILL: [0x00, 0x06, 0x07, 0x07, 0x0F, 0x00, 0x00, 0x80],
+    Phase.ENABLE: [0x00, 0x06, 0x07, 0x0F, 0x0F, 0x00, 0x00, 0x80],
+    Phase.SIGN: [0, 0, 0, 0, 0x0F, 0, 0, 0],
+    Phase.SETTLE: [0, 0, 0, 0, 0x0F, 0, 0, 0],
+    Phase.RUN: [0, 0, 0, 0, 0x0F, 0, 0, 0],
+    Phase.SAFE: [0, 0, 0, 0, 0x0F, 0, 0, 0],
+    Phase.DISABLE: [0x00] * 8,
+    Phase.DONE: [0x00] * 8,
+}
+
+
+@pytest.mark.parametrize("phase", Phase)
+@pytest.mark.parametrize("state", PowerState)
+def test_the_controlword_by_phase_and_state_of_the_drive(phase, state):
+    bench = HostBench().enter(phase, counts=100)
+    bench.c.sign_check = 1
+    bench.state = int(state)
+    bench.cycle()
+    assert bench.controlword == CONTROLWORDS[phase][state]
+
+
+@pytest.mark.parametrize("phase", [Phase.STILL, Phase.ENABLE])
+def test_a_statusword_of_no_state_is_sent_no_command(phase):
+    bench = HostBench().enter(phase)
+    h = bench.h
+    h.arrived, h.image[Image.POSITION], h.image[Image.STATUSWORD] = 7, 0, 0x0001
+    bench.finish()
+    assert bench.controlword == 0
+
+
+@pytest.mark.parametrize("phase", Phase)
+def test_only_the_phases_of_an_enabled_drive_send_torque(phase):
+    bench = HostBench("active").enter(phase, counts=50)
+    bench.h.motor_Nm, bench.h.brake_Nm = 0.3, 0.7
+    bench.k.state[0].x_stuck -= 0.01  # the law would push back
+    bench.cycle()
+    assert (bench.motor_pm != 0) == (Phase.SIGN <= phase <= Phase.RUN)
+    if phase in (Phase.OFF, Phase.DISABLE, Phase.DONE):
+        assert bench.h.brake_Nm == 0.0
+        assert bench.brake_Nm == 0.0
+
+
+def test_the_safe_state_shows_the_brakes_torque_that_it_keeps():
+    bench = HostBench().enter(Phase.SAFE, counts=50)
+    bench.h.brake_Nm, bench.h.safe_from_Nm = 3.0, 0.5
+    bench.cycle()
+    assert bench.brake_Nm == 0.5
+
+
+def test_a_handle_that_was_still_for_long_enough_is_enabled():
+    bench = HostBench().enter(Phase.STILL, counts=50)
+    bench.h.still = bench.c.still_cycles - 1
+    bench.cycle()
+    assert bench.phase is Phase.ENABLE
+    assert bench.controlword == 0x07  # from the next cycle on
+    bench.cycle()
+    assert bench.controlword == 0x0F
+
+
+@pytest.mark.parametrize("sign_check", [0, 1])
+def test_operation_enabled_leads_to_the_sign_check_or_to_the_law(sign_check):
+    bench = HostBench().enter(Phase.ENABLE, counts=-70)
+    bench.c.sign_check = sign_check
+    bench.h.sign_direction, bench.h.motor_Nm, bench.c.motor_rate_Nm = -1, 0.3, 0.125
+    bench.state = int(PowerState.OPERATION_ENABLED)
+    bench.cycle()
+    assert bench.h.enabled_ns == bench.t_ns
+    assert bench.motor_pm == 0
+    assert bench.h.phase_cycle == 0
+    assert bench.controlword == 0x0F
+    assert bench.h.display_cycles == 1
+    if sign_check:
+        assert bench.phase is Phase.SIGN
+        assert bench.h.sign_direction == 1
+        assert bench.h.armed_ns == -1
+    else:
+        assert bench.phase is Phase.RUN
+        assert bench.h.armed_ns == bench.t_ns
+
+
+def test_a_drive_that_does_not_enable_is_given_its_time_and_no_more():
+    bench = HostBench().enter(Phase.ENABLE)
+    bench.h.phase_cycle = bench.c.enable_timeout_cycles - 1
+    bench.cycle()
+    assert bench.phase is Phase.ENABLE
+    assert bench.h.display_cycles == 0
+    bench.state = int(PowerState.SWITCHED_ON)
+    bench.cycle()
+    assert bench.h.trip == Trip.ENABLE_TIMEOUT
+
+
+@pytest.mark.parametrize("phase", Phase)
+@pytest.mark.parametrize("enabled_ns", [-1, 0, 7])
+def test_cycles_of_display_are_counted_from_enabled_to_safe(phase, enabled_ns):
+    bench = HostBench().enter(phase)
+    bench.state = int(PowerState.SWITCHED_ON if phase <= Phase.ENABLE else PowerState.OPERATION_ENABLED)
+    bench.h.enabled_ns, bench.h.display_cycles = enabled_ns, 10
+    bench.cycle()
+    assert bench.h.display_cycles == 10 + (enabled_ns >= 0 and phase < Phase.SAFE)
+
+
+@BOTH
+def test_settling_takes_the_torque_back_by_steps_in_either_sense(sign):
+    """Five steps of the ramp a cycle; the law begins at 0 and with the handle still."""
+    bench = HostBench().enter(Phase.SETTLE, counts=-900)
+    c, h = bench.c, bench.h
+    h.sign_direction, h.motor_Nm = sign, sign * 0.0175
+    shown = []
+    for _ in range(c.settle_cycles):
+        bench.cycle()
+        shown.append(h.motor_Nm)
+    assert shown[:4] == pytest.approx([sign * 0.0125, sign * 0.0075, sign * 0.0025, 0.0])
+    assert bench.phase is Phase.RUN
+    assert (h.armed_ns, h.gain) == (bench.t_ns, 0.0)
+    assert bench.k.state[0].x_stuck == -900 * c.rad_count
+
+
+@BOTH
+def test_settling_waits_for_torque_zero_and_a_still_handle(sign):
+    bench = HostBench().enter(Phase.SETTLE, counts=900)
+    c, h = bench.c, bench.h
+    h.sign_direction, h.motor_Nm, h.still = sign, sign * 0.0125, c.settle_cycles - 1
+    bench.cycle()  # still for long enough, but there is torque
+    assert bench.phase is Phase.SETTLE
+    bench.counts += 2 * sign
+    bench.cycles(2)
+    assert h.still == 1
+    assert bench.phase is Phase.SETTLE
+    h.phase_cycle = c.still_timeout_cycles - 1
+    bench.cycle()
+    assert bench.phase is Phase.SETTLE
+    bench.cycle()
+    assert h.trip == Trip.NOT_STILL
+
+
+def told(motion, law, state):
+    """Return what the law is told, one after another."""
+    k = state.user[0]
+    state.user[1], state.user[2], state.user[3] = motion.x_rad, motion.v_rad_s, motion.v_counts
+    state.user[4] = motion.handle_Nm
+    state.user[5] += 1.0
+    state.brake_Nm = law.user[1]
+    return law.user[0] + k
+
+
+TOLD = compile_law(told)
+
+
+@BOTH
+@pytest.mark.parametrize("encoder", [1, -1])
+def test_the_law_is_told_the_handle_in_the_handles_sense(sign, encoder):
+    bench = HostBench("active", f"mechanics.encoder_polarity={encoder}").enter(Phase.RUN, counts=700)
+    bench.k.law_function = TOLD
+    bench.k.law[0].user[0], bench.k.law[0].user[1] = 0.0625, 0.5
+    bench.counts += encoder * sign * 30
+    bench.handle_Nm = sign * 0.5
+    bench.cycle()
+    user, rad = bench.k.state[0].user, abs(bench.c.rad_count)
+    assert user[1] == pytest.approx((encoder * 700 + sign * 30) * rad)
+    assert user[2] == pytest.approx(sign * 30 * rad / 1e-3)
+    assert user[3] == sign * 30
+    assert user[4] == pytest.approx(sign * 0.5)
+    assert bench.k.state[0].psi_Nm == 0.0625
+
+
+@pytest.mark.parametrize("phase", Phase)
+def test_the_law_is_asked_in_the_phase_run_only(phase):
+    bench = HostBench("active").enter(phase, counts=40)
+    bench.k.law_function = TOLD
+    bench.cycle()
+    assert bench.k.state[0].user[5] == (phase is Phase.RUN)
+
+
+@pytest.mark.parametrize(("psi", "brake"), [(math.nan, 1.0), (0.5, math.nan), (math.nan, math.nan)])
+def test_a_law_that_gives_no_number_trips_and_is_not_kept(psi, brake):
+    bench = HostBench("active").enter(Phase.RUN, counts=40)
+    bench.k.law_function = TOLD
+    bench.k.law[0].user[0], bench.k.law[0].user[1] = psi, brake
+    bench.k.state[0].psi_Nm = 0.25
+    bench.cycle()
+    assert bench.h.trip == Trip.LAW
+    assert bench.h.trip_ns == bench.t_ns
+    assert bench.motor_pm == 0
+    assert bench.k.state[0].psi_Nm == 0.25
+
+
+@pytest.mark.parametrize("state", PowerState)
+@pytest.mark.parametrize("cycles", [99, 100])
+def test_disabling_ends_when_the_drive_says_so_or_after_100_cycles(state, cycles):
+    bench = HostBench().enter(Phase.DISABLE)
+    bench.state, bench.h.phase_cycle = int(state), cycles
+    bench.cycle()
+    done = state in (PowerState.SWITCH_ON_DISABLED, PowerState.FAULT) or cycles == 100
+    assert bench.phase is (Phase.DONE if done else Phase.DISABLE)
+
+
+@pytest.mark.parametrize("phase", [Phase.OFF, Phase.RUN])
+def test_a_disabled_drive_ends_no_other_phase(phase):
+    bench = HostBench().enter(phase)
+    bench.state = int(PowerState.SWITCH_ON_DISABLED)
+    bench.cycle()
+    assert bench.phase is (Phase.OFF if phase is Phase.OFF else Phase.SAFE)
+
+
+@pytest.mark.parametrize(
+    ("brake_Nm", "raw"), [(2.0, 2000), (2.0004, 2000), (2.0006, 2001), (-0.5, 0), (-3.0, 0), (40.0, 5000), (5.0, 5000)]
+)
+def test_the_brakes_set_point_is_rounded_not_negative_and_within_its_object(brake_Nm, raw):
+    bench = HostBench().enter(Phase.STILL)
+    bench.c.brake_limit_raw = 5000
+    bench.h.brake_Nm = brake_Nm
+    bench.cycle()
+    assert bench.h.image[Image.BRAKE_SETPOINT] == raw
+
+
+@BOTH
+@pytest.mark.parametrize("motor", [1, -1])
+def test_the_target_torque_is_rounded_and_in_the_motors_sense(sign, motor):
+    bench = HostBench("active", f"mechanics.motor_polarity={motor}").enter(Phase.RUN, counts=5)
+    bench.k.law_function = TOLD
+    bench.k.law[0].user[0] = -sign * 100.4 * abs(bench.c.Nm_pm)
+    bench.cycle()
+    assert bench.motor_pm == motor * sign * 100
+    bench.k.law[0].user[0] = -sign * 100.6 * abs(bench.c.Nm_pm)
+    bench.cycle()
+    assert bench.motor_pm == motor * sign * 101
+
+
+def test_every_rpdo_goes_out_in_the_cycle_that_trips_too():
+    bench = HostBench("active").enter(Phase.RUN, counts=5)
+    bench.h.motor_nmt = 4
+    bench.cycle()
+    pdos = [bench.k.rpdos[i] for i in range(bench.c.rpdos)]
+    sent = [f for f in bench.frames() if f[1] not in (0x80, 0x77F)]
+    assert [(f[0], f[1], f[2]) for f in sent] == [(bench.t_ns, int(p.cob_id), int(p.length)) for p in pdos]
+    assert sent[0][3] == 0x0F  # controlword, torque 0

@@ -1,0 +1,379 @@
+"""Arming, the law's split and the safe state, function by function: in both senses, in every polarity, away from 0."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from coulombus.eds.cia402 import PowerState
+from coulombus.host.cycle.phases import arm, count_still, enter, run_law, safe, sign_check, still, trip_to_safe
+from coulombus.host.cycle.records import Phase, SignResult, Trip
+from host_bench import MS, HostBench
+
+BOTH = pytest.mark.parametrize("sign", [1, -1])
+POLARITIES = pytest.mark.parametrize(("motor", "encoder"), [(1, 1), (1, -1), (-1, 1), (-1, -1)])
+SWITCHED_ON = int(PowerState.SWITCHED_ON)
+T = 123 * MS
+
+
+def standing(phase, counts=-640, mode="hybrid", **control):
+    bench = HostBench(mode).enter(phase, counts)
+    bench.h.fresh = 1
+    for name, value in control.items():
+        setattr(bench.c, name, value)
+    return bench
+
+
+def test_a_phase_begins_where_the_handle_stands():
+    h = standing(Phase.STILL, 77).h
+    h.phase_cycle, h.still, h.reference_counts = 9, 9, 9
+    enter(h, int(Phase.SIGN))
+    assert (h.phase, h.phase_cycle, h.still, h.reference_counts) == (Phase.SIGN, 0, 0, 77)
+
+
+# the safe state
+
+
+@pytest.mark.parametrize("phase", Phase)
+@pytest.mark.parametrize(("brake", "held"), [(0.25, 0.25), (3.5, 1.0), (0.0, 0.0)])
+def test_the_safe_state_begins_once_with_its_reason_and_a_bounded_brake(phase, brake, held):
+    bench = standing(phase, counts=55, safe_brake_Nm=1.0)
+    h = bench.h
+    h.brake_Nm, h.sign_result = brake, int(SignResult.NOT_RUN)
+    h.trip, h.trip_ns, h.phase_cycle, h.safe_from_Nm = int(Trip.NONE), 5, 40, 0.125
+    trip_to_safe(bench.c, h, int(Trip.SPEED), T)
+    if phase >= Phase.SAFE:
+        assert (h.phase, h.trip, h.trip_ns, h.phase_cycle, h.safe_from_Nm) == (phase, Trip.NONE, 5, 40, 0.125)
+        return
+    assert (h.phase, h.trip, h.trip_ns, h.phase_cycle, h.safe_from_Nm) == (Phase.SAFE, Trip.SPEED, T, 0, held)
+    assert h.sign_result == (SignResult.REFUSED if phase is Phase.SIGN else SignResult.NOT_RUN)
+
+
+HOLD, RAMP = 6, 4
+
+
+def safe_course(bench, counts):
+    """The brake's torque in each cycle of SAFE, while the encoder counts `counts` a cycle."""
+    c, h = bench.c, bench.h
+    c.safe_hold_cycles, c.safe_ramp_cycles = HOLD, RAMP
+    shown = []
+    while h.phase == Phase.SAFE and len(shown) < 40:
+        h.phase_cycle += 1
+        h.v_counts = counts
+        safe(c, h)
+        shown.append(h.brake_Nm)
+    return shown
+
+
+@BOTH
+def test_the_brake_is_held_for_its_time_while_the_handle_moves_and_ramped(sign):
+    bench = standing(Phase.SAFE)
+    bench.h.safe_from_Nm, bench.h.brake_Nm = 0.5, 3.0
+    assert safe_course(bench, sign * 2) == [0.5] * HOLD + [0.375, 0.25, 0.125, 0.0]
+    assert bench.phase is Phase.DISABLE
+    assert bench.h.phase_cycle == 0
+
+
+@pytest.mark.parametrize("counts", [0, 1, -1, 0.5, -0.5])
+def test_the_brake_of_a_still_handle_is_ramped_from_the_second_cycle_on(counts):
+    bench = standing(Phase.SAFE)
+    bench.h.safe_from_Nm = 0.5
+    assert safe_course(bench, counts) == [0.5, 0.5, 0.375, 0.25, 0.125, 0.0]
+
+
+def test_a_handle_whose_position_is_not_known_does_not_count_as_still():
+    bench = standing(Phase.SAFE)
+    bench.h.safe_from_Nm, bench.h.fresh = 0.5, 0
+    assert safe_course(bench, 0) == [0.5] * HOLD + [0.375, 0.25, 0.125, 0.0]
+
+
+def test_a_brake_without_torque_is_not_held():
+    bench = standing(Phase.SAFE)
+    bench.h.safe_from_Nm, bench.h.brake_Nm = 0.0, 2.0
+    assert safe_course(bench, 50) == [0.0] * 5
+
+
+# still
+
+
+@BOTH
+def test_still_is_one_count_about_where_it_stood_in_either_sense(sign):
+    bench = standing(Phase.STILL, counts=500)
+    h = bench.h
+    for counts, count, reference in (
+        (500, 1, 500),
+        (500 + sign, 2, 500),
+        (500 - sign, 3, 500),
+        (500 + 2 * sign, 0, 500 + 2 * sign),
+        (500 + 2 * sign, 1, 500 + 2 * sign),
+        (500, 0, 500),
+    ):
+        h.counts = counts
+        count_still(h)
+        assert (h.still, h.reference_counts) == (count, reference)
+    h.still, h.fresh = 5, 0
+    h.counts = 501
+    count_still(h)
+    assert (h.still, h.reference_counts) == (0, 501)
+
+
+@BOTH
+def test_the_handle_is_enabled_after_its_time_with_the_mean_torque_before(sign):
+    bench = standing(Phase.STILL, still_cycles=4, still_handle_Nm=0.25)
+    c, h = bench.c, bench.h
+    h.handle_before_Nm, h.handle_samples, h.still = 7.0, 5, 0
+    h.counts += 5  # not still: what was summed is forgotten
+    for handle in (0.0625, 0.125, 0.25, 0.125, 0.0):
+        assert h.phase == Phase.STILL
+        h.handle_Nm = sign * handle
+        still(c, h, SWITCHED_ON, T)
+    assert h.phase == Phase.ENABLE
+    assert h.handle_before_Nm == sign * 0.5625 / 5
+
+
+@BOTH
+def test_a_load_begins_the_waiting_anew(sign):
+    bench = standing(Phase.STILL, still_cycles=4, still_handle_Nm=0.25)
+    c, h = bench.c, bench.h
+    for handle in (0.0, 0.0, 0.2578125, 0.125, 0.125, 0.125):
+        h.handle_Nm = sign * handle
+        still(c, h, SWITCHED_ON, T)
+    assert (h.phase, h.still) == (Phase.STILL, 3)
+    assert h.handle_before_Nm == sign * (0.2578125 + 3 * 0.125)
+    assert h.handle_samples == 4
+
+
+@pytest.mark.parametrize("state", PowerState)
+@pytest.mark.parametrize("deadman", [0, 1])
+def test_nothing_is_enabled_without_the_switch_and_a_switched_on_drive(state, deadman):
+    bench = standing(Phase.STILL, still_cycles=4)
+    bench.h.still, bench.h.deadman_ok = 3, deadman
+    still(bench.c, bench.h, int(state), T)
+    assert (bench.h.phase == Phase.ENABLE) == (state == PowerState.SWITCHED_ON and deadman == 1)
+
+
+@BOTH
+@pytest.mark.parametrize(
+    ("state", "still_for", "deadman", "handle", "trip"),
+    [
+        (2, 50, 1, 0.0, Trip.ENABLE_TIMEOUT),
+        (4, 0, 1, 0.5, Trip.ENABLE_TIMEOUT),
+        (3, 4, 0, 0.0, Trip.DEADMAN),
+        (3, 3, 0, 0.0, Trip.DEADMAN),
+        (3, 2, 0, 0.0, Trip.NOT_STILL),
+        (3, 0, 1, 0.25, Trip.NOT_STILL),
+        (3, 9, 1, 0.2578125, Trip.HANDLE_LOADED),
+    ],
+)
+def test_a_handle_that_is_not_armed_in_time_is_refused_with_the_reason(sign, state, still_for, deadman, handle, trip):
+    for waited in (99, 100, 101):
+        bench = standing(Phase.STILL, still_cycles=4, still_timeout_cycles=100, still_handle_Nm=0.25)
+        h = bench.h
+        h.still, h.deadman_ok, h.handle_Nm, h.phase_cycle = still_for, deadman, sign * handle, waited
+        still(bench.c, h, state, T)
+        assert h.trip == (trip if waited > 100 else Trip.NONE)
+        assert h.trip_ns == (T if waited > 100 else 0)
+
+
+# the sign check
+
+STEP, LIMIT, COUNTS, TRAVEL, HAND = 2.0**-4, 0.5, 10, 60, 2.0**-5
+HAND_CYCLES = 4
+
+
+def checking(direction=1, motor=1, encoder=1, start=-640):
+    """A sign check at torque 0; its numbers are powers of two."""
+    bench = standing(Phase.SIGN, start, sign_step_Nm=STEP, sign_torque_Nm=LIMIT, sign_counts=COUNTS)
+    c, h = bench.c, bench.h
+    c.Nm_pm, c.rad_count, c.motor_limit_pm = motor * 2.0**-8, encoder * 2.0**-6, 1000
+    c.sign_travel_counts, c.sign_hand_Nm, c.sign_hand_cycles = TRAVEL, HAND, HAND_CYCLES
+    h.sign_direction, h.motor_Nm, h.handle_before_Nm = direction, 0.0, -0.125
+    h.sign_result = int(SignResult.NOT_RUN)
+    return bench
+
+
+def asked(bench, moved, torque=None, handle=0.0):
+    """One cycle with the handle `moved` counts in the sense that is tried; return the torque in that sense."""
+    c, h = bench.c, bench.h
+    sense = h.sign_direction
+    h.counts = h.reference_counts + moved * sense * (1 if c.rad_count > 0 else -1)
+    if torque is not None:
+        h.motor_Nm = torque * sense
+    h.handle_Nm = handle
+    h.motor_Nm = sign_check(c, h, T)
+    return h.motor_Nm * sense
+
+
+@BOTH
+@POLARITIES
+def test_the_torque_is_ramped_to_its_limit_in_the_sense_that_is_tried(sign, motor, encoder):
+    bench = checking(sign, motor, encoder)
+    assert [asked(bench, 0) for _ in range(9)] == [STEP * k for k in (1, 2, 3, 4, 5, 6, 7, 8, 8)]
+    assert bench.phase is Phase.SIGN
+
+
+@BOTH
+@POLARITIES
+def test_the_torque_never_exceeds_the_modes_limit(sign, motor, encoder):
+    bench = checking(sign, motor, encoder)
+    bench.c.motor_limit_pm = 80  # 0.3125 Nm
+    assert [asked(bench, 0) for _ in range(6)] == [STEP * k for k in (1, 2, 3, 4, 5, 5)]
+    bench.c.motor_limit_pm = 72  # 0.28125 Nm: no whole number of steps
+    assert asked(bench, 0, STEP * 4) == 0.28125
+
+
+@BOTH
+@pytest.mark.parametrize(("moved", "torque"), [(9, 0.3125), (10, 0.3125), (39, 0.3125), (40, 0.25), (41, 0.25)])
+def test_the_ramp_goes_on_to_four_times_the_counts_of_the_verdict(sign, moved, torque):
+    assert asked(checking(sign), moved, 0.25) == torque
+
+
+@BOTH
+@POLARITIES
+@pytest.mark.parametrize(("moved", "trip"), [(-9, 0), (-10, Trip.SIGN_ENCODER), (-11, Trip.SIGN_ENCODER)])
+def test_an_encoder_that_counts_the_other_way_is_refused(sign, motor, encoder, moved, trip):
+    bench = checking(sign, motor, encoder)
+    torque = asked(bench, moved, 0.25)
+    assert bench.h.trip == trip
+    assert torque == (0.0 if trip else 0.3125)
+    assert bench.h.sign_result == (SignResult.REFUSED if trip else SignResult.NOT_RUN)
+    assert bench.h.trip_ns == (T if trip else 0)
+
+
+@BOTH
+@POLARITIES
+@pytest.mark.parametrize("way", [1, -1])
+def test_a_handle_that_moves_too_far_is_refused(sign, motor, encoder, way):
+    bench = checking(sign, motor, encoder)
+    bench.c.sign_counts = 1000  # no verdict yet
+    asked(bench, way * TRAVEL, 0.25)
+    assert bench.h.trip == Trip.NONE
+    assert asked(bench, way * (TRAVEL + 1), 0.25) == 0.0
+    assert bench.h.trip == Trip.SIGN_TRAVEL
+    assert bench.h.trip_ns == T
+
+
+@BOTH
+def test_what_moves_before_the_torque_has_turned_is_no_evidence(sign):
+    bench = checking(sign)
+    h = bench.h
+    before = h.reference_counts
+    assert asked(bench, -30, -0.25) == -0.1875
+    assert h.reference_counts == before - 30 * sign
+    assert bench.h.trip == Trip.NONE
+    before = h.reference_counts
+    assert asked(bench, -3, 0.0) == STEP  # from torque 0 on it is
+    assert h.reference_counts == before
+
+
+def test_a_handle_that_does_not_move_is_tried_the_other_way_and_refused():
+    """Full torque, and then as long as the hand is looked at, in either sense; the second sense begins at the torque of the first."""
+    bench = checking(1)
+    h = bench.h
+    for _ in range(8):
+        asked(bench, 3)
+    assert h.motor_Nm == LIMIT
+    assert h.still == 1  # the cycle that reached it counts
+    for _ in range(HAND_CYCLES - 1):
+        asked(bench, 3)
+    assert (h.still, h.sign_direction) == (HAND_CYCLES, 1)
+    h.handle_samples, h.handle_during_Nm = 3, 3.0
+    assert asked(bench, 3) == LIMIT
+    assert (h.still, h.sign_direction) == (0, -1)
+    assert (h.handle_samples, h.handle_during_Nm) == (0, 0.0)
+    shown = [-asked(bench, 0) for _ in range(16)]
+    assert shown == [LIMIT - STEP * k for k in range(1, 17)]
+    for _ in range(HAND_CYCLES - 1):
+        assert asked(bench, 3) == LIMIT
+    assert bench.phase is Phase.SIGN
+    assert asked(bench, 3) == 0.0
+    assert h.trip == Trip.SIGN_NO_MOTION
+    assert (h.sign_result, h.trip_ns) == (SignResult.REFUSED, T)
+
+
+@BOTH
+@POLARITIES
+@pytest.mark.parametrize(
+    ("changes", "result"),
+    [
+        ((0.0, 0.0, 0.0, 0.0), SignResult.NO_HAND),
+        ((-HAND, -HAND, -HAND, -HAND), SignResult.NO_HAND),
+        ((HAND, HAND, HAND, HAND), SignResult.NO_HAND),
+        ((-HAND, -HAND, -HAND, -HAND * 1.25), SignResult.AGREED),
+        ((-4.0, 3.0, -4.0, 4.0), SignResult.AGREED),
+        ((HAND, HAND, HAND, HAND * 1.25), SignResult.REFUSED),
+        ((4.0, -3.0, 4.0, -4.0), SignResult.REFUSED),
+    ],
+)
+def test_the_hands_mean_torque_tells_the_transducers_sign(sign, motor, encoder, changes, result):
+    bench = checking(sign, motor, encoder)
+    h = bench.h
+    asked(bench, COUNTS - 1, 0.25, handle=9.0)  # before the encoder's verdict: not summed
+    for change in changes[:-1]:
+        assert asked(bench, COUNTS, 0.25, handle=-0.125 + sign * change) == 0.3125
+        assert bench.phase is Phase.SIGN
+    torque = asked(bench, COUNTS + 30, 0.25, handle=-0.125 + sign * changes[-1])
+    assert h.sign_result == result
+    if result is SignResult.REFUSED:
+        assert h.trip == Trip.SIGN_TRANSDUCER
+        assert (torque, h.trip_ns) == (0.0, T)
+    else:
+        assert bench.phase is Phase.SETTLE
+        assert torque == 0.25
+
+
+# the law
+
+
+@BOTH
+def test_the_law_begins_stuck_where_the_handle_is_with_gain_0(sign):
+    bench = standing(Phase.SETTLE, counts=sign * 700)
+    c, h, law = bench.c, bench.h, bench.k.state[0]
+    law.stuck, law.x_stuck, law.psi_Nm, law.brake_Nm, h.gain, h.armed_ns = 0, 9.0, 1.0, 1.0, 1.0, -1
+    arm(c, h, law, T)
+    assert (law.stuck, law.x_stuck, law.psi_Nm, law.brake_Nm) == (1, sign * 700 * c.rad_count, 0.0, 0.0)
+    assert (h.gain, h.armed_ns, h.phase) == (0.0, T, Phase.RUN)
+
+
+def split(mode, counts, encoder=1, psi=0.5, brake=0.75, gain=1.0):
+    bench = standing(Phase.RUN, mode=mode)
+    c, h, law = bench.c, bench.h, bench.k.state[0]
+    c.rad_count, c.velocity_band_counts, c.compensation_Nm = encoder * 2.0**-6, 2.0, 0.125
+    c.gain_step, c.brake_limit_Nm, h.gain, law.brake_Nm = 0.25, 1.0, gain, brake
+    h.v_counts, h.brake_Nm, h.negative_setpoints = counts, 0.0625, 3
+    return bench, run_law(c, h, psi, law)
+
+
+@pytest.mark.parametrize("encoder", [1, -1])
+@pytest.mark.parametrize(
+    ("counts", "compensation"), [(0, 0), (2, 0), (-2, 0), (2.25, 0.125), (-2.25, -0.125), (50, 0.125), (-50, -0.125)]
+)
+@pytest.mark.parametrize("psi", [0.5, -0.5])
+def test_the_motor_shows_the_law_and_compensates_in_slip_only(encoder, counts, compensation, psi):
+    assert split("active", encoder * counts, encoder, psi)[1] == compensation - psi
+    assert split("hybrid", encoder * counts, encoder, psi)[1] == compensation
+    assert split("passive", encoder * counts, encoder, psi)[1] == compensation
+
+
+def test_the_brake_bears_the_law_unless_the_motor_shows_it():
+    for mode, shown in (("active", 0.0625), ("hybrid", 0.75), ("passive", 0.75)):
+        assert split(mode, 0)[0].h.brake_Nm == shown
+
+
+@pytest.mark.parametrize(
+    ("setpoint", "shown", "negative"),
+    [(0.0, 0.0, 0), (-0.5, 0.0, 1), (math.nan, 0.0, 1), (-math.inf, 0.0, 1), (1.0, 1.0, 0), (1.25, 1.0, 0)],
+)
+def test_the_brakes_set_point_is_never_negative_nor_above_its_limit(setpoint, shown, negative):
+    h = split("hybrid", 0, brake=setpoint)[0].h
+    assert (h.brake_Nm, h.negative_setpoints) == (shown, 3 + negative)
+
+
+@BOTH
+def test_all_that_is_shown_grows_with_the_gain(sign):
+    for before, gain in ((0.0, 0.25), (0.25, 0.5), (0.875, 1.0), (1.0, 1.0)):
+        bench, torque = split("active", sign * 50, psi=sign * 0.5, gain=before)
+        assert bench.h.gain == gain
+        assert torque == sign * (0.125 - 0.5) * gain
+        assert split("hybrid", 0, gain=before)[0].h.brake_Nm == gain * 0.75

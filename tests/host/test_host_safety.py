@@ -1,0 +1,294 @@
+"""The compiled step's limits, trips and safe state: whatever the devices or the law do, the hand is safe."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from coulombus.eds.cia402 import PowerState
+from coulombus.host.cycle.records import Image, Phase, Trip
+from coulombus.host.laws.laws import compile_law
+from host_bench import HostBench
+
+
+def armed(mode="hybrid", *overrides):
+    bench = HostBench(mode, *overrides)
+    bench.arm()
+    bench.cycles(600)
+    assert bench.phase is Phase.RUN
+    return bench
+
+
+def speed(bench):
+    bench.counts += 16 / 0.08 + 5
+    bench.cycle()
+
+
+def jump(bench):
+    bench.counts += 501
+    bench.cycle()
+
+
+def net_work(bench):
+    for _ in range(200):
+        bench.counts += 50  # 4 rad/s ...
+        bench.torque_pm = 300  # ... with 0.5 Nm: 2 W
+        bench.handle_Nm = 0.0
+        bench.cycle()
+
+
+def mismatch(bench):
+    bench.handle_Nm = 7.0
+    bench.cycles(250)
+
+
+def coil(bench):
+    bench.coil_A = 1.5
+    bench.cycles(5000, lambda: bench.phase >= Phase.SAFE)
+
+
+def supply(bench):
+    bench.supply = False
+    bench.cycles(3)
+
+
+def silent(bench):
+    bench.silent = {"brake"}
+    bench.cycles(3)
+
+
+def left(bench):
+    bench.state = int(PowerState.SWITCHED_ON)
+    bench.cycle()
+
+
+def emcy_motor(bench):
+    bench.frame(0x081, 8, 0x10_7305)
+    bench.cycle()
+
+
+def emcy_brake(bench):
+    bench.frame(0x082, 8, 0x10_4210)
+    bench.cycle()
+
+
+def heartbeat(bench):
+    bench.heartbeats = False
+    bench.cycles(400, lambda: bench.phase >= Phase.SAFE)
+
+
+def stopped(bench):
+    bench.frame(0x701, 1, 4)
+    bench.cycle()
+
+
+TRIPS = {
+    Trip.SPEED: speed, Trip.ENCODER_JUMP: jump, Trip.NET_WORK: net_work, Trip.HANDLE_TORQUE: mismatch, Trip.COIL_I2T: coil,
+    Trip.VOLTAGE: supply, Trip.TPDO_LOST: silent, Trip.DRIVE_STATE: left, Trip.EMCY_MOTOR: emcy_motor, Trip.EMCY_BRAKE: emcy_brake,
+    Trip.HEARTBEAT_MOTOR: heartbeat, Trip.NMT_STATE: stopped,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("trip", TRIPS, ids=lambda trip: trip.name)
+def test_each_doubt_trips_with_its_reason_and_zero_torque(trip):
+    bench = armed("active") if trip is Trip.NET_WORK else armed("hybrid")
+    TRIPS[trip](bench)
+    assert bench.k.trip is not None
+    assert bench.k.trip.startswith(trip.name)
+    assert bench.phase >= Phase.SAFE
+    assert bench.motor_pm == 0
+
+
+def test_travel_trips_when_it_is_limited():
+    bench = armed("hybrid", "limits.travel_rad=0.5")
+    for _ in range(200):
+        bench.counts += 40
+        bench.handle_Nm = 3.0
+        bench.cycle()
+    assert bench.k.trip.startswith("TRAVEL")
+
+
+def test_only_the_first_reason_is_told():
+    bench = armed()
+    jump(bench)
+    supply(bench)
+    assert bench.k.trip.startswith("ENCODER_JUMP")
+
+
+def test_safe_state_in_its_order():
+    """Torque 0 at once; brake at min(present, 1 Nm) until still or 0.2 s; ramp over 0.5 s; then the drive is disabled."""
+    bench = armed("hybrid")
+    assert bench.brake_Nm == pytest.approx(3.5)
+    bench.frame(0x081, 8, 0x7305)
+    shown, enabled = [], []
+    for _ in range(900):
+        bench.counts += 5  # the handle keeps moving
+        bench.cycle()
+        shown.append(bench.brake_Nm)
+        enabled.append(bench.state == PowerState.OPERATION_ENABLED)
+        assert bench.motor_pm == 0
+    shown = np.array(shown)
+    assert np.all(shown[:199] == 1.0)
+    assert np.all(np.diff(shown) <= 0)
+    assert shown[199 + 250] == pytest.approx(0.5, abs=0.01)
+    assert np.all(shown[199 + 502 :] == 0.0)
+    first_off = enabled.index(False)
+    assert shown[first_off] == 0.0
+    assert bench.phase is Phase.DONE
+
+
+def test_a_still_handle_is_let_go_at_once():
+    bench = armed("hybrid")
+    bench.k.stop()
+    bench.cycles(4)
+    assert bench.brake_Nm < 1.0
+    bench.cycles(520)
+    assert bench.brake_Nm == 0.0
+    assert bench.k.trip is None
+
+
+def test_nothing_re_arms_by_itself():
+    bench = armed("active")
+    jump(bench)
+    bench.cycles(3000)
+    assert bench.phase is Phase.DONE
+    assert bench.controlword == 0
+    assert bench.motor_pm == 0
+
+
+def test_a_stale_position_stops_the_motor_before_the_trip():
+    bench = armed("active")
+    for _ in range(20):
+        bench.counts += 20
+        bench.cycle()
+    assert bench.motor_pm != 0
+    bench.silent = {"motor"}
+    bench.cycles(2)
+    assert bench.motor_pm == 0
+    assert bench.phase is Phase.RUN
+    bench.cycle()
+    assert bench.k.trip == "TPDO_LOST: no complete set of TPDOs for 3 cycles (limits.missed_tpdo_cycles)"
+
+
+def mad(motion, law, state):
+    state.brake_Nm = law.user[1]
+    return law.user[0]
+
+
+@pytest.mark.parametrize("psi", [math.nan, math.inf, -math.inf, 1e9, -1e9, 0.0])
+@pytest.mark.parametrize("brake", [math.nan, math.inf, -math.inf, -2.0, 1e9])
+@pytest.mark.parametrize("mode", ["active", "hybrid"])
+def test_a_mad_law_cannot_get_past_the_limits(mode, psi, brake):
+    bench = armed(mode)
+    bench.k.law_function = MAD
+    bench.k.law[0].user[:2] = psi, brake
+    for _ in range(3):
+        bench.counts += 10
+        bench.handle_Nm = 3.0 if mode == "hybrid" else 0.1
+        bench.cycle()
+        assert abs(bench.motor_pm) <= bench.c.motor_limit_pm
+        assert 0.0 <= bench.brake_Nm <= bench.c.brake_limit_Nm
+        if mode == "hybrid":
+            assert abs(bench.motor_pm * bench.c.Nm_pm) <= 0.97 * 0.14 + bench.c.Nm_pm / 2
+    if math.isnan(psi) or math.isnan(brake):
+        assert bench.k.trip.startswith("LAW")
+    elif mode == "hybrid" and brake < 0:
+        assert bench.brake_Nm == 0.0
+        assert bench.h.negative_setpoints > 0
+
+
+MAD = compile_law(mad)
+
+
+def test_the_brake_never_becomes_motor_torque():
+    """In hybrid mode the motor's command is the compensation at most, whatever the law says."""
+    bench = armed("hybrid")
+    for n in range(2000):
+        bench.counts += 40 * math.sin(n / 50)
+        bench.handle_Nm = 3.0 * math.copysign(1, math.sin(n / 50))
+        bench.cycle()
+        if bench.phase is not Phase.RUN:
+            break
+        assert abs(bench.motor_pm * bench.c.Nm_pm) <= 0.97 * 0.14 + bench.c.Nm_pm / 2
+
+
+def test_compensation_is_zero_when_stuck():
+    bench = armed("hybrid")
+    for step_counts in (0, 1, 2, -2, 2, -1):
+        bench.counts += step_counts
+        bench.cycle()
+        assert bench.motor_pm == 0
+    bench.counts += 3
+    bench.handle_Nm = 3.0
+    bench.cycle()
+    assert bench.motor_pm == round(0.97 * 0.14 / bench.c.Nm_pm)
+
+
+def test_near_the_speed_limit_the_motor_may_only_brake():
+    bench = armed("active", "limits.net_work_J=100.0", "limits.handle_mismatch_Nm=100.0")
+    bench.k.law_function = MAD
+    counts = 0
+    for _ in range(40):
+        counts = min(counts + 5, 165)  # 13.2 rad/s of 15
+        bench.counts += counts
+        bench.k.law[0].user[0] = -0.5  # a law that would drive on
+        bench.cycle()
+    assert bench.motor_pm == 0
+    bench.k.law[0].user[0] = 0.5
+    bench.counts += counts
+    bench.cycle()
+    assert bench.motor_pm < 0
+    assert bench.k.trip is None
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    st.lists(st.integers(-(2**31), 2**31 - 1), min_size=5, max_size=60),
+    st.lists(st.integers(-32768, 32767), min_size=5, max_size=60),
+)
+def test_any_wire_input_keeps_the_outputs_within_limits(positions, torques):
+    bench = armed("active")
+    for position, torque in zip(positions, torques, strict=False):
+        bench.counts = position
+        bench.handle_Nm = torque * 1e-3
+        bench.torque_pm = torque
+        bench.cycle()
+        assert abs(bench.motor_pm) <= bench.c.motor_limit_pm
+        assert 0 <= bench.h.image[Image.BRAKE_SETPOINT] <= round(bench.c.brake_limit_Nm / bench.c.brake_Nm_raw)
+
+
+def test_positions_wrap_at_32_bits():
+    bench = armed("hybrid")
+    start = bench.h.counts
+    bench.h.raw_position = 2**31 - 3
+    bench.counts = -(2**31) + 4
+    bench.handle_Nm = 3.0
+    bench.cycle()
+    assert bench.k.trip is None
+    assert bench.h.counts - start == 7
+
+
+@pytest.mark.parametrize(("can_id", "length"), [(0x181, 7), (0x181, 0), (0x281, 8), (0x182, 5)])
+def test_a_pdo_of_the_wrong_length_is_dropped_and_counted(can_id, length):
+    bench = armed()
+    image = bench.h.image.copy()
+    bench.frame(can_id, length, -1)
+    assert bench.h.malformed_pdos == 1
+    assert np.array_equal(image, bench.h.image)
+
+
+@given(st.integers(0x300, 0xFFFFFFFF), st.integers(0, 8), st.integers(-(2**63), 2**63 - 1))
+def test_unknown_identifiers_do_nothing(can_id, length, data):
+    bench = UNKNOWN
+    image, phase = bench.h.image.copy(), bench.phase
+    bench.frame(can_id, length, data) if can_id & 0x7FF not in (0x701, 0x702) else None
+    assert np.array_equal(image, bench.h.image)
+    assert bench.phase is phase
+    assert bench.h.emcy == 0
+
+
+UNKNOWN = HostBench()

@@ -1,0 +1,235 @@
+import struct
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.console import Console
+
+from coulombus.rigs.rig import load_rig
+from coulombus.scope.live import Live
+from coulombus.scope.watch import Screen, as_dict, as_lines
+
+S = 1_000_000_000
+T0 = 1_700_000_000 * S
+FACTS = {"bus": "coulombus:bench", "bitrate_bit_s": 1_000_000, "lost": 0, "malformed": 0}
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return load_rig("bench")
+
+
+def frame(t_s, can_id, data=b""):
+    return (T0 + round(t_s * S), can_id, len(data), data.ljust(8, b"\0"))
+
+
+def tpdo1(t_s, statusword, position=0, torque=0):
+    return frame(t_s, 0x181, struct.pack("<Hih", statusword, position, torque))
+
+
+def texts(snapshot):
+    return [event.text for event in snapshot.events]
+
+
+def test_values_in_si_units_rates_and_ages(rig):
+    live = Live(rig)
+    live.snapshot(T0)
+    for i in range(1000):
+        live.take([frame(i / 1000, 0x80), tpdo1(i / 1000, 0x0237, -819200, 100)])
+    live.take([frame(0.5, 0x202, struct.pack("<h", 1500))])
+    snapshot = live.snapshot(T0 + S)
+    rows = {row.name: row for row in snapshot.pdos}
+    signals = as_dict(snapshot, FACTS, T0)["signals"]
+    assert signals["motor.statusword"] == 0x0237
+    assert signals["motor.position_rad"] == pytest.approx(-100 * 2 * 3.141592653589793 / 9.587)
+    assert signals["motor.torque_Nm"] == pytest.approx(0.1 * 0.18 * 9.587)
+    assert signals["motor.velocity_rad_s"] is None
+    assert rows["motor.TPDO1"].rate_per_s == pytest.approx(1000)
+    assert rows["motor.TPDO1"].age_s == pytest.approx(0.001)
+    assert rows["brake.RPDO1"].age_s == pytest.approx(0.5)
+    assert rows["motor.TPDO2"].age_s is None
+    assert snapshot.sync_per_s == pytest.approx(1000)
+    assert snapshot.frames == 2001
+
+
+def test_rate_is_of_the_last_second(rig):
+    live = Live(rig)
+    for tenth in range(30):
+        live.take([frame(tenth / 10, 0x80)] * (100 if tenth < 10 else 10))
+        snapshot = live.snapshot(T0 + tenth * S // 10)
+    assert snapshot.sync_per_s == pytest.approx(100)
+
+
+def test_states_of_the_drive_as_they_change(rig):
+    live = Live(rig)
+    live.take([tpdo1(0, 0x0250), tpdo1(0.1, 0x0231), tpdo1(0.2, 0x0237), tpdo1(0.3, 0x0218)])
+    snapshot = live.snapshot(T0 + S)
+    assert texts(snapshot) == [
+        "motor: switch on disabled -> ready to switch on",
+        "motor: ready to switch on -> operation enabled",
+        "motor: operation enabled -> fault",
+    ]
+    assert [event.grave for event in snapshot.events] == [False, False, True]
+    assert snapshot.nodes[0].power_state == "fault"
+    assert live.snapshot(T0 + S).events == ()
+
+
+def test_heartbeats_boot_up_and_silence(rig):
+    live = Live(rig)
+    live.take([frame(0, 0x701, b"\0"), frame(0.01, 0x701, b"\x7f"), frame(0.06, 0x701, b"\x05")])
+    live.take([frame(0.06, 0x77F, b"\x05")])
+    snapshot = live.snapshot(T0 + S // 10)
+    motor, brake, host = snapshot.nodes
+    assert (motor.state, brake.state, host.state) == ("operational", None, "operational")
+    assert motor.age_s == pytest.approx(0.04)
+    assert texts(snapshot) == [
+        "motor: boot-up", "motor: boot-up -> pre-operational", "motor: pre-operational -> operational",
+    ]  # fmt: skip
+    snapshot = live.snapshot(T0 + S)
+    assert texts(snapshot) == ["motor: no heartbeat for 0.15 s", "host: no heartbeat for 0.15 s"]
+    assert [node.silent for node in snapshot.nodes] == [True, False, True]
+    assert texts(live.snapshot(T0 + 2 * S)) == []
+    live.take([frame(2.1, 0x701, b"\x7f")])
+    assert texts(live.snapshot(T0 + int(2.1 * S))) == ["motor: heard again, pre-operational"]
+
+
+def test_sync_that_stops_and_comes_back(rig):
+    live = Live(rig)
+    assert texts(live.snapshot(T0)) == []
+    live.take([frame(0, 0x80)])
+    assert texts(live.snapshot(T0 + S)) == ["SYNC stopped"]
+    assert texts(live.snapshot(T0 + 2 * S)) == []
+    live.take([frame(3, 0x80)])
+    assert texts(live.snapshot(T0 + 3 * S)) == ["SYNC again"]
+
+
+def test_emergencies_nmt_commands_sdo_aborts_and_error_frames(rig):
+    live = Live(rig)
+    live.take([frame(0, 0x081, bytes.fromhex("5082110000000000")), frame(0, 0x082, bytes(8))])
+    live.take([frame(0, 0x000, b"\x01\x00"), frame(0, 0x000, b"\x80\x02")])
+    live.take([frame(0, 0x581, bytes.fromhex("8041600000000206"))])
+    live.take([(T0, 0x20000044, 8, bytes(8))] * 3)
+    snapshot = live.snapshot(T0)
+    assert texts(snapshot) == [
+        "motor: EMCY 0x8250: RPDO time-out (register 11h)",
+        "brake: EMCY error reset or no error (register 00h)",
+        "NMT: start, to all",
+        "NMT: enter pre-operational, to brake",
+        "motor: SDO abort 6041h:0: 0x06020000: object does not exist in the object dictionary",
+        "error frame: controller problem, bus off",
+    ]
+    assert snapshot.error_frames == 3
+    assert (snapshot.nodes[0].emergency, snapshot.nodes[1].emergency) == ("0x8250: RPDO time-out", None)
+
+
+def test_malformed_and_unknown_frames_are_counted_and_change_nothing(rig):
+    live = Live(rig)
+    live.take([tpdo1(0, 0x0237, 5), frame(0.1, 0x181, b"\1\2"), frame(0.1, 0x555), frame(0.1, 0x80000181, bytes(8))])
+    snapshot = live.snapshot(T0 + S)
+    assert snapshot.pdos[1].malformed == 1
+    assert snapshot.pdos[1].count == 1
+    assert snapshot.unknown == 2
+
+
+@given(st.lists(st.tuples(st.integers(0, 2**62), st.integers(0, 2**32 - 1), st.integers(0, 8), st.binary(min_size=8, max_size=8))))  # fmt: skip
+def test_no_frame_raises(received):
+    live = Live(load_rig("bench"))
+    live.take(received)
+    live.take([(t_ns, can_id & 0x7FF, length, data) for t_ns, can_id, length, data in received])
+    snapshot = live.snapshot(T0)
+    as_dict(snapshot, FACTS, T0)
+    list(as_lines(snapshot, FACTS, T0))
+
+
+def test_lines(rig):
+    live = Live(rig)
+    live.snapshot(T0)
+    live.take([tpdo1(0.9, 0x0237, -819200, 100), frame(0.9, 0x701, b"\x05")])
+    lines = list(as_lines(live.snapshot(T0 + S), FACTS, T0))
+    assert lines[1].split() == [
+        "1.000", "motor.TPDO1", "1.0/s", "100", "ms",
+        "statusword=0x0237", "position_rad=-65.53860", "rad", "torque_Nm=+0.17257", "Nm",
+    ]  # fmt: skip
+    assert lines[-1].endswith("lost 0  motor operational  brake -  host -")
+
+
+def test_nodes_that_the_rig_does_not_have(rig):
+    """With their state, how often they send, and what they tell; a PDO alone may be anybody's."""
+    live = Live(rig)
+    live.snapshot(T0)
+    live.take([frame(0.1, 0x705, b"\0"), frame(0.2, 0x085, bytes.fromhex("3081010000000000"))])
+    live.take([frame(i / 10, 0x705, b"\5") for i in range(3, 10)] + [frame(0.95, 0x185, bytes(8)), frame(0.95, 0x186)])
+    snapshot = live.snapshot(T0 + S)
+    five = snapshot.nodes[-1]
+    assert (five.name, five.node_id, five.known, five.state, five.frames) == ("5", 5, False, "operational", 10)
+    assert five.rate_per_s == pytest.approx(10)
+    assert snapshot.unknown == 1
+    assert texts(snapshot) == [
+        "5: boot-up",
+        "5: EMCY 0x8130: life guard or heartbeat error (register 01h)",
+        "5: boot-up -> operational",
+    ]
+    assert texts(live.snapshot(T0 + 60 * S)) == []  # how often its heartbeat comes is not known
+    assert as_dict(snapshot, FACTS, T0)["nodes"]["5"]["known"] is False
+
+
+def shown(snapshot, width, height, events=(), all_nodes=True):
+    console = Console(width=width, height=height, color_system=None)
+    with console.capture() as captured:
+        console.print(Screen(snapshot, FACTS, events, T0, all_nodes), end="")
+    return captured.get().splitlines()
+
+
+def busy(rig):
+    live = Live(rig)
+    live.snapshot(T0)
+    for i in range(999):
+        live.take([frame(i / 1000, 0x80), tpdo1(i / 1000, 0x0237, -819200, 100)])
+        live.take([frame(i / 1000, 0x182, struct.pack("<hhh", -1250, 640, 221))])
+    for n in range(60):
+        live.tell(T0 + n * S // 100, f"event {n}" + " of many words" * (n == 58))
+    return live.snapshot(T0 + S)
+
+
+@pytest.mark.parametrize(("width", "height"), [(80, 24), (60, 20), (120, 40), (60, 40), (80, 14)])
+def test_the_table_fits_into_the_terminal(rig, width, height):
+    """No number is cut, and the newest events are there."""
+    snapshot = busy(rig)
+    lines = shown(snapshot, width, height, snapshot.events)
+    assert len(lines) < height
+    assert max(map(len, lines)) <= width
+    assert "event 59" in lines[-1]
+    assert any("event 57" in line for line in lines)
+    whole = "\n".join(lines)
+    for text in ("-65.53860", "999.0 /s", "operation enabled") if height > 14 else ("more lines",):
+        assert text in whole
+    if height >= 24:
+        assert "+22.10000" in whole
+    assert "\u2026" not in whole
+
+
+def test_columns_go_by_their_importance(rig):
+    titles = {}
+    for width in (40, 60, 80, 120):
+        (line,) = (line for line in shown(busy(rig), width, 40) if "signal" in line)
+        titles[width] = line.split()
+    assert titles == {
+        40: ["signal", "value"],
+        60: ["PDO", "signal", "value", "rate"],
+        80: ["PDO", "COB-ID", "signal", "value", "rate", "age"],
+        120: ["PDO", "COB-ID", "signal", "value", "rate", "age"],
+    }
+
+
+def test_without_a_rig_given_only_what_was_heard_is_shown(rig):
+    live = Live(rig)
+    live.snapshot(T0)
+    assert "none of the rig's nodes was heard" in "".join(shown(live.snapshot(T0), 80, 24, all_nodes=False))
+    live.take([frame(0.1, 0x705, b"\5")])
+    snapshot = live.snapshot(T0 + S)
+    whole = "\n".join(shown(snapshot, 80, 24, all_nodes=False))
+    assert "motor" not in whole
+    assert "operational" in whole
+    (line,) = as_lines(snapshot, FACTS, T0, all_nodes=False)
+    assert line.endswith("lost 0  5 operational")
+    assert "motor" in "\n".join(shown(snapshot, 80, 24))

@@ -1,0 +1,69 @@
+"""A call that fails: the n-th one of all that Python code makes into C, system calls with an OSError, all others as if memory had run out.
+
+What the interpreter calls in C is seen by a profile function (`sys.setprofile`); an exception that it raises comes out of the call, which is
+then not made. So every system call and every allocation that has a name can fail, once, in a run that is the same each time.
+"""
+
+from __future__ import annotations
+
+import errno
+import sys
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+SYSTEM = {"posix", "_socket", "select", "time", "mmap", "_io", "io", "fcntl", "socket"}
+"""Modules of C whose functions and objects call the system."""
+NEVER = {"close", "unlink", "fileno"}
+"""What does not fail: it gives back, and needs nothing."""
+
+
+@dataclass
+class Shim:
+    """Counts the calls made between `with` and its end, and lets one fail.
+
+    Attributes
+    ----------
+    fail_at : the number of the call that fails, from 1; 0: none
+    sites : (file, line, function) -> the number of its first call
+    failed : where the call failed
+    """
+
+    fail_at: int = 0
+    calls: int = 0
+    sites: dict[tuple[str, int, str], int] = field(default_factory=dict)
+    counts: Counter = field(default_factory=Counter)
+    failed: tuple[str, int, str] | None = None
+
+    def __enter__(self):
+        sys.setprofile(self._profile)
+        return self
+
+    def __exit__(self, *_):
+        sys.setprofile(None)
+
+    def _profile(self, frame, event, function):
+        if event != "c_call" or not _counts(frame.f_code.co_filename):
+            return
+        if function.__name__ in NEVER:
+            return
+        self.calls += 1
+        site = (frame.f_code.co_filename, frame.f_lineno, getattr(function, "__qualname__", str(function)))
+        self.sites.setdefault(site, self.calls)
+        if self.calls == self.fail_at:
+            self.failed = site
+            raise _error(function)
+
+
+def _counts(filename):
+    """The project's own code and the library's that it calls; not the tests, not the import system, not what only cleans up after a file."""
+    own = filename.startswith(str(ROOT)) and not filename.startswith((str(ROOT / "tests"), str(ROOT / ".venv")))
+    return own or filename.endswith(("/socket.py", "/subprocess.py", "/pathlib.py"))
+
+
+def _error(function):
+    owner = getattr(function, "__module__", None) or type(getattr(function, "__self__", None)).__module__
+    if owner in SYSTEM:
+        return OSError(errno.EMFILE, "Too many open files")
+    return MemoryError("no memory left")

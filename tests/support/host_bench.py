@@ -1,0 +1,160 @@
+"""A bench for the host's compiled step alone: the test plays both devices, TPDO by TPDO."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+from coulombus.eds.cia402 import COMMAND_OF_CONTROLWORD, NEXT_STATE, STATUSWORD, VOLTAGE_ENABLED, PowerState
+from coulombus.eds.codec import pack
+from coulombus.host.cycle.controller import Controller
+from coulombus.host.cycle.records import Image, Phase
+from coulombus.host.cycle.step import begin, finish, on_frame
+from coulombus.rigs.rig import load_rig
+from coulombus.wire.frame import new_queue, push
+from plain_records import records_for_kernels
+
+MS = 1_000_000
+
+rig_of = cache(load_rig)
+
+
+class HostBench:
+    """Two devices whose answers a test can bend: position in counts, handle torque, statusword, missing TPDOs."""
+
+    def __init__(self, mode="hybrid", *overrides, rig=None):
+        self.rig = rig_of("bench", overrides) if rig is None else rig
+        self.k = Controller(self.rig, mode)
+        for name in ("control", "host", "rpdos", "tpdos", "motion", "law", "state"):
+            setattr(self.k, name, records_for_kernels(getattr(self.k, name)))
+        self.c, self.h = self.k.control[0], self.k.host[0]
+        self.queue, self.header = map(records_for_kernels, new_queue())
+        self.t_ns = 0
+        self.state = int(PowerState.SWITCH_ON_DISABLED)
+        self.counts = 0.0
+        self.handle_Nm = 0.0
+        self.coil_A = 0.0
+        self.torque_pm = 0
+        self.supply = True
+        self.status_bits = 0  # beside those of the state
+        self.switch = 0  # the object that is the dead man's switch, where the rig has one
+        self.silent = set()  # "motor" or "brake"
+        self.heartbeats = True
+        self.sent = {}
+        self.k.start(0)
+
+    def tpdo_values(self):
+        """Raw values of the process image as the devices would send them."""
+        values = self.h.image.copy()
+        values[Image.STATUSWORD] = int(STATUSWORD[self.state]) | (VOLTAGE_ENABLED if self.supply else 0)
+        values[Image.STATUSWORD] |= self.status_bits
+        values[Image.DEADMAN] = self.switch
+        values[Image.POSITION] = math.floor(self.counts)
+        values[Image.TORQUE] = round(self.torque_pm)
+        values[Image.HANDLE_TORQUE] = round(self.handle_Nm / self.c.handle_Nm_raw)
+        values[Image.COIL_CURRENT] = round(self.coil_A / self.c.coil_A_raw)
+        return values
+
+    def frame(self, can_id, length, data):
+        return on_frame(self.c, self.h, self.k.tpdos, self.t_ns, can_id, length, data)
+
+    def finish(self):
+        k = self.k
+        finish(
+            self.c,
+            self.h,
+            k.rpdos,
+            k.law_function,
+            k.motion[0],
+            k.law[0],
+            k.state[0],
+            self.t_ns,
+            self.queue,
+            self.header,
+        )
+
+    def cycle(self):
+        """One cycle; afterwards `sent` has the image of what the host sent."""
+        self.header["count"] = 0
+        self.t_ns = self.h.cycle * MS
+        begin(self.c, self.h, self.t_ns, self.queue, self.header)
+        self.t_ns += 500_000
+        if self.heartbeats and self.h.cycle % 20 == 0:
+            for node in (self.c.motor_id, self.c.brake_id):
+                self.frame(0x700 + node, 1, 5)
+        values = self.tpdo_values()
+        done = 0
+        for i in range(self.c.tpdos):
+            pdo = self.k.tpdos[i]
+            owner = "brake" if pdo.cob_id & 0x7F == self.c.brake_id else "motor"
+            if owner not in self.silent:
+                done = self.frame(int(pdo.cob_id), int(pdo.length), pack(pdo, values))
+        if done != 1:
+            self.t_ns += 200_000
+        self.finish()
+        command = int(COMMAND_OF_CONTROLWORD[self.controlword & 0xF])
+        self.state = int(NEXT_STATE[self.state, command])
+
+    def cycles(self, n, until=None):
+        for _ in range(n):
+            if until is not None and until():
+                return
+            self.cycle()
+
+    @property
+    def controlword(self):
+        return int(self.h.image[Image.CONTROLWORD])
+
+    @property
+    def motor_pm(self):
+        """Target torque sent, per mille."""
+        return int(self.h.image[Image.TARGET_TORQUE])
+
+    @property
+    def brake_Nm(self):
+        """Brake set-point sent."""
+        return float(self.h.image[Image.BRAKE_SETPOINT] * self.c.brake_Nm_raw)
+
+    @property
+    def phase(self):
+        return self.k.phase
+
+    def enter(self, phase, counts=0):
+        """Stand in `phase`, without the way there: both devices talk, the handle stands at `counts`, the drive is enabled from ENABLE on."""
+        h = self.h
+        self.counts = float(counts)
+        self.state = int(PowerState.SWITCHED_ON if phase <= Phase.ENABLE else PowerState.OPERATION_ENABLED)
+        h.has_position, h.raw_position, h.counts, h.reference_counts = 1, counts, counts, counts
+        h.cycle, h.sync_ns, h.phase, h.gain, h.sign_direction = 100, 100 * MS, int(phase), 1.0, 1
+        h.motor_heartbeat_ns = h.brake_heartbeat_ns = 100 * MS
+        h.enabled_ns = -1 if phase <= Phase.ENABLE else 50 * MS
+        h.armed_ns = 60 * MS if phase >= Phase.RUN else -1
+        state = self.k.state[0]
+        state.stuck, state.x_stuck = 1, counts * self.c.rad_count
+        return self
+
+    def frames(self):
+        """What the host sent in this cycle: (time, identifier, length, word)."""
+        rows = (self.queue[k] for k in range(self.header[0].count))
+        return [(int(f.t_ns), int(f.can_id), int(f.length), int(f.word)) for f in rows]
+
+    def follow_sign_check(self, direction=1, hand=-1):
+        """Be a handle on a light hand: move when the torque exceeds the friction, and let the hand resist."""
+        torque = self.motor_pm * self.c.Nm_pm
+        excess = max(abs(torque) - 0.14, 0.0)
+        angle = direction * excess / 5.0
+        self.counts = angle / abs(self.c.rad_count)
+        self.handle_Nm = hand * 5.0 * abs(angle)
+
+    def arm(self, direction=1, hand=-1):
+        """Cycle through the arming until RUN (or a refusal)."""
+        for _ in range(3000):
+            if self.phase >= Phase.RUN:
+                return
+            if self.phase in (Phase.SIGN, Phase.SETTLE):
+                self.follow_sign_check(direction, hand)
+            self.cycle()
+        raise AssertionError(f"neither armed nor refused: {self.phase.name}")
+
+
+__all__ = ["MS", "HostBench", "push"]

@@ -1,0 +1,62 @@
+"""The folders and the import name `coulombus.*`: each module has one name, and each folder its link."""
+
+from __future__ import annotations
+
+import ast
+import os
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import coulombus
+
+ROOT = Path(__file__).resolve().parent.parent
+ROOMS = sorted(path.name for path in (ROOT / "coulombus").iterdir() if path.is_symlink())
+SOURCES = [path for top in (*ROOMS, "tests", "benchmarks", "examples") for path in sorted((ROOT / top).rglob("*.py"))]
+
+
+def test_every_folder_with_modules_has_its_link():
+    folders = {path.parent.name for path in ROOT.glob("*/__init__.py")} - {"coulombus"}
+    assert folders == set(ROOMS)
+    for room in ROOMS:
+        assert os.readlink(ROOT / "coulombus" / room) == f"../{room}"
+
+
+def test_no_source_imports_a_folder_by_its_bare_name():
+    assert len(SOURCES) > 300
+    for path in SOURCES:
+        for node in ast.walk(ast.parse(path.read_text())):
+            names = [node.module] if isinstance(node, ast.ImportFrom) and node.module else []
+            names += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            assert not {name.partition(".")[0] for name in names} & set(ROOMS), f"{path}:{node.lineno}"
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_a_folder_is_refused_as_a_package_of_its_own(room):
+    with pytest.raises(ImportError, match=f"import coulombus.{room} instead"):
+        __import__(room)
+
+
+def test_no_module_is_loaded_under_two_names():
+    files = [os.path.realpath(getattr(module, "__file__", None) or "") for module in sys.modules.values()]
+    ours = [file for file in files if any(Path(file).is_relative_to(ROOT / room) for room in ROOMS)]
+    assert len(ours) > 10
+    assert len(ours) == len(set(ours))
+
+
+def test_the_package_shows_what_a_script_needs_and_no_verbs():
+    assert dir(coulombus) == ["VirtualNetwork", "load_rig", "read", "simulate"]
+    assert all(callable(getattr(coulombus, name)) for name in dir(coulombus))
+    with pytest.raises(AttributeError, match="no attribute 'decode'"):
+        coulombus.decode  # noqa: B018
+
+
+def test_plugins_of_python_can_load_without_numba():
+    points = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"]
+    modules = sorted({place.partition(":")[0] for group in points.values() for place in group.values()})
+    assert len(modules) == 2
+    code = f"import sys, {', '.join(modules)}; sys.exit('numba' in sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)

@@ -1,0 +1,191 @@
+"""`coulombus node`: any EDS as a live node, alone on a bus of its own or on that of another."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import struct
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import canopen
+import pytest
+
+import eds_text
+from coulombus.eds.reader import EdsError, read_eds
+from coulombus.node.record import KIND_BRAKE, KIND_DRIVE, KIND_GENERIC
+from coulombus.sim_bus.network.network import VirtualNetwork
+from coulombus.sim_bus.server.live_nodes import LiveNodes, NodeError
+from coulombus.sim_bus.server.server import BusServer
+from coulombus.wire.address import BusAddress
+from coulombus.wire.hello import Flags, connect
+
+pytestmark = [pytest.mark.real_time, pytest.mark.usefixtures("private_sockets")]
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+CORPUS = ROOT.parent / "shared" / "eds-corpus"
+MOTOR, BRAKE = ROOT / "eds" / "motor.eds", ROOT / "eds" / "mr_brake.eds"
+FRAME = struct.Struct("=IB3x8s")
+TIMEOUT_S = 60.0
+
+
+def command(*arguments):
+    return [sys.executable, "-m", "coulombus", "node", *map(str, arguments)]
+
+
+def start(*arguments):
+    """Start the command and return it when its node is on the bus, with the line that says so."""
+    process = subprocess.Popen(
+        command(*arguments, "--json"), cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    return process, json.loads(process.stdout.readline())
+
+
+def end(process, number=signal.SIGTERM):
+    process.send_signal(number)
+    out, err = process.communicate(timeout=TIMEOUT_S)
+    return process.returncode, [json.loads(line) for line in out.splitlines()], err
+
+
+def upload(bus, node_id, index, subindex=0):
+    bus.send(FRAME.pack(0x600 + node_id, 8, struct.pack("<BHB4x", 0x40, index, subindex)))
+    while True:
+        for can_id, _, data in FRAME.iter_unpack(bus.recv(1 << 16)):
+            if can_id == 0x580 + node_id:
+                return data
+
+
+def test_two_nodes_share_a_bus_and_canopen_talks_to_them():
+    """The first command serves the bus, the second joins; a third with an id that is taken is told of."""
+    first, ready = start(MOTOR, "--node-id", 5, "--bus", "coulombus:desk", "--bitrate", 500_000)
+    try:
+        assert ready["event"] == "ready"
+        assert (ready["node_id"], ready["serves_bus"], ready["bitrate_bit_s"]) == (5, True, 500_000)
+        second, ready = start(BRAKE, "--node-id", 6, "--bus", "coulombus:desk", "--bitrate", 250_000)
+        assert (ready["node_id"], ready["serves_bus"], ready["bitrate_bit_s"]) == (6, False, 500_000)
+        network = canopen.Network()
+        network.connect(interface="coulombus", channel="desk")
+        try:
+            for node_id, path in ((5, MOTOR), (6, BRAKE)):
+                node = network.add_node(canopen.RemoteNode(node_id, str(path)))
+                node.sdo.RESPONSE_TIMEOUT = TIMEOUT_S
+                node.sdo[0x1017].raw = 50
+                assert node.sdo[0x1017].raw == 50
+                node.nmt.state = "OPERATIONAL"
+                node.nmt.wait_for_heartbeat(TIMEOUT_S)
+                assert node.nmt.wait_for_heartbeat(TIMEOUT_S) in ("OPERATIONAL", "PRE-OPERATIONAL")
+        finally:
+            network.disconnect()
+        third, _ = start(MOTOR, "--node-id", 5, "--bus", "coulombus:desk")
+        status, lines, err = end(third, signal.SIGINT)
+        assert status == 0
+        assert "runs at" not in err  # no bit rate was asked for
+        status, lines, err = end(second)
+        assert (status, lines[-1]["event"]) == (0, "end")
+        assert "bus coulombus:desk runs at 0.5 Mbit/s, as its server says, and not at 0.25 Mbit/s" in err
+    finally:
+        status, lines, err = end(first)
+    assert status == 0
+    assert [line["event"] for line in lines] == ["duplicate", "end"]
+    assert "another node" in err
+    assert "node id 5" in err
+
+
+def test_a_joined_node_ends_when_its_bus_goes():
+    first, _ = start(MOTOR, "--node-id", 1, "--bus", "coulombus:desk")
+    second, _ = start(BRAKE, "--node-id", 2, "--bus", "coulombus:desk")
+    end(first)
+    _, err = second.communicate(timeout=TIMEOUT_S)
+    assert second.returncode == 4
+    assert "bus coulombus:desk is gone" in err
+
+
+def test_several_nodes_in_one_process_answer(tmp_path):
+    nodes = LiveNodes(((MOTOR, 1), (BRAKE, 2)), as_json=True)
+    server = BusServer(nodes.make_world, BusAddress("coulombus", "t"), 1_000_000, join=True)
+    nodes.server = server
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    try:
+        with connect(server.address, Flags(0), ()) as bus:
+            bus.settimeout(TIMEOUT_S)
+            for node_id, path in ((1, MOTOR), (2, BRAKE)):
+                value = int.from_bytes(upload(bus, node_id, 0x1000)[4:], "little")
+                assert value == read_eds(path).variable(0x1000, 0).default
+    finally:
+        server.stop()
+        thread.join()
+        server.close()
+
+
+def test_our_own_files_have_their_behaviour_and_others_none(tmp_path):
+    other = tmp_path / "other.eds"
+    other.write_text(MOTOR.read_text().replace("0x000004C0", "0x000004C1"))
+
+    def kinds(kind):
+        nodes = LiveNodes(((MOTOR, 1), (BRAKE, 2), (other, 3)), kind)
+        return [device.record["kind"] for device in nodes.make_world(1_000_000, True).devices]
+
+    assert kinds(None) == [KIND_DRIVE, KIND_BRAKE, KIND_GENERIC]
+    assert kinds(KIND_GENERIC) == [KIND_GENERIC] * 3
+
+
+def test_one_diagnosis_is_one(tmp_path, capsys):
+    (tmp_path / "odd.eds").write_text(eds_text.HEAD + eds_text.variable(DefaultValue="007"))
+    LiveNodes(((tmp_path / "odd.eds", 1),))
+    assert "odd.eds: 1 diagnosis, read tolerantly" in capsys.readouterr().err
+
+
+def test_mistakes_are_told(tmp_path):
+    with pytest.raises(NodeError, match="an id of its own"):
+        LiveNodes(((MOTOR, 1), (BRAKE, 1)))
+    with pytest.raises(NodeError, match="one file keeps one node"):
+        LiveNodes(((MOTOR, 1), (BRAKE, 2)), store=tmp_path / "s")
+    for store in (tmp_path, tmp_path / "absent" / "s"):
+        with pytest.raises(NodeError, match="a directory that is there"):
+            LiveNodes(((MOTOR, 1),), store=store)
+    empty = tmp_path / "empty.eds"
+    empty.write_text("[FileInfo]\nFileName=empty.eds\n")
+    done = subprocess.run(
+        command(empty, "--node-id", 1, "--bus", "coulombus:t"), cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 3
+    assert f"{empty}:1:" in done.stderr
+
+
+@pytest.mark.skipif(not CORPUS.is_dir(), reason="the vendors' EDS files are not here")
+@pytest.mark.parametrize("path", sorted(CORPUS.glob("**/*.eds")) if CORPUS.is_dir() else [], ids=lambda path: path.name)
+def test_every_object_of_a_vendors_file_is_served(path):
+    """Every SDO read is answered; what has another length than its type says would be an error of ours."""
+    network = VirtualNetwork(20_000_000, capacity=1)
+    device, refusal = None, ""
+    try:
+        device = network.add(path, 9)
+    except EdsError as refused:
+        refusal = str(refused)
+    if device is None:  # with the file and the line, and why
+        assert re.match(rf"{re.escape(str(path))}:\d+: ", refusal)
+        return
+    tester = network.station({0x589})
+    network.power_on()
+    network.wait_ns(5_000_000)
+    answered = 0
+    variables = [v for entry in device.description.objects.values() for v in entry.variables.values()]
+    for variable in variables:
+        index, subindex = variable.index, variable.subindex
+        tester.take()
+        tester.send(0x609, struct.pack("<BHB4x", 0x40, index, subindex))
+        answer = tester.wait_for(0x589, 5_000_000)
+        assert answer is not None, f"{index:04X}h:{subindex:02X}"
+        if answer.data[0] & 0xE3 == 0x43:
+            size = 4 - (answer.data[0] >> 2 & 3)
+            assert not variable.bits or size == (variable.bits + 7) // 8
+        elif answer.data[0] == 0x41:
+            tester.send(0x609, b"\x80" + answer.data[1:4] + bytes(4))
+        else:
+            assert answer.data[0] == 0x80
+        answered += 1
+    assert answered > 10

@@ -1,0 +1,97 @@
+"""Who reads the standard output, or whether it takes anything, does not decide what a verb comes to: each with a reader gone, closed, full."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from coulombus import VERBS
+from coulombus.recording.pcapng_writer import PcapngWriter
+from coulombus.wire.frame import FRAME, new_records
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+EDS = ROOT / "eds" / "motor.eds"
+
+ENDS = {
+    "demo": ("demo --virtual --out /dev/null/out", 2),
+    "simulate": ("simulate --seconds -1", 2),
+    "sim": ("sim --bus coulombus:none/", 2),
+    "node": ("node NONE.eds --node-id 1 --bus coulombus:none", 3),
+    "run": ("run --bus coulombus:none", 4),
+    "stop": ("stop --bus coulombus:none", 4),
+    "watch": ("watch --bus coulombus:none", 4),
+    "replay": ("replay RECORDING --bus coulombus:none", 4),
+    "bridge": ("bridge coulombus:none coulombus:other", 4),
+    "conformance": (f"conformance --bus coulombus:none --node 1 --eds {EDS}", 4),
+    "eds": ("eds check OTHER", 3),
+    "eds ok": (f"eds check {EDS}", 0),
+    "check": ("check --rig bench --set bus.bitrate_bit_s=125000", 1),
+    "check ok": ("check --rig bench", 0),
+    "plan": ("plan --rig bench --bitrate 125000", 1),
+    "plan ok": ("plan --rig bench --json", 0),
+    "decode": ("decode RECORDING --rig bench", 0),
+    "dbc": ("dbc", 0),
+    "identify": ("identify RECORDING --rig bench", 1),
+    "analyse": ("analyse fig10 --window 0.1", 0),
+}
+"""Name -> a call, and what it ends with."""
+
+
+@pytest.fixture
+def call(tmp_path, private_sockets):
+    """Return a function that runs a verb with a standard output of some kind, and returns its status and its stderr."""
+    with PcapngWriter(tmp_path / "recording.pcapng", attachments={}) as writer:
+        writer.write(new_records(FRAME, 3))
+    (tmp_path / "other").write_text("no EDS file\n")
+
+    def run(words, stdout):
+        words = words.replace("RECORDING", str(tmp_path / "recording.pcapng")).replace("OTHER", str(tmp_path / "other"))
+        command = [sys.executable, "-m", "coulombus", *words.split()]
+        if stdout == "closed":
+            command = ["sh", "-c", f"exec {shlex.join(command)} >&-"]
+        options = {"cwd": ROOT, "stderr": subprocess.PIPE, "stdin": subprocess.DEVNULL, "text": True, "timeout": 300}
+        if stdout == "closed":
+            done = subprocess.run(command, **options)
+        else:
+            end = _without_reader() if stdout == "reader gone" else os.open("/dev/full", os.O_WRONLY)
+            try:
+                done = subprocess.run(command, stdout=end, **options)
+            finally:
+                os.close(end)
+        assert "Traceback" not in done.stderr, done.stderr
+        assert "Exception" not in done.stderr, done.stderr
+        return done.returncode, done.stderr
+
+    return run
+
+
+def _without_reader():
+    reading, writing = os.pipe()
+    os.close(reading)
+    return writing
+
+
+def test_every_verb_is_in_this_test():
+    assert {name.split()[0] for name in ENDS} == {command.name for command in VERBS}
+
+
+@pytest.mark.parametrize("name", ENDS)
+@pytest.mark.parametrize("stdout", ["reader gone", "closed"])
+def test_a_reader_that_has_gone_changes_no_status(call, name, stdout):
+    words, status = ENDS[name]
+    assert call(words, stdout)[0] == status
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
+@pytest.mark.parametrize("name", ENDS)
+def test_a_full_disk_is_an_error_and_hides_none(call, name):
+    words, status = ENDS[name]
+    found, err = call(words, "full")
+    assert found == (status or 2), err
+    if status == 0:
+        assert "No space left on device" in err

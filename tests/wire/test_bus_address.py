@@ -1,0 +1,132 @@
+import os
+import socket
+import stat
+import subprocess
+import sys
+
+import pytest
+
+from coulombus.wire.address import (
+    AddressError,
+    BusAddress,
+    BusUnavailable,
+    bus_names,
+    default_address,
+    parse_address,
+    socket_path,
+)
+
+
+@pytest.fixture
+def runtime(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("text", "kind", "name"),
+    [
+        ("coulombus:bench", "coulombus", "bench"),
+        ("coulombus:a.b-c_1", "coulombus", "a.b-c_1"),
+        ("socketcan:vcan0", "socketcan", "vcan0"),
+        ("socketcan:can-éö", "socketcan", "can-éö"),
+    ],
+)
+def test_addresses(text, kind, name):
+    address = parse_address(text)
+    assert (address.kind, address.name) == (kind, name)
+    assert str(address) == text
+
+
+@pytest.mark.parametrize(
+    ("text", "fix"),
+    [
+        ("bench", "coulombus:bench"),
+        ("can0", "socketcan:can0"),
+        ("vcan:can0", "socketcan:can0"),
+        ("", "coulombus:bench"),
+        ("coulombus:", "coulombus:bench"),
+        ("coulombus:a/b", "coulombus:bench"),
+        ("coulombus:../x", "coulombus:bench"),
+        ("coulombus:bench.host", ".host"),
+        ("socketcan:", "socketcan:can0"),
+        ("socketcan:a_name_too_long0", "1 to 15"),
+        ("socketcan:a b", "socketcan:can0"),
+    ],
+)
+def test_what_is_no_address_is_told_with_the_fix(text, fix):
+    with pytest.raises(AddressError) as caught:
+        parse_address(text)
+    assert repr(text) in str(caught.value) or repr(text.partition(":")[2]) in str(caught.value)
+    assert fix in str(caught.value)
+    assert caught.value.exit_status == 2
+
+
+@pytest.mark.parametrize(("rig", "name"), [("bench", "bench"), ("my rig/2", "my-rig-2"), ("", "bus"), ("x.host", "x")])
+def test_default_address_is_an_address(rig, name):
+    assert default_address(rig) == BusAddress("coulombus", name)
+    assert parse_address(str(default_address(rig))) == default_address(rig)
+
+
+def test_socket_stands_in_a_private_directory(runtime):
+    path = socket_path("bench")
+    assert path == runtime / "coulombus" / "bench"
+    assert stat.S_IMODE(path.parent.stat().st_mode) == 0o700
+
+
+def test_without_a_runtime_directory_of_ours_a_private_temporary_one(tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    for runtime in (None, "", "relative", str(tmp_path / "absent")):
+        if runtime is None:
+            monkeypatch.delenv("XDG_RUNTIME_DIR", raising=False)
+        else:
+            monkeypatch.setenv("XDG_RUNTIME_DIR", runtime)
+        assert socket_path("bench") == tmp_path / f"coulombus-{os.geteuid()}" / "bench"
+
+
+def test_a_directory_that_others_may_write_to_is_refused(runtime):
+    (runtime / "coulombus").mkdir()
+    (runtime / "coulombus").chmod(0o777)
+    with pytest.raises(BusUnavailable, match="nobody else may write"):
+        socket_path("bench")
+
+
+def test_a_link_or_a_file_in_the_directorys_place_is_refused(runtime):
+    (runtime / "elsewhere").mkdir(mode=0o700)
+    (runtime / "coulombus").symlink_to(runtime / "elsewhere")
+    with pytest.raises(BusUnavailable):
+        socket_path("bench")
+    (runtime / "coulombus").unlink()
+    (runtime / "coulombus").write_text("")
+    with pytest.raises(BusUnavailable) as caught:
+        socket_path("bench")
+    assert caught.value.exit_status == 4
+
+
+def test_a_path_too_long_for_a_socket_is_told(runtime):
+    longest = 107 - len(str(runtime / "coulombus")) - 1
+    client = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    client.bind(str(socket_path("n" * longest)))
+    client.close()
+    with pytest.raises(AddressError, match="1 bytes longer"):
+        socket_path("n" * (longest + 1))
+
+
+def test_names_of_the_buses_that_are_there(runtime):
+    assert bus_names() == []
+    made = []
+    for name in ("b", "a", "a.host"):
+        made.append(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET))
+        made[-1].bind(str(socket_path(name)))
+    (runtime / "coulombus" / "a.txt").write_text("")
+    assert bus_names() == ["a", "b"]
+    for one in made:
+        one.close()
+
+
+def test_clients_start_without_numba():
+    code = (
+        "import sys, coulombus.wire.address, coulombus.wire.hello, coulombus.wire.client, coulombus.wire.can_interface, coulombus.recording.can_io\n"
+        "sys.exit(', '.join({'numba', 'scipy', 'pydantic', 'canopen'} & set(sys.modules)) or 0)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], timeout=60).returncode == 0

@@ -1,0 +1,381 @@
+"""What the verbs of the command line have in common: options, exit statuses, errors as texts, progress."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from coulombus.recording.output_file import is_stream, reason_against
+from coulombus.verbs.exit_status import STATUSES
+from coulombus.wire.stopping import Stopped, as_exceptions, status_of
+from coulombus.wire.verdict import abandon_stdout, printed, say, verdict
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from coulombus.rigs.rig import Rig
+
+__all__ = [
+    "CPU",
+    "EXIT_STATUS",
+    "MODES",
+    "PICTURE",
+    "SECONDS",
+    "OutputDirectory",
+    "OutputFile",
+    "Verbs",
+    "bus_option",
+    "buses_option",
+    "channel_option",
+    "check_mode",
+    "errors",
+    "faults_option",
+    "force_option",
+    "json_option",
+    "load",
+    "mode_option",
+    "print_json",
+    "printable",
+    "printed",
+    "progress",
+    "record_option",
+    "remark",
+    "rig_option",
+    "say",
+    "script_option",
+    "seconds_option",
+    "seed_option",
+    "set_option",
+    "table_console",
+    "verdict",
+]
+
+EXIT_STATUS = (
+    "\b\nExit status:\n"
+    + "".join(f"{status:>3}  {text}\n" for status, text in STATUSES.items())
+    + """With --json, what ends a verb before its result is an object on stdout, too:
+{"event": "error", "error": TEXT, "exit_status": N}
+"""
+)
+
+WORDS, RESULT = f"{__name__}.words", f"{__name__}.result"
+"""What a context keeps: the words behind the verb, and that the result has been printed."""
+MODES = ("active", "passive", "hybrid")
+
+
+_CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f]")
+
+
+class Failure(Exception):
+    """What ends a verb: a text and an exit status."""
+
+    def __init__(self, text: str, status: int) -> None:
+        super().__init__(text)
+        self.status = status
+
+
+class Verbs(click.Group):
+    """The verbs. What ends one before its result is told on stderr; with --json it is an object on stdout, too.
+
+    Ctrl-C is exit status 130 at any time, also while a verb still loads what it needs; so with the other signals of `wire.stopping`.
+    """
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Keep the words, to know of --json even where the rest of them is refused."""
+        _open_all_streams()
+        ctx.meta[WORDS] = tuple(args)
+        return super().resolve_command(ctx, args)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the verb."""
+
+        def tell(text: str, status: int) -> None:
+            if "--json" in ctx.meta.get(WORDS, ()) and RESULT not in ctx.meta:
+                with suppress(OSError):  # of a stdout that takes nothing, stderr tells
+                    click.echo(json.dumps({"event": "error", "error": text, "exit_status": status}))
+
+        try:
+            try:
+                with as_exceptions():
+                    return super().invoke(ctx)
+            except Stopped as stopped:
+                raise Failure(f"ended by {stopped}", status_of(stopped.number)) from None
+            except KeyboardInterrupt:
+                raise Failure("interrupted", 130) from None
+        except Failure as failure:
+            with verdict(failure.status):
+                tell(str(failure), failure.status)
+                say(f"coulombus: {printable(str(failure))}")
+        except click.ClickException as error:
+            tell(error.format_message(), error.exit_code)
+            raise
+
+
+@contextmanager
+def errors() -> Iterator[None]:
+    """Turn every error that a user can cause into its text and its exit status, the attribute `exit_status` of its class."""
+    if sys.stderr.isatty():
+        from coulombus.compiled.decorator import on_compiling
+
+        on_compiling(lambda: click.echo("compiling, which takes a minute or two and is kept ...", err=True))
+    try:
+        yield
+    except BrokenPipeError:  # the reader of a pipe went away, as `head` does
+        abandon_stdout()
+        sys.exit(0)
+    except Exception as error:
+        status = getattr(error, "exit_status", None)
+        if status is not None:
+            raise Failure(str(error), status) from error
+        if isinstance(error, MemoryError):
+            raise Failure("no memory is left; end other programs, or raise the limit (ulimit -v)", 2) from error
+        if not isinstance(error, OSError):
+            raise
+        text = f"{error.filename}: {error.strerror}" if error.filename else str(error)
+        raise Failure(text, 2) from error  # a file that cannot be read or written
+
+
+def printable(text: str) -> str:
+    """Return a text without control characters, by which a stranger's file would command the terminal."""
+    return _CONTROL.sub(lambda found: f"\\x{ord(found[0]):02x}", text)
+
+
+def _open_all_streams() -> None:
+    """Put /dev/null where the shell has closed stdin, stdout or stderr (``>&-``): else the next file that is opened gets its number."""
+    for fd, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
+        if getattr(sys, name) is None:
+            null = os.open(os.devnull, os.O_RDWR)  # the lowest number that is free
+            if null != fd:
+                os.dup2(null, fd)
+                os.close(null)
+            setattr(sys, name, open(fd, mode, encoding="utf-8"))  # noqa: SIM115
+
+
+def remark(texts: Iterable[str]) -> None:
+    """Say on stderr what a recording or a run lacks, sentence by sentence (`recording.signals.Recording.remarks`, `RunResult.losses`)."""
+    for text in texts:
+        say(f"coulombus: {printable(text)}")
+
+
+def load(rig_name: str, overrides: tuple[str, ...]) -> Rig:
+    """Load a rig and say on stderr what is allowed in it and yet may not be meant."""
+    from coulombus.rigs.rig import load_rig
+
+    rig = load_rig(rig_name, overrides)
+    for warning in rig.warnings:
+        say(f"warning: {warning}")
+    return rig
+
+
+def check_mode(rig: Rig, rig_name: str, mode: str) -> None:
+    """Refuse a mode that the rig does not have."""
+    if mode not in rig.mode:
+        raise click.BadParameter(f"{mode!r}: rig {rig_name!r} has {', '.join(rig.mode)}", param_hint="--mode")
+
+
+def print_json(value: Any) -> None:
+    """Print a result to stdout; what goes wrong after it is told on stderr only."""
+    click.echo(json.dumps(value, indent=2, allow_nan=False))
+    context = click.get_current_context(silent=True)
+    if context is not None:
+        context.meta[RESULT] = True
+
+
+class OutputFile(click.Path):
+    """A file that will be written: what forbids it is told before anything is run for it. See `recording.output_file`.
+
+    A file that exists is refused unless the verb's parameter `overwrite` is given (`force_option`).
+
+    Parameters
+    ----------
+    suffixes : endings of the name, one of which it must have; none: any
+    dash : whether ``-`` may stand for the standard output
+    """
+
+    def __init__(self, *suffixes: str, dash: bool = False) -> None:
+        super().__init__(dir_okay=False, path_type=Path)
+        self.suffixes, self.dash = suffixes, dash
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the path; BadParameter says what is wrong with it."""
+        if self.dash and str(value) in ("-", "/dev/stdout"):
+            return Path("-")
+        path = Path(str(super().convert(value, param, ctx)))
+        pipe = ".pcapng" in self.suffixes and is_stream(path)  # it may have any name
+        if self.suffixes and path.suffix.lower() not in self.suffixes and not pipe:
+            self.fail(f"{path}: expected a name that ends in {', '.join(self.suffixes)}", param, ctx)
+        force = None if ctx is None else next((p for p in ctx.command.params if p.name == "overwrite"), None)
+        remedy = "choose another name" + (f", or replace it with {force.opts[0]}" if force else "")
+        given = ctx is not None and bool(ctx.params.get("overwrite"))
+        reason = reason_against(path, force=given, remedy=remedy)
+        if reason is not None:
+            self.fail(reason, param, ctx)
+        return path
+
+
+class OutputDirectory(click.Path):
+    """A directory, made where it is not there yet; what forbids it is told before anything is run for it."""
+
+    def __init__(self) -> None:
+        super().__init__(file_okay=False, path_type=Path)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the path; BadParameter says what is wrong with it."""
+        path = Path(str(super().convert(value, param, ctx)))
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            self.fail(f"{path}: cannot be made: {error.strerror}", param, ctx)
+        return path
+
+
+PICTURE = OutputFile(".png", ".svg", ".pdf")
+
+
+class _Seconds(click.ParamType):  # type: ignore[type-arg]  # generic to some versions' types only
+    """A length of time in s: a number above 0, at most a year."""
+
+    name = "seconds"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        try:
+            seconds = float(value)
+        except ValueError:
+            seconds = float("nan")
+        if not 0 < seconds <= YEAR_S:
+            self.fail(f"{value!r}: expected a number above 0, at most {YEAR_S} (a year), in s", param, ctx)
+        return seconds
+
+
+class _Cpu(click.ParamType):  # type: ignore[type-arg]
+    """The number of a CPU that this process may use."""
+
+    name = "cpu"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        allowed = sorted(os.sched_getaffinity(0))
+        if not str(value).isdecimal() or int(value) not in allowed:
+            self.fail(f"{value!r}: this process may use the CPUs {', '.join(map(str, allowed))}", param, ctx)
+        return int(value)
+
+
+YEAR_S = 31_557_600
+SECONDS = _Seconds()
+CPU = _Cpu()
+
+mode_option = click.option(
+    "--mode", type=click.Choice(MODES), default="hybrid", show_default=True, help="Who displays the friction."
+)
+seconds_option = click.option(
+    "--seconds",
+    type=SECONDS,
+    default=None,
+    help="Length of the display.  [default: the rig's schedule]",
+)
+record_option = click.option(
+    "--record", type=OutputFile(".pcapng"), metavar="F.pcapng", help="Record every frame there, in a new file."
+)
+force_option = click.option(
+    "--force", "overwrite", is_flag=True, is_eager=True, help="Replace files that exist; else they are refused."
+)
+rig_option = click.option(
+    "--rig",
+    "rig_name",
+    default="bench",
+    show_default=True,
+    metavar="R",
+    help="A packaged rig (bench, paper, two_axes) or the path of a rig file.",
+)
+set_option = click.option(
+    "--set",
+    "overrides",
+    multiple=True,
+    metavar="SECTION.KEY=V",
+    help="Set any key of the rig file, as in --set plant.inertia_kg_m2=3e-3. May be given several times.",
+)
+faults_option = click.option(
+    "--faults",
+    type=click.Path(path_type=Path),
+    metavar="F.toml",
+    help="A fault file: what goes wrong on the bus, and when.",
+)
+seed_option = click.option("--seed", default=0, show_default=True, help="Start of everything random.")
+bus_option = click.option(
+    "--bus", "bus_name", metavar="B", help="coulombus:NAME or socketcan:IF.  [default: coulombus:RIG]"
+)
+buses_option = click.option(
+    "--bus",
+    "bus_names",
+    multiple=True,
+    metavar="B",
+    help="coulombus:NAME or socketcan:IF; CHANNEL=B for each bus of a rig that has several.  [default: coulombus:RIG]",
+)
+channel_option = click.option(
+    "--channel",
+    metavar="C",
+    help="Only the axes on this bus of a rig that has several.  [default: all, a process each]",
+)
+script_option = click.option(
+    "--script",
+    type=click.Path(path_type=Path),
+    metavar="F.toml",
+    help="Switch nodes off and on, reset them, let device faults come and go at given times.",
+)
+json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON to stdout.")
+
+
+def table_console(width: int) -> Console:
+    """Return the console for a table on stdout: the terminal, or so many columns of a file or a pipe."""
+    from rich.console import Console
+
+    console = Console()
+    return console if console.is_terminal else Console(width=width)
+
+
+@contextmanager
+def progress(enabled: bool) -> Iterator[Callable[[str, float, float], None]]:
+    """Show live bars on stderr: call what is yielded with a label, the time reached and the whole time."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True)
+    if not enabled or not console.is_terminal:
+        yield lambda label, t, total: None
+        return
+    columns = (
+        TextColumn("{task.description:<8}"),
+        BarColumn(40),
+        TextColumn("{task.fields[told]}"),
+        TimeElapsedColumn(),
+    )
+    bars = Progress(*columns, console=console)
+    starting = bars.add_task("starting", total=None, told="")
+    tasks: dict[str, TaskID] = {}
+    shown = suppress(OSError)  # a terminal that was closed takes nothing more: what is shown there goes on without it
+
+    def report(label: str, t: float, total: float) -> None:
+        with shown:
+            if label not in tasks:
+                bars.update(starting, visible=False)
+                tasks[label] = bars.add_task(label, total=total, told="")
+            t = min(t, total)
+            bars.update(tasks[label], completed=t, told=f"{t:5.1f} of {total:.0f} s displayed")
+
+    with shown:
+        bars.start()
+    try:
+        yield report
+    finally:
+        with shown:
+            bars.update(starting, visible=False)
+            bars.stop()

@@ -1,0 +1,160 @@
+"""``coulombus decode``, ``watch`` and ``dbc``."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+from click.core import ParameterSource
+
+from coulombus.verbs.common import (
+    EXIT_STATUS,
+    SECONDS,
+    OutputFile,
+    bus_option,
+    errors,
+    force_option,
+    load,
+    printable,
+    printed,
+    remark,
+    rig_option,
+    set_option,
+)
+
+__all__ = ["dbc", "decode", "watch"]
+
+
+one_channel_option = click.option("--channel", metavar="C", help="Which bus of a rig that has several.")
+
+
+@click.command(epilog=EXIT_STATUS)
+@click.argument("file", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.option("--rig", "rig_name", metavar="R", help="Decode with this rig instead of the attached one.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object a line to stdout.")
+def decode(file: Path, rig_name: str | None, as_json: bool) -> None:
+    """Print a recording frame by frame, PDOs by name in SI units.
+
+    Takes pcapng and, with --rig, what python-can reads: candump's .log, .asc, .blf, .trc, .csv.
+
+    \b
+    Examples:
+      coulombus decode out/demo/hybrid.pcapng | less
+      coulombus decode candump.log --rig bench
+      coulombus decode run.pcapng --json | jq 'select(.node == "motor")'
+    """
+    with errors():
+        from coulombus.recording.signals import blocks
+        from coulombus.rigs.rig import load_rig
+        from coulombus.scope.decode import as_json as as_json_line
+        from coulombus.scope.decode import as_text, rows
+
+        recording = blocks(file, rig=None if rig_name is None else load_rig(rig_name))
+        out = sys.stdout
+        for row in rows(recording):
+            out.write((as_json_line(row) if as_json else printable(as_text(row))) + "\n")
+        out.flush()
+        remark(recording.remarks)
+
+
+@click.command(epilog=EXIT_STATUS)
+@rig_option
+@set_option
+@bus_option
+@one_channel_option
+@click.option("--seconds", type=SECONDS, default=None, help="End after this time.")
+@click.option(
+    "--interval",
+    type=click.FloatRange(0.02),
+    default=None,
+    help="Seconds between two looks.  [default: 0.1 in a terminal, else 1]",
+)
+@click.option(
+    "--pcapng",
+    "pcapng",
+    type=OutputFile(".pcapng", dash=True),
+    metavar="F",
+    help="Show nothing; write the frames there as they come: - for stdout, a named pipe, or a file.",
+)
+@force_option
+@click.option("--json", "as_json", is_flag=True, help="One JSON object a line to stdout.")
+def watch(
+    rig_name: str,
+    overrides: tuple[str, ...],
+    bus_name: str | None,
+    channel: str | None,
+    seconds: float | None,
+    interval: float | None,
+    pcapng: Path | None,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Show a bus live: PDOs by name in SI units with rate and age, states of the nodes, emergencies, losses.
+
+    Nothing is sent. A live table in a terminal, else lines. Ends with 0 on Ctrl-C, SIGTERM, SIGHUP or SIGQUIT, with 4 when the bus goes away.
+
+    \b
+    Examples:
+      coulombus watch --bus coulombus:bench
+      coulombus watch --bus socketcan:can0 --rig my-rig.toml
+      coulombus watch --json --seconds 5 | jq .signals
+      coulombus watch --pcapng - | wireshark -k -i -
+    """
+    with errors():
+        from coulombus.rigs.buses import one_bus
+        from coulombus.scope.watch import watch as run
+
+        rig, address = one_bus(load(rig_name, overrides), bus_name, channel)
+        if pcapng is None:
+            given = click.get_current_context().get_parameter_source("rig_name") is not ParameterSource.DEFAULT
+            run(rig, address, seconds=seconds, as_json=as_json, interval_s=interval, all_nodes=given)
+            return
+        from coulombus.recording.stream import stream
+
+        if as_json or interval is not None:
+            raise click.UsageError("--pcapng shows nothing: leave --json and --interval out")
+        stream(
+            rig,
+            address,
+            str(pcapng),
+            seconds=seconds,
+            say=lambda text: click.echo(f"coulombus: {text}", err=True),
+            force=overwrite,
+        )
+
+
+@click.command(epilog=EXIT_STATUS)
+@rig_option
+@set_option
+@one_channel_option
+@click.option(
+    "-o",
+    "--out",
+    type=OutputFile(),
+    metavar="F.dbc",
+    help="Write the file there.  [default: stdout]",
+)
+@force_option
+def dbc(rig_name: str, overrides: tuple[str, ...], channel: str | None, out: Path | None, overwrite: bool) -> None:
+    """Write a DBC file of the rig's PDOs and services, for cantools, SavvyCAN, PlotJuggler.
+
+    \b
+    Examples:
+      coulombus dbc --rig bench -o bench.dbc
+      cantools monitor -i coulombus -c bench bench.dbc
+      candump -L can0 | cantools decode bench.dbc
+    """
+    with errors():
+        from coulombus.recording.output_file import new_file
+        from coulombus.rigs.buses import one_bus
+        from coulombus.rigs.rig import load_rig
+        from coulombus.scope.dbc import dbc_text
+
+        text = dbc_text(one_bus(load_rig(rig_name, overrides), None, channel)[0])
+        if out is None:
+            with printed():
+                sys.stdout.write(text)
+            return
+        with new_file(out, force=overwrite) as path:
+            path.write_text(text, encoding="cp1252", errors="replace")  # what readers of DBC files expect

@@ -1,0 +1,347 @@
+"""``coulombus replay`` and ``coulombus bridge``: what the command line says, and what is printed of what came of it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from coulombus.verbs.common import EXIT_STATUS, errors, json_option, printed, remark, say, verdict
+
+if TYPE_CHECKING:
+    from coulombus.lab.replay.host_replay import HostReplay
+    from coulombus.lab.replay.player import Tape
+    from coulombus.lab.replay.virtual_replay import VirtualReplay
+
+__all__ = ["bridge", "replay"]
+
+
+class Interrupted(Exception):
+    """A signal came before the end."""
+
+    def __init__(self, number: int, text: str) -> None:
+        super().__init__(text)
+        self.exit_status = 128 + number
+
+
+class NotToTheRig(Exception):
+    """What would move a rig is not sent there without being asked for."""
+
+    exit_status = 7
+
+
+@click.command("replay", epilog=EXIT_STATUS)
+@click.argument("file", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.option("--bus", "bus_name", metavar="B", help="Play it there: coulombus:NAME or socketcan:IF.")
+@click.option("--host", "as_host", is_flag=True, help="Feed the host with it: do its outputs come out again?")
+@click.option("--virtual", is_flag=True, help="Feed the bus with it in virtual time: do its frames come out again?")
+@click.option("--speed", type=click.FloatRange(1e-3, 1e3), default=1.0, show_default=True, help="2: twice as fast.")
+@click.option("--loop", "loops", type=click.IntRange(0), default=1, show_default=True, help="How often; 0: for ever.")
+@click.option("--from-s", type=float, default=None, help="Begin there, in the time that `coulombus decode` shows.")
+@click.option("--to-s", type=float, default=None, help="End there.")
+@click.option("--ids", "ids_text", metavar="IDS", help="Only these identifiers, hexadecimal: 181,200-27F,00000123x.")
+@click.option("--node", "nodes", type=click.IntRange(1, 127), multiple=True, help="Only what this node sent.")
+@click.option("--only-host", is_flag=True, help="Only what the host sent: SYNC, NMT, RPDOs, SDO requests.")
+@click.option("--to-rig", is_flag=True, help="Let the host's frames go to a real interface: they move the motor.")
+@click.option("--priority", type=click.IntRange(0, 99), default=70, show_default=True, help="SCHED_FIFO; 0: ordinary.")
+@click.option("--rig", "rig_name", metavar="R", help="This rig instead of the attached one.")
+@click.option(
+    "--law",
+    metavar="M:F",
+    help="With --host: what this law would have commanded. A law of one's own runs only if it is named here.",
+)
+@click.option("--set", "overrides", multiple=True, metavar="SECTION.KEY=V", help="With --host: other values.")
+@json_option
+def replay(**options: Any) -> None:
+    """Play a recording onto a bus, or hold the host (--host) or the bus model (--virtual) against it.
+
+    Plays pcapng and what python-can reads: candump's .log, .asc, .blf, .trc, .csv. A torn file plays to its last whole block. With --host
+    and --virtual it exits with 1 when something comes out otherwise, and shows the first difference.
+
+    \b
+    Examples:
+      coulombus replay run.pcapng --bus coulombus:bench
+      coulombus replay run.pcapng --bus socketcan:vcan0 --speed 0.5 --from-s 3 --to-s 5
+      coulombus replay run.pcapng --host
+      coulombus replay run.pcapng --host --law my_law.py:law
+      coulombus replay run.pcapng --virtual
+    """
+    with errors():
+        _replay(**options)
+
+
+def _replay(
+    *,
+    file: Path,
+    bus_name: str | None,
+    as_host: bool,
+    virtual: bool,
+    overrides: tuple[str, ...],
+    law: str | None,
+    rig_name: str | None,
+    as_json: bool,
+    **playing: Any,
+) -> None:
+    if (bus_name is not None) + as_host + virtual != 1:
+        raise click.UsageError("give one of --bus B (play it there), --host and --virtual (check it)")
+    if (overrides or law) and not as_host:
+        raise click.UsageError("--law and --set go with --host")
+    if bus_name is not None:
+        _play(file, bus_name, rig_name, as_json, **playing)
+        return
+    from coulombus.rigs.rig import load_rig
+
+    rig = None if rig_name is None else load_rig(rig_name)
+    if as_host:
+        from coulombus.lab.replay.host_replay import host_replay
+
+        if law is not None:
+            path, colon, function = law.rpartition(":")
+            place = str(Path(path).absolute()) if path.endswith(".py") else path
+            overrides = (*overrides, f"law.function={place}{colon}{function}")
+        checked = host_replay(file, overrides, rig)
+        found: HostReplay | VirtualReplay = checked
+        lines = _host_lines(checked)
+    else:
+        from coulombus.lab.replay.virtual_replay import virtual_replay
+
+        found = virtual_replay(file, rig)
+        lines = found.lines()
+    remark(found.remarks)
+    with verdict(found.exit_status):
+        click.echo(json.dumps(found.as_dict(), indent=2, allow_nan=False) if as_json else "\n".join(lines))
+
+
+def _host_lines(found: HostReplay) -> list[str]:
+    counts = ", ".join(f"{n} {name}" for name, n in found.frames.items())
+    lines = [f"mode {found.mode}: {found.cycles} cycles, {found.inputs} frames in"]
+    one = found.difference
+    if one is None:
+        lines.append(f"identical: {counts}")
+    elif found.judged:
+        lines.append(f"FAIL at {one.t_s:.6f} s, cycle {one.cycle}: {one.name} (before that the same: {counts})")
+    else:
+        lines.append(f"the first difference is at {one.t_s:.6f} s, cycle {one.cycle}: {one.name}")
+    if one is not None:
+        lines.append(f"  {'':<28} {'recorded':>18} {'computed':>18}")
+        lines.append(f"  {'data':<28} {_or_none(one.recorded):>18} {_or_none(one.computed):>18}")
+        for name, (recorded, computed) in one.signals.items():
+            mark = "" if recorded == computed else "  <"
+            lines.append(f"  {name:<28} {_number(recorded):>18} {_number(computed):>18}{mark}")
+    if found.rms is not None:
+        lines += [f"  RMS difference of {name}: {value:.6g}" for name, value in found.rms.items()]
+    if found.computed_trip != found.recorded_trip:
+        lines += [f"trip recorded: {found.recorded_trip or 'none'}", f"trip computed: {found.computed_trip or 'none'}"]
+    if found.refused:
+        lines.append(f"{found.refused} frames that the bus had not taken are in no recording")
+    if found.unchecked:
+        lines.append(f"{found.unchecked} frames behind the trace's end were not checked: was the recording killed?")
+    return lines
+
+
+def _or_none(text: str | None) -> str:
+    return "no frame" if text is None else text or "no data"
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.9g}"
+
+
+def _play(file: Path, bus_name: str, rig_name: str | None, as_json: bool, **options: Any) -> None:
+    from coulombus.lab.replay.player import NOTHING, load_tape, play
+    from coulombus.wire.address import parse_address
+    from coulombus.wire.client import Client
+    from coulombus.wire.hello import Hello
+    from coulombus.wire.realtime import ask_for_real_time
+    from coulombus.wire.stopping import StopSignals
+
+    address = parse_address(bus_name)
+    tape = _choose(load_tape(file), rig_name, **options)
+    remark(tape.remarks)
+    if not len(tape.frames):
+        raise click.UsageError(f"{file}: no frame is left to be played")
+    if address.kind == "socketcan" and not options["to_rig"] and _moves(tape) and not _is_virtual(address.name):
+        raise NotToTheRig(
+            f"{file} has frames of a host (NMT, SYNC, RPDOs): on {address} they would move a motor, and no host would watch it. "
+            "Leave them out (--node N, --ids), or give --to-rig if that is what you want"
+        )
+    total = float(tape.t_ns[-1] - tape.t_ns[0]) / 1e9 / options["speed"] * max(options["loops"], 1)
+    with Client(address, Hello(filters=NOTHING)) as client, StopSignals() as stop, _bar(total, as_json) as progress:
+        ask_for_real_time(options["priority"] or None)
+        played = play(tape, client, stop, speed=options["speed"], loops=options["loops"], progress=progress)
+        number = stop.number
+    late = played.late_us
+    cut_short = not played.complete and number and options["loops"]
+    with printed(1 if cut_short else 0):
+        if as_json:
+            click.echo(
+                json.dumps(
+                    {
+                        "file": str(file),
+                        "bus": str(address),
+                        "frames": played.frames,
+                        "loops": played.loops,
+                        "seconds": played.seconds,
+                        "late_us": late,
+                        "full": played.full,
+                        "complete": played.complete,
+                    },
+                    indent=2,
+                )
+            )
+        else:
+            times = (
+                ""
+                if late is None
+                else f", late by {late['p50']:.0f} / {late['p99']:.0f} / {late['max']:.0f} us (p50 / p99 / max)"
+            )
+            full = f", {played.full} of them waited for a full bus" if played.full else ""
+            click.echo(f"{played.frames} frames onto {address} in {played.seconds:.3f} s{times}{full}")
+    if cut_short:
+        raise Interrupted(number, f"interrupted after {played.frames} frames")
+
+
+def _choose(
+    tape: Tape,
+    rig_name: str | None,
+    *,
+    from_s: float | None,
+    to_s: float | None,
+    ids_text: str | None,
+    nodes: tuple[int, ...],
+    only_host: bool,
+    **_: Any,
+) -> Tape:
+    """Return what the options leave."""
+    import numpy as np
+
+    from coulombus.recording.senders import HOST, rig_of, senders
+    from coulombus.wire.identifiers import among, parse_identifiers
+
+    chosen = np.ones(len(tape.frames), bool)
+    if from_s is not None:
+        chosen &= tape.t_ns >= round(from_s * 1e9)
+    if to_s is not None:
+        chosen &= tape.t_ns <= round(to_s * 1e9)
+    if ids_text is not None:
+        chosen &= among(tape.frames["can_id"], parse_identifiers(ids_text))
+    if nodes or only_host:
+        wanted = (*nodes, HOST) if only_host else nodes
+        chosen &= np.isin(senders(tape.frames["can_id"], rig_of(tape.path, rig_name)), wanted)
+    return tape.take(chosen)
+
+
+def _moves(tape: Tape) -> bool:
+    """Tell whether frames of a host are among them."""
+    import numpy as np
+
+    from coulombus.recording.senders import HOST, rig_of, senders
+
+    return bool(np.any(senders(tape.frames["can_id"], rig_of(tape.path, None)) == HOST))
+
+
+def _is_virtual(interface: str) -> bool:
+    """Tell whether an interface of Linux has no hardware behind it (vcan, vxcan; slcan is a serial adapter and has)."""
+    place = Path("/sys/class/net", interface).resolve()
+    return "virtual" in place.parts and not interface.startswith("slcan")
+
+
+def _bar(total_s: float, as_json: bool) -> AbstractContextManager[Callable[[float], None]]:
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn
+
+    console = Console(stderr=True)
+    if as_json or not console.is_terminal:
+        return nullcontext(lambda seconds: None)
+    columns = (BarColumn(40), TextColumn("{task.completed:5.1f} of {task.total:.1f} s played"))
+
+    class Bar:
+        def __enter__(self) -> Callable[[float], None]:
+            self.bars = Progress(*columns, console=console)
+            self.bars.start()
+            task = self.bars.add_task("", total=total_s)
+            return lambda seconds: self.bars.update(task, completed=seconds)
+
+        def __exit__(self, *_: object) -> None:
+            self.bars.stop()
+
+    return Bar()
+
+
+@click.command("bridge", epilog=EXIT_STATUS)
+@click.argument("a")
+@click.argument("b")
+@click.option("--ids", "ids_text", metavar="IDS", help="Only these identifiers, hexadecimal: 181,200-27F,00000123x.")
+@click.option("--one-way", is_flag=True, help="From A to B only.")
+@click.option("--delay-ms", type=click.FloatRange(0, 60_000), default=0.0, help="Let every frame wait so long.")
+@click.option("--drop", metavar="RATE", type=click.FloatRange(0, 1), default=0.0, help="Share of the frames to drop.")
+@click.option("--duplicate", metavar="RATE", type=click.FloatRange(0, 1), default=0.0, help="Share to send twice.")
+@click.option(
+    "--corrupt", metavar="RATE", type=click.FloatRange(0, 1), default=0.0, help="Share with one data bit turned around."
+)
+@click.option("--seed", default=0, show_default=True, help="Start of what is random.")
+@click.option("--seconds", type=click.FloatRange(0, min_open=True), default=None, help="End after so long.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object a line: ready, then what came of it.")
+def bridge(
+    a: str,
+    b: str,
+    ids_text: str | None,
+    one_way: bool,
+    delay_ms: float,
+    drop: float,
+    duplicate: float,
+    corrupt: float,
+    seed: int,
+    seconds: float | None,
+    as_json: bool,
+) -> None:
+    """Join two buses, each coulombus:NAME or socketcan:IF: what one carries is sent on the other.
+
+    Ends with 0 on Ctrl-C, SIGTERM, SIGHUP, SIGQUIT or after --seconds, with 4 when a bus goes away.
+
+    \b
+    Examples:
+      coulombus bridge coulombus:bench socketcan:vcan0
+      coulombus bridge coulombus:bench socketcan:can0 --ids 181,182,281 --one-way
+      coulombus bridge coulombus:a coulombus:b --delay-ms 2 --drop 0.01 --seed 7
+    """
+    with errors():
+        from coulombus.sim_bus.server.bridge import bridge as join
+        from coulombus.sim_bus.server.bridge import faults
+        from coulombus.wire.address import parse_address
+        from coulombus.wire.identifiers import parse_identifiers
+
+        ends = parse_address(a), parse_address(b)
+        ranges = () if ids_text is None else parse_identifiers(ids_text)
+
+        def ready() -> None:
+            text = f"{a} and {b} are joined; Ctrl-C ends it"
+            click.echo(json.dumps({"event": "ready", "a": a, "b": b}) if as_json else text)
+
+        result = join(
+            *ends,
+            between=faults(delay_ms, drop, seed, duplicate=duplicate, corrupt=corrupt),
+            back=faults(delay_ms, drop, seed + 1, duplicate=duplicate, corrupt=corrupt),
+            ranges=ranges,
+            one_way=one_way,
+            seconds=seconds,
+            ready=ready,
+        )
+        if result.gone:
+            say(f"coulombus: {result.gone}")
+        with verdict(result.exit_status):
+            if as_json:
+                click.echo(json.dumps({"event": "end", **result.as_dict()}))
+            else:
+                for way, counts in result.as_dict()["ways"].items():
+                    rest = ", ".join(
+                        f"{n} {name}" for name, n in counts.items() if n and name not in ("received", "forwarded")
+                    )
+                    click.echo(
+                        f"{way}: {counts['received']} received, {counts['forwarded']} forwarded"
+                        + (f", {rest}" if rest else "")
+                    )

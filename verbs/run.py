@@ -1,0 +1,207 @@
+"""``coulombus run`` and ``coulombus stop``: the host on one bus or on several."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from coulombus.verbs.common import (
+    CPU,
+    EXIT_STATUS,
+    PICTURE,
+    buses_option,
+    channel_option,
+    check_mode,
+    errors,
+    force_option,
+    json_option,
+    load,
+    mode_option,
+    print_json,
+    progress,
+    record_option,
+    rig_option,
+    say,
+    seconds_option,
+    set_option,
+    verdict,
+)
+from coulombus.verbs.run_table import print_runs
+
+if TYPE_CHECKING:
+    from coulombus.wire.address import BusAddress
+
+__all__ = ["run_command", "stop"]
+
+
+@click.command("run", epilog=EXIT_STATUS)
+@rig_option
+@buses_option
+@channel_option
+@mode_option
+@seconds_option
+@record_option
+@force_option
+@click.option(
+    "--histogram",
+    type=PICTURE,
+    metavar="F.png",
+    help="Draw wake-up and SYNC-to-RPDO times there.",
+)
+@set_option
+@click.option(
+    "--shared-machine", is_flag=True, help="Wider limits, for simulated nodes on a machine that does other work, too."
+)
+@click.option("--cpu", type=CPU, default=None, help="CPU for the cycle's process.  [default: the last one]")
+@json_option
+def run_command(
+    rig_name: str,
+    bus_names: tuple[str, ...],
+    channel: str | None,
+    mode: str,
+    seconds: float | None,
+    record: Path | None,
+    overwrite: bool,
+    histogram: Path | None,
+    overrides: tuple[str, ...],
+    shared_machine: bool,
+    cpu: int | None,
+    as_json: bool,
+) -> None:
+    """Run the host alone, in real time, on a bus where the nodes are: simulated ones (`coulombus sim`) or a rig.
+
+    Ends safely when the time is over, on Ctrl-C (exit status 130), SIGTERM (143), when the terminal is closed (129), on Ctrl-Backslash (131),
+    `coulombus stop` (0), or a trip (7). After a trip nothing re-arms by itself. Real-time rights are asked for; what is refused is told with
+    the command that grants it.
+
+    \b
+    Examples:
+      coulombus sim &
+      coulombus run --mode hybrid --seconds 13 --record run.pcapng
+      coulombus run --bus socketcan:can0 --rig my-rig.toml --mode active --json
+    """
+    with errors():
+        from coulombus.host.run.buses import path_on
+        from coulombus.host.run.course import Signals, real_run
+        from coulombus.lab.demo.demo import schedule_s
+        from coulombus.lab.demo.real_demo import SHARED_MACHINE
+        from coulombus.recording.output_file import check as check_output
+        from coulombus.rigs.buses import bus_addresses
+
+        rig = load(rig_name, (*SHARED_MACHINE, *overrides) if shared_machine else overrides)
+        addresses = bus_addresses(rig, bus_names, channel)
+        real = [str(address) for address in addresses.values() if address.kind != "coulombus"]
+        if shared_machine and real:
+            text = f"for simulated nodes only: on {real[0]} a motor could push unwatched for 50 ms; choose each limit by --set"
+            raise click.BadParameter(text, param_hint="--shared-machine")
+        check_mode(rig, rig_name, mode)
+        total = schedule_s(rig) if seconds is None else seconds
+        if channel is not None:
+            rig = rig.on(channel)
+        if len(rig.channels) > 1:
+            words = ["run", "--rig", rig_name, "--mode", mode, "--seconds", str(total), "--json"]
+            words += [word for text in overrides for word in ("--set", text)]
+            words += ["--shared-machine"] if shared_machine else []
+            words += ["--force"] if overwrite else []
+            files = {"--record": record, "--histogram": histogram}
+            for path in (path_on(path, channel) for path in files.values() if path for channel in addresses):
+                check_output(path, force=overwrite)  # of all buses before the first one starts
+            _run_buses(words, addresses, files, mode, as_json)
+        (address,) = addresses.values()
+        with Signals() as signals, progress(not as_json) as report:
+            result = real_run(
+                rig,
+                mode,
+                total,
+                bus=address,
+                record=record,
+                histogram=histogram,
+                signals=signals,
+                progress=lambda t: report(mode, t, total),
+                cpu=cpu,
+                force=overwrite,
+            )
+        with verdict(result.exit_status):
+            _say_what_to_do(result.trip, shared_machine)
+            if as_json:
+                print_json(result.as_dict())
+            else:
+                print_runs({mode: result})
+
+
+def _say_what_to_do(trip: str | None, shared_machine: bool) -> None:
+    """After a trip for want of TPDOs on a machine of one's own: what else it may be."""
+    if trip is not None and "TPDO_LOST" in trip and not shared_machine:
+        text = "if this machine does other work, too, it may have stood still for so long: --shared-machine widens the limits"
+        say(f"coulombus: {text} (docs/realtime.md)")
+
+
+def _run_buses(
+    words: list[str], addresses: dict[str, BusAddress], files: dict[str, Path | None], mode: str, as_json: bool
+) -> None:
+    """Run the host on several buses, a process each, and end with the status that they come to."""
+    from coulombus.host.run.buses import merged, path_on, supervise
+    from coulombus.host.run.result import RunResult
+
+    def arguments(channel: str) -> list[str]:
+        there = ((option, path_on(path, channel)) for option, path in files.items() if path is not None)
+        own = [word for option, path in there for word in (option, str(path))]
+        return [*words, *own, "--channel", channel, "--bus", f"{channel}={addresses[channel]}"]
+
+    buses = supervise(list(addresses), arguments)
+    whole = merged({b.channel: b.result for b in buses}, {b.channel: b.status for b in buses})
+    with verdict(whole["exit_status"]):
+        if as_json:
+            print_json(whole)
+        elif "mode" in whole:
+            print_runs({mode: RunResult(**whole)})
+
+
+@click.command(epilog=EXIT_STATUS)
+@rig_option
+@buses_option
+def stop(rig_name: str, bus_names: tuple[str, ...]) -> None:
+    """Stop the host that runs on a bus safely: motor torque 0, brake ramped off, drive disabled. Waits for its end.
+
+    Ends with 0 when each host that was asked has taken the request and has ended, tripped or not. Else with 4: none runs there, it cannot be
+    reached, it does not take the request, or it does not end in time. Then the rig may be armed still.
+
+    \b
+    Examples:
+      coulombus stop
+      coulombus stop --bus socketcan:can0
+    """
+    with errors():
+        from coulombus.host.run.control_socket import NoHost, StopRequest
+        from coulombus.rigs.buses import bus_addresses
+        from coulombus.rigs.rig import load_rig
+        from coulombus.wire.address import parse_address
+
+        rig = load_rig(rig_name)
+        addresses = [parse_address(t.rpartition("=")[2]) for t in bus_names] or list(bus_addresses(rig).values())
+        requests = [StopRequest(address) for address in addresses]  # all are asked before one is waited for
+        failures, told = [], []
+        for request in requests:
+            try:
+                told.append(_what_came(request.address, request.result()))
+            except NoHost as failure:
+                failures.append(str(failure))
+        for text in told if failures else ():
+            say(text)
+        if failures:
+            raise NoHost("; ".join(failures))
+        with verdict(0):
+            for text in told:
+                click.echo(text)
+
+
+def _what_came(address: BusAddress, result: Mapping[str, Any]) -> str:
+    """Return what a host said to a stop, as a sentence."""
+    if not result:
+        return f"the host on {address} took the request and ended without a word"
+    if result["trip"]:
+        return f"the host on {address} had tripped: {result['trip']}"
+    return f"the host on {address} stopped safely after {result['cycles']} cycles in mode {result['mode']}"

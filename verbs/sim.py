@@ -1,0 +1,221 @@
+"""``coulombus sim`` and ``coulombus node``: the far side of the bus, in real time."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from coulombus.verbs.common import (
+    CPU,
+    EXIT_STATUS,
+    MODES,
+    SECONDS,
+    OutputFile,
+    buses_option,
+    channel_option,
+    errors,
+    faults_option,
+    force_option,
+    json_option,
+    rig_option,
+    script_option,
+    seed_option,
+    set_option,
+)
+
+if TYPE_CHECKING:
+    from coulombus.wire.address import BusAddress
+
+__all__ = ["node_command", "sim"]
+
+
+@click.command(epilog=EXIT_STATUS)
+@rig_option
+@buses_option
+@channel_option
+@click.option(
+    "--mode", type=click.Choice(MODES), default=None, help="Whose F_s sizes the operator's pushes.  [default: the last]"
+)
+@click.option("--seconds", type=SECONDS, default=None, help="End after so long.  [default: never]")
+@script_option
+@click.option(
+    "--record",
+    type=OutputFile(".pcapng"),
+    metavar="F.pcapng",
+    help="Record every frame there, at its end of frame in the bus's own time; `replay --virtual` holds it against virtual time.",
+)
+@force_option
+@click.option("--unpaced", is_flag=True, help="Frames take no time: for measurements.")
+@click.option("--priority", type=click.IntRange(0, 99), default=79, show_default=True, help="SCHED_FIFO; 0: ordinary.")
+@click.option("--cpu", type=CPU, default=None, help="Keep the bus on this CPU.")
+@set_option
+@seed_option
+@faults_option
+@json_option
+def sim(
+    rig_name: str,
+    bus_names: tuple[str, ...],
+    channel: str | None,
+    mode: str | None,
+    seconds: float | None,
+    script: Path | None,
+    record: Path | None,
+    overwrite: bool,
+    unpaced: bool,
+    priority: int,
+    cpu: int | None,
+    overrides: tuple[str, ...],
+    seed: int,
+    faults: Path | None,
+    as_json: bool,
+) -> None:
+    """Serve a bus with the simulated nodes and the rig on it, in real time.
+
+    One process is bus, motor drive, MR brake, mechanics and the operator's hand. Clients attach with --bus (coulombus run, watch), as
+    python-can interface "coulombus" (can_logger -i coulombus -c bench), or on the SocketCAN interface. Prints one line when the bus is
+    ready; ends with 0 on Ctrl-C, SIGTERM, SIGHUP and SIGQUIT.
+
+    \b
+    Examples:
+      coulombus sim
+      coulombus sim --rig my-rig.toml --bus socketcan:vcan0
+      coulombus sim --bus coulombus:test --seconds 60 --script script.toml --json
+    """
+    with errors():
+        from coulombus.rigs.buses import bus_addresses
+        from coulombus.rigs.rig import load_rig
+        from coulombus.sim_bus.faults.file import read_faults
+        from coulombus.sim_bus.network.script import read_script
+        from coulombus.sim_bus.server.rig_server import SimServer
+        from coulombus.sim_bus.server.serving import run_sim
+
+        rig = load_rig(rig_name, overrides)
+        addresses = bus_addresses(rig, bus_names, channel)
+        entries = () if script is None else read_script(script)
+        plans = {} if faults is None else {name: read_faults(faults).on(name, rig.channels) for name in rig.channels}
+        chosen = mode or list(rig.mode)[-1]
+        if record is not None and (unpaced or len(addresses) > 1 or next(iter(addresses.values())).kind != "coulombus"):
+            raise click.UsageError(
+                "--record is of one virtual bus on which frames take their time; choose one with --channel"
+            )
+        if len(addresses) > 1:
+            options = {
+                "--seconds": seconds,
+                "--script": script,
+                "--cpu": cpu,
+                "--priority": priority,
+                "--seed": seed,
+                "--faults": faults,
+            }
+            words = ["sim", "--rig", rig_name, "--mode", chosen, *(["--unpaced"] if unpaced else [])]
+            words += [word for option, value in options.items() if value is not None for word in (option, str(value))]
+            words += [word for text in overrides for word in ("--set", text)]
+            sys.exit(_sim_buses([*words, "--json"] if as_json else words, addresses))
+        if channel is not None:
+            rig = rig.on(channel)
+        (address,) = addresses.values()
+        plan = plans.get(rig.channels[0])
+
+        def make() -> SimServer:
+            return SimServer(
+                rig,
+                address,
+                mode=chosen,
+                seed=seed,
+                script=entries,
+                unpaced=unpaced,
+                record=record,
+                faults=plan,
+                force=overwrite,
+            )
+
+        run_sim(make, seconds, priority=priority or None, cpu=cpu, as_json=as_json)
+
+
+def _sim_buses(words: list[str], addresses: dict[str, BusAddress]) -> int:
+    """Serve several buses, a process each; their lines are passed on as they come."""
+    from coulombus.host.run.buses import supervise
+
+    buses = supervise(
+        list(addresses),
+        lambda channel: [*words, "--channel", channel, "--bus", f"{channel}={addresses[channel]}"],
+        lambda channel, line: click.echo(line),
+    )
+    return max(bus.status for bus in buses)
+
+
+@click.command("node", epilog=EXIT_STATUS)
+@click.argument("eds", nargs=-1, required=True, metavar="EDS...", type=click.Path(path_type=Path))
+@click.option(
+    "--node-id",
+    "node_ids",
+    type=click.IntRange(1, 127),
+    multiple=True,
+    help="One for each EDS, in order.  [default: NodeID of a DCF]",
+)
+@click.option("--bus", metavar="B", required=True, help="coulombus:NAME (built in) or socketcan:IF.")
+@click.option(
+    "--kind",
+    type=click.Choice(("generic", "drive", "brake")),
+    default=None,
+    help="What lives behind the objects: nothing, a CiA 402 drive, a CiA 404 brake.  [default: what our own devices' files describe, "
+    "else generic]",
+)
+@click.option(
+    "--store",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="Keep what 1010h and LSS store there.  [default: in memory]",
+)
+@click.option(
+    "--processing-us",
+    type=click.FloatRange(0, 1e6),
+    default=20.0,
+    show_default=True,
+    help="From a request to the answer that is ready to be sent.",
+)
+@click.option(
+    "--bitrate",
+    type=click.IntRange(1000, 100_000_000),
+    default=None,
+    help="Bit/s of the bus, where this command serves it.  [default: Baudrate of a DCF, else 1000000]",
+)
+@click.option("--seconds", type=SECONDS, default=None, help="End after so long.  [default: never]")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object a line to stdout: ready, duplicate, end.")
+def node_command(
+    eds: tuple[Path, ...],
+    node_ids: tuple[int, ...],
+    bus: str,
+    kind: str | None,
+    store: Path | None,
+    processing_us: float,
+    bitrate: int | None,
+    seconds: float | None,
+    as_json: bool,
+) -> None:
+    """Serve any EDS description as a live node: a stand-in for a device that is not on the desk yet.
+
+    All objects with their defaults, PDOs, SDO, NMT, heartbeat, EMCY and LSS; a DCF's with the values that it configures. On coulombus:NAME
+    it joins the bus that another process serves; where nobody does, it serves the bus itself, and others may join. Ends with 0 on Ctrl-C,
+    SIGTERM, SIGHUP and SIGQUIT, with 4 when the bus goes away.
+
+    \b
+    Examples:
+      coulombus node vendor.eds --node-id 5 --bus coulombus:desk
+      coulombus node drive.eds brake.eds --node-id 1 --node-id 2 --bus socketcan:vcan0 --json
+      coulombus node configured.dcf --bus coulombus:desk
+    """
+    with errors():
+        from coulombus.sim_bus.server.live_nodes import KINDS, LiveNodes, NodeError, run_nodes
+        from coulombus.wire.address import parse_address
+
+        if node_ids and len(node_ids) != len(eds):
+            raise NodeError(f"{len(eds)} EDS files and {len(node_ids)} --node-id; give one --node-id for each file")
+        address = parse_address(bus)
+        ids = node_ids or (None,) * len(eds)
+        behaviour = None if kind is None else KINDS[kind]
+        nodes = LiveNodes(tuple(zip(eds, ids, strict=True)), behaviour, store, processing_us, as_json, bitrate or 0)
+        run_nodes(nodes, address, seconds)

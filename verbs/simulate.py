@@ -1,0 +1,191 @@
+"""``coulombus simulate`` and ``coulombus demo``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from coulombus.sim_bus.faults.lines import injected_lines
+from coulombus.verbs.common import (
+    EXIT_STATUS,
+    OutputDirectory,
+    OutputFile,
+    check_mode,
+    errors,
+    faults_option,
+    force_option,
+    json_option,
+    load,
+    mode_option,
+    print_json,
+    progress,
+    record_option,
+    remark,
+    rig_option,
+    say,
+    script_option,
+    seconds_option,
+    seed_option,
+    set_option,
+    verdict,
+)
+from coulombus.verbs.run_table import print_runs, print_verdict
+
+if TYPE_CHECKING:
+    from coulombus.lab.demo.demo import Demo
+
+__all__ = ["demo", "simulate_command"]
+
+
+@click.command("simulate", epilog=EXIT_STATUS)
+@rig_option
+@mode_option
+@seconds_option
+@record_option
+@force_option
+@seed_option
+@faults_option
+@set_option
+@click.option(
+    "--truth",
+    type=OutputFile(),
+    metavar="F.npz",
+    help="Save the plant's true course there, at its own step: time, angle, speed, torques, works.",
+)
+@script_option
+@json_option
+def simulate_command(
+    rig_name: str,
+    mode: str,
+    seconds: float | None,
+    record: Path | None,
+    overwrite: bool,
+    seed: int,
+    faults: Path | None,
+    overrides: tuple[str, ...],
+    truth: Path | None,
+    script: Path | None,
+    as_json: bool,
+) -> None:
+    """Run the rig in virtual time: bring-up, arming, display, safe end - over real PDOs.
+
+    The run lasts from the drive's Operation Enabled, where the operator's schedule begins. The display's figures are computed from the
+    recording, so without --record they are null.
+
+    \b
+    Examples:
+      coulombus simulate --mode active --seconds 13 --record active.pcapng
+      coulombus simulate --rig paper --mode active --seconds 12 --json
+      coulombus simulate --set operator.inertia_kg_m2=0.1 --set mode.active.F_s_Nm=0.8 --mode active
+      coulombus simulate --faults faults.toml --record run.pcapng --json
+      coulombus simulate --truth truth.npz --record run.pcapng --seed 7
+      coulombus simulate --script script.toml --record run.pcapng
+    """
+    with errors():
+        from coulombus.lab.demo.demo import schedule_s
+        from coulombus.lab.simulate import simulate
+        from coulombus.sim_bus.network.script import read_script
+
+        rig = load(rig_name, overrides)
+        check_mode(rig, rig_name, mode)
+        total = schedule_s(rig) if seconds is None else seconds
+        entries = () if script is None else read_script(script)
+        with progress(not as_json) as report:
+            result = simulate(
+                rig,
+                mode,
+                total,
+                record=record,
+                seed=seed,
+                truth=truth,
+                script=lambda world: world.plan(entries),
+                faults=faults,
+                progress=lambda t: report(mode, t, total),
+                force=overwrite,
+            )
+        remark(result.losses or ())
+        with verdict(result.exit_status):
+            if as_json:
+                print_json(result.as_dict())
+            else:
+                print_runs({mode: result})
+                for line in injected_lines(result.faults, result.controllers):
+                    click.echo(line)
+
+
+@click.command(epilog=EXIT_STATUS)
+@rig_option
+@set_option
+@seed_option
+@click.option(
+    "--out",
+    type=OutputDirectory(),
+    default=Path("out/demo"),
+    show_default=True,
+    help="Directory for the results.",
+)
+@click.option(
+    "--virtual",
+    is_flag=True,
+    help="In virtual time: some seconds instead of half a minute, and the same bytes every time.",
+)
+@json_option
+def demo(rig_name: str, overrides: tuple[str, ...], seed: int, out: Path, virtual: bool, as_json: bool) -> None:
+    """Show the paper's experiment: active force feedback chatters, hybrid force feedback holds still.
+
+    Runs both modes through the rig's schedule, each with the hold and the stroke, in real time: the simulated rig in one process, the host in
+    others, PDOs at 1 kHz between them. Writes active.pcapng, hybrid.pcapng, demo.json and the figure demo.png. Exits with 1 unless
+    active oscillates and hybrid holds still.
+
+    \b
+    Examples:
+      coulombus demo
+      coulombus demo --virtual
+      coulombus demo --seed 3 --out out/third
+    """
+    with errors():
+        from coulombus.lab.demo.demo import DEMO_MODES, as_dict, run_demo, schedule_s
+        from coulombus.lab.demo.traces import figure_14
+        from coulombus.recording.signals import blocks
+
+        rig = load(rig_name, overrides).one_axis()
+        missing = [mode for mode in DEMO_MODES if mode not in rig.mode]
+        if missing:
+            raise click.BadParameter(f"rig {rig_name!r} has no mode {missing[0]!r}", param_hint="--rig")
+        total = schedule_s(rig)
+        if virtual:
+            with progress(not as_json) as report:
+                result = run_demo(rig, out, seed=seed, progress=lambda mode, t: report(mode, t, total))
+        else:
+            result = _real_demo(rig_name, overrides, seed, out, total, as_json)
+        figure_14({mode: blocks(out / f"{mode}.pcapng") for mode in DEMO_MODES}, out / "demo.png")
+        with verdict(0 if result.passed else 1):
+            if as_json:
+                print_json(as_dict(result))
+            else:
+                print_runs(result.results)
+                click.echo()
+                for criterion in result.criteria:
+                    print_verdict(criterion.holds, f"{criterion.text}: {criterion.found}")
+                click.echo(f"\nfigure and recordings: {out}/ (demo.png, active.pcapng, hybrid.pcapng, demo.json)")
+
+
+def _real_demo(rig_name: str, overrides: tuple[str, ...], seed: int, out: Path, total: float, as_json: bool) -> Demo:
+    from coulombus.host.run.course import Signals
+    from coulombus.lab.demo.real_demo import SHARED_MACHINE, run_real_demo
+    from coulombus.rigs.rig import load_rig
+
+    both = (*SHARED_MACHINE, *overrides)
+    say("for a machine shared with others: " + " ".join(f"--set {text}" for text in SHARED_MACHINE))
+    with Signals() as signals, progress(not as_json) as report:
+        return run_real_demo(
+            load_rig(rig_name, both).one_axis(),
+            rig_name,
+            out,
+            seed=seed,
+            overrides=both,
+            signals=signals,
+            progress=lambda mode, t: report(mode, t, total),
+        )
