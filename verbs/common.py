@@ -66,8 +66,8 @@ EXIT_STATUS = (
 """
 )
 
-WORDS, RESULT = f"{__name__}.words", f"{__name__}.result"
-"""What a context keeps: the words behind the verb, and that the result has been printed."""
+WORDS, RESULT, OUTPUTS = f"{__name__}.words", f"{__name__}.result", f"{__name__}.outputs"
+"""What a context keeps: the words behind the verb, that the result has been printed, and which option writes which file."""
 MODES = ("active", "passive", "hybrid")
 
 
@@ -220,6 +220,10 @@ class OutputFile(click.Path):
         reason = reason_against(path, force=given, remedy=remedy)
         if reason is not None:
             self.fail(reason, param, ctx)
+        if ctx is not None and param is not None and not is_stream(path):
+            first = ctx.meta.setdefault(OUTPUTS, {}).setdefault(path.resolve(), param.opts[0])
+            if first != param.opts[0]:
+                self.fail(f"{path}: {first} writes there, too; choose another name", param, ctx)
         return path
 
 

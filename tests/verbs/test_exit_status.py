@@ -326,3 +326,18 @@ def test_a_file_that_comes_to_exist_meanwhile_is_not_replaced(tmp_path):
     assert found() == [("plan.png", "mine")]
     write_new(mine, force=True, meanwhile=lambda: None)
     assert found() == [("plan.png", "new")]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "simulate --seconds 0.1 --record DIR/one.pcapng --truth DIR/one.pcapng",
+        "conformance EDS --junit DIR/one --report DIR/one",
+    ],
+)
+def test_two_outputs_of_one_name_are_refused_before_anything_is_run(tmp_path, words):
+    words = words.replace("DIR", str(tmp_path)).replace("EDS", str(ROOT / "eds/motor.eds"))
+    result = CliRunner().invoke(main, words.split())
+    assert result.exit_code == USAGE, result.output
+    assert "writes there, too; choose another name" in " ".join(result.output.split())
+    assert list(tmp_path.iterdir()) == []
