@@ -20,7 +20,7 @@ pytestmark = pytest.mark.real_time
 
 ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
 BENCH = parse_address("coulombus:bench")
-COMMAND = [sys.executable, "-c", "import sys, coulombus; sys.exit(coulombus.main())", "watch"]
+COMMAND = [sys.executable, "-c", "import sys; from coulombus.verbs.main import main; sys.exit(main())", "watch"]
 
 
 @pytest.fixture(autouse=True)

@@ -9,12 +9,11 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from coulombus import VERBS
 from coulombus.lab.simulate import simulate
 from coulombus.recording.output_file import new_file
 from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.verbs.exit_status import STATUSES
-from coulombus.verbs.main import main
+from coulombus.verbs.main import VERBS, main
 from coulombus.wire.frame import FRAME, new_records
 
 ROOT = Path(__file__).resolve().parent.parent.parent

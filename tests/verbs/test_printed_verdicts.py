@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from coulombus import VERBS
 from coulombus.recording.pcapng_writer import PcapngWriter
+from coulombus.verbs.main import VERBS
 from coulombus.wire.frame import FRAME, new_records
 
 ROOT = Path(__file__).resolve().parent.parent.parent
