@@ -158,3 +158,14 @@ def test_the_last_setpoints_disable_the_drives_and_bound_the_brakes():
     assert words[0x80] == 0
     assert k.host["motor_Nm"].tolist() == [0.0, 0.0]
     assert k.host["brake_Nm"].tolist() == [1.0, 0.2506]
+
+
+@pytest.mark.parametrize(
+    ("brake", "most", "raw"), [(-0.5, 4500, 0), (0.0, 4500, 0), (0.25, 4500, 250), (0.25, 200, 200)]
+)
+def test_the_last_set_point_is_never_negative_nor_above_its_objects_limit(brake, most, raw):
+    axes = Axes()
+    k = axes.k
+    k.host["brake_Nm"], k.control["brake_limit_raw"], k.control["safe_brake_Nm"] = brake, most, 1.0
+    safe_setpoints(k.control, k.host, k.rpdos, 77, axes.queue, axes.header)
+    assert k.host["image"][:, Image.BRAKE_SETPOINT].tolist() == [raw, raw]

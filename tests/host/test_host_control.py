@@ -137,9 +137,12 @@ def test_a_limit_that_6072h_cannot_hold_is_refused_with_the_most(polarity):
         controller.motor_limit_pm(polarity * 1.4 / high)
 
 
+EDS = Path(__file__).parent.parent.parent / "eds"
+
+
 def own_files(motor=None, brake=None, *overrides):
     """The bench with its EDS files edited by `motor` and `brake`."""
-    bench, folder = rig_of("bench"), Path(__file__).parent.parent.parent / "eds"
+    bench, folder = rig_of("bench"), EDS
     texts = {}
     for name, edit in (("motor.eds", motor), ("mr_brake.eds", brake)):
         text = (folder / name).read_text()
@@ -173,6 +176,32 @@ def test_the_limit_of_6072h_is_its_own_and_may_be_absent():
     with pytest.raises(RigError, match="6072h ends at 868 per mille"):
         Controller(own_files(high_limit("6072", "HighLimit=868\n")), "active")
     assert Controller(own_files(high_limit("6072", "")), "active").control[0]["motor_limit_pm"] == 869
+
+
+TARGET = "LowLimit=-10000\nHighLimit=10000\n"
+
+
+@pytest.mark.parametrize(
+    ("lines", "most"),
+    [
+        ("HighLimit=869\n", 869),
+        ("LowLimit=-869\nHighLimit=10000\n", 869),
+        ("LowLimit=-868\nHighLimit=10000\n", None),
+        ("LowLimit=-10000\nHighLimit=868\n", None),
+        ("LowLimit=-1\nHighLimit=10000\n", None),
+        ("LowLimit=0\nHighLimit=10000\n", 869),
+        ("LowLimit=1\nHighLimit=10000\n", 869),
+        ("", 869),
+    ],
+)
+def test_the_motors_limit_fits_the_set_points_object_in_both_senses(lines, most):
+    rig = own_files(lambda text: text.replace(TARGET, lines, 1))
+    assert TARGET in (EDS / "motor.eds").read_text()
+    if most is None:
+        with pytest.raises(RigError, match=r"6071h ends at \d+ per mille"):
+            Controller(rig, "active")
+    else:
+        assert Controller(rig, "active").control[0]["motor_limit_pm"] == most
 
 
 @pytest.mark.parametrize(("line", "most"), [("HighLimit=4100\n", 4100), ("HighLimit=40000\n", 32767), ("", 32767)])

@@ -370,6 +370,19 @@ def test_the_brakes_set_point_is_never_negative_nor_above_its_limit(setpoint, sh
     assert (h.brake_Nm, h.negative_setpoints) == (shown, 3 + negative)
 
 
+@pytest.mark.parametrize(
+    ("setpoint", "clipped"),
+    [(0.5, 0), (1.0, 0), (1.0625, 0), (1.125, 0), (1.1875, 1), (2.0, 1), (math.inf, 1)],
+)
+def test_a_set_point_that_the_limit_cuts_off_by_more_than_a_count_is_counted(setpoint, clipped):
+    bench = standing(Phase.RUN)
+    c, h, law = bench.c, bench.h, bench.k.state[0]
+    c.gain_step, c.brake_limit_Nm, c.brake_Nm_raw, c.brake_active = 1.0, 1.0, 0.125, 1
+    h.gain, h.clipped_setpoints, law.brake_Nm = 1.0, 7, setpoint
+    run_law(c, h, 0.0, law)
+    assert (h.brake_Nm, h.clipped_setpoints) == (min(setpoint, 1.0), 7 + clipped)
+
+
 @BOTH
 def test_all_that_is_shown_grows_with_the_gain(sign):
     for before, gain in ((0.0, 0.25), (0.25, 0.5), (0.875, 1.0), (1.0, 1.0)):
