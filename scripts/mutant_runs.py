@@ -121,7 +121,8 @@ class _Runner:
 
     def _baseline(self, pipe: int) -> None:
         """Measure what each test covers and how long it takes."""
-        measured = coverage.Coverage(data_file=None, include=[self.module.__file__ or ""], config_file=False)
+        source = os.path.realpath(self.module.__file__ or "")  # the name of the import is a link
+        measured = coverage.Coverage(data_file=None, include=[source], config_file=False)
         starts: list[float] = []
 
         def begin(item: pytest.Item) -> None:
@@ -134,7 +135,7 @@ class _Runner:
         measured.stop()
         answer: dict[str, Any] = {"failed": failed}
         if not failed:
-            by_line = measured.get_data().contexts_by_lineno(self.module.__file__ or "")
+            by_line = measured.get_data().contexts_by_lineno(source)
             covered: dict[str, set[int]] = {item.nodeid: set() for item in self.items}
             for line, contexts in by_line.items():
                 for context in contexts:
