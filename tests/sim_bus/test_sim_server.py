@@ -321,7 +321,7 @@ def test_a_script_switches_a_node_off_and_on_and_resets_one(rig):
         ("[at]\nt_s = 1", "expected nothing but"),
         ("at = 3", "expected nothing but"),
         ("[[when]]\nt_s = 1", "when; expected"),
-        ("t_s = = 1", "line 1"),
+        ("t_s = = 1", r"script.toml:1: t_s: '= 1' cannot be read"),
     ],
 )
 def test_a_wrong_script_is_refused_with_the_entry(tmp_path, text, reason):

@@ -169,7 +169,11 @@ def test_every_object_of_a_vendors_file_is_served(path):
     if device is None:  # with the file and the line, and why
         assert re.match(rf"{re.escape(str(path))}:\d+: ", refusal)
         return
-    tester = network.station({0x589})
+    request, response = (  # one file has those of node 16, whatever the node's id is
+        device.description.default(0x1200, sub, 9) if device.description.has(0x1200, sub) else base + 9
+        for sub, base in ((1, 0x600), (2, 0x580))
+    )
+    tester = network.station({response})
     network.power_on()
     network.wait_ns(5_000_000)
     answered = 0
@@ -177,14 +181,14 @@ def test_every_object_of_a_vendors_file_is_served(path):
     for variable in variables:
         index, subindex = variable.index, variable.subindex
         tester.take()
-        tester.send(0x609, struct.pack("<BHB4x", 0x40, index, subindex))
-        answer = tester.wait_for(0x589, 5_000_000)
+        tester.send(request, struct.pack("<BHB4x", 0x40, index, subindex))
+        answer = tester.wait_for(response, 5_000_000)
         assert answer is not None, f"{index:04X}h:{subindex:02X}"
         if answer.data[0] & 0xE3 == 0x43:
             size = 4 - (answer.data[0] >> 2 & 3)
             assert not variable.bits or size == (variable.bits + 7) // 8
         elif answer.data[0] == 0x41:
-            tester.send(0x609, b"\x80" + answer.data[1:4] + bytes(4))
+            tester.send(request, b"\x80" + answer.data[1:4] + bytes(4))
         else:
             assert answer.data[0] == 0x80
         answered += 1
