@@ -41,24 +41,24 @@ AccessType=rw
 
 
 @kernel
-def _carry(bus: Any, queue: Any, header: Any, log: Any, nodes: Any, rpdo: Any, tpdo: Any, until_ns: int) -> int:
+def _carry(bus: Any, out: Any, log: Any, nodes: Any, rpdo: Any, tpdo: Any, until_ns: int) -> int:
     """Go on until `until_ns` (0), or until the frame in `log[0]` is for Python's half of the node (1) or for the client (2)."""
     while True:
-        start = start_ns(bus[0], queue, header)
+        start = start_ns(bus[0], out)
         due = nodes[0].next_ns
         if min(start, due) > until_ns:
             return _IDLE
         if due < start:
-            core.on_time(nodes, rpdo, tpdo, 0, due, queue, header)
+            core.on_time(nodes, rpdo, tpdo, 0, due, out)
             continue
-        start_frame(bus[0], queue, header, start)
+        start_frame(bus[0], out, start)
         while nodes[0].next_ns < bus[0].end_ns:
-            core.on_time(nodes, rpdo, tpdo, 0, nodes[0].next_ns, queue, header)
-        end_frame(bus[0], queue, header, log, 0)
+            core.on_time(nodes, rpdo, tpdo, 0, nodes[0].next_ns, out)
+        end_frame(bus[0], out, log, 0)
         f = log[0]
         if f.source != _CLIENT:
             return _HEARD
-        if core.on_frame(nodes, rpdo, tpdo, 0, f.t_ns, f.can_id, f.length, f.word, queue, header):
+        if core.on_frame(nodes, rpdo, tpdo, 0, f.t_ns, f.can_id, f.length, f.word, out):
             return _SERVICE
 
 
@@ -76,28 +76,28 @@ class NodeBus:
 
     def __init__(self, bitrate_bit_s: int = 1_000_000) -> None:
         self._nodes, self._rpdo, self._tpdo = new_nodes(1)
-        self._queue, self._header = new_queue()
+        self._out = new_queue()
         self._bus, self._log = new_bus(bitrate_bit_s), frames(1)
         eds = parse_eds(EDS, "benchmark.eds")
         self.device = Device(eds, NODE_ID, KIND_GENERIC, self._nodes, self._rpdo, self._tpdo, 0)
-        self.device.power_on(0, self._queue, self._header)
+        self.device.power_on(0, self._out)
         self._t = 1_000_000
         while self._step() != _IDLE:
             pass
 
     def _step(self) -> int:
-        arguments = (self._bus, self._queue, self._header, self._log, self._nodes, self._rpdo, self._tpdo)
+        arguments = (self._bus, self._out, self._log, self._nodes, self._rpdo, self._tpdo)
         why = int(_carry(*arguments, self._t))
         if why != _IDLE:
             f = self._log[0]
             self._t = max(self._t, int(f["t_ns"]))
             if why == _SERVICE:
                 frame = (int(f["t_ns"]), int(f["can_id"]), int(f["length"]), int(f["word"]))
-                self.device.service(*frame, self._queue, self._header)
+                self.device.service(*frame, self._out)
         return why
 
     def _send(self, data: bytes) -> None:
-        push(self._queue, self._header, _CLIENT, self._t, _RX, 8, data_word(data))
+        push(self._out, _CLIENT, self._t, _RX, 8, data_word(data))
 
     def _hear(self) -> bytes:
         """Let time pass until the node answers."""

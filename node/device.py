@@ -28,7 +28,7 @@ from coulombus.node.sdo_service import SdoService
 from coulombus.node.store import Store
 from coulombus.node.time_stamp import LENGTH as TIME_LENGTH
 from coulombus.node.time_stamp import time_of_day, time_word
-from coulombus.wire.frame import Records, push
+from coulombus.wire.frame import Queue, Records, push
 
 __all__ = ["SDO_TIMEOUT_NS", "Device"]
 
@@ -129,7 +129,7 @@ class Device:
 
     # life
 
-    def power_on(self, t_ns: int, queue: Records, header: Records) -> None:
+    def power_on(self, t_ns: int, out: Queue) -> None:
         """Switch the device on: defaults, boot-up, PRE-OPERATIONAL."""
         record = self.record
         record["powered"] = 1
@@ -140,7 +140,7 @@ class Device:
         self._load(0x0000, t_ns)
         if self.kind == KIND_BRAKE:
             brake404.start(record, t_ns)
-        self._boot(t_ns, queue, header)
+        self._boot(t_ns, out)
 
     def power_off(self) -> None:
         """Switch the device off: it is silent, and its outputs are 0."""
@@ -194,17 +194,17 @@ class Device:
 
     # services
 
-    def service(self, t_ns: int, can_id: int, length: int, data: int, queue: Records, header: Records) -> None:
+    def service(self, t_ns: int, can_id: int, length: int, data: int, out: Queue) -> None:
         """Serve the frame for which `core.on_frame` returned 1: an NMT command, an SDO or an LSS request."""
         self._now = t_ns
         if can_id == 0x000:
-            self.nmt_command(t_ns, data & 0xFF, queue, header)
+            self.nmt_command(t_ns, data & 0xFF, out)
         elif can_id == CobId.LSS_RX:
-            self.lss.request(t_ns, length, data, queue, header)
+            self.lss.request(t_ns, length, data, out)
         elif self._sdo.serves(can_id):
-            self._sdo.serve(t_ns, can_id, length, data, queue, header)
+            self._sdo.serve(t_ns, can_id, length, data, out)
 
-    def nmt_command(self, t_ns: int, command: int, queue: Records, header: Records) -> None:
+    def nmt_command(self, t_ns: int, command: int, out: Queue) -> None:
         """Carry out an NMT command (its specifier); an unknown one is counted."""
         self._now = t_ns
         record = self.record
@@ -213,21 +213,21 @@ class Device:
         if command == NmtCommand.STOP:
             self._sdo.drop()  # SDO ends with it
         if command in NMT_TARGET:
-            self._set_nmt(t_ns, NMT_TARGET[command], reactions.BY_COMMAND, queue, header)
+            self._set_nmt(t_ns, NMT_TARGET[command], reactions.BY_COMMAND, out)
         elif command in NMT_RESET:
-            self._set_nmt(t_ns, NmtState.INITIALISING, reactions.BY_RESET, queue, header)
+            self._set_nmt(t_ns, NmtState.INITIALISING, reactions.BY_RESET, out)
             first = NMT_RESET[command]
             if first == 0x0000:
                 self.lss.power_on()
                 record["causes"] = record["latched"] = record["history_count"] = 0
             self._load(first, t_ns)
-            core.forget_connections(self._nodes, self._i, t_ns, queue, header)
-            self._boot(t_ns, queue, header)
+            core.forget_connections(self._nodes, self._i, t_ns, out)
+            self._boot(t_ns, out)
         else:
             record["dropped_unknown"] += 1
 
-    def _reset_communication(self, t_ns: int, queue: Records, header: Records) -> None:
-        self.nmt_command(t_ns, NmtCommand.RESET_COMMUNICATION, queue, header)
+    def _reset_communication(self, t_ns: int, out: Queue) -> None:
+        self.nmt_command(t_ns, NmtCommand.RESET_COMMUNICATION, out)
 
     def _tabulate(self) -> None:
         """Tell the core what it may upload by itself."""
@@ -236,30 +236,30 @@ class Device:
         for name, column in zip(("fast_key", "fast_slot", "fast_size"), table.T, strict=True):
             self.record[name][: len(table)] = column
 
-    def produce_time(self, t_ns: int, time: datetime, queue: Records, header: Records) -> bool:
+    def produce_time(self, t_ns: int, time: datetime, out: Queue) -> bool:
         """Send TIME where 1012h's bit 30 is set and NMT allows it; tell whether it was sent."""
         if not self.dictionary.number(0x1012) & PRODUCER or not (self.record["powered"] and self.record["time_id"]):
             return False
         if self.record["nmt"] not in (NmtState.OPERATIONAL, NmtState.PRE_OPERATIONAL):
             return False
-        push(queue, header, self._i, t_ns, int(self.record["time_id"]), TIME_LENGTH, time_word(time))
+        push(out, self._i, t_ns, int(self.record["time_id"]), TIME_LENGTH, time_word(time))
         return True
 
-    def _boot(self, t_ns: int, queue: Records, header: Records) -> None:
+    def _boot(self, t_ns: int, out: Queue) -> None:
         if self.node_id == UNCONFIGURED:
             self.lss.mute()
             return
         ready_ns = t_ns + int(self.record["processing_ns"])
-        push(queue, header, self._i, ready_ns, 0x700 + self.node_id, 1, NmtState.INITIALISING)
+        push(out, self._i, ready_ns, 0x700 + self.node_id, 1, NmtState.INITIALISING)
         guarding.restart(self.record)
-        self._set_nmt(t_ns, NmtState.PRE_OPERATIONAL, reactions.BY_COMMAND, queue, header)
+        self._set_nmt(t_ns, NmtState.PRE_OPERATIONAL, reactions.BY_COMMAND, out)
         if not self.dictionary.number(0x1F80, 0, STAYS_PRE_OPERATIONAL) & STAYS_PRE_OPERATIONAL:
-            first = int(header["count"][0])
-            self._set_nmt(t_ns, NmtState.OPERATIONAL, reactions.BY_COMMAND, queue, header)
-            sent = queue["t_ns"][first : int(header["count"][0])]
+            first = int(out["count"])
+            self._set_nmt(t_ns, NmtState.OPERATIONAL, reactions.BY_COMMAND, out)
+            sent = out.frames["t_ns"][first : int(out["count"])]
             sent[:] = np.maximum(sent, ready_ns + 1)  # a PDO comes after the boot-up, whatever its identifier
         if self.record["in_faults"]:
             self.record["next_ns"] = t_ns + 1  # what outlives the reset is told behind the boot-up
 
-    def _set_nmt(self, t_ns: int, state: int, why: int, queue: Records, header: Records) -> None:
-        core.set_nmt(*self._records, t_ns, int(state), why, queue, header)
+    def _set_nmt(self, t_ns: int, state: int, why: int, out: Queue) -> None:
+        core.set_nmt(*self._records, t_ns, int(state), why, out)

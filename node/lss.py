@@ -18,7 +18,7 @@ from coulombus.node import core, outbox
 from coulombus.node.dictionary import Dictionary
 from coulombus.node.record import FAR_FUTURE_NS
 from coulombus.node.store import Store
-from coulombus.wire.frame import Records, data_bytes, data_word, push
+from coulombus.wire.frame import Queue, Records, data_bytes, data_word, push
 
 __all__ = ["Lss"]
 
@@ -52,7 +52,7 @@ class Lss:
         nodes: Records,
         i: int,
         store: Store,
-        restart: Callable[[int, Records, Records], None],
+        restart: Callable[[int, Queue], None],
     ) -> None:
         self._dictionary, self._nodes, self._i = dictionary, nodes, i
         self._record, self._memory, self._restart = nodes[i], store, restart
@@ -97,7 +97,7 @@ class Lss:
 
     # services
 
-    def request(self, t_ns: int, length: int, data: int, queue: Records, header: Records) -> None:
+    def request(self, t_ns: int, length: int, data: int, out: Queue) -> None:
         """Serve a frame on 7E5h; one that spells no service is dropped and counted."""
         record = self._record
         if length != 8:
@@ -119,10 +119,10 @@ class Lss:
             return
         if answer is not None:
             ready_ns = t_ns + int(record["processing_ns"])
-            push(queue, header, self._i, ready_ns, CobId.LSS_TX, 8, data_word(answer.ljust(8, b"\0")))
+            push(out, self._i, ready_ns, CobId.LSS_TX, 8, data_word(answer.ljust(8, b"\0")))
         back_to_waiting = content[0] == LssService.SWITCH_STATE_GLOBAL and self.state is LssState.WAITING
         if back_to_waiting and was_unconfigured and self.pending_node_id != UNCONFIGURED:
-            self._restart(t_ns, queue, header)
+            self._restart(t_ns, out)
 
     def _switch_global(self, data: bytes, t_ns: int) -> None:
         self.state = LssState(data[1])  # ValueError: no such state

@@ -56,12 +56,12 @@ def forget(nodes: Any, i: int, channel: int) -> None:
 
 
 @kernel
-def drain(n: Any, i: int, t_ns: int, queue: Any, header: Any) -> None:
+def drain(n: Any, i: int, t_ns: int, out: Any) -> None:
     """Move segments to the frame queue as far as there is room; a transfer that moves is not late."""
-    room = min(AHEAD - header[0].count - header[0].waiting, n.outbox_count)
+    room = min(AHEAD - out.count - out.waiting, n.outbox_count)
     for _ in range(room):
         k = n.outbox_first
-        push(queue, header, i, t_ns + n.processing_ns, n.outbox_id[k], 8, n.outbox_word[k])
+        push(out, i, t_ns + n.processing_ns, n.outbox_id[k], 8, n.outbox_word[k])
         n.sdo_deadline_ns[n.outbox_channel[k]] = t_ns + SDO_TIMEOUT_NS
         n.outbox_first = (k + 1) % OUTBOX
         n.outbox_count -= 1

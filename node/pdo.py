@@ -44,20 +44,20 @@ def forget_pending(n: Any) -> None:
 
 
 @inlined
-def receive(nodes: Any, rpdo: Any, i: int, k: int, t_ns: int, length: int, data: int, queue: Any, header: Any) -> int:
+def receive(nodes: Any, rpdo: Any, i: int, k: int, t_ns: int, length: int, data: int, out: Any) -> int:
     """Take the frame of RPDO `k`; return 1 when it acted at once."""
     n = nodes[i]
     p = rpdo[i, k]
     if length < p.length:
         n.dropped_length += 1
-        alarm(n, i, t_ns, emcy.RPDO_SHORT, k + 1, queue, header)
+        alarm(n, i, t_ns, emcy.RPDO_SHORT, k + 1, out)
         return 0
     if length > p.length:
         n.excess_length += 1
-        alarm(n, i, t_ns, emcy.RPDO_LONG, k + 1, queue, header)
+        alarm(n, i, t_ns, emcy.RPDO_LONG, k + 1, out)
     elif n.causes & (1 << emcy.RPDO_SHORT | 1 << emcy.RPDO_LONG):
-        emcy.gone(n, i, t_ns, emcy.RPDO_SHORT, queue, header)
-        emcy.gone(n, i, t_ns, emcy.RPDO_LONG, queue, header)
+        emcy.gone(n, i, t_ns, emcy.RPDO_SHORT, out)
+        emcy.gone(n, i, t_ns, emcy.RPDO_LONG, out)
     n.rpdo_ns[k] = t_ns
     if n.rpdo_armed[k] == 0:
         n.rpdo_armed[k] = 1
@@ -65,7 +65,7 @@ def receive(nodes: Any, rpdo: Any, i: int, k: int, t_ns: int, length: int, data:
             n.next_ns = min(n.next_ns, t_ns + p.event_ns)
     if n.rpdo_lost[k]:
         n.rpdo_lost[k] = 0
-        deadlines.settle(n, i, t_ns, queue, header)
+        deadlines.settle(n, i, t_ns, out)
     if p.transmission <= _SYNC_MAX:
         if n.sync_window_ns > 0 and t_ns - n.sync_ns > n.sync_window_ns:
             n.dropped_window += 1  # after the window it acts on no SYNC, though it shows that its sender lives
@@ -75,41 +75,41 @@ def receive(nodes: Any, rpdo: Any, i: int, k: int, t_ns: int, length: int, data:
         n.rpdo_waits[k] = 1
         return 0
     unpack(p, data, n.values)
-    _act(n, i, t_ns, k, queue, header)
+    _act(n, i, t_ns, k, out)
     step(n, t_ns)
     return 1
 
 
 @inlined
-def _act(n: Any, i: int, t_ns: int, k: int, queue: Any, header: Any) -> None:
+def _act(n: Any, i: int, t_ns: int, k: int, out: Any) -> None:
     carries = n.rpdo_carries[k]
     if carries == 0:
         return
-    apply(n, i, t_ns, n.rpdo_ns[k], carries, queue, header)
+    apply(n, i, t_ns, n.rpdo_ns[k], carries, out)
 
 
 @inlined
-def act_pending(nodes: Any, rpdo: Any, i: int, t_ns: int, queue: Any, header: Any) -> None:
+def act_pending(nodes: Any, rpdo: Any, i: int, t_ns: int, out: Any) -> None:
     """Let the RPDOs act that waited for this SYNC, in their order."""
     n = nodes[i]
     for k in range(n.rpdo_used):
         if n.rpdo_waits[k]:
             n.rpdo_waits[k] = 0
             unpack(rpdo[i, k], n.rpdo_word[k], n.values)
-            _act(n, i, t_ns, k, queue, header)
+            _act(n, i, t_ns, k, out)
     n.rpdo_pending = 0
 
 
 @inlined
-def _send(n: Any, p: Any, i: int, k: int, t_ns: int, word: int, queue: Any, header: Any) -> None:
+def _send(n: Any, p: Any, i: int, k: int, t_ns: int, word: int, out: Any) -> None:
     n.tpdo_word[k] = word
     n.tpdo_ns[k] = t_ns
     n.tpdo_due[k] = 0
-    push(queue, header, i, t_ns + n.processing_ns, p.cob_id, p.length, word)
+    push(out, i, t_ns + n.processing_ns, p.cob_id, p.length, word)
 
 
 @inlined
-def transmit_sync(nodes: Any, tpdo: Any, i: int, t_ns: int, counter: int, queue: Any, header: Any) -> None:
+def transmit_sync(nodes: Any, tpdo: Any, i: int, t_ns: int, counter: int, out: Any) -> None:
     """Send the synchronous TPDOs; `counter` is the SYNC's, or -1."""
     n = nodes[i]
     if n.sync_window_ns > 0 and n.processing_ns > n.sync_window_ns:
@@ -122,7 +122,7 @@ def transmit_sync(nodes: Any, tpdo: Any, i: int, t_ns: int, counter: int, queue:
         if kind == 0:
             word = pack(p, n.values)
             if n.tpdo_due[k] or word != n.tpdo_word[k]:
-                _send(n, p, i, k, t_ns, word, queue, header)
+                _send(n, p, i, k, t_ns, word, out)
         elif kind == _SYNC_RTR:
             n.tpdo_word[k] = pack(p, n.values)
             n.tpdo_due[k] = 0
@@ -135,12 +135,12 @@ def transmit_sync(nodes: Any, tpdo: Any, i: int, t_ns: int, counter: int, queue:
             count += 1
             if count >= kind:
                 count = 0
-                _send(n, p, i, k, t_ns, pack(p, n.values), queue, header)
+                _send(n, p, i, k, t_ns, pack(p, n.values), out)
             n.tpdo_count[k] = count
 
 
 @kernel
-def transmit_events(nodes: Any, tpdo: Any, i: int, t_ns: int, next_ns: int, queue: Any, header: Any) -> int:
+def transmit_events(nodes: Any, tpdo: Any, i: int, t_ns: int, next_ns: int, out: Any) -> int:
     """Send the event-driven TPDOs that are due; return the earlier of `next_ns` and their next deadline."""
     n = nodes[i]
     sample(n)
@@ -153,7 +153,7 @@ def transmit_events(nodes: Any, tpdo: Any, i: int, t_ns: int, next_ns: int, queu
             n.tpdo_due[k] = 1
         if n.tpdo_due[k]:
             if t_ns - n.tpdo_ns[k] >= p.inhibit_ns:
-                _send(n, p, i, k, t_ns, word, queue, header)
+                _send(n, p, i, k, t_ns, word, out)
             else:
                 next_ns = min(next_ns, n.tpdo_ns[k] + p.inhibit_ns)
         if p.event_ns > 0:
@@ -162,7 +162,7 @@ def transmit_events(nodes: Any, tpdo: Any, i: int, t_ns: int, next_ns: int, queu
 
 
 @kernel
-def answer_rtr(nodes: Any, tpdo: Any, i: int, k: int, t_ns: int, queue: Any, header: Any) -> None:
+def answer_rtr(nodes: Any, tpdo: Any, i: int, k: int, t_ns: int, out: Any) -> None:
     """Answer a remote frame for TPDO `k`, where its COB-ID allows that; a synchronous one repeats its last sample."""
     n = nodes[i]
     p = tpdo[i, k]
@@ -172,4 +172,4 @@ def answer_rtr(nodes: Any, tpdo: Any, i: int, k: int, t_ns: int, queue: Any, hea
     if p.transmission >= _RTR or n.tpdo_due[k]:
         sample(n)
         word = pack(p, n.values)
-    push(queue, header, i, t_ns + n.processing_ns, p.cob_id, p.length, word)
+    push(out, i, t_ns + n.processing_ns, p.cob_id, p.length, word)

@@ -18,7 +18,7 @@ from coulombus.node.communication_objects import Communication
 from coulombus.node.record import FAR_FUTURE_NS, SDO_TIMEOUT_NS
 from coulombus.node.sdo_access import Access
 from coulombus.node.sdo_server import SdoServer, abort_frame
-from coulombus.wire.frame import Records, data_bytes, data_word, push
+from coulombus.wire.frame import Queue, Records, data_bytes, data_word, push
 
 __all__ = ["SdoService"]
 
@@ -85,7 +85,7 @@ class SdoService:
 
     # requests
 
-    def serve(self, t_ns: int, can_id: int, length: int, data: int, queue: Records, header: Records) -> None:
+    def serve(self, t_ns: int, can_id: int, length: int, data: int, out: Queue) -> None:
         """Serve a request on `can_id`."""
         row = self._row
         if length != 8:
@@ -107,18 +107,18 @@ class SdoService:
         access.written, access.carries = False, 0
         response = server.request(data_bytes(data, 8))
         if response is not None:
-            self._push(queue, header, self._i, t_ns + int(row["processing_ns"]), channel.tx, 8, data_word(response))
+            self._push(out, self._i, t_ns + int(row["processing_ns"]), channel.tx, 8, data_word(response))
         if server.burst:
             words = np.array([data_word(segment) for segment in server.burst], np.int64)
             if not outbox.put(self._nodes, self._i, t_ns, k, channel.tx, words):
-                self._refuse(channel, t_ns, queue, header)
+                self._refuse(channel, t_ns, out)
         if server.transfer is not None:
             self._watch(channel, t_ns)
             self._open_segments(channel)
         elif was_open:
             self._deadlines[k] = FAR_FUTURE_NS
         if access.written:
-            core.written(*self._records, t_ns, access.carries, queue, header)
+            core.written(*self._records, t_ns, access.carries, out)
 
     def _take_segments(self, channel: _Channel) -> None:
         """Give the server what the core collected, and close the channel's row."""
@@ -146,12 +146,12 @@ class SdoService:
         row["segments_id"][k] = channel.rx
         row["segments_open"] += 1
 
-    def _refuse(self, channel: _Channel, t_ns: int, queue: Records, header: Records) -> None:
+    def _refuse(self, channel: _Channel, t_ns: int, out: Queue) -> None:
         """No room for another block: too many clients read at once."""
         place = channel.server.transfer or (0, 0)
         channel.server.drop()
         word = data_word(abort_frame(*place, Abort.MEMORY))
-        self._push(queue, header, self._i, t_ns + int(self._row["processing_ns"]), channel.tx, 8, word)
+        self._push(out, self._i, t_ns + int(self._row["processing_ns"]), channel.tx, 8, word)
 
     def _watch(self, channel: _Channel, t_ns: int) -> None:
         """Let the core watch the open transfer from now on."""

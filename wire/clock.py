@@ -48,10 +48,10 @@ def bus_ns(c: Any, own: int) -> int:
 
 
 @kernel
-def to_bus(c: Any, queue: Any, header: Any, first: int) -> None:
+def to_bus(c: Any, out: Any, first: int) -> None:
     """Turn the times of what was pushed from place `first` on into the bus's."""
-    for k in range(first, header[0].count):
-        queue[k].t_ns = bus_ns(c, queue[k].t_ns)
+    for k in range(first, out.count):
+        out.frames[k].t_ns = bus_ns(c, out.frames[k].t_ns)
 
 
 def set_clock(c: Any, t_ns: int, ppb: int) -> None:

@@ -20,7 +20,9 @@ __all__ = [
     "CAN_ERR_FLAG",
     "CAN_RTR_FLAG",
     "FRAME",
+    "QUEUE",
     "QUEUE_CAPACITY",
+    "Queue",
     "Records",
     "arbitration_key",
     "data_bytes",
@@ -33,6 +35,8 @@ __all__ = [
 
 Records: TypeAlias = npt.NDArray[Any]
 """An array of records (a structured dtype)."""
+Queue: TypeAlias = np.record
+"""A record of `QUEUE`: the frames that stations ask the bus to send."""
 
 FRAME = np.dtype(
     [
@@ -51,6 +55,7 @@ QUEUE = np.dtype(
         ("count", np.int64),
         ("dropped", np.int64),
         ("waiting", np.int64),  # frames that the bus has taken over and not sent yet, as far as it has told
+        ("frames", FRAME, (QUEUE_CAPACITY,)),  # the first `count` of them
     ],
     align=True,
 )
@@ -66,9 +71,10 @@ def frames(capacity: int) -> Records:
     return new_records(FRAME, capacity)
 
 
-def new_queue(capacity: int = QUEUE_CAPACITY) -> tuple[Records, Records]:
-    """Return an empty queue: its frames and its one-record header (`count`, `dropped`, `waiting`)."""
-    return frames(capacity), new_records(QUEUE)
+def new_queue() -> Queue:
+    """Return an empty queue: one record of `QUEUE`, which kernels take by reference."""
+    queue: Queue = new_records(QUEUE)[0]
+    return queue
 
 
 @inlined
@@ -86,19 +92,19 @@ def arbitration_key(can_id: int) -> int:
 
 
 @kernel
-def push(queue: Any, header: Any, source: int, t_ns: int, can_id: int, length: int, data: int) -> None:
+def push(out: Any, source: int, t_ns: int, can_id: int, length: int, data: int) -> None:
     """Append a frame that is ready at `t_ns`; when the queue is full the frame is dropped and counted."""
-    n = header[0].count
-    if n >= queue.shape[0]:
-        header[0].dropped += 1
+    n = out.count
+    if n >= QUEUE_CAPACITY:
+        out.dropped += 1
         return
-    f = queue[n]
+    f = out.frames[n]
     f.t_ns = t_ns
     f.can_id = can_id
     f.length = length
     f.word = data
     f.source = source
-    header[0].count = n + 1
+    out.count = n + 1
 
 
 def data_word(data: bytes) -> int:

@@ -51,10 +51,10 @@ def on_frame(control: Any, host: Any, tpdos: Any, owner: Any, t_ns: int, can_id:
 
 
 @inlined
-def begin(control: Any, host: Any, t_ns: int, queue: Any, header: Any) -> None:
+def begin(control: Any, host: Any, t_ns: int, out: Any) -> None:
     """Begin the cycle of all axes that is due at `t_ns`."""
     for k in range(host.shape[0]):
-        step.begin(control[k], host[k], t_ns, queue, header)
+        step.begin(control[k], host[k], t_ns, out)
 
 
 @kernel
@@ -78,14 +78,13 @@ def _finish(
     law: Any,
     state: Any,
     t_ns: int,
-    queue: Any,
-    header: Any,
+    out: Any,
     incomplete: int,
 ) -> None:
     for k in range(host.shape[0]):
         c, h = control[k], host[k]
         if h.waiting and (incomplete or h.arrived == (1 << c.tpdos) - 1):
-            step.finish(c, h, rpdos[k], law_function, motion[k], law[k], state[k], t_ns, queue, header)
+            step.finish(c, h, rpdos[k], law_function, motion[k], law[k], state[k], t_ns, out)
     if host.shape[0] > 1:
         _couple(host)
 
@@ -100,11 +99,10 @@ def finish_complete(
     law: Any,
     state: Any,
     t_ns: int,
-    queue: Any,
-    header: Any,
+    out: Any,
 ) -> int:
     """Finish the cycle of the axes whose TPDOs have all come; return how many axes still wait."""
-    _finish(control, host, rpdos, law_function, motion, law, state, t_ns, queue, header, 0)
+    _finish(control, host, rpdos, law_function, motion, law, state, t_ns, out, 0)
     waiting = 0
     for k in range(host.shape[0]):
         waiting += host[k].waiting
@@ -121,11 +119,10 @@ def finish_waiting(
     law: Any,
     state: Any,
     t_ns: int,
-    queue: Any,
-    header: Any,
+    out: Any,
 ) -> None:
     """Finish the cycle of the axes that still wait: the window for their TPDOs is over."""
-    _finish(control, host, rpdos, law_function, motion, law, state, t_ns, queue, header, 1)
+    _finish(control, host, rpdos, law_function, motion, law, state, t_ns, out, 1)
 
 
 @inlined
@@ -138,17 +135,16 @@ def on_time(
     law: Any,
     state: Any,
     t_ns: int,
-    queue: Any,
-    header: Any,
+    out: Any,
 ) -> None:
     """Do what is due at `t_ns`: the end of the window for TPDOs, or the next cycle, whose SYNC the first axis sends."""
-    finish_waiting(control, host, rpdos, law_function, motion, law, state, t_ns, queue, header)
+    finish_waiting(control, host, rpdos, law_function, motion, law, state, t_ns, out)
     if t_ns >= host[0].sync_ns + control[0].period_ns or host[0].cycle == 0:
-        begin(control, host, t_ns, queue, header)
+        begin(control, host, t_ns, out)
 
 
 @kernel
-def safe_setpoints(control: Any, host: Any, rpdos: Any, t_ns: int, queue: Any, header: Any) -> None:
+def safe_setpoints(control: Any, host: Any, rpdos: Any, t_ns: int, out: Any) -> None:
     """Send the last set-points: drive disabled and without torque, the brake no stronger than the safe state's, which its driver ramps off.
 
     A SYNC follows, since RPDOs may act on the next SYNC only.
@@ -162,5 +158,5 @@ def safe_setpoints(control: Any, host: Any, rpdos: Any, t_ns: int, queue: Any, h
         h.image[BRAKE_SETPOINT] = min(max(round(h.brake_Nm / c.brake_Nm_raw), 0), c.brake_limit_raw)
         for i in range(c.rpdos):
             pdo = rpdos[k, i]
-            push(queue, header, step.SOURCE_HOST, t_ns, pdo.cob_id, pdo.length, pack(pdo, h.image))
-    push(queue, header, step.SOURCE_HOST, t_ns, control[0].sync_cob_id, 0, 0)
+            push(out, step.SOURCE_HOST, t_ns, pdo.cob_id, pdo.length, pack(pdo, h.image))
+    push(out, step.SOURCE_HOST, t_ns, control[0].sync_cob_id, 0, 0)

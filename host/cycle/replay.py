@@ -85,7 +85,7 @@ class _Replay:
         self.k = controllers
         self.clock = new_records(np.dtype(CLOCK_FIELDS))[0]
         control, host, rpdos, tpdos, owner, *law = arguments(controllers)
-        self.queue, self.header = new_queue()
+        self.out = new_queue()
         self.host, self.both = host, (control, host)
         self.receiving = (control, host, tpdos, owner)
         self.finishing = (control, host, rpdos, *law)
@@ -111,19 +111,18 @@ class _Replay:
 
     def _at(self, t_ns: int) -> tuple[Any, ...]:
         """Return the arguments of what finishes a cycle."""
-        return (*self.finishing, t_ns, self.queue, self.header)
+        return (*self.finishing, t_ns, self.out)
 
     def _sent(self, cycle: int, until_ns: int = FOREVER_NS, refusable: int = 0) -> Iterator[Sent]:
-        count = int(self.header["count"][0])
+        count = int(self.out["count"])
         if count == 0:
             return
-        self.header["count"] = 0
-        for frame in self.queue[:count].tolist():
+        self.out["count"] = 0
+        for frame in self.out.frames[:count].tolist():
             yield Sent(cycle, frame[0], until_ns, refusable, *frame[1:4])
 
     def by_trace(self, trace: npt.NDArray[Any]) -> Iterator[Sent]:
         """Do what the loop of `host.realtime.loop` did."""
-        out = (self.queue, self.header)
         period_ns = int(self.k.control["period_ns"][0])
         cycle = due_ns = refused_before = 0
         for t_ns, received, kind, value, refused, until_ns, later in _rows(trace):
@@ -141,9 +140,9 @@ class _Replay:
                 self.host["position_age"] += (t_ns - due_ns) // period_ns - 1
                 due_ns, refused_before = t_ns, refused
                 self.host["deadman_ok"] = value
-                axes.begin(*self.both, t_ns, *out)
+                axes.begin(*self.both, t_ns, self.out)
             elif kind == Moment.END:
-                axes.safe_setpoints(*self.sending, t_ns, *out)
+                axes.safe_setpoints(*self.sending, t_ns, self.out)
             else:
                 if value:
                     self._stop(value)

@@ -71,7 +71,7 @@ def _limit_motor(c: Any, h: Any, wanted: float) -> float:
 
 
 @kernel
-def begin(c: Any, h: Any, t_ns: int, queue: Any, header: Any) -> None:
+def begin(c: Any, h: Any, t_ns: int, out: Any) -> None:
     """Begin the cycle that is due at `t_ns`: count what the last one lost, send SYNC (and the host's heartbeat when due)."""
     if h.cycle > 0 and h.phase < SAFE and h.arrived != (1 << c.tpdos) - 1:
         h.lost_pdos += 1
@@ -82,10 +82,10 @@ def begin(c: Any, h: Any, t_ns: int, queue: Any, header: Any) -> None:
     h.next_ns = t_ns + c.window_ns
     if c.sync_cob_id < 0:  # another axis of this bus leads
         return
-    push(queue, header, SOURCE_HOST, t_ns, c.sync_cob_id, 0, 0)
+    push(out, SOURCE_HOST, t_ns, c.sync_cob_id, 0, 0)
     if c.heartbeat_ns > 0 and t_ns >= h.heartbeat_due_ns:
         h.heartbeat_due_ns = t_ns + c.heartbeat_ns
-        push(queue, header, SOURCE_HOST, t_ns, 0x700 + c.host_id, 1, 5)
+        push(out, SOURCE_HOST, t_ns, 0x700 + c.host_id, 1, 5)
 
 
 @kernel
@@ -129,7 +129,7 @@ def on_frame(c: Any, h: Any, tpdos: Any, t_ns: int, can_id: int, length: int, da
 
 @kernel
 def finish(
-    c: Any, h: Any, rpdos: Any, law_function: Any, motion: Any, law: Any, state: Any, t_ns: int, queue: Any, header: Any
+    c: Any, h: Any, rpdos: Any, law_function: Any, motion: Any, law: Any, state: Any, t_ns: int, out: Any
 ) -> None:
     """Finish the cycle at `t_ns`: measure, watch, advance the phase, ask the law, limit, and send the RPDOs."""
     h.waiting = 0
@@ -224,4 +224,4 @@ def finish(
         max(round(h.brake_Nm / c.brake_Nm_raw), 0), c.brake_limit_raw
     )  # unsigned, and no wrap
     for i in range(c.rpdos):
-        push(queue, header, SOURCE_HOST, t_ns, rpdos[i].cob_id, rpdos[i].length, pack(rpdos[i], h.image))
+        push(out, SOURCE_HOST, t_ns, rpdos[i].cob_id, rpdos[i].length, pack(rpdos[i], h.image))

@@ -235,17 +235,17 @@ def _take(
 
 
 @kernel
-def _transmit(fd: int, plane: Any, ring: Any, tx: Any, queue: Any, header: Any, patience: int) -> int:
+def _transmit(fd: int, plane: Any, ring: Any, tx: Any, out: Any, patience: int) -> int:
     """Send the queue's frames; return 0, or the error of a bus that is lost.
 
     A frame that is not taken is lost; with `patience` it is offered again, so often in all, END_PAUSE_NS apart.
     """
     p = plane[0]
-    count = header[0].count
-    header[0].count = 0
+    count = out.count
+    out.count = 0
     for i in range(count):
-        tx[2 * i] = queue[i].can_id | queue[i].length << 32
-        tx[2 * i + 1] = queue[i].word
+        tx[2 * i] = out.frames[i].can_id | out.frames[i].length << 32
+        tx[2 * i + 1] = out.frames[i].word
     done = 0
     while done < count:
         frames = count - done if p.packed else 1
@@ -266,7 +266,7 @@ def _transmit(fd: int, plane: Any, ring: Any, tx: Any, queue: Any, header: Any, 
         else:
             t_ns = now_ns()
             for i in range(done, done + frames):
-                _log(plane, ring, t_ns, queue[i].can_id, queue[i].length, queue[i].word, SOURCE_HOST)
+                _log(plane, ring, t_ns, out.frames[i].can_id, out.frames[i].length, out.frames[i].word, SOURCE_HOST)
         done += frames
     return 0
 
@@ -321,8 +321,7 @@ def _cycle(
     motion: Any,
     law: Any,
     state: Any,
-    queue: Any,
-    header: Any,
+    out: Any,
 ) -> int:
     """Cycle until the parent commands otherwise (returns 0) or the bus is lost (returns 1)."""
     p, c = plane[0], control[0]  # of all axes alike are the cycle, the host's own identifiers and the dead man's key
@@ -365,8 +364,8 @@ def _cycle(
                 host[k].deadman_ok = held
 
         _trace(plane, trace, BEGIN, t, host[0].deadman_ok)
-        axes.begin(control, host, t, queue, header)
-        if _transmit(fd, plane, ring, tx, queue, header, 0) != 0:
+        axes.begin(control, host, t, out)
+        if _transmit(fd, plane, ring, tx, out, 0) != 0:
             return 1
         sync = now_ns()
         end = sync + c.window_ns
@@ -387,17 +386,15 @@ def _cycle(
             if found == COMPLETE:
                 now = now_ns()
                 _trace(plane, trace, ARRIVED, now, p.asked)
-                waiting = axes.finish_complete(
-                    control, host, rpdos, law_function, motion, law, state, now, queue, header
-                )
+                waiting = axes.finish_complete(control, host, rpdos, law_function, motion, law, state, now, out)
                 if waiting == 0:
                     break
-                if _transmit(fd, plane, ring, tx, queue, header, 0) != 0:
+                if _transmit(fd, plane, ring, tx, out, 0) != 0:
                     return 1
         now = now_ns()
         _trace(plane, trace, WINDOW, now, p.asked)
-        axes.finish_waiting(control, host, rpdos, law_function, motion, law, state, now, queue, header)
-        if _transmit(fd, plane, ring, tx, queue, header, 0) != 0:
+        axes.finish_waiting(control, host, rpdos, law_function, motion, law, state, now, out)
+        if _transmit(fd, plane, ring, tx, out, 0) != 0:
             return 1
         done = now_ns()
         _count(latency_bins, done - sync)
@@ -436,8 +433,7 @@ def run_plane(
     motion: Any,
     law: Any,
     state: Any,
-    queue: Any,
-    header: Any,
+    out: Any,
 ) -> int:
     """Do what the parent commands until it commands QUIT or the bus is lost; return the `Status`."""
     p = plane[0]
@@ -468,8 +464,7 @@ def run_plane(
                 motion,
                 law,
                 state,
-                queue,
-                header,
+                out,
             )
             p.cpu_ns += clock_ns(CLOCK_THREAD_CPUTIME_ID) - cpu
             for k in range(host.shape[0]):
@@ -479,9 +474,9 @@ def run_plane(
             error = p.error
             now = now_ns()
             _trace(plane, trace, END, now, 0)
-            header[0].count = 0
-            axes.safe_setpoints(control, host, rpdos, now, queue, header)
-            _transmit(fd, plane, ring, tx, queue, header, END_ATTEMPTS)
+            out.count = 0
+            axes.safe_setpoints(control, host, rpdos, now, out)
+            _transmit(fd, plane, ring, tx, out, END_ATTEMPTS)
             p.error = error
             for k in range(host.shape[0]):
                 host[k].phase = DONE

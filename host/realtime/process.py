@@ -33,12 +33,12 @@ __all__ = ["loop_arguments", "main"]
 def loop_arguments(fd: int, shared: SharedPlane, law_function: Any) -> tuple[Any, ...]:
     """Return the arguments of `host.realtime.loop.run_plane` for a socket and a shared memory."""
     box, words = new_mailbox(MESSAGE_FRAMES)
-    queue, header = new_queue()
+    out = new_queue()
     s = shared
     return (
         *(fd, s.plane, s.ring, s.trace, box, words, np.zeros(2 * QUEUE_CAPACITY, np.int64), np.zeros(1, np.int64)),
         *(s.wakeup_bins, s.latency_bins, s.control, s.host, s.rpdos, s.tpdos, s.owner),
-        *(law_function, s.motion, s.law, s.state, queue, header),
+        *(law_function, s.motion, s.law, s.state, out),
     )
 
 

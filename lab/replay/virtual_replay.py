@@ -162,7 +162,7 @@ class _Nodes(VirtualRig):
         for begin in range(0, len(asked), BATCH):
             self.run_until(max(self.t_ns, starts[begin] - 1))
             for start, frame in zip(starts[begin : begin + BATCH], asked[begin : begin + BATCH], strict=True):
-                push(self._queue, self._header, SOURCE_HOST, start, *frame[1:4])
+                push(self._out, SOURCE_HOST, start, *frame[1:4])
 
 
 def _compute(

@@ -76,19 +76,19 @@ def new_bus(bitrate_bit_s: int) -> Records:
 
 
 @inlined
-def start_ns(bus: Any, queue: Any, header: Any) -> int:
+def start_ns(bus: Any, out: Any) -> int:
     """Return when the next waiting frame can start, or when a scripted fault wants the bus, `FAR_NS` when nothing does."""
-    return max(min(first_ns(bus, queue, header), bus.alarm_ns), bus.free_ns)
+    return max(min(first_ns(bus, out), bus.alarm_ns), bus.free_ns)
 
 
 @inlined
-def start_frame(bus: Any, queue: Any, header: Any, now_ns: int) -> None:
+def start_frame(bus: Any, out: Any, now_ns: int) -> None:
     """Arbitrate among the frames that are ready at `now_ns` and put the winner on the wire."""
     if bus.alert:
-        attempt(bus, queue, header, now_ns)
-    elif win(bus, queue, header, now_ns) and bus.on_count > 0 and bus.bit_rate > 0:
+        attempt(bus, out, now_ns)
+    elif win(bus, out, now_ns) and bus.on_count > 0 and bus.bit_rate > 0:
         hold(bus, first_order(bus.can_id) | 1, bus.can_id, bus.length, bus.word, bus.source, now_ns)
-        attempt(bus, queue, header, now_ns)
+        attempt(bus, out, now_ns)
     else:
         bits = data_frame_bits(bus.can_id, bus.length, bus.word)
         bus.t_ns = now_ns
@@ -103,13 +103,13 @@ def start_frame(bus: Any, queue: Any, header: Any, now_ns: int) -> None:
 
 
 @inlined
-def end_frame(bus: Any, queue: Any, header: Any, log: Any, row: int) -> int:
+def end_frame(bus: Any, out: Any, log: Any, row: int) -> int:
     """Take the frame off the wire and write it to `log[row]`, stamped with its end of frame; return how many rows were written.
 
     Error frames may stand before it, or instead of it: `bus.delivered` tells whether there is a frame for its receivers, the last row.
     """
     if bus.closely:
-        return end_attempt(bus, queue, header, log, row)
+        return end_attempt(bus, out, log, row)
     bus.busy = 0
     bus.delivered = 1
     frame = log[row]

@@ -199,16 +199,16 @@ def _wait_again(bus: Any, place: int, order: int, ready_ns: int) -> None:
 
 
 @kernel
-def attempt(bus: Any, queue: Any, header: Any, now_ns: int) -> None:
+def attempt(bus: Any, out: Any, now_ns: int) -> None:
     """Start what is to start at `now_ns`, if anything."""
-    if header[0].count > 0:
-        take_in(bus, queue, header)
+    if out.count > 0:
+        take_in(bus, out)
     _recover(bus, now_ns)
     if bus.alarm_ns <= now_ns:
         alarm(bus, now_ns)
         refresh(bus)
         if bus.fault_calls != 0:  # the cable is cut, or mended, before anything is sent
-            header[0].waiting = bus.held
+            out.waiting = bus.held
             return
     stuck = bus.stuck_from_ns <= now_ns < bus.stuck_until_ns
     bus.senders = bus.flips = bus.wrong_crc = bus.again = 0
@@ -233,7 +233,7 @@ def attempt(bus: Any, queue: Any, header: Any, now_ns: int) -> None:
         if delay_ns == 0:
             break
         _wait_again(bus, place, first_order(can_id) | HELD_BACK, now_ns + delay_ns)
-    header[0].waiting = bus.held
+    out.waiting = bus.held
     if place >= 0:
         _send(bus, place, now_ns)
     elif stuck or bus.unsettled or bus.noise_ns <= now_ns:
@@ -404,7 +404,7 @@ def _tell_given_up(bus: Any, log: Any, row: int, last: int) -> int:
 
 
 @inlined
-def _tell_states(bus: Any, queue: Any, header: Any, log: Any, row: int, last: int) -> int:
+def _tell_states(bus: Any, out: Any, log: Any, row: int, last: int) -> int:
     """Write the controllers' changes of state; return the next row."""
     for k in range(bus.on_count):
         station = bus.on[k]
@@ -419,7 +419,7 @@ def _tell_states(bus: Any, queue: Any, header: Any, log: Any, row: int, last: in
         c.changed = c.recovered = 0
         if c.state == BUS_OFF:
             begin_bus_off(c, bus.end_ns, FAR_NS)
-            withdraw(bus, queue, header, _number(station))
+            withdraw(bus, out, _number(station))
     return row
 
 
@@ -502,7 +502,7 @@ def _tell_stuck(bus: Any) -> None:
 
 
 @kernel
-def end_attempt(bus: Any, queue: Any, header: Any, log: Any, row: int) -> int:
+def end_attempt(bus: Any, out: Any, log: Any, row: int) -> int:
     """End a frame, or a stretch of slow motion, at `end_ns`; return how many rows of the log were written, the frame's last."""
     bus.busy = bus.delivered = 0
     if bus.resume:
@@ -523,7 +523,7 @@ def end_attempt(bus: Any, queue: Any, header: Any, log: Any, row: int) -> int:
     last = min(row + MOST_ROWS, log.shape[0]) - 2
     if bus.slowly and bus.gave_up:
         row = _tell_given_up(bus, log, row, last)
-    row = _tell_states(bus, queue, header, log, row, last)
+    row = _tell_states(bus, out, log, row, last)
     if bus.tell:
         bus.errors += 1
         source = bus.error_source

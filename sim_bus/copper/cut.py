@@ -19,7 +19,7 @@ from coulombus.sim_bus.copper.controller import STATIONS
 from coulombus.sim_bus.copper.faults import MOST_TOLD, FaultKind, plan_alarm
 from coulombus.sim_bus.copper.noise import next_noise, seeded
 from coulombus.sim_bus.copper.waiting import FAR_NS, STATION_MASK, accept, first_ns, hold, withdraw
-from coulombus.wire.frame import Records
+from coulombus.wire.frame import Queue, Records
 
 __all__ = ["APART", "MENDING", "WHOLE", "choose", "divide", "join", "merged_faults", "split", "wire_of"]
 
@@ -28,30 +28,30 @@ WHOLE, APART, MENDING = 0, 1, 2
 
 
 @kernel
-def divide(bus: Any, queue: Any, header: Any) -> None:
+def divide(bus: Any, out: Any) -> None:
     """Let what was asked for since the last time wait with its sender's half; the queue is empty then."""
-    for i in range(header[0].count):
-        frame = queue[i]
+    for i in range(out.count):
+        frame = out.frames[i]
         if not accept(bus[bus[0].stations[frame.source & STATION_MASK].half], frame):
-            header[0].dropped += 1
-    header[0].count = 0
-    header[0].waiting = bus[0].held + bus[1].held
+            out.dropped += 1
+    out.count = 0
+    out.waiting = bus[0].held + bus[1].held
 
 
 @kernel
-def _next_ns(bus: Any, queue: Any, header: Any) -> int:
+def _next_ns(bus: Any, out: Any) -> int:
     """Return when a half's frame ends, or the next one starts."""
     if bus.busy:
         return int(bus.end_ns)
-    return int(max(min(first_ns(bus, queue, header), bus.alarm_ns), bus.free_ns))
+    return int(max(min(first_ns(bus, out), bus.alarm_ns), bus.free_ns))
 
 
 @kernel
-def choose(bus: Any, queue: Any, header: Any) -> int:
+def choose(bus: Any, out: Any) -> int:
     """Return the half in which something happens next; of equals an end goes before a start, then the first half."""
     near, far = bus[0], bus[1]
-    if header[0].count > 0:
-        divide(bus, queue, header)
+    if out.count > 0:
+        divide(bus, out)
     near.fault_calls |= far.fault_calls
     far.fault_calls = 0
     if near.cut == MENDING:
@@ -59,7 +59,7 @@ def choose(bus: Any, queue: Any, header: Any) -> int:
             return 1
         near.fault_calls |= 1 << near.cut_row
         return 0
-    t_near, t_far = _next_ns(near, queue, header), _next_ns(far, queue, header)
+    t_near, t_far = _next_ns(near, out), _next_ns(far, out)
     return 1 if t_far < t_near or (t_far == t_near and far.busy > near.busy) else 0
 
 
@@ -72,9 +72,9 @@ def _number(row: int) -> int:
     return -1 if row == STATION_MASK else row
 
 
-def split(bus: Records, queue: Records, header: Records, row: int, t_ns: int) -> Records:
+def split(bus: Records, out: Queue, row: int, t_ns: int) -> Records:
     """Cut the idle cable as row `row` of the faults says, at `t_ns`; return the faults as they were, for `join`."""
-    divide(bus, queue, header)
+    divide(bus, out)
     bus[1:2] = bus[0:1]
     near, far = bus[0], bus[1]
     before: Records = near.faults.copy()
@@ -91,7 +91,7 @@ def split(bus: Records, queue: Records, header: Records, row: int, t_ns: int) ->
             if halves[station] != half:
                 one.stations[station].attached = one.stations[station].hears = 0
                 if station in waits:
-                    withdraw(one, queue, header, _number(station))
+                    withdraw(one, out, _number(station))
     for name in ("frames", "bits", "errors", "retransmissions", "told", "fault_due", "fault_calls", "noise_hits"):
         far[name] = 0
     far.partial_row = -1
@@ -126,7 +126,7 @@ def merged_faults(bus: Records, before: Records) -> Records:
     return out
 
 
-def join(bus: Records, header: Records, before: Records, t_ns: int) -> None:
+def join(bus: Records, out: Queue, before: Records, t_ns: int) -> None:
     """Mend the cable, both halves of which are idle, at `t_ns`."""
     near, far = bus[0], bus[1]
     near.faults[:] = merged_faults(bus, before)
@@ -144,7 +144,7 @@ def join(bus: Records, header: Records, before: Records, t_ns: int) -> None:
         order, can_id = far.held_order[place], far.held_can_id[place]
         length, word, source = far.held_length[place], far.held_word[place], far.held_source[place]
         if not hold(near, order, can_id, length, word, source, ready_ns):
-            header["dropped"] += 1
+            out["dropped"] += 1
     for name in ("frames", "bits", "errors", "retransmissions"):
         near[name] += far[name]
     for k in range(min(int(far.told), MOST_TOLD - int(near.told))):

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from coulombus.compiled.decorator import borrowed, inlined, kernel
+from coulombus.compiled.decorator import inlined, kernel
 from coulombus.sim_bus.copper.controller import BUS_OFF
 from coulombus.wire.frame import arbitration_key
 
@@ -38,7 +38,7 @@ __all__ = [
 
 FAR_NS = 1 << 62
 ROOM = 1024
-"""Frames that may wait at a time; more are dropped and counted in the queue's header."""
+"""Frames that may wait at a time; more are dropped and counted in the queue's record."""
 FEW = 4
 """So many are found sooner by a look at each."""
 STATION_MASK = 0xFF
@@ -157,31 +157,30 @@ def accept(bus: Any, frame: Any) -> bool:
 
 
 @kernel
-def take_in(bus: Any, queue: Any, header: Any) -> None:
+def take_in(bus: Any, out: Any) -> None:
     """Let what was asked for since the last time wait in the room; the queue is empty then."""
-    queue, header = borrowed(queue), borrowed(header)
-    for i in range(header[0].count):
-        if not accept(bus, queue[i]):
-            header[0].dropped += 1
-    header[0].count = 0
-    header[0].waiting = bus.held
+    for i in range(out.count):
+        if not accept(bus, out.frames[i]):
+            out.dropped += 1
+    out.count = 0
+    out.waiting = bus.held
 
 
 @inlined
-def first_ns(bus: Any, queue: Any, header: Any) -> int:
+def first_ns(bus: Any, out: Any) -> int:
     """Return from when on a frame that waits is ready: any time up to `free_ns` when one is by then, `FAR_NS` when none waits."""
     t = FAR_NS
-    count = header[0].count
+    count = out.count
     if bus.held == 0 and count <= FEW and bus.alert == 0:
         for i in range(count):
-            t = min(t, queue[i].t_ns)
+            t = min(t, out.frames[i].t_ns)
             if (
                 t <= bus.free_ns
             ):  # also keeps the compiler from gathering what was written just now into vectors, which is slow
                 break
     else:
         if count > 0:
-            take_in(bus, queue, header)
+            take_in(bus, out)
         if bus.ready > 0:
             t = 0
         elif bus.later > 0:
@@ -190,41 +189,41 @@ def first_ns(bus: Any, queue: Any, header: Any) -> int:
 
 
 @inlined
-def win(bus: Any, queue: Any, header: Any, now_ns: int) -> bool:
+def win(bus: Any, out: Any, now_ns: int) -> bool:
     """Let the winner of the arbitration among the frames that are ready at `now_ns` (there must be one) be the bus's frame.
 
     Returns whether another station's frame with the same arbitration field is ready too.
     """
-    count = header[0].count
+    count = out.count
     tie = False
     if bus.held == 0 and count <= FEW:
         best, best_key = 0, FAR_NS
         for i in range(count):
-            if queue[i].t_ns <= now_ns:
-                key = arbitration_key(queue[i].can_id)
+            if out.frames[i].t_ns <= now_ns:
+                key = arbitration_key(out.frames[i].can_id)
                 if key < best_key:
                     best, best_key = i, key
                     tie = False
-                elif key == best_key and queue[i].source != queue[best].source:
+                elif key == best_key and out.frames[i].source != out.frames[best].source:
                     tie = True
-        frame = queue[best]
+        frame = out.frames[best]
         bus.can_id = frame.can_id
         bus.length = frame.length
         bus.word = frame.word
         bus.source = frame.source
         for i in range(best, count - 1):  # keep the order: first come first served among equals
-            into, out = queue[i], queue[i + 1]
-            into.t_ns = out.t_ns
-            into.can_id = out.can_id
-            into.length = out.length
-            into.word = out.word
-            into.source = out.source
-        header[0].count = count - 1
+            into, later = out.frames[i], out.frames[i + 1]
+            into.t_ns = later.t_ns
+            into.can_id = later.can_id
+            into.length = later.length
+            into.word = later.word
+            into.source = later.source
+        out.count = count - 1
     else:
         if count > 0:
-            take_in(bus, queue, header)
+            take_in(bus, out)
         place = winner(bus, now_ns)
-        header[0].waiting = bus.held
+        out.waiting = bus.held
         tie = rival(bus, bus.held_order[place])
         bus.can_id = bus.held_can_id[place]
         bus.length = bus.held_length[place]
@@ -269,9 +268,9 @@ def _leave(bus: Any, place: int) -> None:
 
 
 @kernel
-def withdraw(bus: Any, queue: Any, header: Any, source: int) -> None:
+def withdraw(bus: Any, out: Any, source: int) -> None:
     """Forget the frames of a station that wait, and what is on the wire if it fails there: it was switched off."""
-    take_in(bus, queue, header)
+    take_in(bus, out)
     for k in range(bus.senders):
         if bus.tx_source[k] == source:
             bus.tx_order[k] = WITHDRAWN

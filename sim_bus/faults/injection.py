@@ -91,20 +91,20 @@ class Injection:
     def _cut(self, row: int) -> None:
         """Cut the cable, or mend it; one cut at a time, and only while the wire is idle."""
         near, now, fault = self._bus, self._world.t_ns, self._bus.faults[row]
-        queue, header = self._world.queue
+        out = self._world.out
         if near.cut == WHOLE and near.busy:  # what is on the wire is played to its end
             fault.next_ns = now
             plan_alarm(near, now)
         elif near.cut == WHOLE:
             if not fault.framed:
                 fire(near, row, now, NO_FRAME)
-            self._before = split(self._world.bus, queue, header, row, now)
+            self._before = split(self._world.bus, out, row, now)
             self._mark(now, f"the cable is cut (line {self.plan.lines[row]})")
         elif near.cut_row == row and now >= near.mend_ns:
             near.cut = MENDING
             if not self._world.bus[1].busy:
                 self.tell()
-                join(self._world.bus, header, self._before, now)
+                join(self._world.bus, out, self._before, now)
                 self._mark(now, f"the cable is mended (line {self.plan.lines[row]})")
 
     def _mark(self, t_ns: int, text: str) -> None:

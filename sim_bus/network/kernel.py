@@ -162,13 +162,13 @@ def _actuate(axes: Any, plant: Any, nodes: Any, f_h: Any, truth: Any, a: int, t_
 
 
 @kernel
-def _keep(w: Any, queue: Any, header: Any, first: int) -> None:
+def _keep(w: Any, out: Any, first: int) -> None:
     """Keep what the host has pushed from place `first` on."""
     if w.clock_on != 0:
-        to_bus(w, queue, header, first)
+        to_bus(w, out, first)
     if w.keep_sent != 0:
-        for k in range(first, header[0].count):
-            frame, kept = queue[k], w.sent[w.sent_count]
+        for k in range(first, out.count):
+            frame, kept = out.frames[k], w.sent[w.sent_count]
             kept.t_ns = frame.t_ns
             kept.can_id = frame.can_id
             kept.length = frame.length
@@ -189,7 +189,7 @@ def refresh(w: Any, nodes: Any, axes: Any, deadlines: Any, wants: Any) -> None:
 
 
 @inlined
-def next_event(w: Any, b: Any, queue: Any, header: Any, deadlines: Any, host: Any) -> tuple[int, int]:
+def next_event(w: Any, b: Any, out: Any, deadlines: Any, host: Any) -> tuple[int, int]:
     """Return when something happens next, and what."""
     t = b.end_ns if b.busy else FAR_NS  # strict comparisons keep the order of equals
     what = FRAME_END
@@ -202,7 +202,7 @@ def next_event(w: Any, b: Any, queue: Any, header: Any, deadlines: Any, host: An
         if t_host < t:
             t, what = t_host, HOST
     if not b.busy:
-        t_start = start_ns(b, queue, header)
+        t_start = start_ns(b, out)
         if t_start < t:
             t, what = t_start, FRAME_START
     return t, what
@@ -212,8 +212,7 @@ def next_event(w: Any, b: Any, queue: Any, header: Any, deadlines: Any, host: An
 def run(
     world: Any,
     bus: Any,
-    queue: Any,
-    header: Any,
+    out: Any,
     log: Any,
     nodes: Any,
     rpdo: Any,
@@ -238,7 +237,7 @@ def run(
 ) -> int:
     """Run until Python is needed; return the `Exit` that says why."""
     w, cable = world[0], bus[0]
-    queue, header, log = borrowed(queue), borrowed(header), borrowed(log)
+    log = borrowed(log)
     nodes, rpdo, tpdo = borrowed(nodes), borrowed(rpdo), borrowed(tpdo)
     deadlines, wants, listening = borrowed(deadlines), borrowed(wants), borrowed(listening)
     axes, axis_of, plant = borrowed(axes), borrowed(axis_of), borrowed(plant)
@@ -253,12 +252,12 @@ def run(
             return EXIT_LOG
         b = cable
         if cable.cut != 0:
-            b = bus[choose(bus, queue, header)]
+            b = bus[choose(bus, out)]
         if cable.fault_calls != 0:
             for a in range(axes.shape[0]):
                 _look(axes, plant, nodes, f_h, truth, a, w.t_ns)
             return EXIT_FAULT
-        t, what = next_event(w, b, queue, header, deadlines, host)
+        t, what = next_event(w, b, out, deadlines, host)
         if t < w.t_ns:
             t = w.t_ns
         if t > w.until_ns:
@@ -272,37 +271,37 @@ def run(
                     return EXIT_FORCE
         w.t_ns = t
         if what == FRAME_START:
-            start_frame(b, queue, header, t)
+            start_frame(b, out, t)
             continue
         if what in (NOTHING, SCRIPT):
             for a in range(axes.shape[0]):
                 _advance(axes[a], plant[a], f_h[a], truth[a], t)
             return EXIT_UNTIL if what == NOTHING else EXIT_SCRIPT
         if what == HOST:
-            first, t_host = header[0].count, own_ns(w, t)
-            host_axes.on_time(control, host, host_rpdos, law_function, motion, law, state, t_host, queue, header)
+            first, t_host = out.count, own_ns(w, t)
+            host_axes.on_time(control, host, host_rpdos, law_function, motion, law, state, t_host, out)
             if w.clock_on + w.keep_sent != 0:
-                _keep(w, queue, header, first)
+                _keep(w, out, first)
         elif what == DEVICE:
             i = next_device(deadlines)
             a = axis_of[i]
             if a >= 0:
                 _look(axes, plant, nodes, f_h, truth, a, t)
             if nodes[i].clock_on == 0:
-                core.on_time(nodes, rpdo, tpdo, i, t, queue, header)
+                core.on_time(nodes, rpdo, tpdo, i, t, out)
             else:
-                clock.on_time(nodes, rpdo, tpdo, i, t, queue, header)
+                clock.on_time(nodes, rpdo, tpdo, i, t, out)
             keep_deadline(deadlines, i, nodes[i])
             if a >= 0:
                 _actuate(axes, plant, nodes, f_h, truth, a, t)
         else:
-            w.log_count += end_frame(b, queue, header, log, w.log_count)
+            w.log_count += end_frame(b, out, log, w.log_count)
             if b.links != 0:
                 b.links = 0
                 for i in range(nodes.shape[0]):
                     link, b.stations[i].link = b.stations[i].link, 0
                     if link != 0:
-                        clock.link_changed(nodes, rpdo, tpdo, i, t, link, queue, header)
+                        clock.link_changed(nodes, rpdo, tpdo, i, t, link, out)
                         keep_deadline(deadlines, i, nodes[i])
                         if axis_of[i] >= 0:
                             _actuate(axes, plant, nodes, f_h, truth, axis_of[i], t)
@@ -317,9 +316,9 @@ def run(
                 i = wants[b.can_id, k + 1] if plain else k
                 if nodes[i].powered and receives(b, i):
                     if nodes[i].clock_on == 0:
-                        wanted = core.on_frame(nodes, rpdo, tpdo, i, t, b.can_id, b.length, b.word, queue, header)
+                        wanted = core.on_frame(nodes, rpdo, tpdo, i, t, b.can_id, b.length, b.word, out)
                     else:
-                        wanted = clock.on_frame(nodes, rpdo, tpdo, i, t, b.can_id, b.length, b.word, queue, header)
+                        wanted = clock.on_frame(nodes, rpdo, tpdo, i, t, b.can_id, b.length, b.word, out)
                     if wanted != 0:
                         w.service[w.services] = i
                         w.services += 1
@@ -328,14 +327,12 @@ def run(
                         _actuate(axes, plant, nodes, f_h, truth, axis_of[i], t)
             if not w.host_elsewhere and receives(b, step.SOURCE_HOST):
                 w.had[w.log_count - 1] = 1
-                first, t_host = header[0].count, own_ns(w, t)
+                first, t_host = out.count, own_ns(w, t)
                 wanted = host_axes.on_frame(control, host, host_tpdos, owner, t_host, b.can_id, b.length, b.word)
                 if wanted == 1 and w.host_on:
-                    host_axes.finish_complete(
-                        control, host, host_rpdos, law_function, motion, law, state, t_host, queue, header
-                    )
+                    host_axes.finish_complete(control, host, host_rpdos, law_function, motion, law, state, t_host, out)
                     if w.clock_on + w.keep_sent != 0:
-                        _keep(w, queue, header, first)
+                        _keep(w, out, first)
                 elif wanted == 2:
                     w.control_plane = 1
             w.heard = listening[b.can_id] if plain else w.listen_all

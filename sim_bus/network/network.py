@@ -54,7 +54,17 @@ from coulombus.sim_bus.network.kernel import AXIS, LOG_FRAMES, MOST_DEVICES, WOR
 from coulombus.sim_bus.network.stations import CanopenNetwork, Heard, Station
 from coulombus.sim_bus.rig.plant import PLANT, TRUTH_COLUMNS
 from coulombus.wire.clock import own_ns, to_bus
-from coulombus.wire.frame import CAN_RTR_FLAG, Records, data_bytes, data_word, frames, new_queue, new_records, push
+from coulombus.wire.frame import (
+    CAN_RTR_FLAG,
+    Queue,
+    Records,
+    data_bytes,
+    data_word,
+    frames,
+    new_queue,
+    new_records,
+    push,
+)
 
 __all__ = ["CanopenNetwork", "Heard", "Station", "VirtualNetwork"]
 
@@ -143,7 +153,7 @@ class VirtualNetwork:
 
         self.nodes, self.rpdo, self.tpdo = new_nodes(capacity)
         self.bus = new_bus(bitrate_bit_s)
-        self._queue, self._header = new_queue()
+        self._out = new_queue()
         self._log = frames(LOG_FRAMES)
         self._listening = np.zeros(IDENTIFIERS, np.int8)
         self._world = np.zeros(1, WORLD)  # Python looks at it often: a plain array answers faster than a recarray
@@ -152,7 +162,7 @@ class VirtualNetwork:
         m = mechanics or without_mechanics(capacity)
         self.axes, self.plant = m.axes, m.plant
         self._arrays = (
-            *(self._world.view(np.recarray), self.bus, self._queue, self._header, self._log),
+            *(self._world.view(np.recarray), self.bus, self._out, self._log),
             *(self.nodes, self.rpdo, self.tpdo, new_deadlines(capacity), new_wants(capacity), self._listening),
             *(m.axes, m.axis_of, m.plant, m.f_h, m.truth, *m.host),
         )
@@ -177,9 +187,9 @@ class VirtualNetwork:
         return self._arrays
 
     @property
-    def queue(self) -> tuple[Records, Records]:
-        """The frames that were asked for since the bus last looked, and their header: what `wire.frame.push` takes."""
-        return self._queue, self._header
+    def out(self) -> Queue:
+        """The frames that were asked for since the bus last looked: what `wire.frame.push` takes."""
+        return self._out
 
     # what is on the bus
 
@@ -331,8 +341,8 @@ class VirtualNetwork:
     def withdraw(self, device: int) -> None:
         """Forget what the device of a row has waiting to be sent."""
         if self.bus[0].cut:
-            divide(self.bus, self._queue, self._header)
-        withdraw(wire_of(self.bus, device), self._queue, self._header, device)
+            divide(self.bus, self._out)
+        withdraw(wire_of(self.bus, device), self._out, device)
 
     def nmt_command(self, device: int, command: NmtCommand | int) -> None:
         """Let the device of a row act as on an NMT command to it."""
@@ -340,13 +350,13 @@ class VirtualNetwork:
 
     def _by_its_clock(self, row: int, act: Callable[..., None], t_ns: int, *arguments: Any) -> None:
         """Call a device's `act` at its own time (`node.clock`)."""
-        node, first = self.devices[row].record, int(self._header["count"][0])
+        node, first = self.devices[row].record, int(self._out["count"])
         if not node["clock_on"]:
-            act(t_ns, *arguments, self._queue, self._header)
+            act(t_ns, *arguments, self._out)
         else:
-            act(int(own_ns(node, t_ns)), *arguments, self._queue, self._header)
-            to_bus(node, self._queue, self._header, first)
+            act(int(own_ns(node, t_ns)), *arguments, self._out)
+            to_bus(node, self._out, first)
 
     def send(self, can_id: int, data: bytes) -> None:
         """Queue a frame of the host's control plane."""
-        push(self._queue, self._header, SOURCE_HOST, self.t_ns, can_id, len(data), data_word(data))
+        push(self._out, SOURCE_HOST, self.t_ns, can_id, len(data), data_word(data))

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 import canopen
 
-from coulombus.wire.frame import Records, data_word, push
+from coulombus.wire.frame import Queue, data_word, push
 
 __all__ = ["CanopenNetwork", "Heard", "Station"]
 
@@ -35,8 +35,8 @@ class Bus(Protocol):
         """The present."""
 
     @property
-    def queue(self) -> tuple[Records, Records]:
-        """What was asked to be sent, and its header."""
+    def out(self) -> Queue:
+        """What was asked to be sent."""
 
     def run_until(self, t_ns: int, condition: Callable[[], bool] | None = None) -> None:
         """Let time pass until `t_ns`, or until `condition` holds."""
@@ -69,7 +69,7 @@ class Station:
             raise ValueError(f"{len(data)} bytes of data; a frame of CAN 2.0 carries at most 8")
         size = len(data) if length is None else length
         ready = self._network.t_ns if at_ns is None else at_ns
-        push(*self._network.queue, self.number, ready, can_id, size, data_word(bytes(data)))
+        push(self._network.out, self.number, ready, can_id, size, data_word(bytes(data)))
 
     def take(self, can_id: int | None = None) -> list[Heard]:
         """Take what was heard (with this identifier) out of `heard`."""

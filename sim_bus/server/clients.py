@@ -249,14 +249,14 @@ def _read(p: Any, slots: Any, boxes: Any, i: int, offset_ns: int, t_ns: int) -> 
 
 
 @kernel
-def _offer(w: Any, bus: Any, s: Any, words: Any, station: int, queue: Any, header: Any) -> None:
+def _offer(w: Any, bus: Any, s: Any, words: Any, station: int, out: Any) -> None:
     """Let a client's first waiting frame take part in the arbitration, unless one of its does already."""
     b = bus[0]
     if b.cut != 0:
-        divide(bus, queue, header)
+        divide(bus, out)
         b = bus[b.stations[station & STATION_MASK].half]
     else:
-        take_in(b, queue, header)
+        take_in(b, out)
     if b.waiting_of[station & STATION_MASK] > 0 or b.held >= ROOM:
         return
     while s.next < s.staged:
@@ -279,19 +279,19 @@ def _offer(w: Any, bus: Any, s: Any, words: Any, station: int, queue: Any, heade
         elif length < 8:
             word &= (1 << (8 * length)) - 1
         s.sent += 1
-        push(queue, header, station, max(s.ready_ns, w.t_ns), can_id, length, word)
+        push(out, station, max(s.ready_ns, w.t_ns), can_id, length, word)
         return
 
 
 @kernel
-def _under_way(bus: Any, station: int, queue: Any, header: Any) -> bool:
+def _under_way(bus: Any, station: int, out: Any) -> bool:
     """Tell whether a frame of a client waits for the bus, or is on it: it is carried, though its sender may have gone."""
     b = bus[0]
     if b.cut != 0:
-        divide(bus, queue, header)
+        divide(bus, out)
         b = bus[b.stations[station].half]
-    elif header[0].count > 0:
-        take_in(b, queue, header)
+    elif out.count > 0:
+        take_in(b, out)
     if b.waiting_of[station] > 0 or (b.busy and b.source == station):
         return True
     if b.busy and b.slowly:
@@ -309,8 +309,7 @@ def take(
     slots: Any,
     boxes: Any,
     words: Any,
-    queue: Any,
-    header: Any,
+    out: Any,
     offset_ns: int,
     t_ns: int,
 ) -> int:
@@ -323,9 +322,9 @@ def take(
             why = _read(p, slots, boxes, i, offset_ns, t_ns)
             if why != 0:
                 return why
-        if s.gone and s.next >= s.staged and not (s.state == OPEN and _under_way(bus, STATION + i, queue, header)):
+        if s.gone and s.next >= s.staged and not (s.state == OPEN and _under_way(bus, STATION + i, out)):
             p.slot = i
             return CLOSED
         if s.next < s.staged:
-            _offer(w, bus, s, words[i], STATION + i, queue, header)
+            _offer(w, bus, s, words[i], STATION + i, out)
     return 0

@@ -150,8 +150,7 @@ def serve(
     pollfds: Any,
     world: Any,
     bus: Any,
-    queue: Any,
-    header: Any,
+    out: Any,
     log: Any,
     nodes: Any,
     rpdo: Any,
@@ -182,7 +181,7 @@ def serve(
     while True:
         t_ns = now_ns() - p.start_ns
         offset_ns = t_ns - clock_ns(CLOCK_REALTIME)
-        taken = take(w, p, bus, slots, boxes, words, queue, header, offset_ns, t_ns)
+        taken = take(w, p, bus, slots, boxes, words, out, offset_ns, t_ns)
         if t_ns > p.planned_ns + STALL_NS:
             t_ns -= _forgive(p, slots, p.planned_ns, t_ns)
         p.planned_ns = t_ns
@@ -192,16 +191,15 @@ def serve(
         while True:
             b = cable
             if cable.cut != 0:
-                b = bus[choose(bus, queue, header)]
-            t_event, _ = next_event(w, b, queue, header, deadlines, host)
+                b = bus[choose(bus, out)]
+            t_event, _ = next_event(w, b, out, deadlines, host)
             if t_event > t_ns:
                 break
             w.until_ns = max(t_event, w.t_ns)
             reason = run(
                 world,
                 bus,
-                queue,
-                header,
+                out,
                 log,
                 nodes,
                 rpdo,
@@ -241,7 +239,7 @@ def serve(
                 for i in range(slots.shape[0]):
                     flush(slots[i], batches[i])
                 return reason
-            taken = take(w, p, bus, slots, boxes, words, queue, header, offset_ns, t_ns)
+            taken = take(w, p, bus, slots, boxes, words, out, offset_ns, t_ns)
             if taken != 0:
                 break
         for i in range(slots.shape[0]):

@@ -39,7 +39,7 @@ class PacedRig(VirtualRig):
 
     def ask(self, t_ns: int, can_id: int, length: int, word: int) -> None:
         """Let a frame of a client take part in the arbitration from `t_ns` on, as one did that was recorded."""
-        push(self._queue, self._header, STATION, t_ns, can_id, length, word)
+        push(self._out, STATION, t_ns, can_id, length, word)
 
     def rest(self) -> None:
         """End the schedule of each axis whose drive has left Operation Enabled: what `sim_bus.server.paced` looks for after each event."""

@@ -421,7 +421,7 @@ def _warm_up(world: VirtualNetwork) -> None:
     for device in world.devices:
         rx = 0x600 + device.node_id
         for word in (0x0000_0000_0010_1740, 0x0000_0064_0010_172B):  # upload, download of 1017h
-            device.service(0, rx, 8, word, world._queue, world._header)
+            device.service(0, rx, 8, word, world._out)
     for row in range(len(world.devices)):
         for command in (NmtCommand.START, NmtCommand.STOP, NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION):
             world.nmt_command(row, command)

@@ -166,13 +166,13 @@ def test_the_first_axis_leads_and_every_frame_finds_its_axis():
 
 def test_a_trip_of_one_axis_stops_all():
     k = Controllers(load_rig("two_axes"), "hybrid")
-    queue, header = new_queue()
+    out = new_queue()
     k.start(0)
     k.host["phase"] = Phase.STILL
     k.each[1].stop(Trip.RECORDING)
     for _ in range(2):
         k.host["waiting"] = 1
-        finish_waiting(k.control, k.host, k.rpdos, k.law_function, k.motion, k.law, k.state, 10, queue, header)
+        finish_waiting(k.control, k.host, k.rpdos, k.law_function, k.motion, k.law, k.state, 10, out)
     assert k.safe
     assert k.each[0].trip.startswith("OTHER_AXIS")
     assert k.trip.startswith("axis right: RECORDING")

@@ -26,20 +26,18 @@ class Axes:
 
     def __init__(self):
         self.k = Controllers(rig_of("two_axes"), "hybrid")
-        self.queue, self.header = new_queue()
+        self.out = new_queue()
         self.k.start(0)
         self.host = self.k.host
 
     def call(self, function, t_ns):
         k = self.k
-        self.header["count"] = 0
-        return function(
-            k.control, k.host, k.rpdos, k.law_function, k.motion, k.law, k.state, t_ns, self.queue, self.header
-        )
+        self.out["count"] = 0
+        return function(k.control, k.host, k.rpdos, k.law_function, k.motion, k.law, k.state, t_ns, self.out)
 
     @property
     def sent(self):
-        return [int(can_id) for can_id in self.queue["can_id"][: self.header["count"][0]]]
+        return [int(can_id) for can_id in self.out.frames["can_id"][: self.out["count"]]]
 
 
 @pytest.mark.parametrize(("times", "first"), [((5, 9), 5), ((9, 5), 5), ((7, 7), 7)])
@@ -72,7 +70,7 @@ def test_a_frame_goes_to_its_axis_and_an_extended_one_to_the_first():
 def test_a_cycle_begins_for_all_axes_with_one_sync():
     axes = Axes()
     k = axes.k
-    begin(k.control, k.host, 4 * MS, axes.queue, axes.header)
+    begin(k.control, k.host, 4 * MS, axes.out)
     assert axes.sent.count(0x80) == 1
     assert axes.host["cycle"].tolist() == [1, 1]
     assert axes.host["sync_ns"].tolist() == [4 * MS, 4 * MS]
@@ -146,9 +144,9 @@ def test_the_last_setpoints_disable_the_drives_and_bound_the_brakes():
     k.control["safe_brake_Nm"] = 1.0
     k.host["motor_Nm"], k.host["brake_Nm"] = (0.5, -0.5), (3.0, 0.2506)
     k.host["image"][:, [Image.CONTROLWORD, Image.TARGET_TORQUE]] = 15
-    safe_setpoints(k.control, k.host, k.rpdos, 77, axes.queue, axes.header)
+    safe_setpoints(k.control, k.host, k.rpdos, 77, axes.out)
     assert axes.sent == [*setpoints(axes, 0), *setpoints(axes, 1), 0x80]
-    rows = axes.queue[: axes.header["count"][0]]
+    rows = axes.out.frames[: axes.out["count"]]
     assert set(rows["t_ns"].tolist()) == {77}
     assert set(rows["source"].tolist()) == {-1}
     assert rows["length"][-1] == 0
@@ -167,5 +165,5 @@ def test_the_last_set_point_is_never_negative_nor_above_its_objects_limit(brake,
     axes = Axes()
     k = axes.k
     k.host["brake_Nm"], k.control["brake_limit_raw"], k.control["safe_brake_Nm"] = brake, most, 1.0
-    safe_setpoints(k.control, k.host, k.rpdos, 77, axes.queue, axes.header)
+    safe_setpoints(k.control, k.host, k.rpdos, 77, axes.out)
     assert k.host["image"][:, Image.BRAKE_SETPOINT].tolist() == [raw, raw]

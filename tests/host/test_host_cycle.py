@@ -24,8 +24,8 @@ def test_the_host_is_no_station_of_the_bus():
 
 
 def begun(bench, t_ns):
-    bench.header[0].count = 0
-    begin(bench.c, bench.h, t_ns, bench.queue, bench.header)
+    bench.out.count = 0
+    begin(bench.c, bench.h, t_ns, bench.out)
     return bench.frames()
 
 
@@ -37,7 +37,7 @@ def test_a_cycle_begins_with_sync_and_a_window_for_the_tpdos():
     h = bench.h
     assert (h.cycle, h.sync_ns, h.next_ns) == (101, 101 * MS, 101 * MS + bench.c.window_ns)
     assert (h.arrived, h.waiting, h.lost_pdos) == (0, 1, 0)
-    assert bench.queue[0].source == SOURCE_HOST
+    assert bench.out.frames[0].source == SOURCE_HOST
 
 
 @pytest.mark.parametrize("phase", Phase)

@@ -128,11 +128,11 @@ def lose_connection(state, forced, option, stop):
 # controlwords
 
 
-def commanded(n, word, queue=None):
-    queue, header = queue or new_queue()
+def commanded(n, word):
+    out = new_queue()
     n.values[slots.CONTROLWORD] = word
-    states402.new_controlword(n, 0, T, queue, header)
-    return [int(row["word"]) & 0xFFFF for row in queue[: int(header["count"][0])]]
+    states402.new_controlword(n, 0, T, out)
+    return [int(row["word"]) & 0xFFFF for row in out.frames[: int(out["count"])]]
 
 
 @pytest.mark.parametrize(

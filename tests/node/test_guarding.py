@@ -181,19 +181,19 @@ def test_time_is_taken_and_goes_on():
 def test_time_is_produced_where_1012_says_so():
     bench = powered()
     send = bench.device.produce_time
-    assert not send(bench.t, datetime(2026, 1, 1), bench.queue, bench.header)
+    assert not send(bench.t, datetime(2026, 1, 1), bench.out)
     bench.write(0x1012, 0, 0x40000100, 4)
-    assert send(bench.t, datetime(1984, 1, 3, 0, 0, 1), bench.queue, bench.header)
+    assert send(bench.t, datetime(1984, 1, 3, 0, 0, 1), bench.out)
     bench.frame(0x7FF)  # what waits is taken with any frame
     (frame,) = bench.take(0x100)
     assert frame.data == (1000).to_bytes(4, "little") + b"\x02\x00"
     with pytest.raises(SdoAborted, match="08000022"):
         bench.write(0x1012, 0, 0x40000101 + 0x80, 4)  # the identifier stands while TIME is produced
     bench.nmt(2)
-    assert not send(bench.t, datetime(2026, 1, 1), bench.queue, bench.header)
+    assert not send(bench.t, datetime(2026, 1, 1), bench.out)
     bench.nmt(1)
     with pytest.raises(ValueError, match="1984"):
-        send(bench.t, datetime(1970, 1, 1), bench.queue, bench.header)
+        send(bench.t, datetime(1970, 1, 1), bench.out)
 
 
 def test_an_rpdo_after_the_window_acts_on_no_sync():

@@ -24,7 +24,7 @@ class Node:
 
     def __init__(self, kind, state=OE):
         self.nodes, *_ = new_nodes(1)
-        self.queue, self.header = new_queue()
+        self.out = new_queue()
         n = self.n = self.nodes[0]
         n.kind, n.nmt, n.powered, n.node_id, n.emcy_id, n.next_ns = kind, 5, 1, 9, 0x89, T + 10**9
         n.setpoint_armed, n.setpoint_ns, n.demand_ns = 1, T, T
@@ -41,14 +41,14 @@ class Node:
             v[slots.SETPOINT], v[slots.FAULT_MODE], v[slots.RAMP_US] = 1024, 1, 4000
 
     def codes(self):
-        count = int(self.header["count"][0])
-        self.header["count"] = 0
-        words = [int(row["word"]) for row in self.queue[:count]]
+        count = int(self.out["count"])
+        self.out["count"] = 0
+        words = [int(row["word"]) for row in self.out.frames[:count]]
         assert {word >> 24 for word in words} <= {0}  # none of these has an information
         return [word & 0xFFFF for word in words]
 
     def call(self, function, *arguments):
-        return function(self.n, 0, T, *arguments, self.queue, self.header)
+        return function(self.n, 0, T, *arguments, self.out)
 
     @property
     def safe(self):

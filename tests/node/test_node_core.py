@@ -90,7 +90,7 @@ def test_a_late_call_gives_no_burst_of_heartbeats():
     bench.write(0x1017, 0, 10, 2)
     bench.take()
     bench.t = 95 * MS
-    core.on_time(bench.nodes, bench.rpdo, bench.tpdo, 0, bench.t, bench.queue, bench.header)
+    core.on_time(bench.nodes, bench.rpdo, bench.tpdo, 0, bench.t, bench.out)
     bench._collect()
     assert [s.t_ns for s in bench.take(0x701)] == [95 * MS]
     assert bench.node.next_ns == 105 * MS
@@ -354,6 +354,6 @@ def test_no_sequence_of_frames_breaks_a_node(sequence, name):
         assert bench.node.out_torque_pm == 0 or bench.node.power_state == 4
         assert abs(bench.node.out_torque_pm) <= bench.node.values[slots.MAX_TORQUE]
         assert 0 <= bench.node.out_brake_Nm <= 32.767
-        assert bench.header["dropped"][0] == 0
+        assert bench.out["dropped"] == 0
         remapped = {int(p["cob_id"]) for p in bench.tpdo[0]} | {int(bench.node.emcy_id), int(bench.node.sync_id)}
         assert {s.can_id for s in bench.take()} <= own | remapped

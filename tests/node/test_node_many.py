@@ -19,12 +19,12 @@ def test_the_core_answers_expedited_uploads_as_python_does(name, node_id):
     for index, entry in description(name).objects.items():
         for subindex in (*entry.variables, 0xFE):
             data = b"\x40" + index.to_bytes(2, "little") + bytes((subindex,)) + bytes(4)
-            arguments = (bench.t, 0x600 + node_id, 8, data_word(data), bench.queue, bench.header)
+            arguments = (bench.t, 0x600 + node_id, 8, data_word(data), bench.out)
             bench.device.service(*arguments)
             bench.frame(0x7FF)
             (python,) = bench.take(0x580 + node_id)
             bench.frame(0x600 + node_id, b"\x80" + bytes(7))  # ends what may be a segmented transfer
-            count = int(bench.header["count"][0])
+            count = int(bench.out["count"])
             served = []
             original = bench.device.service
             bench.device.service = lambda *a, served=served, original=original: (served.append(a), original(*a))

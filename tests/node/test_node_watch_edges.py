@@ -19,15 +19,15 @@ class Node:
 
     def __init__(self, kind=KIND_BRAKE):
         self.nodes, self.rpdo, _ = new_nodes(2)
-        self.queue, self.header = new_queue()
+        self.out = new_queue()
         n = self.n = self.nodes[1]
         n.node_id, n.kind, n.nmt, n.powered, n.emcy_id = 9, kind, 5, 1, 0x89
         n.next_ns = T + 10**9
         n.rpdo_used, n.consumers_used, n.sdo_used = 3, 3, 2
 
     def sent(self):
-        rows = self.queue[: int(self.header["count"][0])]
-        self.header["count"] = 0
+        rows = self.out.frames[: int(self.out["count"])]
+        self.out["count"] = 0
         return [tuple(int(row[name]) for name in ("t_ns", "can_id", "length", "word")) for row in rows]
 
     def codes(self):
@@ -35,18 +35,18 @@ class Node:
 
     def lose(self, *causes):
         for cause in causes:
-            emcy.come(self.n, 1, T, cause, 0, self.queue, self.header)
+            emcy.come(self.n, 1, T, cause, 0, self.out)
         self.sent()
 
     def settle(self):
-        deadlines.settle(self.n, 1, T, self.queue, self.header)
+        deadlines.settle(self.n, 1, T, self.out)
         return {cause for cause in COMMUNICATION if not self.n.causes >> cause & 1}
 
     def expire(self, t_ns=T):
-        return deadlines.expire(self.nodes, self.rpdo, 1, t_ns, self.queue, self.header)
+        return deadlines.expire(self.nodes, self.rpdo, 1, t_ns, self.out)
 
     def hear(self, k, t_ns, length=1, data=5):
-        deadlines.heartbeat_received(self.n, 1, k, t_ns, length, data, self.queue, self.header)
+        deadlines.heartbeat_received(self.n, 1, k, t_ns, length, data, self.out)
 
     def deadline(self, before=FAR_FUTURE_NS):
         return deadlines.next_deadline(self.nodes, self.rpdo, 1, before)
@@ -157,7 +157,7 @@ def test_outside_operational_neither_sync_nor_rpdos_are_expected():
     node.lose(*COMMUNICATION)
     n.sync_armed, n.guard_state, n.consumer_state[1] = 1, guarding.LOST, LOST
     n.rpdo_armed[:4], n.rpdo_lost[:4] = 1, 1
-    deadlines.stop(n, 1, T, node.queue, node.header)
+    deadlines.stop(n, 1, T, node.out)
     assert n.sync_armed == 0
     assert n.rpdo_armed[:4].tolist() == n.rpdo_lost[:4].tolist() == [0, 0, 0, 1]
     assert n.causes == 1 << emcy.HEARTBEAT | 1 << emcy.LIFE_GUARDING
@@ -176,7 +176,7 @@ def test_the_nodes_own_heartbeat_goes_out_at_its_time_without_a_burst(late_ns):
     assert node.sent() == ([(T, 0x709, 1, 127)] if late_ns >= 0 else [])
     following = {-1: T + 1, 0: T + 1000, 1: T + 999, 999: T + 1}.get(late_ns, T + 1000)
     assert n.heartbeat_next_ns == following
-    assert int(node.queue[0].source) == (1 if late_ns >= 0 else 0)
+    assert int(node.out.frames[0].source) == (1 if late_ns >= 0 else 0)
 
 
 @pytest.mark.parametrize(("period", "sent"), [(0, 0), (1, 1), (-1, 0)])
@@ -386,7 +386,7 @@ def test_a_stale_sdo_transfer_is_aborted_at_its_time_unless_stopped(k, nmt):
 
 
 def answered(node, t_ns=T):
-    guarding.answer(node.n, 1, t_ns, node.queue, node.header)
+    guarding.answer(node.n, 1, t_ns, node.out)
     return node.sent()
 
 
@@ -397,7 +397,7 @@ def test_the_answer_tells_the_state_and_a_bit_that_alternates(nmt):
     assert answered(node) == [(T + 20, 0x709, 1, nmt)]
     assert answered(node) == [(T + 20, 0x709, 1, 0x80 | nmt)]
     assert answered(node) == [(T + 20, 0x709, 1, nmt)]
-    assert int(node.queue[0].source) == 1
+    assert int(node.out.frames[0].source) == 1
     assert node.n.guard_state == WAITING  # there is no life time
 
 

@@ -313,10 +313,10 @@ def test_a_block_leaves_room_on_the_bus_for_others():
     bench.frame(0x601, b"\xa3" + bytes(7))
     assert bench.node.outbox_count == 127
     assert len(bench.take()) == 0  # nothing at once: the queue is everybody's
-    bench.header["waiting"] = 3  # the bus has three frames of others to send
+    bench.out["waiting"] = 3  # the bus has three frames of others to send
     bench.run(2 * MS)
     assert [sent.can_id for sent in bench.take()] == [0x701, 0x701]
-    bench.header["waiting"] = 0
+    bench.out["waiting"] = 0
     bench.run(200_000)
     assert 0 < len(bench.take(0x581)) < 10
     bench.nmt(2)
@@ -331,9 +331,9 @@ def count_services(bench: Bench) -> list[bytes]:
     served: list[bytes] = []
     service = bench.device.service
 
-    def counted(t_ns, can_id, length, data, queue, header):
+    def counted(t_ns, can_id, length, data, out):
         served.append(data.to_bytes(8, "little", signed=True))
-        service(t_ns, can_id, length, data, queue, header)
+        service(t_ns, can_id, length, data, out)
 
     bench.device.service = counted
     return served

@@ -13,7 +13,7 @@ from coulombus.rigs.plan.response_times import Errors, Message, bit_ns, response
 from coulombus.rigs.plan.worst_cycle import Timing, worst_cycle
 from coulombus.sim_bus.copper.arbiter import FAR_NS, end_frame, new_bus, start_frame, start_ns
 from coulombus.wire.bits import data_frame_bits, worst_case_bits
-from coulombus.wire.frame import CAN_EFF_FLAG, CAN_RTR_FLAG, arbitration_key, frames, new_queue, push
+from coulombus.wire.frame import CAN_EFF_FLAG, CAN_RTR_FLAG, QUEUE_CAPACITY, arbitration_key, frames, new_queue, push
 
 MS = 1_000_000
 BIT = 1_000  # at 1 Mbit/s
@@ -48,17 +48,18 @@ def carry(releases, first=None):
     `first` is on the wire already when the releases at 0 come: the limit of a frame that has just begun.
     """
     bus, log = new_bus(RATE), frames(1)
-    queue, header = new_queue(len(releases) + 1)
+    out = new_queue()
+    assert len(releases) < QUEUE_CAPACITY
     if first is not None:
-        push(queue, header, -1, 0, first.can_id, first.length, first.word)
-        start_frame(bus[0], queue, header, 0)
-        end_frame(bus[0], queue, header, log, 0)
+        push(out, -1, 0, first.can_id, first.length, first.word)
+        start_frame(bus[0], out, 0)
+        end_frame(bus[0], out, log, 0)
     for i, (t, _, m) in enumerate(releases):
-        push(queue, header, i, t, m.can_id, m.length, m.word)
+        push(out, i, t, m.can_id, m.length, m.word)
     done = []
-    while (now := start_ns(bus[0], queue, header)) < FAR_NS:
-        start_frame(bus[0], queue, header, now)
-        end_frame(bus[0], queue, header, log, 0)
+    while (now := start_ns(bus[0], out)) < FAR_NS:
+        start_frame(bus[0], out, now)
+        end_frame(bus[0], out, log, 0)
         _, nominal, m = releases[int(log["source"][0])]
         done.append((m, nominal, int(bus["free_ns"][0])))
     return done

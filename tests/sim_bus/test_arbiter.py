@@ -8,20 +8,29 @@ from hypothesis import strategies as st
 
 from coulombus.sim_bus.copper.arbiter import FAR_NS, end_frame, new_bus, start_frame, start_ns
 from coulombus.wire.bits import frame_bits
-from coulombus.wire.frame import CAN_EFF_FLAG, CAN_RTR_FLAG, arbitration_key, data_word, frames, new_queue, push
+from coulombus.wire.frame import (
+    CAN_EFF_FLAG,
+    CAN_RTR_FLAG,
+    QUEUE_CAPACITY,
+    arbitration_key,
+    data_word,
+    frames,
+    new_queue,
+    push,
+)
 
 
 def carry(waiting, bitrate=1_000_000):
     """Carry frames (ready_ns, can_id, data) until none waits; return (id, start, end) in the order of the wire."""
     bus = new_bus(bitrate)
-    queue, header = new_queue()
+    out = new_queue()
     log = frames(len(waiting))
     for source, (ready, can_id, data) in enumerate(waiting):
-        push(queue, header, source, ready, can_id, len(data), data_word(data))
+        push(out, source, ready, can_id, len(data), data_word(data))
     carried = []
-    while (now := start_ns(bus[0], queue, header)) < FAR_NS:
-        start_frame(bus[0], queue, header, now)
-        end_frame(bus[0], queue, header, log, len(carried))
+    while (now := start_ns(bus[0], out)) < FAR_NS:
+        start_frame(bus[0], out, now)
+        end_frame(bus[0], out, log, len(carried))
         carried.append((int(log["can_id"][len(carried)]), now, int(log["t_ns"][len(carried)])))
     assert bus["held"][0] == 0
     return carried
@@ -46,13 +55,13 @@ def test_times_are_the_frames_bits():
 
 
 def test_equal_identifiers_keep_their_order():
-    queue, header = new_queue()
+    out = new_queue()
     bus, log = new_bus(1_000_000), frames(3)
     for n in range(3):
-        push(queue, header, 0, 0, 0x181, 1, n)
+        push(out, 0, 0, 0x181, 1, n)
     for row in range(3):
-        start_frame(bus[0], queue, header, start_ns(bus[0], queue, header))
-        end_frame(bus[0], queue, header, log, row)
+        start_frame(bus[0], out, start_ns(bus[0], out))
+        end_frame(bus[0], out, log, row)
     assert list(log["word"]) == [0, 1, 2]
 
 
@@ -82,19 +91,19 @@ def test_arbitration_agrees_with_a_bitwise_wire(a, b):
 
 
 def test_a_full_queue_drops_and_counts():
-    queue, header = new_queue(2)
-    for n in range(5):
-        push(queue, header, 0, 0, n, 0, 0)
-    assert header["count"][0] == 2
-    assert header["dropped"][0] == 3
+    out = new_queue()
+    for n in range(QUEUE_CAPACITY + 3):
+        push(out, 0, 0, n, 0, 0)
+    assert out["count"] == QUEUE_CAPACITY
+    assert out["dropped"] == 3
 
 
 @pytest.mark.parametrize("bitrate", [125_000, 1_000_000, 8_000_000])
 def test_the_bus_counts_its_bits(bitrate):
     bus, log = new_bus(bitrate), frames(1)
-    queue, header = new_queue()
-    push(queue, header, 0, 0, 0x80, 0, 0)
-    start_frame(bus[0], queue, header, 0)
-    end_frame(bus[0], queue, header, log, 0)
+    out = new_queue()
+    push(out, 0, 0, 0x80, 0, 0)
+    start_frame(bus[0], out, 0)
+    end_frame(bus[0], out, log, 0)
     assert bus["bits"][0] == frame_bits(0x80, b"")
     assert bus["free_ns"][0] == frame_bits(0x80, b"") * 1_000_000_000 // bitrate

@@ -393,7 +393,7 @@ def test_what_a_reset_node_had_on_the_wire_is_not_sent_again(station):
     bus.send(0, 0x100)
     bus.send(1, 0x101)
     assert len(told(bus.run(rows=1))) == 1
-    withdraw(bus.bus, bus.queue, bus.header, station)
+    withdraw(bus.bus, bus.out, station)
     assert [row.can_id for row in carried(bus.run())] == [0x101 if station == 0 else 0x100]
 
 

@@ -31,7 +31,7 @@ class Listed:
 @pytest.mark.parametrize("seed", range(4))
 def test_frames_leave_in_the_order_in_which_they_win(seed):
     random = np.random.default_rng(seed)
-    bus, (queue, header), listed = new_bus(1_000_000)[0], new_queue(), Listed()
+    bus, out, listed = new_bus(1_000_000)[0], new_queue(), Listed()
     now, number, most = 0, 0, 0
     for _ in range(300):
         for _ in range(int(random.integers(0, 5))):
@@ -40,43 +40,43 @@ def test_frames_leave_in_the_order_in_which_they_win(seed):
                 int(random.integers(0, 6)) * 0x40,
                 int(random.integers(-1, 3)),
             )
-            push(queue, header, station, ready, can_id, 8, number)
+            push(out, station, ready, can_id, 8, number)
             listed.frames.append((ready, arbitration_key(can_id), number, station))
             number += 1
         if random.random() < 0.02:
-            withdraw(bus, queue, header, 1)
+            withdraw(bus, out, 1)
             listed.frames = [frame for frame in listed.frames if frame[3] != 1]
         now += int(random.integers(0, 30))
-        assert max(first_ns(bus, queue, header), now) == max(listed.first_ns(), now)
+        assert max(first_ns(bus, out), now) == max(listed.first_ns(), now)
         expected = listed.winner(now)
         if expected is not None:
-            win(bus, queue, header, now)
+            win(bus, out, now)
             assert bus["word"] == expected
         most = max(most, len(listed.frames))
-        assert bus["held"] + header["count"][0] == len(listed.frames)
+        assert bus["held"] + out["count"] == len(listed.frames)
         if bus["held"]:
-            take_in(bus, queue, header)
+            take_in(bus, out)
             for station in (-1, 0, 1, 2):
                 assert bus["waiting_of"][station] == sum(frame[3] == station for frame in listed.frames)
     assert most > 4 * FEW
     while listed.frames:  # and all the way back to few
         now = max(now, listed.first_ns())
         expected = listed.winner(now)
-        win(bus, queue, header, now)
+        win(bus, out, now)
         assert bus["word"] == expected
-    assert first_ns(bus, queue, header) == FAR_NS
+    assert first_ns(bus, out) == FAR_NS
 
 
 def test_what_finds_no_room_is_counted():
-    bus, (queue, header) = new_bus(1_000_000)[0], new_queue()
+    bus, out = new_bus(1_000_000)[0], new_queue()
     for _ in range(2):
         for n in range(ROOM - 10):
-            push(queue, header, 0, 0, n & 0x7FF, 0, 0)
-        take_in(bus, queue, header)
+            push(out, 0, 0, n & 0x7FF, 0, 0)
+        take_in(bus, out)
     assert bus["held"] == ROOM
-    assert header["dropped"][0] == ROOM - 20
-    win(bus, queue, header, 0)
+    assert out["dropped"] == ROOM - 20
+    win(bus, out, 0)
     assert bus["can_id"] == 0
-    push(queue, header, 0, 0, 0x123, 0, 0)
-    take_in(bus, queue, header)
-    assert (bus["held"], header["dropped"][0]) == (ROOM, ROOM - 20)
+    push(out, 0, 0, 0x123, 0, 0)
+    take_in(bus, out)
+    assert (bus["held"], out["dropped"]) == (ROOM, ROOM - 20)

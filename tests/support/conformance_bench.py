@@ -6,8 +6,6 @@ from collections import deque
 from functools import lru_cache
 from pathlib import Path
 
-import numpy as np
-
 from coulombus.conformance.catalogue import catalogue
 from coulombus.conformance.runner import Report, check_before, run, select
 from coulombus.conformance.tester.link import RTR, Frame
@@ -33,12 +31,12 @@ class VirtualLink:
 
     def __init__(self, eds: Description, node_id: int, kind: int, device_type=Device) -> None:
         self.nodes, self.rpdo, self.tpdo = new_nodes(1)
-        self.queue, self.header = (records.view(np.recarray) for records in new_queue())
+        self.out = new_queue()
         self.device = device_type(eds, node_id, kind, self.nodes, self.rpdo, self.tpdo, 0)
         self.t = 0
         self.sent: deque[Frame] = deque()
         self.prepare()
-        self.device.power_on(0, self.queue, self.header)
+        self.device.power_on(0, self.out)
         self._collect()
 
     def prepare(self) -> None:
@@ -52,7 +50,7 @@ class VirtualLink:
         self.deliver(can_id, data, len(data) if length is None else length)
 
     def deliver(self, can_id: int, data: bytes, length: int) -> None:
-        arguments = (self.t, can_id, length, data_word(data), self.queue, self.header)
+        arguments = (self.t, can_id, length, data_word(data), self.out)
         if core.on_frame(self.nodes, self.rpdo, self.tpdo, 0, *arguments):
             self.device.service(*arguments)
         self._collect()
@@ -60,7 +58,7 @@ class VirtualLink:
     def until(self, t_ns: int) -> None:
         while int(self.nodes[0].next_ns) <= t_ns:
             self.t = max(self.t, int(self.nodes[0].next_ns))
-            core.on_time(self.nodes, self.rpdo, self.tpdo, 0, self.t, self.queue, self.header)
+            core.on_time(self.nodes, self.rpdo, self.tpdo, 0, self.t, self.out)
             self._collect()
         self.t = max(self.t, t_ns)
 
@@ -75,13 +73,13 @@ class VirtualLink:
         return frame
 
     def _collect(self) -> None:
-        for k in range(int(self.header["count"][0])):
-            row = self.queue[k]
+        for k in range(int(self.out["count"])):
+            row = self.out.frames[k]
             can_id, length = int(row["can_id"]), int(row["length"])
             data = b"" if can_id & RTR else data_bytes(int(row["word"]), length)
             for frame in self.tamper(Frame(int(row["t_ns"]), can_id, data, length)):
                 self.sent.append(frame)
-        self.header["count"] = 0
+        self.out["count"] = 0
 
     def tamper(self, frame: Frame) -> list[Frame]:
         return [frame]

@@ -28,7 +28,7 @@ class Copper:
     def __init__(self, stations=(0, 1, 2), bitrate=1_000_000):
         self.array = new_bus(bitrate)
         self.bus = self.array[0]
-        self.queue, self.header = new_queue()
+        self.out = new_queue()
         self.stations = tuple(stations)
         self.log = frames(MOST_ROWS)
         self.now = 0
@@ -48,7 +48,7 @@ class Copper:
         refresh(self.bus)
 
     def send(self, source, can_id, data=b"", t_ns=0):
-        push(self.queue, self.header, source, t_ns, can_id, len(data), data_word(data))
+        push(self.out, source, t_ns, can_id, len(data), data_word(data))
 
     def fault(self, kind, **values):
         row = self.bus.faults[self.bus.fault_count]
@@ -71,16 +71,16 @@ class Copper:
                 if t > until_ns:
                     break
                 self.now = t
-                for row in self.log[: end_frame(bus, self.queue, self.header, self.log, 0)]:
+                for row in self.log[: end_frame(bus, self.out, self.log, 0)]:
                     out.append(Row(int(row.t_ns), int(row.can_id), data_bytes(row.word, row.length), int(row.source)))
                 if bus.delivered:
                     out[-1].receivers = tuple(s for s in self.stations if receives(bus, s))
             else:
-                t = max(int(start_ns(bus, self.queue, self.header)), self.now)
+                t = max(int(start_ns(bus, self.out)), self.now)
                 if t > until_ns:
                     break
                 self.now = t
-                start_frame(bus, self.queue, self.header, t)
+                start_frame(bus, self.out, t)
         return out
 
 

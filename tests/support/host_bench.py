@@ -12,7 +12,7 @@ from coulombus.host.cycle.records import Image, Phase
 from coulombus.host.cycle.step import begin, finish, on_frame
 from coulombus.rigs.rig import load_rig
 from coulombus.wire.frame import new_queue, push
-from plain_records import records_for_kernels
+from plain_records import record_for_kernels, records_for_kernels
 
 MS = 1_000_000
 
@@ -28,7 +28,7 @@ class HostBench:
         for name in ("control", "host", "rpdos", "tpdos", "motion", "law", "state"):
             setattr(self.k, name, records_for_kernels(getattr(self.k, name)))
         self.c, self.h = self.k.control[0], self.k.host[0]
-        self.queue, self.header = map(records_for_kernels, new_queue())
+        self.out = record_for_kernels(new_queue())
         self.t_ns = 0
         self.state = int(PowerState.SWITCH_ON_DISABLED)
         self.counts = 0.0
@@ -69,15 +69,14 @@ class HostBench:
             k.law[0],
             k.state[0],
             self.t_ns,
-            self.queue,
-            self.header,
+            self.out,
         )
 
     def cycle(self):
         """One cycle; afterwards `sent` has the image of what the host sent."""
-        self.header["count"] = 0
+        self.out["count"] = 0
         self.t_ns = self.h.cycle * MS
-        begin(self.c, self.h, self.t_ns, self.queue, self.header)
+        begin(self.c, self.h, self.t_ns, self.out)
         self.t_ns += 500_000
         if self.heartbeats and self.h.cycle % 20 == 0:
             for node in (self.c.motor_id, self.c.brake_id):
@@ -135,7 +134,7 @@ class HostBench:
 
     def frames(self):
         """What the host sent in this cycle: (time, identifier, length, word)."""
-        rows = (self.queue[k] for k in range(self.header[0].count))
+        rows = (self.out.frames[k] for k in range(self.out.count))
         return [(int(f.t_ns), int(f.can_id), int(f.length), int(f.word)) for f in rows]
 
     def follow_sign_check(self, direction=1, hand=-1):

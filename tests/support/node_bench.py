@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from coulombus.eds.reader import Description, read_eds
 from coulombus.node import core
 from coulombus.node.device import Device
@@ -52,7 +50,7 @@ class Bench:
         store: Store | None = None,
     ):
         self.nodes, self.rpdo, self.tpdo = new_nodes(1)
-        self.queue, self.header = (records.view(np.recarray) for records in new_queue())
+        self.out = new_queue()
         kind = KIND_OF.get(name, 0) if kind is None else kind
         self.device = Device(eds or description(name), node_id, kind, self.nodes, self.rpdo, self.tpdo, 0, store)
         self.node = self.nodes[0]
@@ -63,14 +61,14 @@ class Bench:
     # the bus
 
     def power_on(self) -> None:
-        self.device.power_on(self.t, self.queue, self.header)
+        self.device.power_on(self.t, self.out)
         self._collect()
 
     def frame(self, can_id: int, data: bytes = b"", *, length: int | None = None) -> None:
         """The end of a frame, at the present time."""
         size = len(data) if length is None else length
         word = data_word(data)
-        arguments = (0, self.t, can_id, size, word, self.queue, self.header)
+        arguments = (0, self.t, can_id, size, word, self.out)
         if core.on_frame(self.nodes, self.rpdo, self.tpdo, *arguments):
             self.device.service(*arguments[1:])
         self._collect()
@@ -86,7 +84,7 @@ class Bench:
             assert calls < 1_000_000, "the node asks for no end of calls"
             self.t = max(self.t, int(self.node.next_ns))
             before = self.t
-            core.on_time(self.nodes, self.rpdo, self.tpdo, 0, self.t, self.queue, self.header)
+            core.on_time(self.nodes, self.rpdo, self.tpdo, 0, self.t, self.out)
             assert self.node.next_ns > before
             self._collect()
         self.t = t_ns
@@ -97,12 +95,12 @@ class Bench:
         self.frame(can_id, data)
 
     def _collect(self) -> None:
-        count = int(self.header["count"][0])
+        count = int(self.out["count"])
         for k in range(count):
-            row = self.queue[k]
+            row = self.out.frames[k]
             data = data_bytes(int(row["word"]), int(row["length"]))
             self.sent.append(Sent(int(row["t_ns"]), int(row["can_id"]), data))
-        self.header["count"] = 0
+        self.out["count"] = 0
 
     # what the tester reads
 

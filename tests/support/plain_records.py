@@ -38,6 +38,17 @@ def _class_of(dtype):
     return Plain
 
 
+def record_for_kernels(record):
+    """Return one `record` as it is, or as a plain object when the kernels are plain Python; arrays of records in it too."""
+    if not JIT_DISABLED:
+        return record
+    plain = _class_of(record.dtype)()
+    for name in record.dtype.names:
+        value = record[name]
+        setattr(plain, name, records_for_kernels(value) if value.dtype.names else value.tolist())
+    return plain
+
+
 def records_for_kernels(records):
     """Return `records` as they are, or as plain objects when the kernels are plain Python."""
     if not JIT_DISABLED:
