@@ -39,8 +39,8 @@ class Moment(IntEnum):
 
     START = 0  # the cycle begins with the first period at `t_ns`; what was received before it counts for nothing
     BEGIN = 1  # a cycle that was due at `t_ns`; `value`: whether the dead man's switch is held
-    ARRIVED = 2  # an axis' TPDOs had all come: `host.cycle.axes.finish_complete` at `t_ns`; `value`: why all were asked to stop
-    WINDOW = 3  # the window was over, or nothing was left to wait for: `finish_waiting`; `value` as before
+    ARRIVED = 2  # an axis' TPDOs had all come: `host.cycle.axes.finish` at `t_ns`; `value`: why all were asked to stop
+    WINDOW = 3  # the window was over, or nothing was left to wait for: `finish`, of all that wait; `value` as before
     END = 4  # the cycle is over, the safe set-points follow
 
 

@@ -6,6 +6,9 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
+from coulombus.eds.cia301 import CobId, NmtState
 from coulombus.eds.codec import PDO
 from coulombus.eds.pdo import fill
 from coulombus.eds.reader import Description
@@ -16,7 +19,21 @@ from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo, Signal, deadman_mask
 from coulombus.wire.frame import Records, new_records
 
-__all__ = ["TRIP_TEXT", "Controller"]
+__all__ = ["AXIS", "TRIP_TEXT", "Controller"]
+
+AXIS = np.dtype(
+    [
+        ("control", CONTROL),  # limits and scales
+        ("host", HOST),  # what the cycle keeps
+        ("rpdos", PDO, (DRIVE_PDOS,)),  # what the host sends
+        ("tpdos", PDO, (DRIVE_PDOS,)),  # what it waits for
+        ("motion", MOTION),  # what the law is told
+        ("law", LAW),  # its parameters
+        ("state", LAW_STATE),  # what it keeps
+    ],
+    align=True,
+)
+"""One axis as the kernels take it."""
 
 BRAKE_LAG_S = 0.02
 """Time constant with which the brake's torque is expected at the handle (coil and fluid of a typical MR brake)."""
@@ -99,9 +116,8 @@ class Controller:
 
     Attributes
     ----------
-    control, host : one-record arrays of CONTROL and HOST
-    rpdos, tpdos : PDO arrays; what the host sends, and what it waits for
-    law_function, motion, law, state : the friction law as a function pointer, and its three records
+    axis : one-record array of AXIS; `control`, `host`, `rpdos` and so on are views of its parts
+    law_function : the friction law as a function pointer
 
     Raises
     ------
@@ -119,18 +135,58 @@ class Controller:
             self.law_function: Any = load_law(rig.law.function, rig.law_directory)
         except LawError as error:
             raise rig.mistake("law.function", f"a friction law; {error}") from error
-        self.motion = new_records(MOTION)
+        self.axis = new_records(AXIS)
         self.motion["dt_s"] = rig.bus.period_s
-        self.law = self._new_law()
-        self.state = new_records(LAW_STATE)
+        self.law[:] = self._new_law()
         pdos = rig.pdos()
-        self.rpdos = self._new_pdos([pdo for pdo in pdos if pdo.layout.direction == "rpdo"])
-        self.tpdos = self._new_pdos([pdo for pdo in pdos if pdo.layout.direction == "tpdo"])
-        self.control = self._new_control(pdos)
-        self.host = new_records(HOST)
+        self.rpdos[:] = self._new_pdos([pdo for pdo in pdos if pdo.layout.direction == "rpdo"])
+        self.tpdos[:] = self._new_pdos([pdo for pdo in pdos if pdo.layout.direction == "tpdo"])
+        self.control[:] = self._new_control(pdos)
         for name in ("enabled_ns", "armed_ns", "full_gain_ns", "motor_heartbeat_ns", "brake_heartbeat_ns"):
             self.host[name] = -1
         self.host["deadman_ok"] = 1
+
+    @property
+    def control(self) -> Records:
+        """Limits and scales: an array of one record."""
+        part: Records = self.axis["control"]
+        return part
+
+    @property
+    def host(self) -> Records:
+        """What the cycle keeps: an array of one record."""
+        part: Records = self.axis["host"]
+        return part
+
+    @property
+    def rpdos(self) -> Records:
+        """PDOs that the host sends; `control.rpdos` of them are used."""
+        part: Records = self.axis["rpdos"][0]
+        return part
+
+    @property
+    def tpdos(self) -> Records:
+        """PDOs that it waits for; `control.tpdos` of them are used."""
+        part: Records = self.axis["tpdos"][0]
+        return part
+
+    @property
+    def motion(self) -> Records:
+        """What the law is told: an array of one record."""
+        part: Records = self.axis["motion"]
+        return part
+
+    @property
+    def law(self) -> Records:
+        """The law's parameters: an array of one record."""
+        part: Records = self.axis["law"]
+        return part
+
+    @property
+    def state(self) -> Records:
+        """What the law keeps: an array of one record."""
+        part: Records = self.axis["state"]
+        return part
 
     def _new_law(self) -> Records:
         mode, law = self.rig.mode[self.mode], self.rig.law
@@ -160,7 +216,7 @@ class Controller:
         control = new_records(CONTROL)
         c = control[0]
         c["period_ns"], c["window_ns"] = round(T * 1e9), round(rig.bus.tpdo_window_s * 1e9)
-        c["sync_cob_id"], c["host_id"] = 0x80, rig.host.node_id
+        c["sync_cob_id"], c["host_id"] = CobId.SYNC, rig.host.node_id
         c["motor_id"], c["brake_id"] = rig.motor.node_id, rig.brake.node_id
         c["heartbeat_ns"] = round(rig.host.heartbeat_s * 1e9)
         c["motor_heartbeat_timeout_ns"] = round(rig.motor.heartbeat_timeout_s * 1e9)
@@ -238,7 +294,7 @@ class Controller:
         """Return the identifiers of the CANopen objects of motor and brake."""
         c = self.control[0]
         nodes = (int(c["motor_id"]), int(c["brake_id"]))
-        services = {base + node for base in (0x080, 0x580, 0x600, 0x700) for node in nodes}
+        services = {base + node for base in (CobId.EMCY, CobId.SDO_TX, CobId.SDO_RX, CobId.HEARTBEAT) for node in nodes}
         return services | {
             int(pdo["cob_id"]) for pdos in (self.rpdos, self.tpdos) for pdo in pdos if pdo["cob_id"] >= 0
         }
@@ -248,7 +304,7 @@ class Controller:
         h = self.host[0]
         h["next_ns"] = h["heartbeat_due_ns"] = t_ns
         h["motor_heartbeat_ns"] = h["brake_heartbeat_ns"] = t_ns
-        h["motor_nmt"] = h["brake_nmt"] = 5
+        h["motor_nmt"] = h["brake_nmt"] = NmtState.OPERATIONAL
         h["phase"] = Phase.STILL
 
     def stop(self, trip: Trip = Trip.NONE) -> None:

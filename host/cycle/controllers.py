@@ -1,37 +1,20 @@
-"""The controllers of all axes on one bus, on arrays with one row for each axis: what `host.cycle.axes` and the data plane work on."""
+"""The controllers of all axes on one bus, on one array of AXIS records: what `host.cycle.axes` and the data plane work on."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
-from coulombus.eds.codec import PDO
-from coulombus.host.cycle.controller import Controller
-from coulombus.host.cycle.records import CONTROL, DRIVE_PDOS, HOST, Phase, SignResult, Trip
-from coulombus.host.laws.laws import LAW, LAW_STATE, MOTION, load_law
+from coulombus.eds.cia301 import CobId
+from coulombus.host.cycle.controller import AXIS, Controller
+from coulombus.host.cycle.records import Phase, SignResult, Trip
+from coulombus.host.laws.laws import load_law
 from coulombus.rigs.rig import Rig
-from coulombus.wire.frame import Records
+from coulombus.wire.frame import Records, new_records
 
-__all__ = ["SECTIONS", "Controllers", "arguments", "new_section"]
-
-SECTIONS: Mapping[str, tuple[np.dtype[Any], tuple[int, ...]]] = {
-    "control": (CONTROL, ()),
-    "host": (HOST, ()),
-    "rpdos": (PDO, (DRIVE_PDOS,)),
-    "tpdos": (PDO, (DRIVE_PDOS,)),
-    "motion": (MOTION, ()),
-    "law": (LAW, ()),
-    "state": (LAW_STATE, ()),
-}
-"""Name of an array -> its records, and its shape within one axis."""
-
-
-def new_section(name: str, axes: int) -> Records:
-    """Return the array `name` of so many axes, all zero."""
-    dtype, shape = SECTIONS[name]
-    return np.zeros((axes, *shape), dtype).view(np.recarray)
+__all__ = ["Controllers", "unused_law"]
 
 
 def unused_law() -> Any:
@@ -45,8 +28,8 @@ class Controllers:
     Attributes
     ----------
     each : tuple of Controller
-        They work on the rows of the arrays below.
-    control, host, rpdos, tpdos, motion, law, state : record arrays, the first index is the axis
+        They work on the rows of `axes`.
+    axes : array of AXIS; `control`, `host` and `rpdos` are views of its parts, the first index is the axis
     owner : int64 array of 2048, the axis of each identifier
     law_function : the compiled law, one for all axes
 
@@ -55,14 +38,6 @@ class Controllers:
     coulombus.rigs.rig.RigError
         the law, or a limit that the drive cannot take
     """
-
-    control: Records
-    host: Records
-    rpdos: Records
-    tpdos: Records
-    motion: Records
-    law: Records
-    state: Records
 
     def __init__(self, rig: Rig, mode: str) -> None:
         if len(rig.channels) > 1:
@@ -76,17 +51,36 @@ class Controllers:
         self.owner = np.zeros(2048, np.int64)
         for k, controller in enumerate(self.each):
             self.owner[list(controller.can_ids())] = k
-        self.adopt({name: new_section(name, len(self.each)) for name in SECTIONS})
+        self.adopt(new_records(AXIS, len(self.each)))
 
-    def adopt(self, arrays: Mapping[str, Records]) -> None:
-        """Go on in other arrays of the same shapes, such as shared memory: the present state is copied there."""
-        for name in SECTIONS:
-            section = arrays[name]
-            for k, controller in enumerate(self.each):
-                row = section[k : k + 1] if section.ndim == 1 else section[k]
-                row[:] = getattr(controller, name)
-                setattr(controller, name, row)
-            setattr(self, name, section)
+    def adopt(self, axes: Records) -> None:
+        """Go on in another array of the same shape, such as shared memory: the present state is copied there."""
+        for k, controller in enumerate(self.each):
+            axes[k : k + 1] = controller.axis
+            controller.axis = axes[k : k + 1]
+        self.axes = axes
+
+    @property
+    def control(self) -> Records:
+        """Limits and scales of all axes."""
+        return self.axes["control"]
+
+    @property
+    def host(self) -> Records:
+        """What the cycle keeps of all axes."""
+        return self.axes["host"]
+
+    @property
+    def rpdos(self) -> Records:
+        """PDOs that the host sends for all axes; the second index is the PDO."""
+        return self.axes["rpdos"]
+
+    @property
+    def own_identifiers(self) -> tuple[int, ...]:
+        """Identifiers of the frames that the cycle sends: SYNC, the host's heartbeat, the RPDOs."""
+        c = self.control[0]
+        rpdos = (int(pdo["cob_id"]) for one in self.each for pdo in one.rpdos if pdo["cob_id"] >= 0)
+        return (int(c["sync_cob_id"]), CobId.HEARTBEAT + int(c["host_id"]), *rpdos)
 
     def __iter__(self) -> Iterator[Controller]:
         return iter(self.each)
@@ -172,9 +166,3 @@ class Controllers:
         """Return the cycles' counters, all axes together."""
         found = [controller.counters() for controller in self.each]
         return {name: sum(one[name] for one in found) for name in found[0]}
-
-
-def arguments(controllers: Controllers) -> tuple[Any, ...]:
-    """Return the arrays in the order of `host.cycle.axes`' and the event loops' arguments."""
-    k = controllers
-    return (k.control, k.host, k.rpdos, k.tpdos, k.owner, k.law_function, k.motion, k.law, k.state)

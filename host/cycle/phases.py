@@ -1,37 +1,58 @@
 """The phases of the cycle, compiled: what arms the rig, what the law's torque becomes, and how it is made safe.
 
-    OFF -> STILL -> ENABLE -> SIGN -> SETTLE -> RUN -> SAFE -> DISABLE -> DONE
-                       any doubt, in any phase  ->  SAFE
+One function a phase: it does what the phase does in one cycle, and returns the motor's torque [Nm] before the limits, and the phase that
+follows. `host.cycle.transitions` has the table of what follows when. `enter` does what the beginning of a phase needs.
 
-`host.cycle.step` calls the function of the present phase once in a cycle; `c` is the CONTROL record, `h` the HOST record of one axis.
+    c : the CONTROL record of an axis        h : its HOST record        axis : the AXIS record, which holds both and the law
 """
 
 from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 from coulombus.compiled.decorator import kernel
-from coulombus.eds.cia402 import PowerState
-from coulombus.host.cycle.records import Phase, SignResult, Trip
+from coulombus.eds.cia402 import CONTROLWORD, CONTROLWORD_TO_ENABLE, INTERNAL_LIMIT, Command, PowerState
+from coulombus.host.cycle.records import Image, Phase, SignResult, Trip
 
-__all__ = ["arm", "count_still", "enter", "run_law", "safe", "sign_check", "still", "trip_to_safe"]
-
-ENABLE, SIGN, SETTLE = int(Phase.ENABLE), int(Phase.SIGN), int(Phase.SETTLE)
-RUN, SAFE, DISABLE = int(Phase.RUN), int(Phase.SAFE), int(Phase.DISABLE)
-SWITCHED_ON = int(PowerState.SWITCHED_ON)
-NOT_STILL, HANDLE_LOADED, ENABLE_TIMEOUT = int(Trip.NOT_STILL), int(Trip.HANDLE_LOADED), int(Trip.ENABLE_TIMEOUT)
-SIGN_NO_MOTION, SIGN_ENCODER = int(Trip.SIGN_NO_MOTION), int(Trip.SIGN_ENCODER)
-SIGN_TRANSDUCER, SIGN_TRAVEL = int(Trip.SIGN_TRANSDUCER), int(Trip.SIGN_TRAVEL)
-DEADMAN = int(Trip.DEADMAN)
-AGREED, NO_HAND, REFUSED = int(SignResult.AGREED), int(SignResult.NO_HAND), int(SignResult.REFUSED)
+__all__ = [
+    "advance",
+    "count_still",
+    "disable",
+    "enable",
+    "enter",
+    "run",
+    "safe",
+    "settle",
+    "sign_check",
+    "split_law",
+    "still",
+    "trip_to_safe",
+]
 
 STILL_COUNTS = 1
 SIGN_TRAVEL_FACTOR = 4  # the ramp ends at this multiple of the counts that the encoder's verdict needs
+SETTLE_STEPS = 5.0  # the sign check's torque is taken back so many times as fast as it came
+DISABLE_CYCLES = 100  # how long a drive may take to say that it is disabled
+
+
+def _controlwords() -> npt.NDArray[np.int64]:
+    """Controlword by phase and by the drive's state; the last column is for a statusword of no state (-1)."""
+    table = np.zeros((len(Phase), len(PowerState) + 1), np.int64)
+    table[[Phase.STILL, Phase.ENABLE], :-1] = CONTROLWORD_TO_ENABLE
+    table[Phase.STILL, PowerState.SWITCHED_ON] = CONTROLWORD[Command.SWITCH_ON]  # and no further
+    table[Phase.SIGN : Phase.DISABLE, PowerState.OPERATION_ENABLED] = CONTROLWORD[Command.ENABLE_OPERATION]
+    return table
+
+
+CONTROLWORDS = _controlwords()
+"""``CONTROLWORDS[phase, state of the drive]``: what the host sends; 0, disable voltage, wherever it does not want the drive enabled."""
 
 
 @kernel
-def enter(h: Any, phase: int) -> None:
-    """Begin a phase."""
+def _begin(h: Any, phase: int) -> None:
     h.phase = phase
     h.phase_cycle = 0
     h.reference_counts = h.counts
@@ -39,16 +60,39 @@ def enter(h: Any, phase: int) -> None:
 
 
 @kernel
+def enter(axis: Any, phase: int, t_ns: int) -> None:
+    """Begin a phase other than SAFE."""
+    c, h, state = axis.control, axis.host, axis.state
+    if phase == Phase.SIGN:
+        h.sign_direction = 1
+    elif phase == Phase.RUN:  # stuck where the handle is, the gain at 0
+        state.stuck = 1
+        state.x_stuck = h.counts * c.rad_count
+        state.psi_Nm = 0.0
+        state.brake_Nm = 0.0
+        h.gain = 0.0
+        h.armed_ns = t_ns
+    _begin(h, phase)
+
+
+@kernel
 def trip_to_safe(c: Any, h: Any, trip: int, t_ns: int) -> None:
     """Go to the safe state; only the first reason counts."""
-    if h.phase >= SAFE:
+    if h.phase >= Phase.SAFE:
         return
-    if h.phase == SIGN:
-        h.sign_result = REFUSED
+    if h.phase == Phase.SIGN:
+        h.sign_result = SignResult.REFUSED
     h.trip = trip
     h.trip_ns = t_ns
     h.safe_from_Nm = min(h.brake_Nm, c.safe_brake_Nm)
-    enter(h, SAFE)
+    _begin(h, Phase.SAFE)
+
+
+@kernel
+def _refuse(h: Any, trip: int) -> tuple[float, int]:
+    """Leave a phase for the safe state, for the reason `trip`."""
+    h.trip = trip
+    return 0.0, Phase.SAFE
 
 
 @kernel
@@ -62,8 +106,8 @@ def count_still(h: Any) -> None:
 
 
 @kernel
-def still(c: Any, h: Any, state: int, t_ns: int) -> None:
-    """Wait, switched on and without torque, until the handle has been still and little loaded for long enough."""
+def still(c: Any, h: Any) -> tuple[float, int]:
+    """STILL: wait, switched on and without torque, until the handle has been still and little loaded for long enough."""
     count_still(h)
     loaded = abs(h.handle_Nm) > c.still_handle_Nm
     if loaded or h.still == 0:
@@ -72,51 +116,49 @@ def still(c: Any, h: Any, state: int, t_ns: int) -> None:
         h.handle_samples = 0
     h.handle_before_Nm += h.handle_Nm
     h.handle_samples += 1
-    if h.still >= c.still_cycles and state == SWITCHED_ON and h.deadman_ok:
+    if h.still >= c.still_cycles and h.drive == PowerState.SWITCHED_ON and h.deadman_ok:
         h.handle_before_Nm /= h.handle_samples
-        enter(h, ENABLE)
-    elif h.phase_cycle > c.still_timeout_cycles:
-        if state != SWITCHED_ON:
-            trip_to_safe(c, h, ENABLE_TIMEOUT, t_ns)
-        elif h.still >= c.still_cycles:
-            trip_to_safe(c, h, DEADMAN, t_ns)
-        else:
-            trip_to_safe(c, h, HANDLE_LOADED if loaded else NOT_STILL, t_ns)
+        return 0.0, Phase.ENABLE
+    if h.phase_cycle > c.still_timeout_cycles:
+        if h.drive != PowerState.SWITCHED_ON:
+            return _refuse(h, Trip.ENABLE_TIMEOUT)
+        if h.still >= c.still_cycles:
+            return _refuse(h, Trip.DEADMAN)
+        return _refuse(h, Trip.HANDLE_LOADED if loaded else Trip.NOT_STILL)
+    return 0.0, Phase.STILL
 
 
 @kernel
-def arm(c: Any, h: Any, law: Any, t_ns: int) -> None:
-    """Begin with the law: stuck where the handle is, its gain at 0."""
-    law.stuck = 1
-    law.x_stuck = h.counts * c.rad_count
-    law.psi_Nm = 0.0
-    law.brake_Nm = 0.0
-    h.gain = 0.0
-    h.armed_ns = t_ns
-    enter(h, RUN)
+def enable(c: Any, h: Any, t_ns: int) -> tuple[float, int]:
+    """ENABLE: wait until the drive says that it is enabled; a mode with a motor goes on with the sign check."""
+    if h.drive == PowerState.OPERATION_ENABLED:
+        h.enabled_ns = t_ns
+        h.torque_Nm = 0.0
+        return 0.0, Phase.SIGN if c.sign_check else Phase.RUN
+    if h.phase_cycle > c.enable_timeout_cycles:
+        return _refuse(h, Trip.ENABLE_TIMEOUT)
+    return 0.0, Phase.ENABLE
 
 
 @kernel
-def sign_check(c: Any, h: Any, t_ns: int) -> float:
-    """Ramp a small motor torque until the handle moves: the encoder must count with it, the hand must resist.
+def sign_check(c: Any, h: Any) -> tuple[float, int]:
+    """SIGN: ramp a small motor torque until the handle moves: the encoder must count with it, the hand must resist.
 
-    Returns the motor's torque [Nm]. The encoder's verdict falls at `sign_counts`; the ramp goes on to a few times that, so that the hand's
+    The encoder's verdict falls at `sign_counts`; the ramp goes on to a few times that, so that the hand's
     mean torque over `sign_hand_cycles` (a tremor's period) tells the transducer's sign. The positive sense is tried first. A hand that rests
     on the handle may hold it by friction against that; then the negative sense is tried, and nothing that moves before the torque has
     turned its sign is evidence.
     """
-    u = h.motor_Nm * h.sign_direction  # torque in the sense that is tried
+    u = h.torque_Nm * h.sign_direction  # torque in the sense that is tried
     if u < 0.0:
         h.reference_counts = h.counts
     moved = (h.counts - h.reference_counts) * h.sign_direction
     if c.rad_count < 0.0:
         moved = -moved
     if abs(moved) > c.sign_travel_counts:
-        trip_to_safe(c, h, SIGN_TRAVEL, t_ns)
-        return 0.0
+        return _refuse(h, Trip.SIGN_TRAVEL)
     if moved <= -c.sign_counts:
-        trip_to_safe(c, h, SIGN_ENCODER, t_ns)
-        return 0.0
+        return _refuse(h, Trip.SIGN_ENCODER)
     limit = min(c.sign_torque_Nm, c.motor_limit_pm * abs(c.Nm_pm))
     if moved < SIGN_TRAVEL_FACTOR * c.sign_counts and u < limit:
         u = min(u + c.sign_step_Nm, limit)
@@ -127,36 +169,49 @@ def sign_check(c: Any, h: Any, t_ns: int) -> float:
             h.still += 1
             if h.still > c.sign_hand_cycles:
                 if h.sign_direction < 0:
-                    trip_to_safe(c, h, SIGN_NO_MOTION, t_ns)
-                    return 0.0
+                    return _refuse(h, Trip.SIGN_NO_MOTION)
                 h.sign_direction = -1
                 h.still = 0
-                return u
-        return u * h.sign_direction
+                return u, Phase.SIGN
+        return u * h.sign_direction, Phase.SIGN
     h.handle_during_Nm += h.handle_Nm
     h.handle_samples += 1
     if h.handle_samples < c.sign_hand_cycles:
-        return u * h.sign_direction
+        return u * h.sign_direction, Phase.SIGN
     change = (h.handle_during_Nm / h.handle_samples - h.handle_before_Nm) * h.sign_direction
     if change > c.sign_hand_Nm:
-        trip_to_safe(c, h, SIGN_TRANSDUCER, t_ns)
-        return 0.0
-    h.sign_result = AGREED if change < -c.sign_hand_Nm else NO_HAND
-    enter(h, SETTLE)
-    return u * h.sign_direction
+        return _refuse(h, Trip.SIGN_TRANSDUCER)
+    h.sign_result = SignResult.AGREED if change < -c.sign_hand_Nm else SignResult.NO_HAND
+    return u * h.sign_direction, Phase.SETTLE
 
 
 @kernel
-def run_law(c: Any, h: Any, psi: float, law: Any) -> float:
-    """Split the law by mode: the brake bears it, or the motor shows it; the motor compensates the inherent friction in slip."""
+def settle(c: Any, h: Any) -> tuple[float, int]:
+    """SETTLE: take the sign check's torque back, and wait until the handle is still."""
+    count_still(h)
+    torque_Nm = max(abs(h.torque_Nm) - SETTLE_STEPS * c.sign_step_Nm, 0.0) * h.sign_direction
+    if torque_Nm == 0.0 and h.still >= c.settle_cycles:
+        return torque_Nm, Phase.RUN
+    if h.phase_cycle > c.still_timeout_cycles:
+        return _refuse(h, Trip.NOT_STILL)
+    return torque_Nm, Phase.SETTLE
+
+
+@kernel
+def split_law(axis: Any) -> float:
+    """Split the law by mode: the brake bears it, or the motor shows it; the motor compensates the inherent friction in slip.
+
+    Returns the motor's torque [Nm].
+    """
+    c, h = axis.control, axis.host
     h.gain = min(h.gain + c.gain_step, 1.0)
-    torque = 0.0
+    torque_Nm = 0.0
     if abs(h.v_counts) > c.velocity_band_counts:
-        torque = c.compensation_Nm if h.v_counts * c.rad_count > 0.0 else -c.compensation_Nm
+        torque_Nm = c.compensation_Nm if h.v_counts * c.rad_count > 0.0 else -c.compensation_Nm
     if c.motor_active:
-        torque -= psi
+        torque_Nm -= axis.state.psi_Nm
     if c.brake_active:
-        setpoint = law.brake_Nm
+        setpoint = axis.state.brake_Nm
         if not setpoint >= 0.0:  # negative or NaN
             h.negative_setpoints += 1
             setpoint = 0.0
@@ -165,20 +220,92 @@ def run_law(c: Any, h: Any, psi: float, law: Any) -> float:
             if h.brake_Nm > c.brake_limit_Nm + c.brake_Nm_raw:  # less than a count is rounding
                 h.clipped_setpoints += 1
             h.brake_Nm = c.brake_limit_Nm
-    return h.gain * torque
+    return h.gain * torque_Nm
 
 
 @kernel
-def safe(c: Any, h: Any) -> None:
-    """Motor torque is 0 already; hold the brake until the handle is still, then ramp it off, then disable."""
+def run(axis: Any, law_function: Any, t_ns: int) -> tuple[float, int]:
+    """RUN: ask the law, and split what it returns between motor and brake."""
+    c, h, motion, state = axis.control, axis.host, axis.motion, axis.state
+    motion.x_rad = h.counts * c.rad_count
+    motion.v_counts = h.v_counts * (1.0 if c.rad_count > 0.0 else -1.0)
+    motion.v_rad_s = h.v_counts * c.rad_count * 1e9 / c.period_ns
+    motion.handle_Nm = h.handle_Nm
+    psi_Nm = law_function(motion, axis.law, state)
+    if psi_Nm != psi_Nm or state.brake_Nm != state.brake_Nm:  # not a number
+        return _refuse(h, Trip.LAW)
+    state.psi_Nm = psi_Nm
+    torque_Nm = split_law(axis)
+    if h.full_gain_ns < 0 and h.gain >= 1.0:
+        h.full_gain_ns = t_ns
+    if h.image[Image.STATUSWORD] & INTERNAL_LIMIT:
+        h.limited_by_drive += 1
+    return torque_Nm, Phase.RUN
+
+
+@kernel
+def safe(c: Any, h: Any) -> tuple[float, int]:
+    """SAFE: no motor torque; hold the brake until the handle is still, then ramp it off."""
     if h.ramp_cycle == 0:
         h.brake_Nm = h.safe_from_Nm
         still = h.fresh and abs(h.v_counts) <= STILL_COUNTS and h.phase_cycle > 1
         if still or h.phase_cycle >= c.safe_hold_cycles or h.safe_from_Nm == 0.0:
             h.ramp_cycle = 1
-        return
+        return 0.0, Phase.SAFE
     left = c.safe_ramp_cycles - h.ramp_cycle
     h.ramp_cycle += 1
     h.brake_Nm = h.safe_from_Nm * max(left, 0) / c.safe_ramp_cycles
-    if left <= 0:
-        enter(h, DISABLE)
+    return 0.0, Phase.DISABLE if left <= 0 else Phase.SAFE
+
+
+@kernel
+def disable(h: Any) -> tuple[float, int]:
+    """DISABLE: no torque; wait until the drive says that it is disabled, but not for ever."""
+    h.brake_Nm = 0.0
+    disabled = h.drive == PowerState.SWITCH_ON_DISABLED or h.drive == PowerState.FAULT
+    return 0.0, Phase.DONE if disabled or h.phase_cycle > DISABLE_CYCLES else Phase.DISABLE
+
+
+@kernel
+def _act(axis: Any, law_function: Any, t_ns: int) -> tuple[float, int]:
+    """Do what the present phase does in a cycle, its controlword included; return the motor's torque [Nm] and the phase that follows."""
+    c, h = axis.control, axis.host
+    h.image[Image.CONTROLWORD] = CONTROLWORDS[h.phase, h.drive]
+    if h.phase == Phase.STILL:
+        return still(c, h)
+    if h.phase == Phase.ENABLE:
+        return enable(c, h, t_ns)
+    if h.phase == Phase.SIGN:
+        return sign_check(c, h)
+    if h.phase == Phase.SETTLE:
+        return settle(c, h)
+    if h.phase == Phase.RUN:
+        return run(axis, law_function, t_ns)
+    if h.phase == Phase.SAFE:
+        return safe(c, h)
+    if h.phase == Phase.DISABLE:
+        return disable(h)
+    h.brake_Nm = 0.0  # OFF, DONE
+    return 0.0, h.phase
+
+
+@kernel
+def advance(axis: Any, law_function: Any, doubt: int, t_ns: int) -> float:
+    """Bring the axis' phase on by a cycle; return the motor's torque [Nm] before the limits.
+
+    A doubt (or the wish to stop) makes the axis safe in this very cycle, whether a watch has it or the phase itself; only the first reason
+    counts.
+    """
+    c, h = axis.control, axis.host
+    if doubt != Trip.NONE or h.stop != 0:
+        trip_to_safe(c, h, doubt, t_ns)
+    h.phase_cycle += 1
+    torque_Nm, following = _act(axis, law_function, t_ns)
+    if following == Phase.SAFE and h.phase < Phase.SAFE:
+        trip_to_safe(c, h, h.trip, t_ns)
+        torque_Nm, following = _act(axis, law_function, t_ns)
+    if following != h.phase:
+        enter(axis, following, t_ns)
+    if h.enabled_ns >= 0 and h.phase < Phase.SAFE:
+        h.display_cycles += 1
+    return torque_Nm

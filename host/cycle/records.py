@@ -196,9 +196,10 @@ HOST = np.dtype(
         ("reference_counts", np.int64),  # of the phase: where the handle was still, where the sign check began
         ("v_counts", np.float64),
         ("handle_Nm", np.float64),
+        ("drive", np.int64),  # PowerState that the statusword tells; -1: none
         # commanded
         ("gain", np.float64),
-        ("motor_Nm", np.float64),
+        ("torque_Nm", np.float64),  # the motor's
         ("brake_Nm", np.float64),
         ("brake_lagged_Nm", np.float64),
         ("safe_from_Nm", np.float64),

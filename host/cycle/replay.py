@@ -24,13 +24,13 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.host.cycle import axes
-from coulombus.host.cycle.controllers import Controllers, arguments
+from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.records import Trip
 from coulombus.recording.trace import EVENT, Event, Moment
 from coulombus.wire.clock import CLOCK_FIELDS, bus_ns, own_ns, set_clock
 from coulombus.wire.frame import CAN_ERR_FLAG, Records, new_queue, new_records
 
-__all__ = ["Inputs", "Sent", "own_identifiers", "replay"]
+__all__ = ["Inputs", "Sent", "replay"]
 
 FOREVER_NS = 1 << 62
 AHEAD = 4096
@@ -67,13 +67,6 @@ class Inputs:
         return self.trace.dtype == EVENT
 
 
-def own_identifiers(controllers: Controllers) -> tuple[int, ...]:
-    """Return the identifiers of the frames that the cycle sends: SYNC, the host's heartbeat, the RPDOs."""
-    c = controllers.control[0]
-    rpdos = (int(pdo["cob_id"]) for one in controllers for pdo in one.rpdos if pdo["cob_id"] >= 0)
-    return (int(c["sync_cob_id"]), 0x700 + int(c["host_id"]), *rpdos)
-
-
 def replay(controllers: Controllers, inputs: Inputs) -> Iterator[Sent]:
     """Yield the frames that new `controllers` send on these inputs, until the trace ends (virtual time: for ever)."""
     run = _Replay(controllers, inputs)
@@ -84,12 +77,8 @@ class _Replay:
     def __init__(self, controllers: Controllers, inputs: Inputs) -> None:
         self.k = controllers
         self.clock = new_records(np.dtype(CLOCK_FIELDS))[0]
-        control, host, rpdos, tpdos, owner, *law = arguments(controllers)
         self.out = new_queue()
-        self.host, self.both = host, (control, host)
-        self.receiving = (control, host, tpdos, owner)
-        self.finishing = (control, host, rpdos, *law)
-        self.sending = (control, host, rpdos)
+        self.axes, self.host, self.law_function = controllers.axes, controllers.host, controllers.law_function
         self.frames = inputs.frames[["t_ns", "can_id", "length", "word"]]
         self.row = self.first = 0
         self.ahead: list[tuple[int, ...]] = []
@@ -107,11 +96,7 @@ class _Replay:
         self.row += 1
         if frame[1] & CAN_ERR_FLAG:  # the loop looks at these, the step does not
             return 0
-        return int(axes.on_frame(*self.receiving, int(own_ns(self.clock, frame[0])), *frame[1:]))
-
-    def _at(self, t_ns: int) -> tuple[Any, ...]:
-        """Return the arguments of what finishes a cycle."""
-        return (*self.finishing, t_ns, self.out)
+        return int(axes.on_frame(self.axes, self.k.owner, int(own_ns(self.clock, frame[0])), *frame[1:]))
 
     def _sent(self, cycle: int, until_ns: int = FOREVER_NS, refusable: int = 0) -> Iterator[Sent]:
         count = int(self.out["count"])
@@ -140,21 +125,14 @@ class _Replay:
                 self.host["position_age"] += (t_ns - due_ns) // period_ns - 1
                 due_ns, refused_before = t_ns, refused
                 self.host["deadman_ok"] = value
-                axes.begin(*self.both, t_ns, self.out)
+                axes.begin(self.axes, t_ns, self.out)
             elif kind == Moment.END:
-                axes.safe_setpoints(*self.sending, t_ns, self.out)
+                axes.safe_setpoints(self.axes, t_ns, self.out)
             else:
                 if value:
-                    self._stop(value)
-                finish = axes.finish_complete if kind == Moment.ARRIVED else axes.finish_waiting
-                finish(*self._at(t_ns))
+                    axes.ask_to_stop(self.axes, value)
+                axes.finish(self.axes, self.law_function, t_ns, int(kind == Moment.WINDOW), self.out)
             yield from self._sent(cycle, until_ns, later - refused_before)
-
-    def _stop(self, reason: int) -> None:
-        """Ask all axes to stop, as the loop does: the first reason counts."""
-        for h in self.host:
-            if h["stop"] < reason and h["stop"] <= 1:
-                h["stop"] = reason
 
     def in_virtual_time(self, events: npt.NDArray[Any]) -> Iterator[Sent]:
         """Do what the kernel of `sim_bus.network.kernel` did: at one instant first what arrives, then the host."""
@@ -167,9 +145,9 @@ class _Replay:
                     return  # the recording ends before
                 now_ns = int(own_ns(self.clock, min(arrives_ns, due_ns)))
                 if due_ns < arrives_ns:
-                    axes.on_time(*self._at(now_ns))
+                    axes.on_time(self.axes, self.law_function, now_ns, self.out)
                 elif self._feed() == 1 and running:
-                    axes.finish_complete(*self._at(now_ns))
+                    axes.finish(self.axes, self.law_function, now_ns, 0, self.out)
                 for sent in self._sent(int(self.host["cycle"][0])):
                     yield sent._replace(t_ns=int(bus_ns(self.clock, sent.t_ns)))
             if kind == Event.START:

@@ -3,6 +3,8 @@
 A cycle is: `begin` (SYNC) - `on_frame` for what arrives - `finish` (measure, watch, phase, law, limits, RPDOs), each for one axis. `host.cycle.axes`
 calls them for all axes of a bus, `host.cycle.phases` has what a phase does.
 
+    c : the CONTROL record of an axis        h : its HOST record        axis : the AXIS record, which holds both, its PDOs and the law
+
 Safety that lives here: the brake's set-point is never negative and never becomes motor torque; the motor's torque is limited in
 size, rate and per mille, is never accelerating near the speed limit, and is 0 when stale; arming is refused unless the handle is still,
 little loaded, and motor, encoder and transducer agree on the sign.
@@ -13,67 +15,53 @@ from __future__ import annotations
 from typing import Any
 
 from coulombus.compiled.decorator import kernel
-from coulombus.eds.cia402 import CONTROLWORD_TO_ENABLE, INTERNAL_LIMIT, STATE_OF_STATUSWORD, PowerState
+from coulombus.eds.cia301 import CobId, NmtState
 from coulombus.eds.codec import pack, unpack
-from coulombus.host.cycle.phases import arm, count_still, enter, run_law, safe, sign_check, still, trip_to_safe
+from coulombus.host.cycle.phases import advance
 from coulombus.host.cycle.records import Image, Phase, Trip
-from coulombus.host.cycle.watch import measure, watch_devices, watch_motion
+from coulombus.host.cycle.watch import measure, watch
 from coulombus.wire.frame import push
 
-__all__ = ["SOURCE_HOST", "begin", "finish", "on_frame"]
+__all__ = ["SOURCE_HOST", "begin", "brake_raw", "finish", "limit_torque", "on_frame", "send"]
 
 SOURCE_HOST = -1
 """Station number of the host in a queue and in a log."""
 
-NONE, LAW = int(Trip.NONE), int(Trip.LAW)
-OFF, STILL, ENABLE, SIGN = int(Phase.OFF), int(Phase.STILL), int(Phase.ENABLE), int(Phase.SIGN)
-SETTLE, RUN, SAFE, DISABLE, DONE = (
-    int(Phase.SETTLE),
-    int(Phase.RUN),
-    int(Phase.SAFE),
-    int(Phase.DISABLE),
-    int(Phase.DONE),
-)
-CONTROLWORD, TARGET_TORQUE = int(Image.CONTROLWORD), int(Image.TARGET_TORQUE)
-BRAKE_SETPOINT, STATUSWORD = int(Image.BRAKE_SETPOINT), int(Image.STATUSWORD)
-SWITCHED_ON, OPERATION_ENABLED = int(PowerState.SWITCHED_ON), int(PowerState.OPERATION_ENABLED)
-FAULT = int(PowerState.FAULT)
-SWITCH_ON_DISABLED = int(PowerState.SWITCH_ON_DISABLED)
-EMCY_MOTOR, EMCY_BRAKE = int(Trip.EMCY_MOTOR), int(Trip.EMCY_BRAKE)
-NOT_STILL, ENABLE_TIMEOUT = int(Trip.NOT_STILL), int(Trip.ENABLE_TIMEOUT)
-DEADMAN, DRIVE_STATE = int(Trip.DEADMAN), int(Trip.DRIVE_STATE)
-
-SWITCH_ON_WORD = 0x07
-ENABLE_WORD = 0x0F
-DISABLE_CYCLES = 100  # how long a drive may take to say that it is disabled
 SPEED_TAPER = 0.8  # above this share of the speed limit the motor may only brake
 
 
 @kernel
-def _limit_motor(c: Any, h: Any, wanted: float) -> float:
-    """Return the motor torque [Nm] that may be sent: 0 when stale or not a number, then rate, speed and size."""
-    if h.position_age > 1:
+def limit_torque(c: Any, h: Any, torque_Nm: float) -> float:
+    """Return the motor torque [Nm] that may be sent: 0 outside the phases that show torque, when stale or not a number; then rate, speed and size."""
+    if h.phase < Phase.SIGN or h.phase > Phase.RUN or h.position_age > 1:
         return 0.0
-    if wanted != wanted:
+    if torque_Nm != torque_Nm:
         h.clipped_torque += 1
         return 0.0
-    limit, count = c.motor_limit_pm * abs(c.Nm_pm), abs(c.Nm_pm)
-    if abs(wanted) > limit + count:  # less than a count is rounding
+    limit_Nm, count_Nm = c.motor_limit_pm * abs(c.Nm_pm), abs(c.Nm_pm)
+    if abs(torque_Nm) > limit_Nm + count_Nm:  # less than a count is rounding
         h.clipped_torque += 1
-    torque = min(max(wanted, h.motor_Nm - c.motor_rate_Nm), h.motor_Nm + c.motor_rate_Nm)
+    limited_Nm = min(max(torque_Nm, h.torque_Nm - c.motor_rate_Nm), h.torque_Nm + c.motor_rate_Nm)
     v = h.v_counts * c.rad_count * 1e9 / c.period_ns
-    if abs(v) > SPEED_TAPER * c.speed_limit and torque * v > 0.0:
-        torque = 0.0
-    torque = min(max(torque, -limit), limit)
-    if h.phase == RUN and abs(torque - min(max(wanted, -limit), limit)) > count:
+    if abs(v) > SPEED_TAPER * c.speed_limit and limited_Nm * v > 0.0:
+        limited_Nm = 0.0
+    limited_Nm = min(max(limited_Nm, -limit_Nm), limit_Nm)
+    if h.phase == Phase.RUN and abs(limited_Nm - min(max(torque_Nm, -limit_Nm), limit_Nm)) > count_Nm:
         h.slowed_torque += 1
-    return torque
+    return limited_Nm
 
 
 @kernel
-def begin(c: Any, h: Any, t_ns: int, out: Any) -> None:
+def brake_raw(c: Any, h: Any) -> int:
+    """Return the brake's set-point in counts: unsigned, without a wrap, within what its object takes."""
+    return min(max(round(h.brake_Nm / c.brake_Nm_raw), 0), c.brake_limit_raw)
+
+
+@kernel
+def begin(axis: Any, t_ns: int, out: Any) -> None:
     """Begin the cycle that is due at `t_ns`: count what the last one lost, send SYNC (and the host's heartbeat when due)."""
-    if h.cycle > 0 and h.phase < SAFE and h.arrived != (1 << c.tpdos) - 1:
+    c, h = axis.control, axis.host
+    if h.cycle > 0 and h.phase < Phase.SAFE and h.arrived != (1 << c.tpdos) - 1:
         h.lost_pdos += 1
     h.arrived = 0
     h.waiting = 1
@@ -85,25 +73,27 @@ def begin(c: Any, h: Any, t_ns: int, out: Any) -> None:
     push(out, SOURCE_HOST, t_ns, c.sync_cob_id, 0, 0)
     if c.heartbeat_ns > 0 and t_ns >= h.heartbeat_due_ns:
         h.heartbeat_due_ns = t_ns + c.heartbeat_ns
-        push(out, SOURCE_HOST, t_ns, 0x700 + c.host_id, 1, 5)
+        push(out, SOURCE_HOST, t_ns, CobId.HEARTBEAT + c.host_id, 1, NmtState.OPERATIONAL)
 
 
 @kernel
-def on_frame(c: Any, h: Any, tpdos: Any, t_ns: int, can_id: int, length: int, data: int) -> int:
+def on_frame(axis: Any, t_ns: int, can_id: int, length: int, data: int) -> int:
     """Take a frame from the bus; return 1 when it completes this cycle's TPDOs, 2 when the control plane wants it, else 0."""
-    for i in range(c.tpdos):
-        if tpdos[i].cob_id == can_id:
-            if length != tpdos[i].length:
+    c, h = axis.control, axis.host
+    for k in range(c.tpdos):
+        pdo = axis.tpdos[k]
+        if pdo.cob_id == can_id:
+            if length != pdo.length:
                 h.malformed_pdos += 1
                 return 0
-            unpack(tpdos[i], data, h.image)
-            h.arrived |= 1 << i
+            unpack(pdo, data, h.image)
+            h.arrived |= 1 << k
             return 1 if h.waiting and h.arrived == (1 << c.tpdos) - 1 else 0
     function, node = can_id & 0x780, can_id & 0x7F
     if can_id > 0x7FF:
         h.stray_frames += 1
         return 0
-    if function == 0x700 and length == 1:
+    if function == CobId.HEARTBEAT and length == 1:
         state = data & 0x7F
         known = False
         if node == c.motor_id:
@@ -115,12 +105,12 @@ def on_frame(c: Any, h: Any, tpdos: Any, t_ns: int, can_id: int, length: int, da
             h.brake_nmt = state
             h.brake_heartbeat_ns = t_ns
         return 0 if known else 2
-    if function == 0x580:
+    if function == CobId.SDO_TX:
         return 2
-    if function == 0x080 and length == 8 and (node == c.motor_id or node == c.brake_id):
+    if function == CobId.EMCY and length == 8 and (node == c.motor_id or node == c.brake_id):
         code = data & 0xFFFF
-        if code != 0 and h.emcy == NONE:
-            h.emcy = EMCY_MOTOR if node == c.motor_id else EMCY_BRAKE
+        if code != 0 and h.emcy == Trip.NONE:
+            h.emcy = Trip.EMCY_MOTOR if node == c.motor_id else Trip.EMCY_BRAKE
             h.emcy_code = code
         return 2
     h.stray_frames += 1
@@ -128,100 +118,34 @@ def on_frame(c: Any, h: Any, tpdos: Any, t_ns: int, can_id: int, length: int, da
 
 
 @kernel
-def finish(
-    c: Any, h: Any, rpdos: Any, law_function: Any, motion: Any, law: Any, state: Any, t_ns: int, out: Any
-) -> None:
-    """Finish the cycle at `t_ns`: measure, watch, advance the phase, ask the law, limit, and send the RPDOs."""
+def _close(c: Any, h: Any, t_ns: int) -> None:
+    """End the window for this cycle's TPDOs: count a cycle that is late or that lacks one."""
     h.waiting = 0
     h.next_ns = h.sync_ns + c.period_ns
     if t_ns > h.next_ns:
         h.missed_deadlines += 1
     complete = h.arrived == (1 << c.tpdos) - 1
     h.missed_in_a_row = 0 if complete else h.missed_in_a_row + 1
-    drive = STATE_OF_STATUSWORD[h.image[STATUSWORD] & 0x7F]
 
-    trip = measure(c, h)
-    if trip == NONE:
-        trip = watch_motion(c, h)
-    if trip == NONE:
-        trip = watch_devices(c, h, t_ns)
-    if trip == NONE and ENABLE < h.phase < SAFE and drive != OPERATION_ENABLED:
-        trip = DRIVE_STATE
-    if c.deadman_slot >= 0:
-        switch = h.image[c.deadman_slot]
-        held = switch != 0 if c.deadman_mask == 0 else switch & c.deadman_mask == c.deadman_mask
-        h.deadman_ok = 1 if held else 0
-    if trip == NONE and not h.deadman_ok and h.phase > STILL:
-        trip = DEADMAN
-    if trip == NONE and h.stop > 1:
-        trip = h.stop
-    if trip != NONE or (h.stop != 0 and h.phase < SAFE):
-        trip_to_safe(c, h, trip, t_ns)
 
-    wanted = 0.0
-    h.phase_cycle += 1
-    controlword = CONTROLWORD_TO_ENABLE[drive] if drive >= 0 else 0
-    if h.phase == STILL:
-        if drive == SWITCHED_ON:
-            controlword = SWITCH_ON_WORD
-        still(c, h, drive, t_ns)
-    elif h.phase == ENABLE:
-        if drive == OPERATION_ENABLED:
-            h.enabled_ns = t_ns
-            h.motor_Nm = 0.0
-            if c.sign_check:
-                h.sign_direction = 1
-                enter(h, SIGN)
-            else:
-                arm(c, h, state, t_ns)
-        elif h.phase_cycle > c.enable_timeout_cycles:
-            trip_to_safe(c, h, ENABLE_TIMEOUT, t_ns)
-    elif h.phase == SIGN:
-        wanted = sign_check(c, h, t_ns)
-    elif h.phase == SETTLE:
-        count_still(h)
-        wanted = max(abs(h.motor_Nm) - 5.0 * c.sign_step_Nm, 0.0) * h.sign_direction
-        if wanted == 0.0 and h.still >= c.settle_cycles:
-            arm(c, h, state, t_ns)
-        elif h.phase_cycle > c.still_timeout_cycles:
-            trip_to_safe(c, h, NOT_STILL, t_ns)
-    elif h.phase == RUN:
-        motion.x_rad = h.counts * c.rad_count
-        motion.v_counts = h.v_counts * (1.0 if c.rad_count > 0.0 else -1.0)
-        motion.v_rad_s = h.v_counts * c.rad_count * 1e9 / c.period_ns
-        motion.handle_Nm = h.handle_Nm
-        psi = law_function(motion, law, state)
-        if psi == psi and state.brake_Nm == state.brake_Nm:
-            state.psi_Nm = psi
-            wanted = run_law(c, h, psi, state)
-            if h.full_gain_ns < 0 and h.gain >= 1.0:
-                h.full_gain_ns = t_ns
-            if h.image[STATUSWORD] & INTERNAL_LIMIT:
-                h.limited_by_drive += 1
-        else:  # not a number
-            trip_to_safe(c, h, LAW, t_ns)
+@kernel
+def send(axis: Any, t_ns: int, out: Any) -> None:
+    """Send the RPDOs: torque and brake in raw counts, beside the controlword of the phase."""
+    c, h = axis.control, axis.host
+    h.image[Image.TARGET_TORQUE] = round(h.torque_Nm / c.Nm_pm)
+    h.image[Image.BRAKE_SETPOINT] = brake_raw(c, h)
+    for k in range(c.rpdos):
+        pdo = axis.rpdos[k]
+        push(out, SOURCE_HOST, t_ns, pdo.cob_id, pdo.length, pack(pdo, h.image))
 
-    if h.enabled_ns >= 0 and h.phase < SAFE:
-        h.display_cycles += 1
-    if SIGN <= h.phase <= RUN:
-        controlword = ENABLE_WORD
-        h.motor_Nm = _limit_motor(c, h, wanted)
-    else:
-        h.motor_Nm = 0.0
-        if h.phase == SAFE:
-            controlword = ENABLE_WORD if drive == OPERATION_ENABLED else 0
-            safe(c, h)
-        elif h.phase == DISABLE or h.phase == DONE or h.phase == OFF:
-            controlword = 0
-            h.brake_Nm = 0.0
-            disabled = drive in (SWITCH_ON_DISABLED, FAULT)
-            if h.phase == DISABLE and (disabled or h.phase_cycle > DISABLE_CYCLES):
-                enter(h, DONE)
 
-    h.image[CONTROLWORD] = controlword
-    h.image[TARGET_TORQUE] = round(h.motor_Nm / c.Nm_pm)
-    h.image[BRAKE_SETPOINT] = min(
-        max(round(h.brake_Nm / c.brake_Nm_raw), 0), c.brake_limit_raw
-    )  # unsigned, and no wrap
-    for i in range(c.rpdos):
-        push(out, SOURCE_HOST, t_ns, rpdos[i].cob_id, rpdos[i].length, pack(rpdos[i], h.image))
+@kernel
+def finish(axis: Any, law_function: Any, t_ns: int, out: Any) -> None:
+    """Finish the cycle at `t_ns`: measure, watch, advance the phase (which asks the law), limit, and send the RPDOs."""
+    c, h = axis.control, axis.host
+    _close(c, h, t_ns)
+    jump = measure(c, h)
+    doubt = watch(c, h, jump, t_ns)
+    torque_Nm = advance(axis, law_function, doubt, t_ns)
+    h.torque_Nm = limit_torque(c, h, torque_Nm)
+    send(axis, t_ns, out)

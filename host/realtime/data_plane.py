@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from coulombus.host.cycle.controllers import SECTIONS, Controllers
+from coulombus.eds.cia301 import CobId
+from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.records import Trip
 from coulombus.host.errors import HostError
 from coulombus.host.realtime.loop import take_log, take_trace
@@ -75,7 +76,7 @@ def rig_filters(controllers: Controllers) -> tuple[tuple[int, int], ...]:
     So a flood of foreign frames ends at the bus (or in Linux's CAN core) and costs the cycle nothing.
     """
     c = controllers.control[0]
-    wanted = {0x000, int(c["sync_cob_id"]), 0x700 + int(c["host_id"])}
+    wanted = {int(CobId.NMT), int(c["sync_cob_id"]), CobId.HEARTBEAT + int(c["host_id"])}
     for controller in controllers:
         wanted |= controller.can_ids()
     return tuple((can_id, CAN_SFF_EXACT) for can_id in sorted(wanted))
@@ -110,7 +111,7 @@ class DataPlane:
         self._client = Client(address, Hello(Flags.ERRORS, rig_filters(controllers)))
         self.bitrate_bit_s = self._client.bitrate_bit_s
         self.shared = SharedPlane.create(len(controllers.each))
-        controllers.adopt({name: getattr(self.shared, name) for name in SECTIONS})
+        controllers.adopt(self.shared.axes)
         self.shared.owner[:] = controllers.owner
         self.shared.plane["packed"] = address.kind == "coulombus"
         self._controllers = controllers
@@ -125,7 +126,7 @@ class DataPlane:
             "parent": os.getpid(),
             "bus_fd": self._client.fileno(),
             "memory_fd": self.shared.fd,
-            "axes": self.shared.axes,
+            "axes": self.shared.axis_count,
             "law": rig.law.function,
             "law_directory": str(rig.law_directory.absolute()),
             "priority": priority,

@@ -15,7 +15,7 @@ behind the last cycle are sent again until they are taken, for `END_ATTEMPTS` ms
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 from coulombus.compiled.decorator import kernel
 from coulombus.compiled.libc import (
@@ -37,7 +37,8 @@ from coulombus.compiled.libc import (
     sleep_until,
     store_release,
 )
-from coulombus.host.cycle import axes
+from coulombus.eds.cia301 import CobId
+from coulombus.host.cycle.axes import ask_to_stop, begin, finish, on_frame, safe_setpoints
 from coulombus.host.cycle.records import Phase, Trip
 from coulombus.host.cycle.step import SOURCE_HOST
 from coulombus.host.realtime.shared_memory import BINS, PLANE, Command, Status
@@ -45,7 +46,7 @@ from coulombus.recording.trace import Moment
 from coulombus.wire.frame import CAN_ERR_FLAG
 from coulombus.wire.mailbox import receive
 
-__all__ = ["MESSAGE_FRAMES", "run_plane", "take_log", "take_trace"]
+__all__ = ["MESSAGE_FRAMES", "Buffers", "run_plane", "take_log", "take_trace"]
 
 MESSAGE_FRAMES = 64
 """Frames that one message may bring."""
@@ -53,12 +54,23 @@ MESSAGE_FRAMES = 64
 SOURCE_BUS = 0
 """Station number of everything that came from the bus, in the log."""
 
-LISTEN, CYCLE, QUIT = int(Command.LISTEN), int(Command.CYCLE), int(Command.QUIT)
-LISTENING, CYCLING, ENDED, LOST = int(Status.LISTENING), int(Status.CYCLING), int(Status.ENDED), int(Status.LOST)
-SAFE, DONE = int(Phase.SAFE), int(Phase.DONE)
-TRANSMIT, BUS_LOST, SECOND_HOST, HOST = int(Trip.TRANSMIT), int(Trip.BUS_LOST), int(Trip.SECOND_HOST), int(Trip.HOST)
-START, BEGIN, END = int(Moment.START), int(Moment.BEGIN), int(Moment.END)
-ARRIVED, WINDOW = int(Moment.ARRIVED), int(Moment.WINDOW)
+
+class Buffers(NamedTuple):
+    """What the loop works on: its socket, what it shares with the parent (`SharedPlane`), and what it receives into and sends from."""
+
+    fd: int
+    plane: Any
+    ring: Any
+    trace: Any
+    wakeup_bins: Any
+    latency_bins: Any
+    axes: Any
+    owner: Any
+    box: Any
+    words: Any
+    tx: Any
+    poll: Any
+    out: Any
 
 
 def _offset(name: str) -> int:
@@ -154,38 +166,25 @@ def take_log(plane: Any, ring: Any, out: Any) -> int:
 
 
 @kernel
-def _stop(p: Any, host: Any, trip: int) -> None:
+def _stop(p: Any, axes: Any, trip: int) -> None:
     """Ask all axes for the safe state for the reason `trip`, or without one (1); the first reason counts."""
     if p.asked < trip and p.asked <= 1:
         p.asked = trip
-    for k in range(host.shape[0]):
-        if host[k].stop < trip and host[k].stop <= 1:
-            host[k].stop = trip
+    ask_to_stop(axes, trip)
 
 
 @kernel
-def _late(host: Any, periods: int) -> None:
+def _late(axes: Any, periods: int) -> None:
     """Let every axis know that so many periods have passed without it: what it knows is as much older."""
-    for k in range(host.shape[0]):
-        host[k].position_age += periods
+    for k in range(axes.shape[0]):
+        axes[k].host.position_age += periods
 
 
 @kernel
-def _take(
-    fd: int,
-    plane: Any,
-    ring: Any,
-    box: Any,
-    words: Any,
-    control: Any,
-    host: Any,
-    tpdos: Any,
-    owner: Any,
-    live: int,
-) -> int:
+def _take(b: Any, live: int) -> int:
     """Receive one message if there is one; `live`: the cycle wants its frames."""
-    p, c = plane[0], control[0]
-    n = receive(fd, box, MSG_DONTWAIT)
+    p, c, words = b.plane[0], b.axes[0].control, b.words
+    n = receive(b.fd, b.box, MSG_DONTWAIT)
     if n <= 0:
         error = 0 if n == 0 else errno()
         if error == EAGAIN:
@@ -195,7 +194,7 @@ def _take(
             return TOOK
         p.error = error
         return GONE
-    m = box[0]
+    m = b.box[0]
     p.rx_overflow = m.overflow
     if n % 16 != 0 or m.truncated:
         p.rx_malformed += 1
@@ -218,38 +217,39 @@ def _take(
         if length < 8:
             word &= (1 << 8 * length) - 1
         p.rx_frames += 1
-        _log(plane, ring, t_ns, can_id, length, word, SOURCE_BUS)
+        _log(b.plane, b.ring, t_ns, can_id, length, word, SOURCE_BUS)
         if can_id & CAN_ERR_FLAG:
             p.error_frames += 1
             if live and can_id & CAN_ERR_BUSOFF:
-                _stop(p, host, BUS_LOST)
+                _stop(p, b.axes, Trip.BUS_LOST)
             continue
         if not live:
             continue
-        if can_id == c.sync_cob_id or can_id == 0x700 + c.host_id:
+        if can_id == c.sync_cob_id or can_id == CobId.HEARTBEAT + c.host_id:
             p.foreign_sync += 1
-            _stop(p, host, SECOND_HOST)
-        if axes.on_frame(control, host, tpdos, owner, t_ns, can_id, length, word) == 1:
+            _stop(p, b.axes, Trip.SECOND_HOST)
+        if on_frame(b.axes, b.owner, t_ns, can_id, length, word) == 1:
             found = COMPLETE
     return found
 
 
 @kernel
-def _transmit(fd: int, plane: Any, ring: Any, tx: Any, out: Any, patience: int) -> int:
+def _transmit(b: Any, patience: int) -> int:
     """Send the queue's frames; return 0, or the error of a bus that is lost.
 
     A frame that is not taken is lost; with `patience` it is offered again, so often in all, END_PAUSE_NS apart.
     """
-    p = plane[0]
+    p, tx, out = b.plane[0], b.tx, b.out
     count = out.count
     out.count = 0
     for i in range(count):
-        tx[2 * i] = out.frames[i].can_id | out.frames[i].length << 32
-        tx[2 * i + 1] = out.frames[i].word
+        f = out.frames[i]
+        tx[2 * i] = f.can_id | f.length << 32
+        tx[2 * i + 1] = f.word
     done = 0
     while done < count:
         frames = count - done if p.packed else 1
-        n = send(fd, tx.ctypes.data + 16 * done, 16 * frames, MSG_DONTWAIT | MSG_NOSIGNAL)
+        n = send(b.fd, tx.ctypes.data + 16 * done, 16 * frames, MSG_DONTWAIT | MSG_NOSIGNAL)
         if n < 0:
             error = errno()
             if error == EINTR:
@@ -266,23 +266,24 @@ def _transmit(fd: int, plane: Any, ring: Any, tx: Any, out: Any, patience: int) 
         else:
             t_ns = now_ns()
             for i in range(done, done + frames):
-                _log(plane, ring, t_ns, out.frames[i].can_id, out.frames[i].length, out.frames[i].word, SOURCE_HOST)
+                f = out.frames[i]
+                _log(b.plane, b.ring, t_ns, f.can_id, f.length, f.word, SOURCE_HOST)
         done += frames
     return 0
 
 
 @kernel
-def _watch_parent(p: Any, base: int, host: Any) -> None:
+def _watch_parent(p: Any, base: int, axes: Any) -> None:
     """Ask for the safe state when the parent has ended or stands still; when it has ended and all axes are done, there is nothing left to do."""
     until = load_acquire(base + AT_PARENT)
     orphan = p.parent != 0 and getppid() != p.parent
     if orphan or 0 < until < now_ns():
-        _stop(p, host, HOST)
+        _stop(p, axes, Trip.HOST)
     if orphan:
-        for k in range(host.shape[0]):
-            if host[k].phase != DONE:
+        for k in range(axes.shape[0]):
+            if axes[k].host.phase != Phase.DONE:
                 return
-        store_release(base + AT_COMMAND, QUIT)
+        store_release(base + AT_COMMAND, Command.QUIT)
 
 
 @kernel
@@ -301,37 +302,20 @@ def _count(bins: Any, t_ns: int) -> None:
 
 
 @kernel
-def _cycle(
-    fd: int,
-    plane: Any,
-    ring: Any,
-    trace: Any,
-    box: Any,
-    words: Any,
-    tx: Any,
-    poll: Any,
-    wakeup_bins: Any,
-    latency_bins: Any,
-    control: Any,
-    host: Any,
-    rpdos: Any,
-    tpdos: Any,
-    owner: Any,
-    law_function: Any,
-    motion: Any,
-    law: Any,
-    state: Any,
-    out: Any,
-) -> int:
+def _cycle(b: Any, law_function: Any) -> int:
     """Cycle until the parent commands otherwise (returns 0) or the bus is lost (returns 1)."""
-    p, c = plane[0], control[0]  # of all axes alike are the cycle, the host's own identifiers and the dead man's key
+    p, c, axes = (
+        b.plane[0],
+        b.axes[0].control,
+        b.axes,
+    )  # of all axes alike are the cycle, the host's own identifiers and the dead man's key
     missed_cycles = c.missed_cycles
-    for k in range(1, control.shape[0]):
-        missed_cycles = min(missed_cycles, control[k].missed_cycles)
-    base = plane.ctypes.data
+    for k in range(1, axes.shape[0]):
+        missed_cycles = min(missed_cycles, axes[k].control.missed_cycles)
+    base = b.plane.ctypes.data
     t = p.start_ns
-    _trace(plane, trace, START, t, 0)
-    while load_acquire(base + AT_COMMAND) == CYCLE:
+    _trace(b.plane, b.trace, Moment.START, t, 0)
+    while load_acquire(base + AT_COMMAND) == Command.CYCLE:
         slept = sleep_until(t)
         if slept == EINTR:
             p.interrupted += 1
@@ -340,32 +324,32 @@ def _cycle(
             p.error = slept
             return 1
         wake = now_ns()
-        _count(wakeup_bins, wake - t)
+        _count(b.wakeup_bins, wake - t)
         p.wakeup_max_ns = max(p.wakeup_max_ns, wake - t)
         late = (wake - t) // c.period_ns
         if late > 0:  # periods that have passed while this process did not run
             t += late * c.period_ns
             p.missed_deadlines += late
-            _late(host, late)
+            _late(axes, late)
         full = p.tx_full
 
         found = TOOK
         messages = 0
         while found != EMPTY and messages < DRAIN_MESSAGES:
-            found = _take(fd, plane, ring, box, words, control, host, tpdos, owner, 1)
+            found = _take(b, 1)
             messages += 1
             if found == GONE:
                 return 1
-        _stop(p, host, load_acquire(base + AT_STOP))
-        _watch_parent(p, base, host)
+        _stop(p, axes, load_acquire(base + AT_STOP))
+        _watch_parent(p, base, axes)
         if c.deadman_key:
             held = 1 if now_ns() < load_acquire(base + AT_DEADMAN) else 0
-            for k in range(host.shape[0]):
-                host[k].deadman_ok = held
+            for k in range(axes.shape[0]):
+                axes[k].host.deadman_ok = held
 
-        _trace(plane, trace, BEGIN, t, host[0].deadman_ok)
-        axes.begin(control, host, t, out)
-        if _transmit(fd, plane, ring, tx, out, 0) != 0:
+        _trace(b.plane, b.trace, Moment.BEGIN, t, axes[0].host.deadman_ok)
+        begin(axes, t, b.out)
+        if _transmit(b, 0) != 0:
             return 1
         sync = now_ns()
         end = sync + c.window_ns
@@ -374,126 +358,85 @@ def _cycle(
             left = end - now_ns()
             if left <= 0:
                 break
-            ready = ppoll_ns(poll.ctypes.data, 1, left)
+            ready = ppoll_ns(b.poll.ctypes.data, 1, left)
             if ready < 0 and _failed(p):
                 return 1
             if ready <= 0:  # the window is over, or a signal came
                 continue
-            found = _take(fd, plane, ring, box, words, control, host, tpdos, owner, 1)
+            found = _take(b, 1)
             messages += 1
             if found == GONE:
                 return 1
             if found == COMPLETE:
                 now = now_ns()
-                _trace(plane, trace, ARRIVED, now, p.asked)
-                waiting = axes.finish_complete(control, host, rpdos, law_function, motion, law, state, now, out)
+                _trace(b.plane, b.trace, Moment.ARRIVED, now, p.asked)
+                waiting = finish(axes, law_function, now, 0, b.out)
                 if waiting == 0:
                     break
-                if _transmit(fd, plane, ring, tx, out, 0) != 0:
+                if _transmit(b, 0) != 0:
                     return 1
         now = now_ns()
-        _trace(plane, trace, WINDOW, now, p.asked)
-        axes.finish_waiting(control, host, rpdos, law_function, motion, law, state, now, out)
-        if _transmit(fd, plane, ring, tx, out, 0) != 0:
+        _trace(b.plane, b.trace, Moment.WINDOW, now, p.asked)
+        finish(axes, law_function, now, 1, b.out)
+        if _transmit(b, 0) != 0:
             return 1
         done = now_ns()
-        _count(latency_bins, done - sync)
+        _count(b.latency_bins, done - sync)
         p.latency_max_ns = max(p.latency_max_ns, done - sync)
         p.full_in_a_row = p.full_in_a_row + 1 if p.tx_full > full else 0
         if p.full_in_a_row >= missed_cycles:
-            _stop(p, host, TRANSMIT)
+            _stop(p, axes, Trip.TRANSMIT)
         t += c.period_ns
         late = (done - t + c.period_ns - 1) // c.period_ns
         if late > 0:
             t += late * c.period_ns
             p.missed_deadlines += late
-            _late(host, late)
+            _late(axes, late)
         store_release(base + AT_CYCLES, p.cycles + 1)
     return 0
 
 
 @kernel
-def run_plane(
-    fd: int,
-    plane: Any,
-    ring: Any,
-    trace: Any,
-    box: Any,
-    words: Any,
-    tx: Any,
-    poll: Any,
-    wakeup_bins: Any,
-    latency_bins: Any,
-    control: Any,
-    host: Any,
-    rpdos: Any,
-    tpdos: Any,
-    owner: Any,
-    law_function: Any,
-    motion: Any,
-    law: Any,
-    state: Any,
-    out: Any,
-) -> int:
+def run_plane(b: Buffers, law_function: Any) -> int:
     """Do what the parent commands until it commands QUIT or the bus is lost; return the `Status`."""
-    p = plane[0]
-    base = plane.ctypes.data
-    poll[0] = fd | POLLIN << 32
+    p, axes = b.plane[0], b.axes
+    base = b.plane.ctypes.data
+    b.poll[0] = b.fd | POLLIN << 32
     while True:
         command = load_acquire(base + AT_COMMAND)
-        if command == CYCLE:
-            store_release(base + AT_STATUS, CYCLING)
+        if command == Command.CYCLE:
+            store_release(base + AT_STATUS, Status.CYCLING)
             cpu = clock_ns(CLOCK_THREAD_CPUTIME_ID)
-            gone = _cycle(
-                fd,
-                plane,
-                ring,
-                trace,
-                box,
-                words,
-                tx,
-                poll,
-                wakeup_bins,
-                latency_bins,
-                control,
-                host,
-                rpdos,
-                tpdos,
-                owner,
-                law_function,
-                motion,
-                law,
-                state,
-                out,
-            )
+            gone = _cycle(b, law_function)
             p.cpu_ns += clock_ns(CLOCK_THREAD_CPUTIME_ID) - cpu
-            for k in range(host.shape[0]):
-                if gone and host[k].phase < SAFE:
-                    host[k].trip = BUS_LOST
-                    host[k].trip_ns = now_ns()
+            for k in range(axes.shape[0]):
+                h = axes[k].host
+                if gone and h.phase < Phase.SAFE:
+                    h.trip = Trip.BUS_LOST
+                    h.trip_ns = now_ns()
             error = p.error
             now = now_ns()
-            _trace(plane, trace, END, now, 0)
-            out.count = 0
-            axes.safe_setpoints(control, host, rpdos, now, out)
-            _transmit(fd, plane, ring, tx, out, END_ATTEMPTS)
+            _trace(b.plane, b.trace, Moment.END, now, 0)
+            b.out.count = 0
+            safe_setpoints(axes, now, b.out)
+            _transmit(b, END_ATTEMPTS)
             p.error = error
-            for k in range(host.shape[0]):
-                host[k].phase = DONE
+            for k in range(axes.shape[0]):
+                axes[k].host.phase = Phase.DONE
             if gone:
-                store_release(base + AT_STATUS, LOST)
-                return LOST
-        elif command == LISTEN:
-            store_release(base + AT_STATUS, LISTENING)
-            found = _take(fd, plane, ring, box, words, control, host, tpdos, owner, 0)
+                store_release(base + AT_STATUS, Status.LOST)
+                return Status.LOST
+        elif command == Command.LISTEN:
+            store_release(base + AT_STATUS, Status.LISTENING)
+            found = _take(b, 0)
             lost = found == GONE
-            if found == EMPTY and ppoll_ns(poll.ctypes.data, 1, LISTEN_NS) < 0:
+            if found == EMPTY and ppoll_ns(b.poll.ctypes.data, 1, LISTEN_NS) < 0:
                 lost = _failed(p)
             if lost:
-                store_release(base + AT_STATUS, LOST)
-                return LOST
+                store_release(base + AT_STATUS, Status.LOST)
+                return Status.LOST
             if p.parent != 0 and getppid() != p.parent:
-                store_release(base + AT_COMMAND, QUIT)
+                store_release(base + AT_COMMAND, Command.QUIT)
         else:
-            store_release(base + AT_STATUS, ENDED)
-            return ENDED
+            store_release(base + AT_STATUS, Status.ENDED)
+            return Status.ENDED

@@ -20,33 +20,30 @@ from typing import Any
 import numpy as np
 
 from coulombus.host.laws.laws import load_law
-from coulombus.host.realtime.loop import MESSAGE_FRAMES, run_plane
+from coulombus.host.realtime.loop import MESSAGE_FRAMES, Buffers, run_plane
 from coulombus.host.realtime.shared_memory import Command, SharedPlane
 from coulombus.wire.frame import QUEUE_CAPACITY, new_queue
 from coulombus.wire.mailbox import new_mailbox
 from coulombus.wire.realtime import ask_for_real_time, die_with_parent, outlive_parent
 from coulombus.wire.stopping import SIGNALS
 
-__all__ = ["loop_arguments", "main"]
+__all__ = ["main", "new_buffers"]
 
 
-def loop_arguments(fd: int, shared: SharedPlane, law_function: Any) -> tuple[Any, ...]:
-    """Return the arguments of `host.realtime.loop.run_plane` for a socket and a shared memory."""
-    box, words = new_mailbox(MESSAGE_FRAMES)
-    out = new_queue()
+def new_buffers(fd: int, shared: SharedPlane) -> Buffers:
+    """Return what the loop works on, for a socket and a shared memory."""
     s = shared
-    return (
-        *(fd, s.plane, s.ring, s.trace, box, words, np.zeros(2 * QUEUE_CAPACITY, np.int64), np.zeros(1, np.int64)),
-        *(s.wakeup_bins, s.latency_bins, s.control, s.host, s.rpdos, s.tpdos, s.owner),
-        *(law_function, s.motion, s.law, s.state, out),
-    )
+    box, words = new_mailbox(MESSAGE_FRAMES)
+    tx, poll = np.zeros(2 * QUEUE_CAPACITY, np.int64), np.zeros(1, np.int64)
+    parts = (s.plane, s.ring, s.trace, s.wakeup_bins, s.latency_bins, s.axes, s.owner)
+    return Buffers(fd, *parts, box, words, tx, poll, new_queue())
 
 
-def _warm_up(shared: SharedPlane, arguments: tuple[Any, ...]) -> None:
+def _warm_up(shared: SharedPlane, buffers: Buffers, law_function: Any) -> None:
     """Load (or compile) the loop by a call that ends at once, and touch every page of the ring and the histograms."""
     command = int(shared.plane["command"][0])
     shared.plane["command"] = Command.QUIT
-    run_plane(*arguments)
+    run_plane(buffers, law_function)
     shared.plane["command"] = command
     shared.ring["source"] = 0
     shared.trace["kind"] = 0
@@ -60,13 +57,13 @@ def main(settings: dict[str, Any]) -> int:
     signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     shared = SharedPlane(settings["memory_fd"], settings["axes"])
     law_function = load_law(settings["law"], Path(settings["law_directory"]))
-    arguments = loop_arguments(settings["bus_fd"], shared, law_function)
-    _warm_up(shared, arguments)
+    buffers = new_buffers(settings["bus_fd"], shared)
+    _warm_up(shared, buffers, law_function)
     report = ask_for_real_time(settings["priority"], settings["cpu"])
     shared.plane["parent"] = settings["parent"]
     outlive_parent()
     print(json.dumps({"ready": True, "real_time": report.as_dict()}), flush=True)
-    run_plane(*arguments)
+    run_plane(buffers, law_function)
     return 0
 
 

@@ -1,6 +1,6 @@
 """What the data plane and its parent share: one anonymous file in memory, mapped by both processes.
 
-The parent fills in CONTROL, HOST, PDOs and law, and commands; the data plane runs the cycle on the very same records, logs the frames into a ring
+The parent fills in the AXIS records, and commands; the data plane runs the cycle on the very same records, logs the frames into a ring
 and counts. Fields of PLANE that one side polls and the other writes are read and written atomically (`compiled.libc`); everything else is
 written by one side only while the other looks on.
 """
@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from coulombus.host.cycle.controllers import SECTIONS
+from coulombus.host.cycle.controller import AXIS
 from coulombus.recording.trace import TRACE
 from coulombus.wire.frame import FRAME, Records
 
@@ -93,7 +93,7 @@ def _sections(axes: int) -> tuple[tuple[str, np.dtype[Any], tuple[int, ...]], ..
     """Return name, records and shape of each section for so many axes."""
     return (
         ("plane", PLANE, (1,)),
-        *((name, dtype, (axes, *shape)) for name, (dtype, shape) in SECTIONS.items()),
+        ("axes", AXIS, (axes,)),
         ("owner", np.dtype(np.int64), (2048,)),
         ("wakeup_bins", np.dtype(np.int64), (BINS,)),
         ("latency_bins", np.dtype(np.int64), (BINS,)),
@@ -118,13 +118,7 @@ class SharedPlane:
     """
 
     plane: Records
-    control: Records
-    host: Records
-    rpdos: Records
-    tpdos: Records
-    motion: Records
-    law: Records
-    state: Records
+    axes: Records
     ring: Records
     trace: Records
     owner: np.ndarray[Any, np.dtype[np.int64]]
@@ -132,7 +126,7 @@ class SharedPlane:
     latency_bins: np.ndarray[Any, np.dtype[np.int64]]
 
     def __init__(self, fd: int, axes: int = 1) -> None:
-        self.fd, self.axes = fd, axes
+        self.fd, self.axis_count = fd, axes
         places, size = _places(axes)
         memory = mmap.mmap(fd, size)
         for name, dtype, shape in _sections(axes):

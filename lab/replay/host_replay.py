@@ -18,7 +18,7 @@ import numpy as np
 
 from coulombus.eds.cia301 import CobId
 from coulombus.host.cycle.controllers import Controllers
-from coulombus.host.cycle.replay import Inputs, Sent, own_identifiers, replay
+from coulombus.host.cycle.replay import Inputs, Sent, replay
 from coulombus.host.laws.law_source import law_source, recorded_sha256
 from coulombus.host.laws.laws import OWN_LAWS
 from coulombus.recording.signals import Recording, decode_field, read
@@ -162,7 +162,7 @@ def _known(recording: Recording, controllers: Controllers) -> _Known:
     known, trace = found
     if in_virtual_time and not np.any(trace["kind"] == Event.START):
         raise ReplayError(f"{recording.path}: the host's cycle does not begin in it")
-    of_the_host = np.isin(recording.frames["can_id"], own_identifiers(controllers))
+    of_the_host = np.isin(recording.frames["can_id"], controllers.own_identifiers)
     frames = recording.frames[: len(known)] if in_virtual_time else recording.frames
     if not len(frames):
         raise ReplayError(
@@ -189,7 +189,7 @@ class _Check:
         self.result = HostReplay(recording.path, controllers.mode)
         self.pdos = {pdo.layout.cob_id: pdo for pdo in recording.rig.pdos() if pdo.layout.direction == "rpdo"}
         can_ids, columns = known.sent["can_id"], np.stack([known.sent[name] for name in ("t_ns", "length", "word")], 1)
-        identifiers = {*own_identifiers(controllers), *np.unique(can_ids).tolist()}
+        identifiers = {*controllers.own_identifiers, *np.unique(can_ids).tolist()}
         self.streams = {can_id: columns[can_ids == can_id] for can_id in sorted(identifiers)}
         self.at = dict.fromkeys(self.streams, 0)
         self.last_ns = known.last_ns

@@ -225,15 +225,9 @@ def run(
     plant: Any,
     f_h: Any,
     truth: Any,
-    control: Any,
     host: Any,
-    host_rpdos: Any,
-    host_tpdos: Any,
     owner: Any,
     law_function: Any,
-    motion: Any,
-    law: Any,
-    state: Any,
 ) -> int:
     """Run until Python is needed; return the `Exit` that says why."""
     w, cable = world[0], bus[0]
@@ -242,9 +236,7 @@ def run(
     deadlines, wants, listening = borrowed(deadlines), borrowed(wants), borrowed(listening)
     axes, axis_of, plant = borrowed(axes), borrowed(axis_of), borrowed(plant)
     f_h, truth = borrowed(f_h), borrowed(truth)
-    control, host, owner = borrowed(control), borrowed(host), borrowed(owner)
-    host_rpdos, host_tpdos = borrowed(host_rpdos), borrowed(host_tpdos)
-    motion, law, state = borrowed(motion), borrowed(law), borrowed(state)
+    host, owner = borrowed(host), borrowed(owner)
     if w.stale:
         refresh(w, nodes, axes, deadlines, wants)
     while True:
@@ -279,7 +271,7 @@ def run(
             return EXIT_UNTIL if what == NOTHING else EXIT_SCRIPT
         if what == HOST:
             first, t_host = out.count, own_ns(w, t)
-            host_axes.on_time(control, host, host_rpdos, law_function, motion, law, state, t_host, out)
+            host_axes.on_time(host, law_function, t_host, out)
             if w.clock_on + w.keep_sent != 0:
                 _keep(w, out, first)
         elif what == DEVICE:
@@ -328,9 +320,9 @@ def run(
             if not w.host_elsewhere and receives(b, step.SOURCE_HOST):
                 w.had[w.log_count - 1] = 1
                 first, t_host = out.count, own_ns(w, t)
-                wanted = host_axes.on_frame(control, host, host_tpdos, owner, t_host, b.can_id, b.length, b.word)
+                wanted = host_axes.on_frame(host, owner, t_host, b.can_id, b.length, b.word)
                 if wanted == 1 and w.host_on:
-                    host_axes.finish_complete(control, host, host_rpdos, law_function, motion, law, state, t_host, out)
+                    host_axes.finish(host, law_function, t_host, 0, out)
                     if w.clock_on + w.keep_sent != 0:
                         _keep(w, out, first)
                 elif wanted == 2:

@@ -40,7 +40,8 @@ from coulombus.compiled.decorator import JIT_DISABLED
 from coulombus.eds.cia301 import NmtCommand
 from coulombus.eds.cia305 import UNCONFIGURED
 from coulombus.eds.reader import Description, read_eds
-from coulombus.host.cycle.controllers import SECTIONS, new_section, unused_law
+from coulombus.host.cycle.controller import AXIS as HOST_AXIS
+from coulombus.host.cycle.controllers import unused_law
 from coulombus.host.cycle.step import SOURCE_HOST
 from coulombus.node.device import Device
 from coulombus.node.record import KIND_GENERIC, new_nodes
@@ -92,18 +93,13 @@ class Mechanics:
 
 def without_mechanics(devices: int) -> Mechanics:
     """Return no axis and no host."""
-    idle = {name: new_section(name, 1) for name in SECTIONS}
     return Mechanics(
         axes=new_records(AXIS, 0),
         axis_of=np.full(devices, -1, np.int64),
         plant=new_records(PLANT, 0),
         f_h=np.zeros((0, 1)),
         truth=np.zeros((0, 1, len(TRUTH_COLUMNS))),
-        host=(
-            *(idle[name] for name in ("control", "host", "rpdos", "tpdos")),
-            *(np.zeros(IDENTIFIERS, np.int64), unused_law()),
-            *(idle[name] for name in ("motion", "law", "state")),
-        ),
+        host=(new_records(HOST_AXIS, 1), np.zeros(IDENTIFIERS, np.int64), unused_law()),
     )
 
 

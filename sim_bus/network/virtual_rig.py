@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from coulombus.host.cycle.controllers import Controllers, arguments
+from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.records import Trip
 from coulombus.node.emcy import DEVICE_FAULTS, FIRST_DEVICE_CAUSE
 from coulombus.node.record import KIND_BRAKE, KIND_DRIVE
@@ -99,13 +99,13 @@ class VirtualRig(VirtualNetwork):
         plant = new_records(PLANT, n)
         for a, one in enumerate(rig.axes):
             plant[a : a + 1] = new_plant(one, seed + a * SEED_STEP)
+        k = self.controllers
+        host = (k.axes, k.owner, k.law_function)
         super().__init__(
             rig.bus.bitrate_bit_s,
             capacity=2 * n,
             on_frames=on_frames,
-            mechanics=Mechanics(
-                axes, np.arange(2 * n) // 2, plant, self._f_h, self._truth_block, arguments(self.controllers)
-            ),
+            mechanics=Mechanics(axes, np.arange(2 * n) // 2, plant, self._f_h, self._truth_block, host),
         )
         self.nodes["coil_A_Nm"][BRAKE::2] = [one.brake.coil_A_Nm for one in rig.axes]
         for one in rig.axes:

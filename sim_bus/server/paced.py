@@ -163,15 +163,9 @@ def serve(
     plant: Any,
     f_h: Any,
     truth: Any,
-    control: Any,
     host: Any,
-    host_rpdos: Any,
-    host_tpdos: Any,
     owner: Any,
     law_function: Any,
-    motion: Any,
-    law: Any,
-    state: Any,
 ) -> int:
     """Serve until Python is needed; return an `Exit` or a `Serve` that says why."""
     p, w, cable = pace[0], world[0], bus[0]
@@ -212,15 +206,9 @@ def serve(
                 plant,
                 f_h,
                 truth,
-                control,
                 host,
-                host_rpdos,
-                host_tpdos,
                 owner,
                 law_function,
-                motion,
-                law,
-                state,
             )
             if w.log_count > p.handed_out:
                 p.latest_ns = max(p.latest_ns, t_ns - log[w.log_count - 1].t_ns)

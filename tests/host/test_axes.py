@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from coulombus.host.cycle.axes import finish_waiting, on_frame
+from coulombus.host.cycle.axes import finish, on_frame
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.records import Phase, SignResult, Trip
 from coulombus.host.errors import SafetyTrip
@@ -158,9 +158,9 @@ def test_the_first_axis_leads_and_every_frame_finds_its_axis():
     assert k.owner[0x183] == k.owner[0x703] == k.owner[0x084] == 1
     assert k.owner[0x181] == k.owner[0x702] == k.owner[0x333] == 0
     k.start(0)
-    assert on_frame(k.control, k.host, k.tpdos, k.owner, 5, 0x703, 1, 4) == 2  # a state that is news
+    assert on_frame(k.axes, k.owner, 5, 0x703, 1, 4) == 2  # a state that is news
     assert list(k.host["motor_nmt"]) == [5, 4]
-    assert on_frame(k.control, k.host, k.tpdos, k.owner, 5, 0x333, 1, 4) == 0
+    assert on_frame(k.axes, k.owner, 5, 0x333, 1, 4) == 0
     assert list(k.host["stray_frames"]) == [1, 0]
 
 
@@ -172,7 +172,7 @@ def test_a_trip_of_one_axis_stops_all():
     k.each[1].stop(Trip.RECORDING)
     for _ in range(2):
         k.host["waiting"] = 1
-        finish_waiting(k.control, k.host, k.rpdos, k.law_function, k.motion, k.law, k.state, 10, out)
+        finish(k.axes, k.law_function, 10, 1, out)
     assert k.safe
     assert k.each[0].trip.startswith("OTHER_AXIS")
     assert k.trip.startswith("axis right: RECORDING")

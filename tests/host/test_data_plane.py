@@ -18,12 +18,12 @@ import numpy as np
 import pytest
 
 from coulombus.compiled.decorator import CACHE_DIR, JIT_DISABLED, kernel
-from coulombus.host.cycle.controllers import SECTIONS, Controllers
+from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.records import Phase, Trip
 from coulombus.host.errors import SafetyTrip
 from coulombus.host.realtime.data_plane import DataPlane, Spread, rig_filters
 from coulombus.host.realtime.loop import run_plane, take_log
-from coulombus.host.realtime.process import loop_arguments
+from coulombus.host.realtime.process import new_buffers
 from coulombus.host.realtime.shared_memory import BINS, RING_FRAMES, Command, SharedPlane, Status
 from coulombus.host.run.deadman import HeldKey, deadman_of
 from coulombus.host.run.histogram import coarse
@@ -45,14 +45,14 @@ class Plane:
     def __init__(self, *overrides, rig="bench"):
         self.k = Controllers(load_rig(rig, overrides), "hybrid")
         self.shared = SharedPlane.create(len(self.k.each))
-        self.k.adopt({name: getattr(self.shared, name) for name in SECTIONS})
+        self.k.adopt(self.shared.axes)
         self.shared.owner[:] = self.k.owner
         self.plane = self.shared.plane
         self.plane["packed"] = 1
         self.mine, self.other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self.other.setblocking(False)
         self.sent = []
-        arguments = loop_arguments(self.mine.fileno(), self.shared, self.k.law_function)
+        arguments = new_buffers(self.mine.fileno(), self.shared)
         self.status = None
         self.thread = threading.Thread(target=lambda: setattr(self, "status", run_plane(*arguments)))
 

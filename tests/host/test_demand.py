@@ -228,7 +228,7 @@ def test_the_last_setpoints_keep_to_the_devices_limit_too():
     k = Controllers(with_eds("mr_brake.eds", ("7300sub1", "HighLimit=5000", "HighLimit=200")), "active")
     k.host["brake_Nm"] = 4.5
     out = new_queue()
-    safe_setpoints(k.control, k.host, k.rpdos, 0, out)
+    safe_setpoints(k.axes, 0, out)
     assert int(k.host["image"][0, Image.BRAKE_SETPOINT]) == 200  # the safe state's 1 Nm would be 1000
 
 

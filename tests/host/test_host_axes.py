@@ -6,8 +6,7 @@ import pytest
 
 from coulombus.host.cycle.axes import (
     begin,
-    finish_complete,
-    finish_waiting,
+    finish,
     next_ns,
     on_frame,
     on_time,
@@ -19,6 +18,14 @@ from coulombus.host.cycle.records import Image, Phase, Trip
 from coulombus.wire.frame import new_queue
 from host_bench import MS, rig_of
 from plain_records import records_for_kernels
+
+
+def finish_complete(axes, law_function, t_ns, *out):
+    return finish(axes, law_function, t_ns, 0, *out)
+
+
+def finish_waiting(axes, law_function, t_ns, *out):
+    return finish(axes, law_function, t_ns, 1, *out)
 
 
 class Axes:
@@ -33,7 +40,7 @@ class Axes:
     def call(self, function, t_ns):
         k = self.k
         self.out["count"] = 0
-        return function(k.control, k.host, k.rpdos, k.law_function, k.motion, k.law, k.state, t_ns, self.out)
+        return function(k.axes, k.law_function, t_ns, self.out)
 
     @property
     def sent(self):
@@ -44,15 +51,15 @@ class Axes:
 def test_the_earliest_axis_says_when_to_call(times, first):
     axes = Axes()
     axes.host["next_ns"] = times
-    assert next_ns(axes.host) == first
+    assert next_ns(axes.k.axes) == first
 
 
 def test_the_phases_of_all_axes_are_one_number():
     axes = Axes()
     axes.host["phase"] = Phase.RUN, Phase.SAFE
-    assert phases(records_for_kernels(axes.host)) == Phase.RUN | Phase.SAFE << 4
+    assert phases(records_for_kernels(axes.k.axes)) == Phase.RUN | Phase.SAFE << 4
     axes.host["phase"] = Phase.DISABLE, Phase.RUN
-    assert phases(records_for_kernels(axes.host)) == Phase.DISABLE | Phase.RUN << 4
+    assert phases(records_for_kernels(axes.k.axes)) == Phase.DISABLE | Phase.RUN << 4
 
 
 def test_a_frame_goes_to_its_axis_and_an_extended_one_to_the_first():
@@ -60,17 +67,17 @@ def test_a_frame_goes_to_its_axis_and_an_extended_one_to_the_first():
     k = axes.k
     k.owner[0x7FF] = 1
     for can_id in (0x7FF, 0x800, 0x8000_0183):
-        on_frame(k.control, k.host, k.tpdos, k.owner, 5, can_id, 2, 0)
+        on_frame(k.axes, k.owner, 5, can_id, 2, 0)
     assert axes.host["stray_frames"].tolist() == [2, 1]
-    assert on_frame(k.control, k.host, k.tpdos, k.owner, 5, 0x183, 8, 0) == 0
+    assert on_frame(k.axes, k.owner, 5, 0x183, 8, 0) == 0
     assert axes.host["arrived"].tolist() == [0, 1]
-    assert on_frame(k.control, k.host, k.tpdos, k.owner, 5, 0x585, 8, 0) == 2
+    assert on_frame(k.axes, k.owner, 5, 0x585, 8, 0) == 2
 
 
 def test_a_cycle_begins_for_all_axes_with_one_sync():
     axes = Axes()
     k = axes.k
-    begin(k.control, k.host, 4 * MS, axes.out)
+    begin(k.axes, 4 * MS, axes.out)
     assert axes.sent.count(0x80) == 1
     assert axes.host["cycle"].tolist() == [1, 1]
     assert axes.host["sync_ns"].tolist() == [4 * MS, 4 * MS]
@@ -119,8 +126,7 @@ def test_without_a_trip_no_axis_stops_another():
 def test_an_axis_alone_is_not_stopped_by_itself():
     axes = Axes()
     k = axes.k
-    for name in ("control", "host", "rpdos", "motion", "law", "state"):
-        setattr(k, name, getattr(k, name)[:1])
+    k.axes = k.axes[:1]
     k.host["trip"], k.host["phase"] = Trip.SPEED, Phase.STILL
     axes.call(finish_waiting, 10)
     assert k.host["stop"].tolist() == [0]
@@ -142,9 +148,9 @@ def test_the_last_setpoints_disable_the_drives_and_bound_the_brakes():
     axes = Axes()
     k = axes.k
     k.control["safe_brake_Nm"] = 1.0
-    k.host["motor_Nm"], k.host["brake_Nm"] = (0.5, -0.5), (3.0, 0.2506)
+    k.host["torque_Nm"], k.host["brake_Nm"] = (0.5, -0.5), (3.0, 0.2506)
     k.host["image"][:, [Image.CONTROLWORD, Image.TARGET_TORQUE]] = 15
-    safe_setpoints(k.control, k.host, k.rpdos, 77, axes.out)
+    safe_setpoints(k.axes, 77, axes.out)
     assert axes.sent == [*setpoints(axes, 0), *setpoints(axes, 1), 0x80]
     rows = axes.out.frames[: axes.out["count"]]
     assert set(rows["t_ns"].tolist()) == {77}
@@ -154,7 +160,7 @@ def test_the_last_setpoints_disable_the_drives_and_bound_the_brakes():
     assert words[0x201] == words[0x203] == 0
     assert [words[0x202], words[0x204]] == [1000, 251]
     assert words[0x80] == 0
-    assert k.host["motor_Nm"].tolist() == [0.0, 0.0]
+    assert k.host["torque_Nm"].tolist() == [0.0, 0.0]
     assert k.host["brake_Nm"].tolist() == [1.0, 0.2506]
 
 
@@ -165,5 +171,5 @@ def test_the_last_set_point_is_never_negative_nor_above_its_objects_limit(brake,
     axes = Axes()
     k = axes.k
     k.host["brake_Nm"], k.control["brake_limit_raw"], k.control["safe_brake_Nm"] = brake, most, 1.0
-    safe_setpoints(k.control, k.host, k.rpdos, 77, axes.out)
+    safe_setpoints(k.axes, 77, axes.out)
     assert k.host["image"][:, Image.BRAKE_SETPOINT].tolist() == [raw, raw]

@@ -8,7 +8,7 @@ import pytest
 
 from coulombus.eds.cia402 import PowerState
 from coulombus.host.cycle.records import Image, Phase, Trip
-from coulombus.host.cycle.step import SOURCE_HOST, _limit_motor, begin
+from coulombus.host.cycle.step import SOURCE_HOST, begin, limit_torque
 from coulombus.host.laws.laws import compile_law
 from host_bench import MS, HostBench
 
@@ -25,7 +25,7 @@ def test_the_host_is_no_station_of_the_bus():
 
 def begun(bench, t_ns):
     bench.out.count = 0
-    begin(bench.c, bench.h, t_ns, bench.out)
+    begin(bench.axis, t_ns, bench.out)
     return bench.frames()
 
 
@@ -182,12 +182,12 @@ def test_a_frame_of_nobody_is_counted_and_does_nothing(can_id):
 
 
 def limited(wanted, *, before=0.0, v_counts=0.0, age=0, motor=1, encoder=1, limit_pm=256):
-    bench = HostBench("active")
+    bench = HostBench("active").enter(Phase.SIGN)
     c, h = bench.c, bench.h
     c.Nm_pm, c.rad_count, c.period_ns = motor * 2.0**-8, encoder * 2.0**-6, 500_000_000
     c.motor_limit_pm, c.motor_rate_Nm, c.speed_limit = limit_pm, 0.5, 20.0
-    h.motor_Nm, h.v_counts, h.position_age, h.clipped_torque = before, v_counts, age, 5
-    torque = _limit_motor(c, h, wanted)
+    h.torque_Nm, h.v_counts, h.position_age, h.clipped_torque = before, v_counts, age, 5
+    torque = limit_torque(c, h, wanted)
     return torque, h.clipped_torque - 5
 
 
@@ -375,7 +375,7 @@ def test_a_statusword_of_no_state_is_sent_no_command(phase):
 @pytest.mark.parametrize("phase", Phase)
 def test_only_the_phases_of_an_enabled_drive_send_torque(phase):
     bench = HostBench("active").enter(phase, counts=50)
-    bench.h.motor_Nm, bench.h.brake_Nm = 0.3, 0.7
+    bench.h.torque_Nm, bench.h.brake_Nm = 0.3, 0.7
     bench.k.state[0].x_stuck -= 0.01  # the law would push back
     bench.cycle()
     assert (bench.motor_pm != 0) == (Phase.SIGN <= phase <= Phase.RUN)
@@ -405,7 +405,7 @@ def test_a_handle_that_was_still_for_long_enough_is_enabled():
 def test_operation_enabled_leads_to_the_sign_check_or_to_the_law(sign_check):
     bench = HostBench().enter(Phase.ENABLE, counts=-70)
     bench.c.sign_check = sign_check
-    bench.h.sign_direction, bench.h.motor_Nm, bench.c.motor_rate_Nm = -1, 0.3, 0.125
+    bench.h.sign_direction, bench.h.torque_Nm, bench.c.motor_rate_Nm = -1, 0.3, 0.125
     bench.state = int(PowerState.OPERATION_ENABLED)
     bench.cycle()
     assert bench.h.enabled_ns == bench.t_ns
@@ -448,11 +448,11 @@ def test_settling_takes_the_torque_back_by_steps_in_either_sense(sign):
     """Five steps of the ramp a cycle; the law begins at 0 and with the handle still."""
     bench = HostBench().enter(Phase.SETTLE, counts=-900)
     c, h = bench.c, bench.h
-    h.sign_direction, h.motor_Nm = sign, sign * 0.0175
+    h.sign_direction, h.torque_Nm = sign, sign * 0.0175
     shown = []
     for _ in range(c.settle_cycles):
         bench.cycle()
-        shown.append(h.motor_Nm)
+        shown.append(h.torque_Nm)
     assert shown[:4] == pytest.approx([sign * 0.0125, sign * 0.0075, sign * 0.0025, 0.0])
     assert bench.phase is Phase.RUN
     assert (h.armed_ns, h.gain) == (bench.t_ns, 0.0)
@@ -463,7 +463,7 @@ def test_settling_takes_the_torque_back_by_steps_in_either_sense(sign):
 def test_settling_waits_for_torque_zero_and_a_still_handle(sign):
     bench = HostBench().enter(Phase.SETTLE, counts=900)
     c, h = bench.c, bench.h
-    h.sign_direction, h.motor_Nm, h.still = sign, sign * 0.0125, c.settle_cycles - 1
+    h.sign_direction, h.torque_Nm, h.still = sign, sign * 0.0125, c.settle_cycles - 1
     bench.cycle()  # still for long enough, but there is torque
     assert bench.phase is Phase.SETTLE
     bench.counts += 2 * sign

@@ -12,7 +12,6 @@ from types import SimpleNamespace
 
 import pytest
 
-from coulombus.host.cycle.controllers import SECTIONS
 from coulombus.host.cycle.records import Phase, Trip
 from coulombus.host.errors import HostError
 from coulombus.host.realtime.data_plane import DataPlane
@@ -75,7 +74,7 @@ class PlayedPlane(DataPlane):
 
     def __init__(self, controllers, address, *, priority=None, cpu=None):
         self.shared = SharedPlane.create(len(controllers.each))
-        controllers.adopt({name: getattr(self.shared, name) for name in SECTIONS})
+        controllers.adopt(self.shared.axes)
         self._controllers, self._client = controllers, SimpleNamespace(close=lambda: None)
         self._batch, self._rows, self.real_time = frames(1 << 10), new_records(TRACE, TRACE_ROWS), []
         self._process, self.armed, self.unsafe_end = Process(), False, False
@@ -89,9 +88,9 @@ class PlayedPlane(DataPlane):
         if self._process.status is not None:
             return
         if p.command != Command.CYCLE:
-            self.unsafe_end |= bool(h["motor_Nm"].any())
+            self.unsafe_end |= bool(h["torque_Nm"].any())
             p.status = Status.ENDED if p.command == Command.QUIT else Status.LISTENING
-            h["motor_Nm"] = 0.0
+            h["torque_Nm"] = 0.0
             self._process.status = 0 if p.command == Command.QUIT else None
             return
         p.status = Status.CYCLING
@@ -101,11 +100,11 @@ class PlayedPlane(DataPlane):
         if p.cycles % 10 == 0:
             self._log(p, t_ns)
         if h["phase"][0] == Phase.STILL and t_ns > p.start_ns + 20 * MS:
-            h["enabled_ns"], h["phase"], h["motor_Nm"], self.armed = t_ns, Phase.RUN, TORQUE_NM, True
+            h["enabled_ns"], h["phase"], h["torque_Nm"], self.armed = t_ns, Phase.RUN, TORQUE_NM, True
         asked = p.stop or (Trip.HOST if 0 < p.parent_ns < t_ns else 0)
         if asked and h["phase"][0] < Phase.SAFE:
             h["trip"], h["trip_ns"] = asked if asked > 1 else 0, t_ns
-            h["phase"], h["motor_Nm"] = Phase.SAFE, 0.0
+            h["phase"], h["torque_Nm"] = Phase.SAFE, 0.0
         if h["phase"][0] == Phase.SAFE and t_ns >= h["trip_ns"][0] + 30 * MS:
             h["phase"] = Phase.DONE
 
@@ -196,7 +195,7 @@ def judge(found):
     wrong = []
     if found.refusal is not None:
         return [f"refused while it was armed: {found.refusal!r}"]
-    if h["phase"][0] != Phase.DONE or h["motor_Nm"].any() or plane.unsafe_end:
+    if h["phase"][0] != Phase.DONE or h["torque_Nm"].any() or plane.unsafe_end:
         wrong.append(f"not safe: {Phase(int(h['phase'][0])).name}")
     if plane._process.status is None:
         wrong.append("the data plane's process is left")

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from coulombus.eds.cia402 import PowerState
-from coulombus.host.cycle.phases import arm, count_still, enter, run_law, safe, sign_check, still, trip_to_safe
+from coulombus.host.cycle.phases import count_still, enter, safe, sign_check, split_law, still, trip_to_safe
 from coulombus.host.cycle.records import Phase, SignResult, Trip
 from host_bench import MS, HostBench
 
@@ -25,10 +25,20 @@ def standing(phase, counts=-640, mode="hybrid", **control):
     return bench
 
 
+def followed(bench, torque_Nm, following):
+    """Go on to the phase that a phase's function names, as the step does; return the torque."""
+    if following == Phase.SAFE and bench.h.phase < Phase.SAFE:
+        trip_to_safe(bench.c, bench.h, bench.h.trip, T)
+    elif following != bench.h.phase:
+        enter(bench.axis, following, T)
+    return torque_Nm
+
+
 def test_a_phase_begins_where_the_handle_stands():
-    h = standing(Phase.STILL, 77).h
+    bench = standing(Phase.STILL, 77)
+    h = bench.h
     h.phase_cycle, h.still, h.reference_counts = 9, 9, 9
-    enter(h, int(Phase.SIGN))
+    enter(bench.axis, int(Phase.SIGN), T)
     assert (h.phase, h.phase_cycle, h.still, h.reference_counts) == (Phase.SIGN, 0, 0, 77)
 
 
@@ -61,7 +71,7 @@ def safe_course(bench, counts):
     while h.phase == Phase.SAFE and len(shown) < 40:
         h.phase_cycle += 1
         h.v_counts = counts
-        safe(c, h)
+        followed(bench, *safe(c, h))
         shown.append(h.brake_Nm)
     return shown
 
@@ -127,7 +137,8 @@ def test_the_handle_is_enabled_after_its_time_with_the_mean_torque_before(sign):
     for handle in (0.0625, 0.125, 0.25, 0.125, 0.0):
         assert h.phase == Phase.STILL
         h.handle_Nm = sign * handle
-        still(c, h, SWITCHED_ON, T)
+        h.drive = SWITCHED_ON
+        followed(bench, *still(c, h))
     assert h.phase == Phase.ENABLE
     assert h.handle_before_Nm == sign * 0.5625 / 5
 
@@ -138,7 +149,8 @@ def test_a_load_begins_the_waiting_anew(sign):
     c, h = bench.c, bench.h
     for handle in (0.0, 0.0, 0.2578125, 0.125, 0.125, 0.125):
         h.handle_Nm = sign * handle
-        still(c, h, SWITCHED_ON, T)
+        h.drive = SWITCHED_ON
+        followed(bench, *still(c, h))
     assert (h.phase, h.still) == (Phase.STILL, 3)
     assert h.handle_before_Nm == sign * (0.2578125 + 3 * 0.125)
     assert h.handle_samples == 4
@@ -149,7 +161,8 @@ def test_a_load_begins_the_waiting_anew(sign):
 def test_nothing_is_enabled_without_the_switch_and_a_switched_on_drive(state, deadman):
     bench = standing(Phase.STILL, still_cycles=4)
     bench.h.still, bench.h.deadman_ok = 3, deadman
-    still(bench.c, bench.h, int(state), T)
+    bench.h.drive = int(state)
+    followed(bench, *still(bench.c, bench.h))
     assert (bench.h.phase == Phase.ENABLE) == (state == PowerState.SWITCHED_ON and deadman == 1)
 
 
@@ -171,7 +184,8 @@ def test_a_handle_that_is_not_armed_in_time_is_refused_with_the_reason(sign, sta
         bench = standing(Phase.STILL, still_cycles=4, still_timeout_cycles=100, still_handle_Nm=0.25)
         h = bench.h
         h.still, h.deadman_ok, h.handle_Nm, h.phase_cycle = still_for, deadman, sign * handle, waited
-        still(bench.c, h, state, T)
+        h.drive = state
+        followed(bench, *still(bench.c, h))
         assert h.trip == (trip if waited > 100 else Trip.NONE)
         assert h.trip_ns == (T if waited > 100 else 0)
 
@@ -188,7 +202,7 @@ def checking(direction=1, motor=1, encoder=1, start=-640):
     c, h = bench.c, bench.h
     c.Nm_pm, c.rad_count, c.motor_limit_pm = motor * 2.0**-8, encoder * 2.0**-6, 1000
     c.sign_travel_counts, c.sign_hand_Nm, c.sign_hand_cycles = TRAVEL, HAND, HAND_CYCLES
-    h.sign_direction, h.motor_Nm, h.handle_before_Nm = direction, 0.0, -0.125
+    h.sign_direction, h.torque_Nm, h.handle_before_Nm = direction, 0.0, -0.125
     h.sign_result = int(SignResult.NOT_RUN)
     return bench
 
@@ -199,10 +213,10 @@ def asked(bench, moved, torque=None, handle=0.0):
     sense = h.sign_direction
     h.counts = h.reference_counts + moved * sense * (1 if c.rad_count > 0 else -1)
     if torque is not None:
-        h.motor_Nm = torque * sense
+        h.torque_Nm = torque * sense
     h.handle_Nm = handle
-    h.motor_Nm = sign_check(c, h, T)
-    return h.motor_Nm * sense
+    h.torque_Nm = followed(bench, *sign_check(c, h))
+    return h.torque_Nm * sense
 
 
 @BOTH
@@ -273,7 +287,7 @@ def test_a_handle_that_does_not_move_is_tried_the_other_way_and_refused():
     h = bench.h
     for _ in range(8):
         asked(bench, 3)
-    assert h.motor_Nm == LIMIT
+    assert h.torque_Nm == LIMIT
     assert h.still == 1  # the cycle that reached it counts
     for _ in range(HAND_CYCLES - 1):
         asked(bench, 3)
@@ -331,7 +345,7 @@ def test_the_law_begins_stuck_where_the_handle_is_with_gain_0(sign):
     bench = standing(Phase.SETTLE, counts=sign * 700)
     c, h, law = bench.c, bench.h, bench.k.state[0]
     law.stuck, law.x_stuck, law.psi_Nm, law.brake_Nm, h.gain, h.armed_ns = 0, 9.0, 1.0, 1.0, 1.0, -1
-    arm(c, h, law, T)
+    enter(bench.axis, int(Phase.RUN), T)
     assert (law.stuck, law.x_stuck, law.psi_Nm, law.brake_Nm) == (1, sign * 700 * c.rad_count, 0.0, 0.0)
     assert (h.gain, h.armed_ns, h.phase) == (0.0, T, Phase.RUN)
 
@@ -341,8 +355,9 @@ def split(mode, counts, encoder=1, psi=0.5, brake=0.75, gain=1.0):
     c, h, law = bench.c, bench.h, bench.k.state[0]
     c.rad_count, c.velocity_band_counts, c.compensation_Nm = encoder * 2.0**-6, 2.0, 0.125
     c.gain_step, c.brake_limit_Nm, h.gain, law.brake_Nm = 0.25, 1.0, gain, brake
+    law.psi_Nm = psi
     h.v_counts, h.brake_Nm, h.negative_setpoints = counts, 0.0625, 3
-    return bench, run_law(c, h, psi, law)
+    return bench, split_law(bench.axis)
 
 
 @pytest.mark.parametrize("encoder", [1, -1])
@@ -379,7 +394,7 @@ def test_a_set_point_that_the_limit_cuts_off_by_more_than_a_count_is_counted(set
     c, h, law = bench.c, bench.h, bench.k.state[0]
     c.gain_step, c.brake_limit_Nm, c.brake_Nm_raw, c.brake_active = 1.0, 1.0, 0.125, 1
     h.gain, h.clipped_setpoints, law.brake_Nm = 1.0, 7, setpoint
-    run_law(c, h, 0.0, law)
+    split_law(bench.axis)
     assert (h.brake_Nm, h.clipped_setpoints) == (min(setpoint, 1.0), 7 + clipped)
 
 

@@ -8,8 +8,9 @@ from functools import cache
 from coulombus.eds.cia402 import COMMAND_OF_CONTROLWORD, NEXT_STATE, STATUSWORD, VOLTAGE_ENABLED, PowerState
 from coulombus.eds.codec import pack
 from coulombus.host.cycle.controller import Controller
-from coulombus.host.cycle.records import Image, Phase
+from coulombus.host.cycle.records import Image, Phase, Trip
 from coulombus.host.cycle.step import begin, finish, on_frame
+from coulombus.host.cycle.transitions import allowed
 from coulombus.rigs.rig import load_rig
 from coulombus.wire.frame import new_queue, push
 from plain_records import record_for_kernels, records_for_kernels
@@ -25,9 +26,9 @@ class HostBench:
     def __init__(self, mode="hybrid", *overrides, rig=None):
         self.rig = rig_of("bench", overrides) if rig is None else rig
         self.k = Controller(self.rig, mode)
-        for name in ("control", "host", "rpdos", "tpdos", "motion", "law", "state"):
-            setattr(self.k, name, records_for_kernels(getattr(self.k, name)))
-        self.c, self.h = self.k.control[0], self.k.host[0]
+        self.k.axis = records_for_kernels(self.k.axis)
+        self.axis = self.k.axis[0]
+        self.c, self.h = self.axis.control, self.axis.host
         self.out = record_for_kernels(new_queue())
         self.t_ns = 0
         self.state = int(PowerState.SWITCH_ON_DISABLED)
@@ -56,27 +57,17 @@ class HostBench:
         return values
 
     def frame(self, can_id, length, data):
-        return on_frame(self.c, self.h, self.k.tpdos, self.t_ns, can_id, length, data)
+        return on_frame(self.axis, self.t_ns, can_id, length, data)
 
     def finish(self):
-        k = self.k
-        finish(
-            self.c,
-            self.h,
-            k.rpdos,
-            k.law_function,
-            k.motion[0],
-            k.law[0],
-            k.state[0],
-            self.t_ns,
-            self.out,
-        )
+        finish(self.axis, self.k.law_function, self.t_ns, self.out)
 
     def cycle(self):
-        """One cycle; afterwards `sent` has the image of what the host sent."""
+        """One cycle; afterwards `sent` has the image of what the host sent. A change of the phase is one of the table's."""
+        before = self.phase
         self.out["count"] = 0
         self.t_ns = self.h.cycle * MS
-        begin(self.c, self.h, self.t_ns, self.out)
+        begin(self.axis, self.t_ns, self.out)
         self.t_ns += 500_000
         if self.heartbeats and self.h.cycle % 20 == 0:
             for node in (self.c.motor_id, self.c.brake_id):
@@ -91,6 +82,7 @@ class HostBench:
         if done != 1:
             self.t_ns += 200_000
         self.finish()
+        assert allowed(before, self.phase, Trip(int(self.h.trip))), f"{before.name} -> {self.phase.name}"
         command = int(COMMAND_OF_CONTROLWORD[self.controlword & 0xF])
         self.state = int(NEXT_STATE[self.state, command])
 

@@ -22,10 +22,10 @@ from pathlib import Path
 
 from coulombus.eds.cia402 import COMMAND_OF_CONTROLWORD, NEXT_STATE, STATUSWORD, VOLTAGE_ENABLED, PowerState
 from coulombus.eds.codec import pack
-from coulombus.host.cycle.controllers import SECTIONS, Controllers
+from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.records import Image, Phase
 from coulombus.host.realtime.loop import run_plane
-from coulombus.host.realtime.process import loop_arguments
+from coulombus.host.realtime.process import new_buffers
 from coulombus.host.realtime.shared_memory import Command, SharedPlane, Status
 from coulombus.recording.signals import read
 from coulombus.rigs.rig import load_rig
@@ -118,9 +118,9 @@ class Plane:
     def __init__(self):
         self.k = Controllers(load_rig("bench"), "hybrid")
         self.shared = SharedPlane.create(1)
-        self.k.adopt({name: getattr(self.shared, name) for name in SECTIONS})
+        self.k.adopt(self.shared.axes)
         self.shared.owner[:] = self.k.owner
-        control = self.shared.control
+        control = self.shared.axes["control"]
         control["sign_check"], control["still_cycles"], control["gain_step"] = 0, 3, 1.0
         control["safe_hold_cycles"], control["safe_ramp_cycles"] = 10, 10
         control["missed_cycles"] = 200  # of a machine that others use, too
@@ -129,7 +129,7 @@ class Plane:
         self.plane["packed"] = 1
         self.mine, self.other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self.devices = Devices(self.k, self.other)
-        self.arguments = loop_arguments(self.mine.fileno(), self.shared, self.k.law_function)
+        self.buffers = new_buffers(self.mine.fileno(), self.shared)
         self.status = None
         self.thread = threading.Thread(target=self._run)
         self.thread.start()
@@ -137,7 +137,7 @@ class Plane:
     def _run(self):
         shim.fault_watch(1)
         try:
-            self.status = run_plane(*self.arguments)
+            self.status = run_plane(self.buffers, self.k.law_function)
         finally:
             shim.fault_watch(0)
 
@@ -151,7 +151,7 @@ class Plane:
         self.k.start(at)
         self.plane["start_ns"] = at
         self.plane["command"] = Command.CYCLE
-        h = self.shared.host
+        h = self.shared.axes["host"]
         return wait(lambda: (h["phase"][0] == Phase.RUN and h["image"][0][Image.BRAKE_SETPOINT] > 0) or self.k.ending)
 
     def cycles(self, count):
@@ -217,7 +217,10 @@ def plane_case(moment, function, number, error):
     if last.get(0x201, 0) != 0:
         wrong.append(f"the motor's last set-point is {last[0x201]:#x}")
     c = plane.k.each[0].control[0]
-    if last.get(0x202, 0) > math.ceil(c["safe_brake_Nm"] / c["brake_Nm_raw"]) or plane.shared.host["motor_Nm"].any():
+    if (
+        last.get(0x202, 0) > math.ceil(c["safe_brake_Nm"] / c["brake_Nm_raw"])
+        or plane.shared.axes["host"]["torque_Nm"].any()
+    ):
         wrong.append(f"the brake's last set-point is {last.get(0x202):#x}")
     return wrong
 

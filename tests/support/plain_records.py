@@ -8,14 +8,16 @@ from coulombus.compiled.decorator import JIT_DISABLED
 
 
 class PlainRecords(list):
-    """An array of records: `a[k]` is a record, `a["name"]` a copy of the column; `a["name"] = value` sets it in all."""
+    """An array of records: `a[k]` is a record, `a["name"]` the column; `a["name"] = value` sets it in all."""
 
     @property
     def shape(self):
         return (len(self),)
 
     def __getitem__(self, key):
-        return [getattr(record, key) for record in self] if isinstance(key, str) else super().__getitem__(key)
+        if not isinstance(key, str):
+            return super().__getitem__(key)
+        return PlainRecords(getattr(record, key) for record in self)
 
     def __setitem__(self, key, value):
         if not isinstance(key, str):
@@ -38,23 +40,26 @@ def _class_of(dtype):
     return Plain
 
 
-def record_for_kernels(record):
-    """Return one `record` as it is, or as a plain object when the kernels are plain Python; arrays of records in it too."""
-    if not JIT_DISABLED:
-        return record
-    plain = _class_of(record.dtype)()
-    for name in record.dtype.names:
-        value = record[name]
-        setattr(plain, name, records_for_kernels(value) if value.dtype.names else value.tolist())
-    return plain
+def _plain(dtype, value):
+    if dtype.subdtype is not None:
+        inner = dtype.subdtype[0]
+        parts = [_plain(inner, part) for part in value]
+        return PlainRecords(parts) if inner.names else parts
+    if dtype.names is None:
+        return value
+    record = _class_of(dtype)()
+    for name, part in zip(dtype.names, value, strict=True):
+        setattr(record, name, _plain(dtype.fields[name][0], part))
+    return record
 
 
 def records_for_kernels(records):
     """Return `records` as they are, or as plain objects when the kernels are plain Python."""
     if not JIT_DISABLED:
         return records
-    plain = PlainRecords(_class_of(records.dtype)() for _ in records)
-    for name in records.dtype.names:
-        for record, value in zip(plain, records[name].tolist(), strict=True):
-            setattr(record, name, value)
-    return plain
+    return PlainRecords(_plain(records.dtype, value) for value in records.tolist())
+
+
+def record_for_kernels(record):
+    """Return one `record` as it is, or as a plain object when the kernels are plain Python."""
+    return record if not JIT_DISABLED else _plain(record.dtype, record.tolist())

@@ -1,0 +1,92 @@
+"""The phases of the cycle as one table: from which phase which one follows, when, and why the safe state is entered.
+
+`host.cycle.phases` does what the table says; the tests hold every transition of the compiled step against it. The diagram of docs/safety.md is
+drawn from it. Two changes of the phase are none of the step's: `Controller.start` begins with STILL, and the data plane that
+ends is DONE, whatever its phase was.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from coulombus.host.cycle.records import Phase, Trip
+
+__all__ = ["TRANSITIONS", "Transition", "allowed", "diagram"]
+
+
+class Transition(NamedTuple):
+    """A row: in one of `phases`, under the condition, `following` begins; into SAFE with one of the reasons `trips`."""
+
+    phases: tuple[Phase, ...]
+    condition: str
+    following: Phase
+    trips: tuple[Trip, ...] = ()
+
+
+ANY_TIME = (
+    *(Trip.SPEED, Trip.ENCODER_JUMP, Trip.NET_WORK, Trip.HANDLE_TORQUE, Trip.TRAVEL, Trip.VOLTAGE, Trip.COIL_I2T),
+    *(Trip.TPDO_LOST, Trip.EMCY_MOTOR, Trip.EMCY_BRAKE, Trip.HEARTBEAT_MOTOR, Trip.HEARTBEAT_BRAKE, Trip.NMT_STATE),
+)
+"""Doubts of the watches that look in every phase."""
+
+FROM_OUTSIDE = (
+    *(Trip.TRANSMIT, Trip.RECORDING, Trip.BUS_LOST, Trip.SECOND_HOST, Trip.DEADMAN, Trip.DATA_PLANE, Trip.OTHER_AXIS),
+    *(Trip.HOST, Trip.NONE),
+)
+"""Reasons for which others ask for the safe state; NONE is the normal end."""
+
+BEFORE_SAFE = tuple(phase for phase in Phase if phase < Phase.SAFE)
+
+TRANSITIONS = (
+    Transition((Phase.STILL,), "still, not loaded, switched on, switch held", Phase.ENABLE),
+    Transition((Phase.ENABLE,), "drive enabled", Phase.SIGN),
+    Transition((Phase.ENABLE,), "drive enabled, mode without a motor", Phase.RUN),
+    Transition((Phase.SIGN,), "signs agree", Phase.SETTLE),
+    Transition((Phase.SETTLE,), "torque 0, still", Phase.RUN),
+    Transition(
+        (Phase.STILL,),
+        "not so in time",
+        Phase.SAFE,
+        (Trip.NOT_STILL, Trip.HANDLE_LOADED, Trip.ENABLE_TIMEOUT, Trip.DEADMAN),
+    ),
+    Transition((Phase.ENABLE,), "not enabled in time", Phase.SAFE, (Trip.ENABLE_TIMEOUT,)),
+    Transition(
+        (Phase.SIGN,),
+        "a sign is wrong, or nothing moves",
+        Phase.SAFE,
+        (Trip.SIGN_NO_MOTION, Trip.SIGN_ENCODER, Trip.SIGN_TRANSDUCER, Trip.SIGN_TRAVEL),
+    ),
+    Transition((Phase.SETTLE,), "not so in time", Phase.SAFE, (Trip.NOT_STILL,)),
+    Transition((Phase.RUN,), "the law returns no number", Phase.SAFE, (Trip.LAW,)),
+    Transition(BEFORE_SAFE, "a watch doubts", Phase.SAFE, ANY_TIME),
+    Transition((Phase.SIGN, Phase.SETTLE, Phase.RUN), "the drive is not enabled", Phase.SAFE, (Trip.DRIVE_STATE,)),
+    Transition(BEFORE_SAFE[2:], "the switch is let go", Phase.SAFE, (Trip.DEADMAN,)),
+    Transition(BEFORE_SAFE, "asked to stop", Phase.SAFE, FROM_OUTSIDE),
+    Transition((Phase.SAFE,), "brake ramped off", Phase.DISABLE),
+    Transition((Phase.DISABLE,), "drive disabled, or time over", Phase.DONE),
+)
+"""Every transition that the compiled step makes. A phase that no row leaves in a cycle goes on."""
+
+
+def allowed(phase: Phase, following: Phase, trip: Trip = Trip.NONE) -> bool:
+    """Return whether the table has a row from `phase` to `following` (for SAFE: with this reason), or the phase goes on."""
+    if phase is following:
+        return True
+    return any(
+        phase in row.phases and row.following is following and (following is not Phase.SAFE or trip in row.trips)
+        for row in TRANSITIONS
+    )
+
+
+def diagram() -> str:
+    """Return the table as a state diagram in Mermaid's words, one arrow for each pair of phases."""
+    lines = ["stateDiagram-v2", "    direction LR", "    [*] --> STILL: bring-up is done"]
+    arrows: dict[tuple[Phase, Phase], list[str]] = {}
+    for row in TRANSITIONS:
+        for phase in row.phases:
+            if phase is not Phase.OFF:  # before the start: nothing to be drawn
+                arrows.setdefault((phase, row.following), []).append(row.condition)
+    for (phase, following), conditions in arrows.items():
+        text = "any doubt, or the end" if following is Phase.SAFE else "; ".join(conditions)
+        lines.append(f"    {phase.name} --> {following.name}: {text}")
+    return "\n".join((*lines, "    DONE --> [*]"))
