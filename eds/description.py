@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
@@ -62,7 +63,7 @@ class Variable:
 
     def admits(self, value: float) -> bool:
         """Tell whether a number keeps to the limits."""
-        return (self.low is None or self.low <= value) and (self.high is None or value <= self.high)
+        return (self.low is None or self.low <= value) and value <= self.largest
 
     @property
     def whole(self) -> tuple[int, int] | None:
@@ -72,6 +73,16 @@ class Variable:
             return None
         half = 1 << data_type.bits - 1
         return (-half, half - 1) if data_type.signed else (0, 2 * half - 1)
+
+    @property
+    def largest(self) -> float:
+        """Largest number that the object takes, by its type and its HighLimit; infinite where neither tells.
+
+        A HighLimit of 0 without a LowLimit below 0 is one that nobody has set: editors of EDS files write it.
+        """
+        most = math.inf if self.whole is None else self.whole[1]
+        unset = self.high is None or (self.high == 0 and (self.low is None or self.low >= 0))
+        return most if unset or self.high is None else min(most, self.high)
 
     @property
     def bits(self) -> int:

@@ -27,7 +27,8 @@ def check(rig_name: str, overrides: tuple[str, ...], as_json: bool) -> None:
     """
     with errors():
         from coulombus.host.cycle.controller import Controller
-        from coulombus.host.cycle.demand import DEMANDS, cut_off
+        from coulombus.host.cycle.demand import cut_off
+        from coulombus.host.laws.laws import OWN_LAWS
         from coulombus.host.setup.device_plan import DevicePlan, device_plans
         from coulombus.rigs.plan.rig_plan import plans
 
@@ -99,7 +100,7 @@ def check(rig_name: str, overrides: tuple[str, ...], as_json: bool) -> None:
                     )
                 for mode, limit in limits.items():
                     click.echo(f"mode {mode}: drive torque limit 6072h = {limit} per mille")
-                if rig.law.function.strip() not in DEMANDS:
+                if rig.law.function.strip() not in OWN_LAWS:
                     click.echo(
                         f"law {rig.law.function}: what a limit cuts off of it is not known before it runs; the run tells"
                     )

@@ -11,7 +11,6 @@ import numpy as np
 from coulombus.eds.cia301 import CobId, NmtState
 from coulombus.eds.codec import PDO
 from coulombus.eds.pdo import fill
-from coulombus.eds.reader import Description
 from coulombus.host.cycle.demand import brake_limit_raw
 from coulombus.host.cycle.records import CONTROL, DRIVE_PDOS, HOST, Image, Phase, SignResult, Trip
 from coulombus.host.laws.laws import LAW, LAW_STATE, MOTION, OWN_LAWS, LawError, load_law
@@ -96,15 +95,6 @@ TRIP_TEXT = {
 
 def _cycles(seconds: float, period_s: float) -> int:
     return max(1, round(seconds / period_s))
-
-
-def _most(description: Description, index: int, subindex: int) -> float:
-    """Return the largest number that an object takes, by its type and its HighLimit; infinite where it is not described."""
-    if not description.has(index, subindex):
-        return math.inf
-    variable = description.variable(index, subindex)
-    most = math.inf if variable.whole is None else variable.whole[1]
-    return min(most, math.inf if variable.high is None else variable.high)
 
 
 def _slot_of(slots: dict[tuple[int, int], int]) -> Callable[[int, int], int]:
@@ -279,7 +269,9 @@ class Controller:
         limit = math.floor(self.rig.motor_limit_Nm(self.mode) / abs(Nm_pm) + 1e-9)
         motor = self.rig.description("motor")
         target = motor.variable(0x6071, 0)
-        ends = [(0x6072, _most(motor, 0x6072, 0)), (0x6071, _most(motor, 0x6071, 0))]  # without 6072h bring-up refuses
+        ends = [(0x6071, target.largest)]
+        if motor.has(0x6072, 0):  # without it bring-up refuses
+            ends.insert(0, (0x6072, motor.variable(0x6072, 0).largest))
         if target.low is not None and target.low < 0:
             ends.append((0x6071, -target.low))
         index, end = min(ends, key=lambda one: one[1])

@@ -1,19 +1,19 @@
 """What a law asks of motor and brake at most, held against what they can show: a law that a limit cuts off is refused before it is armed.
 
-Of the project's own laws the largest outputs follow from the mode's parameters (`DEMANDS`). Those of a law of the user's own are not known
-before it runs; what is cut off then is counted in every cycle (``clipped_torque``, ``clipped_setpoints``) and told at the end of the run.
+Of the project's own laws the largest outputs follow from the mode's parameters (`host.laws.laws.OWN_LAWS`). Those of a law of
+the user's own are not known before it runs; what is cut off then is counted in every cycle (``clipped_torque``, ``clipped_setpoints``) and told at the end of the run.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from typing import NamedTuple
 
-from coulombus.eds.pdo import entry_of
+from coulombus.host.laws.laws import OWN_LAWS
 from coulombus.rigs.model import Mode
 from coulombus.rigs.rig import Rig, RigError
 
-__all__ = ["DEMANDS", "brake_limit_raw", "check_demand", "cut_off"]
+__all__ = ["brake_limit_raw", "check_demand", "cut_off"]
 
 
 class Demand(NamedTuple):
@@ -23,20 +23,9 @@ class Demand(NamedTuple):
     torque_Nm: float
 
 
-DEMANDS: Mapping[str, Callable[[Mode], tuple[Demand, ...]]] = {
-    "karnopp": lambda m: (Demand("F_s_Nm", m.F_s_Nm), Demand("F_d_Nm", m.F_d_Nm)),  # the spring ends at F_s
-    "coulomb": lambda m: (Demand("F_d_Nm", m.F_d_Nm),),
-}
-"""What each of the project's laws displays at most, stuck and in slip."""
-
-
 def brake_limit_raw(rig: Rig) -> int:
     """Return the largest set-point that 7300h:01 takes: the high limit of the EDS file, or what its data type holds."""
-    variable = rig.description("brake").variable(0x7300, 1)
-    entry = entry_of(variable)
-    holds = (1 << min(entry.bits - entry.signed, 32)) - 1
-    high = variable.high
-    return holds if high is None or high <= 0 else min(int(high), holds)  # a limit of 0 is one that nobody has set
+    return int(min(rig.description("brake").variable(0x7300, 1).largest, 0xFFFFFFFF))
 
 
 def _motor(rig: Rig, mode: str) -> Iterator[RigError]:
@@ -71,8 +60,8 @@ def _brake(rig: Rig, mode: str) -> Iterator[RigError]:
 
 def _law(rig: Rig, mode: Mode) -> tuple[Demand, ...]:
     """Return what the rig's law displays at most in a mode; nothing where that is not known."""
-    demands = DEMANDS.get(rig.law.function.strip())
-    return demands(mode) if demands is not None else ()
+    own = OWN_LAWS.get(rig.law.function.strip())
+    return () if own is None else tuple(Demand(key, getattr(mode, key)) for key in own.extremes)
 
 
 def _expected(limit_Nm: float, torque_Nm: float, whose: str) -> str:

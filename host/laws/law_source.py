@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from coulombus.eds.regular_file import read_regular
-from coulombus.host.laws import laws
 from coulombus.host.laws.laws import OWN_LAWS, LawError, find_law
 from coulombus.rigs.rig import Rig
 
@@ -45,9 +44,9 @@ class LawSource:
 def law_source(rig: Rig) -> LawSource | None:
     """Return the source of the rig's law; None where there is none to be read. The law is not run for it."""
     name = rig.law.function
-    place, _, function = name.rpartition(":")
+    place = name.rpartition(":")[0]
     if name in OWN_LAWS:
-        return LawSource(name, inspect.getsource(getattr(laws, function)).encode())
+        return LawSource(name, inspect.getsource(OWN_LAWS[name].function).encode())
     try:
         if place.endswith(".py"):
             return LawSource(name, read_regular(find_law(place, rig.law_directory), MOST_BYTES))

@@ -31,10 +31,10 @@ import importlib.util
 import inspect
 import math
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -43,9 +43,6 @@ from coulombus.compiled.decorator import JIT_DISABLED, cached
 import numba  # isort: skip  (after compiled.decorator, which names the cache directory)
 
 __all__ = ["LAW", "LAW_STATE", "MOTION", "OWN_LAWS", "LawError", "coulomb", "find_law", "karnopp", "load_law"]
-
-OWN_LAWS = ("karnopp", "coulomb")
-"""The project's own laws: of all laws that a recording may name these alone run without being named again."""
 
 OLD_PLACE = "host.laws"
 """What stood before their names in earlier rig files."""
@@ -137,6 +134,20 @@ def coulomb(motion: Any, law: Any, state: Any) -> float:
         return 0.0
     state.stuck = 0
     return law.F_d if motion.v_counts > 0.0 else -law.F_d
+
+
+class OwnLaw(NamedTuple):
+    """A law of the project's own, and the keys of the mode that say how much it displays at most, stuck and in slip [Nm]."""
+
+    function: Callable[[Any, Any, Any], float]
+    extremes: tuple[str, ...]
+
+
+OWN_LAWS: Mapping[str, OwnLaw] = {
+    "karnopp": OwnLaw(karnopp, ("F_s_Nm", "F_d_Nm")),  # the spring ends at F_s
+    "coulomb": OwnLaw(coulomb, ("F_d_Nm",)),
+}
+"""The project's own laws by their names: of all laws that a recording may name these alone run without being named again."""
 
 
 def _signature() -> Any:

@@ -1,10 +1,12 @@
 """The EDS reader: one quirk at a time in a few lines of EDS, then every file of the corpus of real ones."""
 
 import logging
+import math
 import os
 import random
 import re
 import socket
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -554,3 +556,26 @@ def test_real_files_agree_with_canopen_where_it_reads_them_right(caplog):
             compared += 1
     assert files >= 20
     assert compared >= 5000
+
+
+@pytest.mark.parametrize(
+    ("data_type", "low", "high", "largest"),
+    [
+        (0x0003, None, None, 32767),
+        (0x0006, None, None, 65535),
+        (0x0003, None, 5000, 5000),
+        (0x0002, None, 5000, 127),
+        (0x0003, None, 0, 32767),  # nobody has set it
+        (0x0003, 0, 0, 32767),
+        (0x0003, -1000, 0, 0),
+        (0x0003, -1000, -5, -5),
+        (0x0001, None, None, 1),
+        (0x0008, None, None, math.inf),
+        (0x0008, None, 2.5, 2.5),
+    ],
+)
+def test_the_largest_number_is_the_types_or_the_high_limit_and_0_is_none(read, data_type, low, high, largest):
+    x = replace(read(variable()).variable(0x2000, 0), data_type=data_type, low=low, high=high)
+    assert x.largest == largest
+    assert x.admits(largest)
+    assert largest == math.inf or not x.admits(largest + 1)
