@@ -5,18 +5,20 @@ The table does not know which role it plays. The drive asks "this state, this co
 Operation Enabled from here?" (`CONTROLWORD_TO_ENABLE`). All tables are plain int64 arrays, so kernels read them as they
 stand.
 
-Transitions that a drive takes by itself: 0 and 1 after power-on, 13 on a fault (to FAULT_REACTION_ACTIVE), 14 when the
-fault reaction is complete, 12 when a quick stop is complete.
+`STATES` has each state's statusword, `TRANSITIONS` what a controlword commands, `AUTOMATIC` what a drive does by itself; every array, and the
+diagram of docs/devices.md, is made of these three.
 """
 
 from __future__ import annotations
 
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 __all__ = [
+    "AUTOMATIC",
     "COMMAND_OF_CONTROLWORD",
     "CONTROLWORD",
     "CONTROLWORD_TO_ENABLE",
@@ -26,11 +28,15 @@ __all__ = [
     "OPERATION_MODE_CSV",
     "OPERATION_MODE_PROFILE_TORQUE",
     "OPERATION_MODE_PROFILE_VELOCITY",
+    "STATES",
     "STATE_OF_STATUSWORD",
     "STATUSWORD",
+    "TRANSITIONS",
     "VOLTAGE_ENABLED",
     "Command",
     "PowerState",
+    "State",
+    "diagram",
 ]
 
 
@@ -77,19 +83,41 @@ CONTROLWORD = {
 }
 """The controlword (6040h) that spells each command."""
 
-STATUSWORD: npt.NDArray[np.int64] = np.array([0x0000, 0x0040, 0x0021, 0x0023, 0x0027, 0x0007, 0x000F, 0x0008], np.int64)
-"""Bits 0-3, 5 and 6 of the statusword (6041h) by `PowerState`; bit 5 of the fault states is set too by some drives."""
+
+class State(NamedTuple):
+    """A state, how the statusword (6041h) tells it, and the controlword that leads one step on towards Operation Enabled."""
+
+    state: PowerState
+    mask: int
+    value: int
+    onward: int
+
+
+_S, _C = PowerState, Command
+STATES = (
+    State(_S.NOT_READY_TO_SWITCH_ON, 0x4F, 0x00, CONTROLWORD[_C.DISABLE_VOLTAGE]),
+    State(_S.SWITCH_ON_DISABLED, 0x4F, 0x40, CONTROLWORD[_C.SHUTDOWN]),
+    State(_S.READY_TO_SWITCH_ON, 0x6F, 0x21, CONTROLWORD[_C.SWITCH_ON]),
+    State(_S.SWITCHED_ON, 0x6F, 0x23, CONTROLWORD[_C.ENABLE_OPERATION]),
+    State(_S.OPERATION_ENABLED, 0x6F, 0x27, CONTROLWORD[_C.ENABLE_OPERATION]),
+    State(_S.QUICK_STOP_ACTIVE, 0x6F, 0x07, CONTROLWORD[_C.DISABLE_VOLTAGE]),
+    State(_S.FAULT_REACTION_ACTIVE, 0x4F, 0x0F, CONTROLWORD[_C.DISABLE_VOLTAGE]),
+    State(_S.FAULT, 0x4F, 0x08, CONTROLWORD[_C.FAULT_RESET]),
+)
+"""CiA 402 table 30, in the order of `PowerState`. Bit 4 (voltage enabled) is in no mask; bit 5 is set in the fault states by some drives."""
+
+STATUSWORD: npt.NDArray[np.int64] = np.array([row.value for row in STATES], np.int64)
+"""Bits 0-3, 5 and 6 of the statusword (6041h) by `PowerState`."""
+
+CONTROLWORD_TO_ENABLE: npt.NDArray[np.int64] = np.array([row.onward for row in STATES], np.int64)
+"""The controlword that leads one step on towards Operation Enabled, by `PowerState`."""
 
 
 def _state_of_statusword() -> npt.NDArray[np.int64]:
-    """State by the low 7 bits of the statusword; bit 4 (voltage enabled) is no part of it, -1 where none fits."""
+    """State by the low 7 bits of the statusword, -1 where none fits."""
     table = np.full(128, -1, np.int64)
-    for word in range(128):
-        low = word & 0x4F
-        if low in (0x00, 0x40, 0x0F, 0x08):
-            table[word] = {0x00: 0, 0x40: 1, 0x0F: 6, 0x08: 7}[low]
-        elif word & 0x6F in (0x21, 0x23, 0x27, 0x07):
-            table[word] = {0x21: 2, 0x23: 3, 0x27: 4, 0x07: 5}[word & 0x6F]
+    for row in STATES:
+        table[np.arange(128) & row.mask == row.value] = row.state
     return table
 
 
@@ -115,7 +143,6 @@ def _command_of_controlword() -> npt.NDArray[np.int64]:
 
 COMMAND_OF_CONTROLWORD = _command_of_controlword()
 
-_S, _C = PowerState, Command
 TRANSITIONS: tuple[tuple[int, PowerState, Command, PowerState], ...] = (
     (2, _S.SWITCH_ON_DISABLED, _C.SHUTDOWN, _S.READY_TO_SWITCH_ON),
     (3, _S.READY_TO_SWITCH_ON, _C.SWITCH_ON, _S.SWITCHED_ON),
@@ -136,6 +163,15 @@ TRANSITIONS: tuple[tuple[int, PowerState, Command, PowerState], ...] = (
 )
 """(number, state, command, next state) of every transition that a controlword commands."""
 
+AUTOMATIC: tuple[tuple[int, PowerState | None, str, PowerState], ...] = (
+    (0, None, "power on", _S.NOT_READY_TO_SWITCH_ON),
+    (1, _S.NOT_READY_TO_SWITCH_ON, "by itself", _S.SWITCH_ON_DISABLED),
+    (12, _S.QUICK_STOP_ACTIVE, "quick stop complete", _S.SWITCH_ON_DISABLED),
+    (13, _S.OPERATION_ENABLED, "fault, in every state", _S.FAULT_REACTION_ACTIVE),
+    (14, _S.FAULT_REACTION_ACTIVE, "fault reaction complete", _S.FAULT),
+)
+"""(number, state, when, next state) of every transition that a drive makes by itself; None is the switched-off drive."""
+
 
 def _next_state() -> npt.NDArray[np.int64]:
     table = np.tile(np.arange(len(PowerState), dtype=np.int64)[:, None], (1, len(Command)))
@@ -147,5 +183,11 @@ def _next_state() -> npt.NDArray[np.int64]:
 NEXT_STATE = _next_state()
 """``NEXT_STATE[state, command]``: the state that follows; the same state where the table has no transition."""
 
-CONTROLWORD_TO_ENABLE: npt.NDArray[np.int64] = np.array([0x00, 0x06, 0x07, 0x0F, 0x0F, 0x00, 0x00, 0x80], np.int64)
-"""The controlword that leads one step on towards Operation Enabled, by `PowerState`."""
+
+def diagram() -> str:
+    """Return the state machine as a state diagram in Mermaid's words."""
+    lines = [
+        f"    {'[*]' if state is None else state.name} --> {end.name}: {n} {when}" for n, state, when, end in AUTOMATIC
+    ]
+    lines += [f"    {state.name} --> {end.name}: {n} {command.name}" for n, state, command, end in TRANSITIONS]
+    return "\n".join(("stateDiagram-v2", *lines))

@@ -9,7 +9,10 @@ import click
 import pytest
 
 from coulombus.eds.cia402 import TRANSITIONS
-from coulombus.host.cycle.records import Trip
+from coulombus.eds.cia402 import diagram as power_states
+from coulombus.host.cycle.records import Phase, Trip
+from coulombus.host.cycle.transitions import TRANSITIONS as TABLE_OF_PHASES
+from coulombus.host.cycle.transitions import diagram as phases
 from coulombus.lab.demo.real_demo import SHARED_MACHINE
 from coulombus.node.emcy import CAUSES
 from coulombus.rigs.rig import load_rig
@@ -131,6 +134,17 @@ def test_the_power_state_machine_is_the_table():
     drawn = re.findall(r"^ +([A-Z_]+) --> ([A-Z_]+): (\d+) ([A-Z_]+)$", text_of("docs/devices.md"), re.M)
     table = [(state.name, following.name, str(n), command.name) for n, state, command, following in TRANSITIONS]
     assert drawn == table
+    assert power_states() in text_of("docs/devices.md")
+
+
+def test_the_phases_are_the_table():
+    text = text_of("docs/safety.md")
+    assert phases() in text
+    rows = dict(re.findall(r"^\| ([A-Z]+) \|.*\| ([^|]+) \|$", text, re.M))
+    for row in TABLE_OF_PHASES:
+        for trip in row.trips if row.following is Phase.SAFE and len(row.phases) == 1 else ():
+            words = rows[row.phases[0].name]
+            assert f"`{trip.name}`" in words or (trip.name.startswith("SIGN_") and "`SIGN_...`" in words), trip
 
 
 def test_devices_show_the_pdos_the_objects_and_the_emergencies():

@@ -1,7 +1,8 @@
 """What a law asks of motor and brake at most, held against what they can show: a law that a limit cuts off is refused before it is armed.
 
 Of the project's own laws the largest outputs follow from the mode's parameters (`host.laws.laws.OWN_LAWS`). Those of a law of
-the user's own are not known before it runs; what is cut off then is counted in every cycle (``clipped_torque``, ``clipped_setpoints``) and told at the end of the run.
+the user's own are not known before it runs; what is cut off then is counted in every cycle (``clipped_torque``,
+``clipped_setpoints``) and told at the end of the run.
 """
 
 from __future__ import annotations

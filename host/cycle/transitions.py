@@ -30,8 +30,8 @@ ANY_TIME = (
 """Doubts of the watches that look in every phase."""
 
 FROM_OUTSIDE = (
-    *(Trip.TRANSMIT, Trip.RECORDING, Trip.BUS_LOST, Trip.SECOND_HOST, Trip.DEADMAN, Trip.DATA_PLANE, Trip.OTHER_AXIS),
-    *(Trip.HOST, Trip.NONE),
+    *(Trip.TRANSMIT, Trip.RECORDING, Trip.BUS_LOST, Trip.SECOND_HOST, Trip.DATA_PLANE, Trip.OTHER_AXIS, Trip.HOST),
+    Trip.NONE,
 )
 """Reasons for which others ask for the safe state; NONE is the normal end."""
 

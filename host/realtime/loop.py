@@ -174,10 +174,14 @@ def _stop(p: Any, axes: Any, trip: int) -> None:
 
 
 @kernel
-def _late(axes: Any, periods: int) -> None:
-    """Let every axis know that so many periods have passed without it: what it knows is as much older."""
+def _skip(p: Any, axes: Any, periods: int) -> int:
+    """Skip so many periods that have passed, and count them: what every axis knows is as much older. Returns how many."""
+    if periods <= 0:
+        return 0
+    p.missed_deadlines += periods
     for k in range(axes.shape[0]):
         axes[k].host.position_age += periods
+    return periods
 
 
 @kernel
@@ -302,17 +306,69 @@ def _count(bins: Any, t_ns: int) -> None:
 
 
 @kernel
+def _drain(b: Any) -> int:
+    """Take what the bus carried since the last cycle; return 1 when it is lost."""
+    found = TOOK
+    messages = 0
+    while found != EMPTY and messages < DRAIN_MESSAGES:
+        found = _take(b, 1)
+        messages += 1
+        if found == GONE:
+            return 1
+    return 0
+
+
+@kernel
+def _obey(b: Any) -> None:
+    """Do what the parent asks for: the safe state, the dead man's key; and look whether it is there."""
+    p, axes, base = b.plane[0], b.axes, b.plane.ctypes.data
+    _stop(p, axes, load_acquire(base + AT_STOP))
+    _watch_parent(p, base, axes)
+    if axes[0].control.deadman_key:
+        held = 1 if now_ns() < load_acquire(base + AT_DEADMAN) else 0
+        for k in range(axes.shape[0]):
+            axes[k].host.deadman_ok = held
+
+
+@kernel
+def _collect(b: Any, law_function: Any, end_ns: int) -> int:
+    """Receive until all axes have finished their cycle, or until the window for TPDOs is over; return 1 when the bus is lost."""
+    p, axes = b.plane[0], b.axes
+    messages = 0
+    while messages < DRAIN_MESSAGES:
+        left = end_ns - now_ns()
+        if left <= 0:
+            break
+        ready = ppoll_ns(b.poll.ctypes.data, 1, left)
+        if ready < 0 and _failed(p):
+            return 1
+        if ready <= 0:  # the window is over, or a signal came
+            continue
+        found = _take(b, 1)
+        messages += 1
+        if found == GONE:
+            return 1
+        if found == COMPLETE:
+            now = now_ns()
+            _trace(b.plane, b.trace, Moment.ARRIVED, now, p.asked)
+            if finish(axes, law_function, now, 0, b.out) == 0:
+                break
+            if _transmit(b, 0) != 0:
+                return 1
+    now = now_ns()
+    _trace(b.plane, b.trace, Moment.WINDOW, now, p.asked)
+    finish(axes, law_function, now, 1, b.out)
+    return 1 if _transmit(b, 0) != 0 else 0
+
+
+@kernel
 def _cycle(b: Any, law_function: Any) -> int:
     """Cycle until the parent commands otherwise (returns 0) or the bus is lost (returns 1)."""
-    p, c, axes = (
-        b.plane[0],
-        b.axes[0].control,
-        b.axes,
-    )  # of all axes alike are the cycle, the host's own identifiers and the dead man's key
+    p, axes, base = b.plane[0], b.axes, b.plane.ctypes.data
+    c = axes[0].control  # of all axes alike are the cycle, the host's own identifiers and the dead man's key
     missed_cycles = c.missed_cycles
     for k in range(1, axes.shape[0]):
         missed_cycles = min(missed_cycles, axes[k].control.missed_cycles)
-    base = b.plane.ctypes.data
     t = p.start_ns
     _trace(b.plane, b.trace, Moment.START, t, 0)
     while load_acquire(base + AT_COMMAND) == Command.CYCLE:
@@ -326,59 +382,17 @@ def _cycle(b: Any, law_function: Any) -> int:
         wake = now_ns()
         _count(b.wakeup_bins, wake - t)
         p.wakeup_max_ns = max(p.wakeup_max_ns, wake - t)
-        late = (wake - t) // c.period_ns
-        if late > 0:  # periods that have passed while this process did not run
-            t += late * c.period_ns
-            p.missed_deadlines += late
-            _late(axes, late)
+        t += c.period_ns * _skip(p, axes, (wake - t) // c.period_ns)
         full = p.tx_full
-
-        found = TOOK
-        messages = 0
-        while found != EMPTY and messages < DRAIN_MESSAGES:
-            found = _take(b, 1)
-            messages += 1
-            if found == GONE:
-                return 1
-        _stop(p, axes, load_acquire(base + AT_STOP))
-        _watch_parent(p, base, axes)
-        if c.deadman_key:
-            held = 1 if now_ns() < load_acquire(base + AT_DEADMAN) else 0
-            for k in range(axes.shape[0]):
-                axes[k].host.deadman_ok = held
-
+        if _drain(b) != 0:
+            return 1
+        _obey(b)
         _trace(b.plane, b.trace, Moment.BEGIN, t, axes[0].host.deadman_ok)
         begin(axes, t, b.out)
         if _transmit(b, 0) != 0:
             return 1
         sync = now_ns()
-        end = sync + c.window_ns
-        messages = 0
-        while messages < DRAIN_MESSAGES:
-            left = end - now_ns()
-            if left <= 0:
-                break
-            ready = ppoll_ns(b.poll.ctypes.data, 1, left)
-            if ready < 0 and _failed(p):
-                return 1
-            if ready <= 0:  # the window is over, or a signal came
-                continue
-            found = _take(b, 1)
-            messages += 1
-            if found == GONE:
-                return 1
-            if found == COMPLETE:
-                now = now_ns()
-                _trace(b.plane, b.trace, Moment.ARRIVED, now, p.asked)
-                waiting = finish(axes, law_function, now, 0, b.out)
-                if waiting == 0:
-                    break
-                if _transmit(b, 0) != 0:
-                    return 1
-        now = now_ns()
-        _trace(b.plane, b.trace, Moment.WINDOW, now, p.asked)
-        finish(axes, law_function, now, 1, b.out)
-        if _transmit(b, 0) != 0:
+        if _collect(b, law_function, sync + c.window_ns) != 0:
             return 1
         done = now_ns()
         _count(b.latency_bins, done - sync)
@@ -387,11 +401,7 @@ def _cycle(b: Any, law_function: Any) -> int:
         if p.full_in_a_row >= missed_cycles:
             _stop(p, axes, Trip.TRANSMIT)
         t += c.period_ns
-        late = (done - t + c.period_ns - 1) // c.period_ns
-        if late > 0:
-            t += late * c.period_ns
-            p.missed_deadlines += late
-            _late(axes, late)
+        t += c.period_ns * _skip(p, axes, (done - t + c.period_ns - 1) // c.period_ns)
         store_release(base + AT_CYCLES, p.cycles + 1)
     return 0
 

@@ -13,7 +13,7 @@ from typing import Protocol
 import canopen
 from canopen.sdo import SdoAbortedError, SdoCommunicationError
 
-from coulombus.eds.cia301 import NmtState, abort_text
+from coulombus.eds.cia301 import NmtCommand, NmtState, abort_text
 from coulombus.eds.cia402 import STATE_OF_STATUSWORD, PowerState
 from coulombus.eds.own_devices import MANUFACTURER, is_own
 from coulombus.eds.reader import Value, Variable
@@ -226,7 +226,7 @@ def bring_up(controllers: Controllers, plane: ControlPlane) -> tuple[str, ...]:
     found = plans_of(controllers)
     _refuse(text for plan in found for text in plan.problems)
     nmt = plane.network.nmt
-    nmt.send_command(0x80)  # enter PRE-OPERATIONAL
+    nmt.send_command(NmtCommand.ENTER_PRE_OPERATIONAL)
     plane.wait_ns(SETTLE_NS)
     timeout_s = controllers.rig.host.sdo_timeout_s
     devices = [_Device(plane, plan, timeout_s) for plan in found]
@@ -235,7 +235,7 @@ def bring_up(controllers: Controllers, plane: ControlPlane) -> tuple[str, ...]:
         if device.plan.role == "motor":
             device.check_modes()
     _refuse([text for device in devices for text in device.configure()])
-    nmt.send_command(0x01)  # start
+    nmt.send_command(NmtCommand.START)
     heartbeat_ns = round(1e9 * max(plan.part.heartbeat_s for plan in found))
     plane.wait_ns(SETTLE_NS + 2 * heartbeat_ns)
     for _ in range(LATE_HEARTBEATS):
@@ -263,7 +263,7 @@ def release(controllers: Controllers, plane: ControlPlane) -> None:
     Else each of them would tell of a lost heartbeat (EMCY 8130h) as soon as this host has gone. After a trip, or where a drive is not known to be
     disabled, the watch stays. To be called before the host's heartbeat is missed.
     """
-    plane.network.nmt.send_command(0x80)
+    plane.network.nmt.send_command(NmtCommand.ENTER_PRE_OPERATIONAL)
     drives = [STATE_OF_STATUSWORD[int(k.host["image"][0, Image.STATUSWORD]) & 0x7F] for k in controllers]
     disabled = all(drive == PowerState.SWITCH_ON_DISABLED for drive in drives)
     if not (controllers.done and controllers.trip is None and disabled):
@@ -278,5 +278,5 @@ def release(controllers: Controllers, plane: ControlPlane) -> None:
 
 def shut_down(plane: ControlPlane) -> None:
     """Leave the nodes in PRE-OPERATIONAL, where no PDO acts; only the heartbeat is still watched there."""
-    plane.network.nmt.send_command(0x80)
+    plane.network.nmt.send_command(NmtCommand.ENTER_PRE_OPERATIONAL)
     plane.wait_ns(SETTLE_NS)

@@ -10,13 +10,12 @@ from typing import Any
 import can
 import canopen
 
+from coulombus.eds.cia301 import CobId
 from coulombus.host.errors import HostError, SafetyTrip
 from coulombus.rigs.rig import Rig
 from coulombus.wire.address import BusAddress, BusUnavailable
 
 __all__ = ["RealControlPlane"]
-
-SYNC = 0x80
 
 
 class _Errors(can.Listener):
@@ -62,8 +61,8 @@ class RealControlPlane:
         self._address = address
         self._host_id = rig.host.node_id
         nodes = [node.node_id for node in rig.nodes]
-        self._own = {base + node for base in (0x080, 0x580, 0x700) for node in nodes}
-        self._foreign = {SYNC: "SYNC", 0x700 + self._host_id: f"the heartbeat of node {self._host_id}"}
+        self._own = {base + node for base in (CobId.EMCY, CobId.SDO_TX, CobId.HEARTBEAT) for node in nodes}
+        self._foreign = {CobId.SYNC: "SYNC", CobId.HEARTBEAT + self._host_id: f"the heartbeat of node {self._host_id}"}
         self.heard: str | None = None
         self._nmt: dict[int, int] = {}
         bus = _open(address, self._own | set(self._foreign))
@@ -74,7 +73,7 @@ class RealControlPlane:
         for can_id in self._foreign:
             self.network.subscribe(can_id, self._hear)
         for node in nodes:
-            self.network.subscribe(0x700 + node, self._heartbeat)
+            self.network.subscribe(CobId.HEARTBEAT + node, self._heartbeat)
         self.network.connect()
 
     def _hear(self, can_id: int, data: bytearray, stamp: float) -> None:

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from coulombus.eds.cia301 import predefined
+from coulombus.eds.cia301 import CobId, predefined
 from coulombus.eds.cia402 import OPERATION_MODE_CST
 from coulombus.eds.reader import Description, Variable
 from coulombus.rigs.model import Brake, Motor
@@ -89,7 +89,7 @@ def _common_settings(rig: Rig, role: Role, part: Motor | Brake) -> Iterator[Sett
     timeout_ms = round(part.heartbeat_timeout_s * 1000)
     yield Setting(0x1016, 1, rig.host.node_id << 16 | timeout_ms, f"{role}.heartbeat_timeout_s")
     yield Setting(0x1017, 0, round(part.heartbeat_s * 1000), f"{role}.heartbeat_s")
-    yield Setting(0x1005, 0, 0x80)
+    yield Setting(0x1005, 0, CobId.SYNC)
     yield Setting(0x2002, 0, round(part.sync_timeout_s * 1e6), f"{role}.sync_timeout_s", optional=True)
 
 
