@@ -47,10 +47,11 @@ class Target:
 
 
 TARGETS = {
-    "host/cycle/watch.py": Target(("test_host_watches",)),
+    "host/cycle/watch.py": Target(("test_host_watches", "test_host_cycle")),
     "host/cycle/step.py": Target(("test_host_cycle",)),
-    "host/cycle/phases.py": Target(("test_host_phases", "test_host_mirrored")),
+    "host/cycle/phases.py": Target(("test_host_phases", "test_host_mirrored", "test_host_cycle", "test_transitions")),
     "host/cycle/axes.py": Target(("test_host_axes",)),
+    "eds/description.py": Target(("test_eds_reader",), ("Variable.admits", "Variable.largest")),
     "host/laws/laws.py": Target(("test_law_edges",), ("karnopp", "coulomb")),
     "host/cycle/controller.py": Target(
         ("test_host_control",),
