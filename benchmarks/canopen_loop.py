@@ -36,10 +36,11 @@ class Loop:
 
     def __init__(self, rig: Rig, bus: str, mode: str) -> None:
         self.rig, self.bus, self.priority = rig, bus, 0
+        axis = rig.one_axis()
         self.network = canopen.Network(bus=CoulombusBus(parse_address(bus).name))
         nodes = {
-            name: self.network.add_node(part.node_id, rig.description(name).path)
-            for name, part in (("motor", rig.motor), ("brake", rig.brake))
+            name: self.network.add_node(part.node_id, axis.description(name).path)
+            for name, part in (("motor", axis.motor), ("brake", axis.brake))
         }
         maps: dict[tuple[str, str, int], Any] = {}
         for pdo in rig.pdos():
@@ -59,13 +60,16 @@ class Loop:
         self.arrived = 0
         for bit, one in enumerate((self.motor_tx, self.motor_speed, self.brake_tx)):
             one.add_callback(self._listener(1 << bit))
-        numbers, self.k = rig.mode[mode], 2 * 3.141592653589793 / (rig.motor.encoder_counts_rev * rig.mechanics.ratio)
+        numbers, self.k = (
+            axis.mode[mode],
+            2 * 3.141592653589793 / (axis.motor.encoder_counts_rev * axis.mechanics.ratio),
+        )
         self.motion = SimpleNamespace(x_rad=0.0, v_counts=0.0)
         self.law = SimpleNamespace(
             K_p=numbers.K_p_Nm_rad,
             F_s=numbers.F_s_Nm,
             F_d=numbers.F_d_Nm,
-            velocity_band_counts=rig.law.velocity_band_counts,
+            velocity_band_counts=axis.law.velocity_band_counts,
             paper_entry=0,
             brake_spring=0,
         )
@@ -110,7 +114,7 @@ class Loop:
         wakeup, latency = [0] * BINS, [0] * BINS
         cycles = missed = lates = incomplete = heartbeat = 0
         self.priority = priority
-        self.network.subscribe(0x180 + self.rig.motor.node_id, self._promote)
+        self.network.subscribe(0x180 + self.rig.one_axis().motor.node_id, self._promote)
         ask_for_real_time(priority, cpu)
         t = (time.monotonic_ns() + LEAD_NS) // period * period
         end = t + round(seconds * 1e9)

@@ -11,7 +11,7 @@ for recording in read(out / "two_axes.pcapng").axes:  # one recording for each a
     held = recording["brake.setpoint_Nm"].values.max()
     push = abs(recording["brake.handle_torque_Nm"].values).max()
     print(
-        f"node {recording.rig.motor.node_id}: the brake held up to {held:.2f} Nm, the hand pushed up to {push:.2f} Nm"
+        f"node {recording.rig.one_axis().motor.node_id}: the brake held up to {held:.2f} Nm, the hand pushed up to {push:.2f} Nm"
     )
 for name, axis in result.axes.items():
     print(f"{name}: moved {axis['hold_counts_p2p']} counts while it was held, sign check {axis['sign_check']}")

@@ -217,8 +217,8 @@ def simulate(
     """
     wrong = faults if faults is None or isinstance(faults, FaultPlan) else read_faults(Path(faults))
     chosen = rig.variant(*overrides) if isinstance(rig, Rig) else load_rig(rig, overrides)
-    if mode not in chosen.mode:
-        raise ValueError(f"mode {mode!r}: the rig has {', '.join(chosen.mode)}")
+    if mode not in chosen.modes:
+        raise ValueError(f"mode {mode!r}: the rig has {', '.join(chosen.modes)}")
     if not (math.isfinite(seconds) and seconds > 0):
         raise ValueError(f"seconds {seconds!r}: expected a number above 0")
     check_plan(chosen)
@@ -227,7 +227,7 @@ def simulate(
         for channel in chosen.channels:  # known before the first bus is run
             check_output(path_on(path, channel) if len(chosen.channels) > 1 else path, force=force)
     if truth is not None:
-        size = seconds / chosen.plant.step_s * 8 * len(TRUTH_COLUMNS)
+        size = sum(seconds / axis.simulation.plant.step_s * 8 * len(TRUTH_COLUMNS) for axis in chosen.axes)
         if size > TRUTH_BYTES:
             raise TruthError(
                 f"{truth}: {size / 1e9:.0f} GB of truth; show less than {seconds:g} s, or raise plant.step_s"

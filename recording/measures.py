@@ -76,7 +76,7 @@ def _windows(recording: Source, spans: list[PhaseSpan]) -> tuple[list[Window], l
     holds = [(s.begin_s + HOLD_LEAD_S, s.end_s - HOLD_TAIL_S) for s in spans if s.kind == "hold"]
     sticks = []
     for span in spans:
-        stroke = recording.rig.phases[span.index]
+        stroke = recording.rig.one_axis().phases[span.index]
         if stroke.kind == "stroke":
             dwell = span.begin_s + stroke.move_s
             while dwell < span.end_s:

@@ -96,9 +96,9 @@ class Source:
     @property
     def axes(self) -> tuple[Self, ...]:
         """The recording as each axis of the rig sees it, with the signals' plain names."""
-        if self.rig.axes[0] is self.rig:
+        if not self.rig.axis_names:
             return (self,)
-        return tuple(self.seen_by(axis.axis) for axis in self.rig.axes)
+        return tuple(self.seen_by(name) for name in self.rig.axis_names)
 
     def signal(self, name: str) -> Signal:
         """Return what the rig says of a signal: object, scale, offset, unit; KeyError names the nearest ones."""
@@ -152,7 +152,7 @@ class Recording(Source):
         """Return the recording as the axis of this name sees it, with the signals' plain names; markers of other axes are left out."""
         if not axis:
             return self
-        seen = decode(self.capture, self.rig.one_axis(axis), self.epoch_ns)
+        seen = decode(self.capture, self.rig.alone(axis), self.epoch_ns)
         return replace(seen, markers=_markers_of(axis, self.rig, seen.markers))
 
     @property
@@ -190,7 +190,7 @@ class Blocks(Source):
     """The axis of `rig` whose view this is, with the signals' plain names; "": of all that it has."""
 
     def __post_init__(self) -> None:
-        self._whole, self.rig = self.rig, self.rig.one_axis(self.axis) if self.axis else self.rig
+        self._whole, self.rig = self.rig, self.rig.alone(self.axis) if self.axis else self.rig
 
     def __iter__(self) -> Iterator[Recording]:
         epoch_ns, left_out, warnings = None, Counter[str](), list[str]()
@@ -213,7 +213,7 @@ class Blocks(Source):
 def _markers_of(axis: str, rig: Rig, markers: list[tuple[float, str]]) -> list[tuple[float, str]]:
     """Return the markers as an axis of `rig` sees them: its own phases by their plain names, those of the others not at all."""
     own = f"{axis}.phase "
-    others = tuple(f"{one.axis}.phase " for one in rig.axes if one.axis != axis)
+    others = tuple(f"{other}.phase " for other in rig.axis_names if other != axis)
     return [
         (t_s, text.removeprefix(f"{axis}.") if text.startswith(own) else text)
         for t_s, text in markers

@@ -30,6 +30,7 @@ NAME = re.compile(r"[a-z][a-z0-9_]{0,15}")
 TAKEN = frozenset(("motor", "brake", "host", "axis"))
 
 SHARED: tuple[tuple[Key, str], ...] = (
+    (("rig",), "a rig has one name"),
     (("bus", "period_s"), "one cycle drives all axes"),
     (("bus", "actuation"), "one cycle drives all axes"),
     (("bus", "tpdo_window_s"), "one cycle drives all axes"),
@@ -84,10 +85,12 @@ def check_axes(axes: Mapping[str, Mapping[str, Any]], sources: Mapping[str, Sour
     """Note what the axes must share and do not, and node ids that two of one bus have."""
     for first, second in combinations(axes, 2):
         one, other, source = axes[first], axes[second], sources[second]
+        names = {first: second, second: first}
         same_bus = _get(one, ("bus", "channel")) == _get(other, ("bus", "channel"))
         for key, why in SHARED + (ON_ONE_BUS if same_bus else ()):
             if _get(one, key) != _get(other, key) and not source.is_wrong(key):
-                source.say(key, f"differs from that of axis {first}; expected the same, because {why}")
+                odd = next((name for name in (second, first) if sources[name].full(key) != key), second)
+                sources[odd].say(key, f"differs from that of axis {names[odd]}; expected the same, because {why}")
         modes = [set(_get(axis, ("mode",)) or ()) for axis in (one, other)]
         if modes[0] != modes[1]:
             source.say(("mode",), f"the modes are not those of axis {first}; expected {', '.join(sorted(modes[0]))}")

@@ -53,7 +53,7 @@ def _names(rig: Rig) -> str:
 
 
 def _all_addresses(rig: Rig, given: Sequence[str]) -> dict[str, BusAddress]:
-    name, channels = default_address(rig.rig.name).name, rig.channels
+    name, channels = default_address(rig.name).name, rig.channels
     several = len(channels) > 1
     found: dict[str, BusAddress] = {}
     for text in given:

@@ -11,7 +11,7 @@ from typing import Any
 from coulombus.eds.reader import Description, EdsError, parse_eds, read_eds
 from coulombus.eds.regular_file import read_regular
 from coulombus.rigs.mistakes import Source, nearest
-from coulombus.rigs.signals import deadman_object, shortcomings
+from coulombus.rigs.signals import Node, deadman_object, shortcomings
 
 __all__ = ["read_descriptions", "read_schedules"]
 
@@ -28,10 +28,11 @@ def _find(name: str, rig_path: str, package: Path | None) -> tuple[Path | None, 
 
 def read_descriptions(
     values: Mapping[str, Any], source: Source, eds_texts: Mapping[str, str] | None
-) -> dict[str, Description]:
+) -> dict[Node, Description]:
     """Return the nodes' EDS files by "motor" and "brake"; mistakes are noted in `source`."""
-    found: dict[str, Description] = {}
-    for node in ("motor", "brake"):
+    found: dict[Node, Description] = {}
+    nodes: tuple[Node, ...] = ("motor", "brake")
+    for node in nodes:
         section = values.get(node)
         name = section.get("eds") if isinstance(section, dict) else None
         if not isinstance(name, str) or source.is_wrong((node, "eds")):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import json
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -13,6 +14,8 @@ from coulombus.rigs.toml_lines import Document, Key
 __all__ = ["RigError", "Source", "dotted", "nearest", "shown", "toml_value"]
 
 LONGEST = 60
+_KEY = re.compile(r"(?<![\w.])(?:bus|host|motor|brake|mechanics|law|mode|limits|plant|operator)(?:\.\w+)+")
+"""What reads as a key of the rig file in a text."""
 
 
 class RigError(Exception):
@@ -45,10 +48,20 @@ class Source:
         return Source(self.path, self.document, self.overrides, ("axis", name))
 
     def full(self, key: Key) -> Key:
-        """Return `key` as the file has it: below the axis where the axis has it of its own."""
-        own = (*self.axis, *key)
-        depth = range(len(own), len(self.axis), -1)
-        return own if any(own[:n] in self.overrides or own[:n] in self.document.lines for n in depth) else key
+        """Return `key` as the user wrote it: below the axis where the axis has it of its own, or more of what holds it than all axes share."""
+        if not self.axis:
+            return key
+        values = self.document.values
+        own = _depth(values, (*self.axis, *key)) - len(self.axis)
+        return (*self.axis, *key) if own == len(key) or own > _depth(values, key) else key
+
+    def spelled(self, key: Key) -> str:
+        """Return `key` as the user wrote it, as a text."""
+        return dotted(self.full(key))
+
+    def said(self, text: str) -> str:
+        """Return `text` with each of the rig file's keys in it as the user wrote it."""
+        return _KEY.sub(lambda found: self.spelled(tuple(found[0].split("."))), text) if self.axis else text
 
     def where(self, key: Key) -> tuple[float, str]:
         """Return the place of `key` for sorting, and as text: ``file:line`` or ``--set KEY=VALUE``."""
@@ -68,7 +81,7 @@ class Source:
         """Note a mistake of `key`; `text` follows the key's name."""
         place, where = self.where(key)
         self.wrong.add(key)
-        self.found.append((place, f"{where}: {dotted(self.full(key))}: {text}"))
+        self.found.append((place, f"{where}: {self.spelled(key)}: {self.said(text)}"))
 
     def stands(self, key: Key, value: Any, wanted: str, known: Iterable[str] = ()) -> None:
         """Note that `value` is not what is `wanted`."""
@@ -86,6 +99,16 @@ class Source:
         if self.found:
             ordered = [text for _, text in sorted(self.found, key=lambda item: item[0])]
             raise RigError(list(dict.fromkeys(ordered)))  # what several axes share is said once
+
+
+def _depth(values: Any, key: Key) -> int:
+    """Return how many parts of `key` are found in `values`, one within the other."""
+    for depth, part in enumerate(key):
+        inside = part in values if isinstance(values, Mapping) else isinstance(part, int) and isinstance(values, list)
+        if not inside or (isinstance(part, int) and part >= len(values)):
+            return depth
+        values = values[part]
+    return len(key)
 
 
 def dotted(key: Key) -> str:

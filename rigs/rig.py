@@ -1,7 +1,7 @@
 """The rig file: one TOML file says what hangs on the bus, what the controller believes, and what the simulation knows.
 
 ``load_rig("bench")`` finds a rig of the package, ``load_rig("lab/handle.toml")`` a file. The result is frozen and
-complete; `docs/rig-file.md` explains every key. A rig of several axes is a rig for each of them (`Rig.axes`). Every
+complete; `docs/rig-file.md` explains every key. A rig has buses, a host, and one or more axes (`rigs.axis`): a motor and a brake each. Every
 mistake of a file is reported at once, each with ``file:line``, the key, what stands there, what is expected and the
 nearest known key.
 """
@@ -9,53 +9,29 @@ nearest known key.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import resources
-from itertools import accumulate
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-from pydantic import Field, PrivateAttr, ValidationError
+from pydantic import ValidationError
 
 from coulombus.eds.reader import Description
 from coulombus.eds.regular_file import read_regular
 from coulombus.rigs.axes import check_axes, split_axes
+from coulombus.rigs.axis import Axis, Origin, Sections
 from coulombus.rigs.files import read_descriptions, read_schedules
-from coulombus.rigs.mistakes import RigError, Source, dotted, nearest, shown
-from coulombus.rigs.model import About, Brake, Bus, Host, Law, Limits, Mechanics, Modes, Motor, Section
-from coulombus.rigs.plant import Operator, Phase, Plant
+from coulombus.rigs.mistakes import RigError, Source, nearest
+from coulombus.rigs.model import About, Brake, Bus, Host, Motor
 from coulombus.rigs.rules import check, remarks
-from coulombus.rigs.signals import RigPdo, rig_pdos
+from coulombus.rigs.signals import Node, RigPdo
 from coulombus.rigs.text import apply_override, emit
-from coulombus.rigs.toml_lines import MOST_CHARACTERS, Key, read_toml
+from coulombus.rigs.toml_lines import MOST_CHARACTERS, read_toml
 from coulombus.rigs.words import explain
 
 __all__ = ["Rig", "RigError", "RigNode", "known_rigs", "load_rig", "load_rig_text", "packaged_rig"]
 
-HYBRID_MARGIN = 1.2
-
-
-class RigFile(Section):
-    """The sections of a rig file."""
-
-    rig: About = Field(description="what the rig is called")
-    bus: Bus = Field(description="the CAN bus and the cycle")
-    host: Host = Field(description="the host as a CANopen node")
-    motor: Motor = Field(description="the motor drive")
-    brake: Brake = Field(description="the MR brake's driver")
-    mechanics: Mechanics = Field(description="the device, as the controller believes it to be")
-    law: Law = Field(description="the friction law")
-    mode: Modes = Field(description="the modes, each with its parameters")
-    limits: Limits = Field(description="what trips, and the safe state")
-    plant: Plant = Field(description="the rig as it truly is, for the simulation")
-    operator: Operator = Field(description="the simulated hand")
-    phases: tuple[Phase, ...] = Field(
-        (),
-        alias="phase",
-        strict=False,
-        description="the operator's schedule",
-        json_schema_extra={"expected": "[[phase]] in double brackets, once for each phase"},
-    )
+ROLES: tuple[Node, ...] = ("motor", "brake")
 
 
 @dataclass(frozen=True)
@@ -63,7 +39,7 @@ class RigNode:
     """One device of a rig: "motor" or "brake", with its axis before the name ("x.motor") where there are several."""
 
     name: str
-    role: Literal["motor", "brake"]
+    role: Node
     part: Motor | Brake
     description: Description
 
@@ -73,235 +49,197 @@ class RigNode:
         return self.part.node_id
 
 
-class Rig(RigFile):
-    """A rig: the file's sections, frozen, with the EDS files that it names.
+@dataclass(frozen=True, eq=False, repr=False)
+class Rig:
+    """A rig: what belongs to all its axes, and the axes. Frozen, with the EDS files that the rig file names.
+
+    What an axis has - devices, mechanics, law, modes, limits, schedule - is asked of one of `axes`, or of `one_axis()`.
 
     Attributes
     ----------
-    path : str
-        The file, or the name given to `load_rig_text`.
-    text : str
-        The source text, without overrides; `effective()` has them.
-    overrides : tuple of str
-        The overrides, as they were given.
+    axes : tuple of Axis
+        At least one. Their host is the same, and so is their cycle: period, actuation, window, law, names of the modes (`rigs.axes.SHARED`).
+    origin : Origin
+        Where the values come from.
     warnings : tuple of str
         What is allowed, and yet may not be meant, with ``file:line``.
     """
 
-    _path: str = PrivateAttr("")
-    _text: str = PrivateAttr("")
-    _overrides: tuple[str, ...] = PrivateAttr(())
-    _warnings: tuple[str, ...] = PrivateAttr(())
-    _descriptions: dict[str, Description] = PrivateAttr(default_factory=dict)
-    _pdos: tuple[RigPdo, ...] = PrivateAttr(())
-    _axis: str = PrivateAttr("")
-    _axes: tuple[Rig, ...] = PrivateAttr(())
-    _values: dict[str, Any] | None = PrivateAttr(None)
-    _attached: bool = PrivateAttr(False)
-    _law_named: bool = PrivateAttr(False)
+    axes: tuple[Axis, ...]
+    origin: Origin
+    warnings: tuple[str, ...] = ()
+    _spelled: str = ""
+    """The values of a rig whose axes have names, as TOML: what is shared stands there once."""
+
+    def __repr__(self) -> str:
+        return f"<rig {self.name} of {self.path}>"
 
     @property
-    def law_of_recording(self) -> bool:
-        """Whether nobody but a recording names the law: then it is run only if it is one of the project's own."""
-        return self._attached and not self._law_named
+    def about(self) -> About:
+        """What the rig is called."""
+        return self.axes[0].rig
 
     @property
-    def law_directory(self) -> Path:
-        """Where the file of a law is looked for before the current folder: beside the rig file, never beside a recording."""
-        return Path() if self._attached else Path(self._path).parent
+    def name(self) -> str:
+        """The rig's short name."""
+        return self.about.name
 
     @property
-    def axes(self) -> tuple[Rig, ...]:
-        """The axes, each a rig of one motor and one brake; a rig of one axis is its own.
+    def host(self) -> Host:
+        """The host, which drives all axes."""
+        return self.axes[0].host
 
-        The sections of a rig of several axes, where it is taken for one, are those of its first axis. So only what all axes share
-        (`rigs.axes.SHARED`) may be asked of it.
+    @property
+    def modes(self) -> tuple[str, ...]:
+        """The names of the modes, which all axes have; their parameters are an axis' own."""
+        return tuple(self.axes[0].mode)
+
+    @property
+    def law_function(self) -> str:
+        """The compiled law's name, one for all axes; its parameters are an axis' own."""
+        return self.axes[0].law.function
+
+    @property
+    def buses(self) -> tuple[Bus, ...]:
+        """The buses on which the axes hang, in the file's order."""
+        return tuple({axis.bus.channel: axis.bus for axis in reversed(self.axes)}[name] for name in self.channels)
+
+    @property
+    def bus(self) -> Bus:
+        """The bus of a rig that hangs on one.
+
+        Raises
+        ------
+        TypeError
+            the rig has several buses: ask one of `buses`, or take the rig as it is on one of them (`on`)
         """
-        return self._axes or (self,)
-
-    @property
-    def axis(self) -> str:
-        """The axis' name, "" where the rig has only one; its signals are then called NAME.motor.position_rad."""
-        return self._axis
-
-    @property
-    def phase_starts_s(self) -> tuple[float, ...]:
-        """When each phase of the schedule begins, and when the last one ends [s]."""
-        return tuple(accumulate((phase.duration_s for phase in self.phases), initial=0.0))
-
-    @property
-    def prefix(self) -> str:
-        """What stands before the names of the axis' nodes and signals: "" or "NAME."."""
-        return f"{self._axis}." if self._axis else ""
+        if len(self.channels) > 1:
+            raise TypeError(f"the rig {self.name} has the buses {', '.join(self.channels)}; take it on one with Rig.on")
+        return self.axes[0].bus
 
     @property
     def channels(self) -> tuple[str, ...]:
         """The names of the buses on which the axes hang, in the file's order; ("",) for one bus without a name."""
         return tuple(dict.fromkeys(axis.bus.channel for axis in self.axes))
 
-    def one_axis(self, name: str | None = None) -> Rig:
-        """Return the axis `name` as a rig of its own; without a name the rig itself, which must then have one axis only.
+    @property
+    def axis_names(self) -> tuple[str, ...]:
+        """The axes' names; none where the rig file names no axis."""
+        return tuple(axis.name for axis in self.axes if axis.name)
+
+    def one_axis(self, name: str | None = None) -> Axis:
+        """Return the axis `name`; without a name the only one of a rig whose file names no axis.
 
         Raises
         ------
         RigError
-            the rig has several axes and none was named, or it has no such axis
+            the rig has named axes and none was given, or it has no such axis
         """
-        names = [axis.axis for axis in self.axes if axis.axis]
+        names = self.axis_names
         if name is None:
             if names:
                 raise RigError(
                     [f"the rig {self.name} has the axes {', '.join(names)}; this is about one axis at a time"]
                 )
-            return self
+            return self.axes[0]
         if name not in names:
             has = f"the axes {', '.join(names)}" if names else "one axis, without a name"
             raise RigError([f"--axis {name}: the rig {self.name} has {has}"])
-        return self.axes[names.index(name)].alone
+        return self.axes[names.index(name)]
 
-    @property
-    def alone(self) -> Rig:
-        """The axis as a rig of its own, whose nodes and signals have no axis in their names."""
-        if not self._axis:
+    def alone(self, name: str | None = None) -> Rig:
+        """Return the axis `name` as a rig of its own, whose nodes and signals have no axis in their names.
+
+        Raises
+        ------
+        RigError
+            see `one_axis`
+        """
+        axis = self.one_axis(name)
+        if not axis.name:
             return self
-        return self._marks(load_rig_text(self.effective(), self.path, self.eds_texts, attached=self._attached))
+        texts = {part.eds: axis.description(role).text for role in ROLES for part in (axis.part(role),)}
+        return self._as_said(load_rig_text(_emitted(axis), self.path, texts, attached=self.origin.attached))
 
-    def _marks(self, rig: Rig) -> Rig:
-        """Return `rig`, of which as much was said as of this one."""
-        for one in (rig, *rig._axes):
-            one._attached, one._law_named = self._attached, self._law_named
-        return rig
+    def _as_said(self, rig: Rig) -> Rig:
+        """Return `rig`, whose law was named by whom this one's was."""
+        return _from(rig, replace(rig.origin, law_named=self.origin.law_named or rig.origin.law_named))
 
     def on(self, channel: str) -> Rig:
         """Return the rig as it is on the bus `channel`: the axes that hang there and no other."""
         if self.channels == (channel,):
             return self
-        there = [axis for axis in self.axes if axis.bus.channel == channel]
-        if not there or self._values is None:
+        there = tuple(axis for axis in self.axes if axis.bus.channel == channel)
+        if not there:
             raise KeyError(f"the rig has no bus '{channel}'; it has {', '.join(self.channels)}")
-        return self._marks(
-            _together(there, self._values | {"axis": {a.axis: self._values["axis"][a.axis] for a in there}})
-        )
-
-    @property
-    def name(self) -> str:
-        """The rig's short name."""
-        return self.rig.name
+        values = read_toml(self._spelled).values
+        values["axis"] = {axis.name: values["axis"][axis.name] for axis in there}
+        return replace(self, axes=there, _spelled=_spelled(self.name, values))
 
     @property
     def path(self) -> str:
         """The file that the rig was read from."""
-        return self._path
+        return self.origin.path
 
     @property
     def text(self) -> str:
         """The source text, without overrides."""
-        return self._text
+        return self.origin.text
 
     @property
     def overrides(self) -> tuple[str, ...]:
         """The overrides, as they were given."""
-        return self._overrides
+        return self.origin.overrides
 
     @property
-    def warnings(self) -> tuple[str, ...]:
-        """What is allowed, and yet may not be meant."""
-        return self._warnings
+    def law_of_recording(self) -> bool:
+        """Whether nobody but a recording names the law: then it is run only if it is one of the project's own."""
+        return self.axes[0].law_of_recording
+
+    @property
+    def law_directory(self) -> Path:
+        """Where the file of a law is looked for before the current folder: beside the rig file, never beside a recording."""
+        return self.axes[0].law_directory
 
     @property
     def eds_texts(self) -> Mapping[str, str]:
         """The EDS files' texts by the names that the rig file has for them; a recording attaches them."""
         return {node.part.eds: node.description.text for node in self.nodes}
 
-    def description(self, node: Literal["motor", "brake"]) -> Description:
-        """Return what the EDS file says of a node.
-
-        Raises
-        ------
-        TypeError
-            the rig has several axes, and so several nodes of that role: ask one of `axes`
-        """
-        self._must_be_one("description")
-        return self._descriptions[node]
-
-    def _must_be_one(self, what: str) -> None:
-        """Refuse to answer for a rig of several axes what each of them answers for itself: the first would stand for all."""
-        if self._axes:
-            names = ", ".join(axis.axis for axis in self._axes)
-            raise TypeError(f"{what}: the rig {self.name} has the axes {names}; ask each of Rig.axes")
-
     @property
     def nodes(self) -> tuple[RigNode, ...]:
         """The devices of all axes: motor and brake of the first, of the second ..."""
-        roles: tuple[Literal["motor", "brake"], ...] = ("motor", "brake")
         return tuple(
-            RigNode(axis.prefix + role, role, axis.motor if role == "motor" else axis.brake, axis.description(role))
+            RigNode(axis.prefix + role, role, axis.part(role), axis.description(role))
             for axis in self.axes
-            for role in roles
+            for role in ROLES
         )
 
     def pdos(self) -> tuple[RigPdo, ...]:
         """Return the PDOs that the host maps, always the same five of each axis, with their signals."""
-        return tuple(pdo for axis in self._axes for pdo in axis.pdos()) if self._axes else self._pdos
-
-    def motor_limit_Nm(self, mode: str) -> float:
-        """Return the largest motor torque at the handle [Nm] in a mode, which the drive's own limit 6072h is set to.
-
-        In `hybrid` the motor has friction to compensate and nothing else: at most 1.2 times the identified friction.
-
-        Raises
-        ------
-        TypeError
-            the rig has several axes, each with a limit of its own: ask one of `axes`
-        """
-        self._must_be_one("motor_limit_Nm")
-        limit = self.mode[mode].motor_limit_Nm
-        return min(limit, HYBRID_MARGIN * self.mechanics.friction_Nm) if mode == "hybrid" else limit
+        return tuple(pdo for axis in self.axes for pdo in axis.pdos())
 
     def effective(self) -> str:
         """Return the configuration after overrides as TOML text; loading it gives an equal rig."""
-        values = self.model_dump(by_alias=True) if self._values is None else self._values
-        return emit(values, f"The rig {self.name} as it was used, overrides included.")
+        return self._spelled or _emitted(self.axes[0])
 
     def variant(self, *overrides: str) -> Rig:
         """Return the rig with further overrides, as ``--set`` takes them."""
         if not overrides:
             return self
-        found = load_rig_text(self.effective(), self.path, self.eds_texts, overrides, attached=self._attached)
-        rig = self._marks(_named(found, self._axis))
-        named = any(text.partition("=")[0].strip().endswith("law.function") for text in overrides)
-        for one in (rig, *rig._axes):
-            one._law_named |= named
-        for one in (rig, *rig._axes):  # `mistake` says where a value came from
-            one._text, one._overrides = self._text, (*self._overrides, *overrides)
-        return rig
+        attached = self.origin.attached
+        found = load_rig_text(self.effective(), self.path, self.eds_texts, overrides, attached=attached)
+        both = (*self.overrides, *overrides)  # of the text as it is: `Axis.mistake` says where a value came from
+        return self._as_said(_from(found, replace(found.origin, text=self.text, overrides=both)))
 
     def with_law(self, name: str) -> Rig:
         """Return the rig with another law, for all its axes."""
-        own = [
-            axis for axis in self._axes if self._values and "function" in self._values["axis"][axis.axis].get("law", ())
-        ]
-        return self.variant(f'law.function="{name}"', *(f'axis.{axis.axis}.law.function="{name}"' for axis in own))
+        own = read_toml(self._spelled).values["axis"] if self._spelled else {}
+        named = [axis for axis, values in own.items() if "function" in values.get("law", ())]
+        return self.variant(f'law.function="{name}"', *(f'axis.{axis}.law.function="{name}"' for axis in named))
 
-    def mistake(self, key: str, expected: str) -> RigError:
-        """Return the error that says where `key` stands, what stands there, and what was `expected`, for later checks."""
-        path: Key = tuple(key.split("."))
-        document = read_toml(self._text)
-        set_keys = [text.partition("=")[0].strip() for text in self._overrides]
-        if self._axis:  # what is set for the axis counts before what is set for all
-            own: Key = ("axis", self._axis, *path)
-            is_set = dotted(own) in set_keys
-            path = own if is_set else Source(self._path, document, axis=("axis", self._axis)).full(path)
-        value: Any = self.model_dump(by_alias=True)
-        found = zip(reversed(set_keys), reversed(self._overrides), strict=True)
-        given = next((f"--set {text}" for set_key, text in found if set_key == dotted(path)), None)
-        place = given or f"{self._path}:{document.line(path)}"
-        for part in path[2:] if path[0] == "axis" else path:
-            value = value[part]
-        return RigError([f"{place}: {dotted(path)}: '{shown(value)}' stands there; expected {expected}"])
-
-    def _identity(self) -> tuple[str, str, tuple[tuple[str, str], ...]]:
-        return self._axis, self.effective(), tuple(sorted(self.eds_texts.items()))
+    def _identity(self) -> tuple[str, tuple[tuple[str, str], ...]]:
+        return self.effective(), tuple(sorted(self.eds_texts.items()))
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Rig) and self._identity() == other._identity()
@@ -316,23 +254,25 @@ class Rig(RigFile):
         return self
 
     def __reduce__(self) -> tuple[Any, ...]:
-        said = (self._attached, self._law_named)
-        return _reload, (self.effective(), self.path, dict(self.eds_texts), self._axis, said)
+        return _reload, (self.effective(), self.path, dict(self.eds_texts), self.origin.attached, self.origin.law_named)
 
 
-def _named(rig: Rig, axis: str) -> Rig:
-    """Return a rig of one axis with the axis' name."""
-    if axis:
-        rig._axis = axis
-        rig._pdos = rig_pdos(rig)
-    return rig
+def _from(rig: Rig, origin: Origin) -> Rig:
+    """Return `rig` with another origin."""
+    return replace(rig, axes=tuple(axis.from_origin(origin) for axis in rig.axes), origin=origin)
 
 
-def _reload(text: str, path: str, eds_texts: Mapping[str, str], axis: str, said: tuple[bool, bool]) -> Rig:
-    rig = _named(load_rig_text(text, path, eds_texts, attached=said[0]), axis)
-    for one in (rig, *rig._axes):
-        one._law_named = said[1]
-    return rig
+def _spelled(name: str, values: Mapping[str, Any]) -> str:
+    return emit(values, f"The rig {name} as it was used, overrides included.")
+
+
+def _emitted(axis: Axis) -> str:
+    return _spelled(axis.rig.name, axis.model_dump(by_alias=True))
+
+
+def _reload(text: str, path: str, eds_texts: Mapping[str, str], attached: bool, law_named: bool) -> Rig:
+    rig = load_rig_text(text, path, eds_texts, attached=attached)
+    return _from(rig, replace(rig.origin, law_named=law_named))
 
 
 def packaged_rig(name: str) -> Path:
@@ -429,67 +369,48 @@ def _load(
         source.say(("axis", name), f"there is no such axis; the rig's axes are {known}")
         if axes_of_file:
             del values["axis"][name]
-    axes = split_axes(values, source)
-    if axes is None:
-        rig = _validated(values, source, eds_texts, attached)
-        source.raise_all()
-        rig = _finished(rig, text, overrides, source, values)
-        rig._attached = attached
-        return rig
-    sources = {name: source.of_axis(name) for name in axes}
-    rigs = [_validated(axes[name], sources[name], eds_texts, attached) for name in axes]
-    check_axes(axes, sources)
-    for one in sources.values():
-        source.found += one.found
+    named = split_axes(values, source)
+    own_values = {"": values} if named is None else named
+    sources = {"": source} if named is None else {name: source.of_axis(name) for name in named}
+    parts = [_Parts.of(own_values[name], sources[name], eds_texts, attached=attached) for name in own_values]
+    if named is not None:
+        check_axes(named, sources)
+        for one in sources.values():
+            source.found += one.found
     source.raise_all()
-    found = []
-    for rig, name in zip(rigs, axes, strict=True):
-        assert rig is not None
-        rig._axis = name
-        found.append(_finished(rig, text, overrides, sources[name], axes[name]))
-    first = _validated(axes[found[0].axis], sources[found[0].axis], eds_texts, attached)
-    whole = _finished(first, text, overrides, source, values)
-    whole._axes, whole._values = tuple(found), values
-    whole._warnings = tuple(dict.fromkeys(warning for rig in found for warning in rig.warnings))
-    for rig_of_axis in (whole, *found):
-        rig_of_axis._attached = attached
-    return whole
+    law_named = any(override.partition("=")[0].strip().endswith("law.function") for override in overrides)
+    origin = Origin(path, text, tuple(overrides), attached, law_named)
+    axes = tuple(part.axis(name, origin) for name, part in zip(own_values, parts, strict=True))
+    warnings = [text for name, own in own_values.items() for text in remarks(own, sources[name])]
+    spelled = "" if named is None else _spelled(axes[0].rig.name, values)
+    return Rig(axes, origin, tuple(dict.fromkeys(warnings)), spelled)
 
 
-def _together(axes: Sequence[Rig], values: dict[str, Any]) -> Rig:
-    """Return the rig of several axes that `values` spells; its own sections are those of the first."""
-    first = axes[0]
-    whole = Rig.model_validate(first.model_dump(by_alias=True))
-    whole._path, whole._text, whole._overrides = first.path, first.text, first.overrides
-    whole._descriptions = first._descriptions
-    whole._axes, whole._values = tuple(axes), values
-    whole._warnings = tuple(dict.fromkeys(warning for axis in axes for warning in axis.warnings))
-    return whole
+@dataclass(frozen=True)
+class _Parts:
+    """What an axis is made of; `sections` is None where they are refused."""
 
+    sections: Sections | None
+    descriptions: Mapping[Node, Description]
 
-def _validated(
-    values: dict[str, Any], source: Source, eds_texts: Mapping[str, str] | None, attached: bool = False
-) -> Rig | None:
-    """Return the rig of one axis; None when it is refused. Mistakes are noted in `source`."""
-    read_schedules(values, source, attached=attached)
-    rig: Rig | None = None
-    try:
-        rig = Rig.model_validate(values)
-    except ValidationError as error:
-        explain(error, values, Rig, source)
-    check(values, source)
-    descriptions = read_descriptions(values, source, eds_texts)
-    if rig is not None:
-        rig._descriptions = descriptions
-    elif not source.found:
-        raise AssertionError("a rig that pydantic refuses has a mistake that is explained")
-    return rig
+    @classmethod
+    def of(
+        cls, values: dict[str, Any], source: Source, eds_texts: Mapping[str, str] | None, *, attached: bool
+    ) -> _Parts:
+        """Validate the values of one axis; mistakes are noted in `source`."""
+        read_schedules(values, source, attached=attached)
+        sections: Sections | None = None
+        try:
+            sections = Sections.model_validate(values)
+        except ValidationError as error:
+            explain(error, values, Sections, source)
+        check(values, source)
+        descriptions = read_descriptions(values, source, eds_texts)
+        if sections is None and not source.found:
+            raise AssertionError("an axis that pydantic refuses has a mistake that is explained")
+        return cls(sections, descriptions)
 
-
-def _finished(rig: Rig | None, text: str, overrides: Sequence[str], source: Source, values: Mapping[str, Any]) -> Rig:
-    """Return the rig of one axis with all that is not in its sections."""
-    assert rig is not None
-    rig._path, rig._text, rig._overrides = source.path, text, tuple(overrides)
-    rig._warnings = remarks(values, source)
-    rig._pdos = rig_pdos(rig)
-    return rig
+    def axis(self, name: str, origin: Origin) -> Axis:
+        """Return the axis; nothing of it was refused."""
+        assert self.sections is not None
+        return Axis.of(self.sections, name, self.descriptions, origin)

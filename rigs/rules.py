@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from itertools import combinations, pairwise
+from itertools import combinations, pairwise, permutations
 from typing import Any
 
-from coulombus.rigs.mistakes import Source, dotted, shown
+from coulombus.rigs.mistakes import Source, shown
 from coulombus.rigs.model import CIA_301_BIT_RATES, MODES, WORK_WINDOW_CYCLES, to_ns
 from coulombus.rigs.toml_lines import Key
 
@@ -15,6 +15,8 @@ __all__ = ["check", "remarks"]
 
 INT16_MAX = 32767
 NODES = ("host", "motor", "brake")
+SIMULATION = ("plant", "operator")
+"""Sections of a rig that is simulated; the host needs none of them."""
 
 
 @dataclass(frozen=True)
@@ -149,6 +151,12 @@ def check(values: Mapping[str, Any], source: Source) -> None:
     """Note what is wrong between keys that are right by themselves."""
     for key, value, wanted in list(_broken_rules(RULES, values, source)):
         source.stands(key, value, wanted)
+    for one, other in permutations(SIMULATION):
+        if one in values and other not in values:
+            source.say(
+                (other,),
+                f"the section is missing; expected [{other}] beside [{one}], or none of them: a simulated rig needs both",
+            )
     modes = values.get("mode")
     if isinstance(modes, Mapping) and not modes.keys() & set(MODES) and not source.is_wrong(("mode",)):
         wanted = ", ".join(f"[mode.{mode}]" for mode in MODES)
@@ -179,7 +187,7 @@ def _check_columns(phase: Mapping[str, Any], key: Key, source: Source) -> None:
 def remarks(values: Mapping[str, Any], source: Source) -> tuple[str, ...]:
     """Return what is allowed and yet may not be meant, with file:line."""
     found = [
-        f"{source.where(key)[1]}: {dotted(source.full(key))}: '{shown(value)}' stands there; expected {wanted}"
+        f"{source.where(key)[1]}: {source.spelled(key)}: '{shown(value)}' stands there; expected {source.said(wanted)}"
         for key, value, wanted in _broken_rules(REMARKS, values, source)
     ]
     for i, phase in enumerate(values.get("phase", ())):
@@ -187,7 +195,5 @@ def remarks(values: Mapping[str, Any], source: Source) -> tuple[str, ...]:
             if tap >= phase["duration_s"]:
                 key = ("phase", i, "taps_s")
                 text = f"the tap at {shown(tap)} comes after the phase's end ({shown(phase['duration_s'])} s)"
-                found.append(
-                    f"{source.where(key)[1]}: {dotted(source.full(key))}: {text}; expected a tap within the phase"
-                )
+                found.append(f"{source.where(key)[1]}: {source.spelled(key)}: {text}; expected a tap within the phase")
     return tuple(found)

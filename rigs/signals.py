@@ -18,15 +18,25 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal, Protocol, TypeAlias
 
 from coulombus.eds.pdo import PDO_BITS, Entry, PdoLayout, entry_of
 from coulombus.eds.reader import Description
 from coulombus.rigs.model import Brake, Bus, Host, Mechanics, Motor
 
-__all__ = ["PDO_MAP", "RigPdo", "Signal", "Switch", "deadman_mask", "deadman_object", "rig_pdos", "shortcomings"]
+__all__ = [
+    "PDO_MAP",
+    "Node",
+    "RigPdo",
+    "Signal",
+    "Switch",
+    "axis_pdos",
+    "deadman_mask",
+    "deadman_object",
+    "shortcomings",
+]
 
-Node = Literal["motor", "brake"]
+Node: TypeAlias = Literal["motor", "brake"]
 Direction = Literal["rpdo", "tpdo"]
 UNITS = {"Nm": 0x56, "A": 0x04, "degC": 0x2D}
 """Notation indices of CiA 303-2: the numerator of a unit."""
@@ -104,7 +114,7 @@ class RigPdo:
 
 
 class Parts(Protocol):
-    """What the PDOs of an axis follow from (`rigs.rig.Rig`)."""
+    """What the PDOs of an axis follow from (`rigs.axis.Axis`)."""
 
     bus: Bus
     motor: Motor
@@ -120,29 +130,29 @@ class Parts(Protocol):
         """Return the EDS file of "motor" or "brake"."""
 
 
-def rig_pdos(rig: Parts) -> tuple[RigPdo, ...]:
-    """Return the PDOs of `rig`, whose EDS files have no `shortcomings`."""
+def axis_pdos(axis: Parts) -> tuple[RigPdo, ...]:
+    """Return the PDOs of `axis`, whose EDS files have no `shortcomings`."""
     found = []
-    switch = deadman_object(rig.host.deadman, {node: rig.description(node) for node, _ in DEADMAN_PDO})
+    switch = deadman_object(axis.host.deadman, {node: axis.description(node) for node, _ in DEADMAN_PDO})
     for node, direction, number, objects in PDO_MAP:
         if switch is not None and direction == "tpdo" and (node, number) == (switch.node, switch.number):
             objects = (*objects, (switch.index, switch.subindex, "deadman"))
-        part = rig.motor if node == "motor" else rig.brake
-        description = rig.description(node)
+        part = axis.motor if node == "motor" else axis.brake
+        description = axis.description(node)
         deadline_ns = round(part.setpoint_fault_s * 1e9) if direction == "rpdo" else 0
         layout = PdoLayout(
             number=number,
             direction=direction,
             cob_id=COB_ID[direction, number] + part.node_id,
-            transmission=rig.bus.transmission if direction == "rpdo" else 1,
+            transmission=axis.bus.transmission if direction == "rpdo" else 1,
             inhibit_ns=0,
             event_ns=deadline_ns,
             sync_start=0,
             rtr_allowed=False,
             entries=tuple(_entry(description, index, subindex, direction) for index, subindex, _ in objects),
         )
-        signals = tuple(_signal(rig, node, index, subindex, name) for index, subindex, name in objects)
-        found.append(RigPdo(rig.prefix + node, part.node_id, layout, signals))
+        signals = tuple(_signal(axis, node, index, subindex, name) for index, subindex, name in objects)
+        found.append(RigPdo(axis.prefix + node, part.node_id, layout, signals))
     return tuple(found)
 
 
@@ -166,7 +176,7 @@ def deadman_mask(deadman: str) -> int:
     return int(parts[3], 16) if len(parts) == 4 else 0
 
 
-def deadman_object(deadman: str, descriptions: Mapping[str, Description]) -> Switch | None:
+def deadman_object(deadman: str, descriptions: Mapping[Node, Description]) -> Switch | None:
     """Return the dead man's switch that ``host.deadman`` names; None when it is no object.
 
     Raises
@@ -251,18 +261,18 @@ def _entry(description: Description, index: int, subindex: int, direction: Direc
     return entry
 
 
-def _signal(rig: Parts, node: Node, index: int, subindex: int, name: str) -> Signal:
+def _signal(axis: Parts, node: Node, index: int, subindex: int, name: str) -> Signal:
     unit = _unit(name)
     scale = 1.0
     if node == "motor" and unit:
-        torque = rig.motor.rated_torque_Nm * 1e-3 * rig.mechanics.ratio * rig.mechanics.motor_polarity
-        angle = rig.mechanics.encoder_polarity * 2 * math.pi / (rig.motor.encoder_counts_rev * rig.mechanics.ratio)
+        torque = axis.motor.rated_torque_Nm * 1e-3 * axis.mechanics.ratio * axis.mechanics.motor_polarity
+        angle = axis.mechanics.encoder_polarity * 2 * math.pi / (axis.motor.encoder_counts_rev * axis.mechanics.ratio)
         scale = torque if unit == "Nm" else angle
     elif node == "brake" and unit:
-        scale = _block_scale(rig.description(node), index, subindex, unit)
+        scale = _block_scale(axis.description(node), index, subindex, unit)
         if name == "handle_torque_Nm":
-            scale *= rig.mechanics.transducer_polarity
-    return Signal(f"{rig.prefix}{node}.{name}", index, subindex, scale, 0.0, unit.replace("rad_s", "rad/s"))
+            scale *= axis.mechanics.transducer_polarity
+    return Signal(f"{axis.prefix}{node}.{name}", index, subindex, scale, 0.0, unit.replace("rad_s", "rad/s"))
 
 
 def _block_scale(description: Description, index: int, subindex: int, unit: str) -> float:

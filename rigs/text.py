@@ -67,7 +67,8 @@ def emit(values: Mapping[str, Any], comment: str) -> str:
     """Return nested sections as TOML text; None is left out, arrays of tables are those that hold mappings."""
     lines = [f"# {line}" for line in comment.splitlines()]
     for name, section in values.items():
-        _section(lines, name, section)
+        if section is not None:
+            _section(lines, name, section)
     return "\n".join(lines) + "\n"
 
 

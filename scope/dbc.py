@@ -44,7 +44,7 @@ def database(rig: Rig) -> Database:
     messages = [_pdo(pdo, period_ms) for pdo in rig.pdos()]
     messages += _services(ids, rig, period_ms)
     nodes = [Node(name, f"node {number}") for name, number in ids.items()]
-    return Database(sorted(messages, key=lambda message: message.frame_id), nodes=nodes, version=rig.rig.name)
+    return Database(sorted(messages, key=lambda message: message.frame_id), nodes=nodes, version=rig.name)
 
 
 def _word(name: str) -> str:

@@ -118,7 +118,7 @@ def test_every_trip_is_explained():
 
 def test_every_limit_is_in_the_safety_document():
     text = text_of("docs/safety.md")
-    keys = type(load_rig("bench").limits).model_fields
+    keys = type(load_rig("bench").one_axis().limits).model_fields
     assert not [key for key in keys if f"limits.{key}" not in text]
 
 
@@ -153,7 +153,7 @@ def test_devices_show_the_pdos_the_objects_and_the_emergencies():
     for pdo in rig.pdos():
         assert pdo.layout.diagram() in text
     for node in ("motor", "brake"):
-        objects = [f"{index:04X}h" for index in rig.description(node).objects]
+        objects = [f"{index:04X}h" for index in rig.one_axis().description(node).objects]
         ranges = {"1401h", "1402h", "1601h", "1602h", "1801h", "1802h", "1A01h", "1A02h"}  # named by their ends
         assert not [name for name in objects if name not in text and name not in ranges]
     for cause in CAUSES:

@@ -99,7 +99,7 @@ def _parameters(options: dict[str, Any]) -> Parameters:
 def _rig(options: dict[str, Any]) -> Rig:
     from coulombus.rigs.rig import load_rig
 
-    return load_rig(options.pop("rig_name"), options.pop("overrides")).one_axis()
+    return load_rig(options.pop("rig_name"), options.pop("overrides")).alone()
 
 
 def _tell(as_json: bool, value: Callable[[], Any], lines: Callable[[], Any]) -> None:

@@ -49,12 +49,12 @@ def check(rig_name: str, overrides: tuple[str, ...], as_json: bool) -> None:
         ]  # each mode has its own limit
         questions = [*dict.fromkeys(text for device in devices for text in device.questions)]
         losses = [*dict.fromkeys(text for device in devices for text in device.losses)]
-        cut = list(dict.fromkeys(text for mode in rig.mode for text in cut_off(rig, mode)))
+        cut = list(dict.fromkeys(text for mode in rig.modes for text in cut_off(rig, mode)))
         with verdict(0 if fits and not problems and not cut else 1):
             if as_json:
                 print_json(
                     {
-                        "rig": rig.rig.name,
+                        "rig": rig.name,
                         "cut_off": cut,
                         "diagnoses": diagnoses,
                         "bitrate_bit_s": planned.timing.bitrate_bit_s,
@@ -100,9 +100,9 @@ def check(rig_name: str, overrides: tuple[str, ...], as_json: bool) -> None:
                     )
                 for mode, limit in limits.items():
                     click.echo(f"mode {mode}: drive torque limit 6072h = {limit} per mille")
-                if rig.law.function.strip() not in OWN_LAWS:
+                if rig.law_function.strip() not in OWN_LAWS:
                     click.echo(
-                        f"law {rig.law.function}: what a limit cuts off of it is not known before it runs; the run tells"
+                        f"law {rig.law_function}: what a limit cuts off of it is not known before it runs; the run tells"
                     )
                 for text in losses:
                     click.echo(f"lost: {text}")

@@ -179,8 +179,8 @@ def load(rig_name: str, overrides: tuple[str, ...]) -> Rig:
 
 def check_mode(rig: Rig, rig_name: str, mode: str) -> None:
     """Refuse a mode that the rig does not have."""
-    if mode not in rig.mode:
-        raise click.BadParameter(f"{mode!r}: rig {rig_name!r} has {', '.join(rig.mode)}", param_hint="--mode")
+    if mode not in rig.modes:
+        raise click.BadParameter(f"{mode!r}: rig {rig_name!r} has {', '.join(rig.modes)}", param_hint="--mode")
 
 
 def print_json(value: Any) -> None:

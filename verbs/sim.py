@@ -96,7 +96,7 @@ def sim(
         addresses = bus_addresses(rig, bus_names, channel)
         entries = () if script is None else read_script(script)
         plans = {} if faults is None else {name: read_faults(faults).on(name, rig.channels) for name in rig.channels}
-        chosen = mode or list(rig.mode)[-1]
+        chosen = mode or rig.modes[-1]
         if record is not None and (unpaced or len(addresses) > 1 or next(iter(addresses.values())).kind != "coulombus"):
             raise click.UsageError(
                 "--record is of one virtual bus on which frames take their time; choose one with --channel"

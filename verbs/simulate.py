@@ -150,8 +150,8 @@ def demo(rig_name: str, overrides: tuple[str, ...], seed: int, out: Path, virtua
         from coulombus.lab.demo.traces import figure_14
         from coulombus.recording.signals import blocks
 
-        rig = load(rig_name, overrides).one_axis()
-        missing = [mode for mode in DEMO_MODES if mode not in rig.mode]
+        rig = load(rig_name, overrides).alone()
+        missing = [mode for mode in DEMO_MODES if mode not in rig.modes]
         if missing:
             raise click.BadParameter(f"rig {rig_name!r} has no mode {missing[0]!r}", param_hint="--rig")
         total = schedule_s(rig)
@@ -181,7 +181,7 @@ def _real_demo(rig_name: str, overrides: tuple[str, ...], seed: int, out: Path, 
     say("for a machine shared with others: " + " ".join(f"--set {text}" for text in SHARED_MACHINE))
     with Signals() as signals, progress(not as_json) as report:
         return run_real_demo(
-            load_rig(rig_name, both).one_axis(),
+            load_rig(rig_name, both).alone(),
             rig_name,
             out,
             seed=seed,

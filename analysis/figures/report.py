@@ -117,7 +117,7 @@ def plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [plain(item) for item in value]
     if isinstance(value, Path | Rig):
-        return str(value if isinstance(value, Path) else value.rig.name)
+        return str(value if isinstance(value, Path) else value.name)
     return value
 
 
@@ -284,6 +284,6 @@ def lines(found: Study) -> Iterable[str]:
     yield from map_lines(found.map)
     f = found.friction
     yield (
-        f"friction ({found.rig.rig.name})      {f.coulomb_before_Nm:.4f} Nm identified, {f.coulomb_after_Nm:.4f} Nm after compensation, "
+        f"friction ({found.rig.name})      {f.coulomb_before_Nm:.4f} Nm identified, {f.coulomb_after_Nm:.4f} Nm after compensation, "
         f"viscous {f.viscous_Nms_rad:.4f} Nms/rad"
     )

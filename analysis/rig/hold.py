@@ -126,7 +126,7 @@ def breakaway(recording: Recording, F_s_Nm: float, ramp_s: float) -> Breakaway:
     x = angle.values[1:]
     start = float(x[inside][0])
     torque = np.interp(t, handle.t_s, np.abs(handle.values))
-    slides = np.abs(v) > recording.rig.law.velocity_band_counts * count / period
+    slides = np.abs(v) > recording.rig.one_axis().law.velocity_band_counts * count / period
     lasting = np.convolve(slides[inside], np.ones(SLIDING_CYCLES), "valid") == SLIDING_CYCLES
     begins = int(np.argmax(lasting)) if np.any(lasting) else None
     broke = None if begins is None else float(torque[inside][max(begins - 1, 0)])
@@ -144,7 +144,7 @@ def breakaway(recording: Recording, F_s_Nm: float, ramp_s: float) -> Breakaway:
 
 
 def _pushed(rig: Rig, ramp_s: float) -> Rig:
-    push = PUSH_F_S * rig.mode["hybrid"].F_s_Nm
+    push = PUSH_F_S * rig.one_axis().mode["hybrid"].F_s_Nm
     shove = f'{{kind="file", duration_s=0.6, t_s=[0.0, 0.02, 0.1, 0.12], torque_Nm=[0.0, {push}, {push}, 0.0]}}'
     ramp = f'{{kind="file", duration_s={ramp_s + 0.3}, t_s=[0.0, {ramp_s}], torque_Nm=[0.0, {push}]}}'
     return rig.variant(
@@ -169,12 +169,13 @@ def hold_study(
     """
     rig = load_rig(rig or "bench") if rig is None or isinstance(rig, str) else rig
     need_modes(rig, "active", "hybrid")
-    if not rig.mode["hybrid"].F_s_Nm > 0:
+    axis = rig.one_axis()
+    if not axis.mode["hybrid"].F_s_Nm > 0:
         raise RigError(
-            [f"rig {rig.rig.name!r}: mode.hybrid.F_s_Nm is 0; nothing sticks that could break away: set it above 0"]
+            [f"rig {rig.name!r}: mode.hybrid.F_s_Nm is 0; nothing sticks that could break away: set it above 0"]
         )
     rows, shown = [], {}
-    runs = [("active", rig.law.stick_entry, rig.law.brake_stick)] + [("hybrid", *v) for v in STICK_VARIANTS]
+    runs = [("active", axis.law.stick_entry, axis.law.brake_stick)] + [("hybrid", *v) for v in STICK_VARIANTS]
     with tempfile.TemporaryDirectory(prefix="coulombus-") as directory:
         for done, (mode, entry, stick) in enumerate(runs, 1):
             chosen = rig.variant(f'law.stick_entry="{entry}"', f'law.brake_stick="{stick}"')
@@ -182,7 +183,7 @@ def hold_study(
             if mode not in shown:
                 shown[mode] = traces(recording, mode)
             ramps: dict[str, Breakaway | None] = {"slow": None, "fast": None}
-            F_s = rig.mode[mode].F_s_Nm
+            F_s = axis.mode[mode].F_s_Nm
             if mode == "hybrid":
                 for name, ramp_s in (("slow", SLOW_S), ("fast", FAST_S)):
                     pushed = _recorded(_pushed(chosen, ramp_s), mode, Path(directory), f"{entry}-{stick}-{name}", seed)
@@ -193,9 +194,9 @@ def hold_study(
                     mode=mode,
                     stick_entry=entry,
                     brake_stick=stick,
-                    K_p_Nm_rad=rig.mode[mode].K_p_Nm_rad,
+                    K_p_Nm_rad=axis.mode[mode].K_p_Nm_rad,
                     F_s_Nm=F_s,
-                    F_d_Nm=rig.mode[mode].F_d_Nm,
+                    F_d_Nm=axis.mode[mode].F_d_Nm,
                     hold_velocity_rms_rad_s=figures.hold_velocity_rms_rad_s,
                     hold_counts_p2p=figures.hold_counts_p2p,
                     hold_peak_Hz=figures.hold_peak_Hz,
@@ -207,4 +208,4 @@ def hold_study(
             )
             if progress is not None:
                 progress(done / len(runs))
-    return HoldStudy(rig.rig.name, tuple(rows), shown)
+    return HoldStudy(rig.name, tuple(rows), shown)

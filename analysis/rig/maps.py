@@ -30,6 +30,7 @@ import numpy.typing as npt
 from coulombus.analysis.loop.bounds import Bounds, bounds
 from coulombus.analysis.loop.sampled_loop import LOOP, STATS, run_loops
 from coulombus.host.laws.laws import LAW, LAW_STATE, MOTION
+from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig, load_rig
 from coulombus.wire.frame import new_records
 
@@ -76,10 +77,10 @@ class LoopParameters:
     window_s: float = 0.75
 
     @classmethod
-    def of_rig(cls, rig: Rig, mode: str = "active", **changes: Any) -> LoopParameters:
-        """Return the loop of `rig` in `mode`: its plant, hand, law, encoder, set-point's resolution; next_sync's delay of one cycle."""
-        plant, hand, chosen = rig.plant, rig.operator, rig.mode[mode]
-        scale = {signal.name: abs(signal.scale) for pdo in rig.pdos() for signal in pdo.signals}
+    def of_axis(cls, axis: Axis, mode: str = "active", **changes: Any) -> LoopParameters:
+        """Return the loop of `axis` in `mode`: its plant, hand, law, encoder, set-point's resolution; next_sync's delay of one cycle."""
+        (plant, hand), chosen = axis.simulation, axis.mode[mode]
+        scale = {signal.name: abs(signal.scale) for pdo in axis.pdos() for signal in pdo.signals}
         values: dict[str, Any] = {
             "inertia_kg_m2": plant.inertia_kg_m2,
             "viscous_Nms_rad": plant.viscous_Nms_rad,
@@ -87,17 +88,17 @@ class LoopParameters:
             "operator_inertia_kg_m2": hand.inertia_kg_m2,
             "operator_damping_Nms_rad": hand.damping_Nms_rad,
             "operator_stiffness_Nm_rad": hand.stiffness_Nm_rad,
-            "rate_Hz": 1.0 / rig.bus.period_s,
-            "delay_s": rig.bus.period_s,
+            "rate_Hz": 1.0 / axis.bus.period_s,
+            "delay_s": axis.bus.period_s,
             "motor_lag_s": plant.motor_lag_s,
-            "motor_limit_Nm": rig.motor_limit_Nm(mode),
+            "motor_limit_Nm": axis.motor_limit_Nm(mode),
             "torque_step_Nm": scale["motor.target_torque_Nm"],
             "count_rad": scale["motor.position_rad"],
             "K_p_Nm_rad": chosen.K_p_Nm_rad,
             "F_s_Nm": chosen.F_s_Nm,
             "F_d_Nm": chosen.F_d_Nm,
-            "velocity_band_counts": float(rig.law.velocity_band_counts),
-            "compensation_Nm": chosen.compensation * rig.mechanics.friction_Nm,
+            "velocity_band_counts": float(axis.law.velocity_band_counts),
+            "compensation_Nm": chosen.compensation * axis.mechanics.friction_Nm,
         }
         return cls(**(values | changes))
 
@@ -327,7 +328,7 @@ def oscillation_map(
     if base is None or isinstance(base, str):
         base = load_rig(base or "bench")
     if isinstance(base, Rig):
-        base = LoopParameters.of_rig(base)
+        base = LoopParameters.of_axis(base.one_axis())
     grid = {
         name: np.atleast_1d(np.asarray(v, np.float64)) for name, v in (DEFAULT_AXES if axes is None else axes).items()
     }

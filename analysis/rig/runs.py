@@ -8,6 +8,7 @@ from coulombus.host.errors import SafetyTrip
 from coulombus.lab.simulate import simulate
 from coulombus.recording.measures import phases
 from coulombus.recording.signals import blocks
+from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig, RigError
 
 __all__ = ["displayed", "need_modes"]
@@ -24,19 +25,20 @@ def need_modes(rig: Rig, *modes: str) -> None:
     coulombus.rigs.rig.RigError
         a mode is missing
     """
-    missing = [mode for mode in modes if mode not in rig.mode]
+    missing = [mode for mode in modes if mode not in rig.modes]
     if missing:
         raise RigError(
             [
-                f"rig {rig.rig.name!r} has no [mode.{mode}], which this study runs; it has {', '.join(rig.mode)}: add it"
+                f"rig {rig.name!r} has no [mode.{mode}], which this study runs; it has {', '.join(rig.modes)}: add it"
                 for mode in missing
             ]
         )
 
 
-def _belief(rig: Rig, mode: str) -> str:
+def _belief(axis: Axis, mode: str) -> str:
     """Return what to do where the controller believes in less friction than the simulated rig has; "" where it does not."""
-    believed, true = rig.mechanics.friction_Nm, rig.plant.coulomb_Nm + rig.plant.brake_off_state_Nm
+    plant = axis.simulation.plant
+    believed, true = axis.mechanics.friction_Nm, plant.coulomb_Nm + plant.brake_off_state_Nm
     if believed >= BELIEF_SHARE * true:
         return ""
     return (
@@ -58,10 +60,11 @@ def displayed(rig: Rig, mode: str, path: Path, what: str, *, seed: int = 0) -> P
     coulombus.host.errors.SafetyTrip
         arming was refused, the run tripped, or it showed nothing; the text says why and what to do
     """
-    result = simulate(rig, mode, sum(phase.duration_s for phase in rig.phases), record=path, seed=seed)
-    where = f"rig {rig.rig.name!r}, mode {mode}, {what}"
+    axis = rig.one_axis()
+    result = simulate(rig, mode, axis.phase_starts_s[-1], record=path, seed=seed)
+    where = f"rig {rig.name!r}, mode {mode}, {what}"
     if result.trip is not None:
-        raise SafetyTrip(f"{where}: the run tripped: {result.trip}{_belief(rig, mode)}")
+        raise SafetyTrip(f"{where}: the run tripped: {result.trip}{_belief(axis, mode)}")
     if not phases(blocks(path)):
         raise SafetyTrip(f"{where}: the display never began; give the rig a schedule ([[phase]])")
     return path

@@ -152,7 +152,7 @@ def _armed(counts: Floats, target: Floats, settle: int) -> int | None:
 
 def _displayed(recording: Source, t: Floats, counts: Floats) -> tuple[Flags, tuple[str, ...]]:
     """Tell which samples are in the host's phase RUN at full gain, and what had to be assumed."""
-    rig, period = recording.rig, recording.rig.bus.period_s
+    axis, period = recording.rig.one_axis(), recording.rig.bus.period_s
     statusword, target = series(recording, "motor.statusword", "motor.target_torque_Nm")
     ends = sorted(
         at
@@ -178,10 +178,10 @@ def _displayed(recording: Source, t: Floats, counts: Floats) -> tuple[Flags, tup
             armed = 0
         if armed is None:
             continue
-        begin_s = t[min(first + armed, end - 1)] + rig.law.gain_ramp_s
+        begin_s = t[min(first + armed, end - 1)] + axis.law.gain_ramp_s
         inside = [at for at in ends if t[first] <= at]
         # in the safe state the drive stays enabled, without torque, until the brake is off
-        end_s = inside[0] if inside else t[end - 1] - rig.limits.safe_hold_s - rig.limits.safe_ramp_s - STILL_MARGIN_S
+        end_s = inside[0] if inside else t[end - 1] - axis.limits.safe_hold_s - axis.limits.safe_ramp_s - STILL_MARGIN_S
         shown[first:end] = (t[first:end] >= begin_s) & (t[first:end] < end_s)
     return shown, tuple(dict.fromkeys(notes))
 
@@ -207,14 +207,14 @@ def sliding(recording: Source, window_s: float = WINDOW_S) -> Sliding:
     IdentifyError
         hardly a sample does, the text counts why; or the recording's stamps go back
     """
-    rig, period = recording.rig, recording.rig.bus.period_s
+    axis, period = recording.rig.one_axis(), recording.rig.bus.period_s
     size = 2 * max(round(0.5 * (window_s / period - 1)), 2) + 1
     found = series(recording, "motor.position_rad", "brake.handle_torque_Nm", "motor.torque_Nm", "brake.setpoint_Nm")
     angle, transducer, drive_torque, setpoint = found
     for name, one in zip(("motor.position_rad", "brake.handle_torque_Nm"), found, strict=False):
         if not len(one):
             raise IdentifyError(
-                f"{recording.path}: no sample of {name}; record a run of the rig {rig.rig.name!r} with strokes, or give --rig"
+                f"{recording.path}: no sample of {name}; record a run of the rig {recording.rig.name!r} with strokes, or give --rig"
             )
     if any(np.any(np.diff(one.t_s) < 0.0) for one in found):
         raise IdentifyError(
@@ -233,9 +233,9 @@ def sliding(recording: Source, window_s: float = WINDOW_S) -> Sliding:
     whole = np.isfinite(x) & np.isfinite(hand) & np.isfinite(motor) & np.isfinite(brake)
     samples.keep("a signal is missing in the cycle, or no number", whole)
     even = np.abs(np.diff(t, prepend=t[:1] - period) - period) < 0.5 * period
-    samples.keep("a cycle is missing before it", even & (np.abs(moved) <= rig.limits.encoder_jump_counts))
-    samples.keep("the handle does not slide", np.abs(moved) > rig.law.velocity_band_counts)
-    slow = np.abs(moved) * count / period <= SPEED_SHARE * rig.limits.speed_rad_s
+    samples.keep("a cycle is missing before it", even & (np.abs(moved) <= axis.limits.encoder_jump_counts))
+    samples.keep("the handle does not slide", np.abs(moved) > axis.law.velocity_band_counts)
+    slow = np.abs(moved) * count / period <= SPEED_SHARE * axis.limits.speed_rad_s
     samples.keep(f"faster than {SPEED_SHARE:g} of the speed limit", slow)
     one_way = samples.good & np.concatenate(([False], moved[1:] * moved[:-1] > 0.0))
     one_way[1:] &= samples.good[:-1]

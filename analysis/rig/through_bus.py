@@ -28,6 +28,7 @@ from coulombus.analysis.rig.maps import LoopParameters, simulate_point
 from coulombus.analysis.rig.runs import displayed, need_modes
 from coulombus.recording.measures import velocity
 from coulombus.recording.signals import Recording, read
+from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig, load_rig
 
 __all__ = [
@@ -139,9 +140,9 @@ def reversal_frequency_Hz(t_s: Floats, values: Floats) -> float:
     return float(0.5 * (len(changed) - 1) / (at[-1] - at[0]))
 
 
-def loop_frequency_Hz(rig: Rig, delay_s: float) -> float:
+def loop_frequency_Hz(axis: Axis, delay_s: float) -> float:
     """Return the frequency of the same loop without a bus, under the delay that the bus was found to add."""
-    base = LoopParameters.of_rig(rig, "active", relay=rig.law.function == COULOMB)
+    base = LoopParameters.of_axis(axis, "active", relay=axis.law.function == COULOMB)
     point = replace(base, delay_s=delay_s, tap_rad_s=TAP_M_S, settle_s=SETTLE_S, window_s=WINDOW_S)
     return simulate_point(point).frequency_Hz
 
@@ -175,10 +176,10 @@ def bus_cycle(
         delay_s=delay.median_s,
         delay_range_s=(delay.smallest_s, delay.largest_s),
         frequency_Hz=reversal_frequency_Hz(t[inside], v[inside]),
-        loop_frequency_Hz=loop_frequency_Hz(rig, delay.median_s),
+        loop_frequency_Hz=loop_frequency_Hz(rig.one_axis(), delay.median_s),
         amplitude_m_s=float(np.sqrt(2) * np.std(v[inside])),
         count_m=abs(recording.scale("motor.position_rad")),
-        motor_lag_s=rig.plant.motor_lag_s,
+        motor_lag_s=rig.one_axis().simulation.plant.motor_lag_s,
         t_s=t[inside] - begin,
         v_m_s=v[inside],
         force_N=torque.values[1:][inside],
@@ -187,12 +188,12 @@ def bus_cycle(
 
 def with_bench_hardware(rig: Rig, bench: Rig | None = None) -> Rig:
     """Return `rig` with the encoder resolution at the handle and the motor lag of the bench rig."""
-    bench = load_rig("bench") if bench is None else bench
-    counts = round(bench.plant.encoder_counts_rev * bench.plant.ratio / rig.plant.ratio)
+    there = (load_rig("bench") if bench is None else bench).one_axis().simulation.plant
+    counts = round(there.encoder_counts_rev * there.ratio / rig.one_axis().simulation.plant.ratio)
     return rig.variant(
         f"plant.encoder_counts_rev={counts}",
         f"motor.encoder_counts_rev={counts}",
-        f"plant.motor_lag_s={bench.plant.motor_lag_s}",
+        f"plant.motor_lag_s={there.motor_lag_s}",
         "limits.sign_check_counts=20",
     )
 
@@ -213,7 +214,7 @@ def through_bus(
     progress : called with the share that is done, 0 to 1
     """
     rig = load_rig("paper") if rig is None else rig
-    plants = [(f"rig {rig.rig.name}", rig)] + ([(BENCH_HARDWARE, with_bench_hardware(rig))] if bench else [])
+    plants = [(f"rig {rig.name}", rig)] + ([(BENCH_HARDWARE, with_bench_hardware(rig))] if bench else [])
     found: list[BusCycle] = []
     for hardware, plant in plants:
         for actuation in actuations:

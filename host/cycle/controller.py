@@ -14,7 +14,7 @@ from coulombus.eds.pdo import fill
 from coulombus.host.cycle.demand import brake_limit_raw
 from coulombus.host.cycle.records import CONTROL, DRIVE_PDOS, HOST, Image, Phase, SignResult, Trip
 from coulombus.host.laws.laws import LAW, LAW_STATE, MOTION, OWN_LAWS, LawError, load_law
-from coulombus.rigs.rig import Rig
+from coulombus.rigs.axis import Axis
 from coulombus.rigs.signals import RigPdo, Signal, deadman_mask
 from coulombus.wire.frame import Records, new_records
 
@@ -115,20 +115,20 @@ class Controller:
         the law cannot be loaded, or only a recording names it and it is none of the project's own; or a limit that the drive cannot take
     """
 
-    def __init__(self, rig: Rig, mode: str) -> None:
-        self.rig = rig
+    def __init__(self, axis: Axis, mode: str) -> None:
+        self.axis = axis
         self.mode = mode
-        if rig.law_of_recording and rig.law.function not in OWN_LAWS:
+        if axis.law_of_recording and axis.law.function not in OWN_LAWS:
             wanted = f"{' or '.join(OWN_LAWS)}: any other law that only a recording names is a stranger's program, and is not run"
-            raise rig.mistake("law.function", f"{wanted}; if you trust it, name it yourself: --law FILE.py:FUNCTION")
+            raise axis.mistake("law.function", f"{wanted}; if you trust it, name it yourself: --law FILE.py:FUNCTION")
         try:
-            self.law_function: Any = load_law(rig.law.function, rig.law_directory)
+            self.law_function: Any = load_law(axis.law.function, axis.law_directory)
         except LawError as error:
-            raise rig.mistake("law.function", f"a friction law; {error}") from error
-        self.axis = new_records(AXIS)
-        self.motion["dt_s"] = rig.bus.period_s
+            raise axis.mistake("law.function", f"a friction law; {error}") from error
+        self.records = new_records(AXIS)
+        self.motion["dt_s"] = axis.bus.period_s
         self.law[:] = self._new_law()
-        pdos = rig.pdos()
+        pdos = axis.pdos()
         self.rpdos[:] = self._new_pdos([pdo for pdo in pdos if pdo.layout.direction == "rpdo"])
         self.tpdos[:] = self._new_pdos([pdo for pdo in pdos if pdo.layout.direction == "tpdo"])
         self.control[:] = self._new_control(pdos)
@@ -139,47 +139,47 @@ class Controller:
     @property
     def control(self) -> Records:
         """Limits and scales: an array of one record."""
-        part: Records = self.axis["control"]
+        part: Records = self.records["control"]
         return part
 
     @property
     def host(self) -> Records:
         """What the cycle keeps: an array of one record."""
-        part: Records = self.axis["host"]
+        part: Records = self.records["host"]
         return part
 
     @property
     def rpdos(self) -> Records:
         """PDOs that the host sends; `control.rpdos` of them are used."""
-        part: Records = self.axis["rpdos"][0]
+        part: Records = self.records["rpdos"][0]
         return part
 
     @property
     def tpdos(self) -> Records:
         """PDOs that it waits for; `control.tpdos` of them are used."""
-        part: Records = self.axis["tpdos"][0]
+        part: Records = self.records["tpdos"][0]
         return part
 
     @property
     def motion(self) -> Records:
         """What the law is told: an array of one record."""
-        part: Records = self.axis["motion"]
+        part: Records = self.records["motion"]
         return part
 
     @property
     def law(self) -> Records:
         """The law's parameters: an array of one record."""
-        part: Records = self.axis["law"]
+        part: Records = self.records["law"]
         return part
 
     @property
     def state(self) -> Records:
         """What the law keeps: an array of one record."""
-        part: Records = self.axis["state"]
+        part: Records = self.records["state"]
         return part
 
     def _new_law(self) -> Records:
-        mode, law = self.rig.mode[self.mode], self.rig.law
+        mode, law = self.axis.mode[self.mode], self.axis.law
         record = new_records(LAW)
         r = record[0]
         r["K_p"], r["F_s"], r["F_d"] = mode.K_p_Nm_rad, mode.F_s_Nm, mode.F_d_Nm
@@ -201,16 +201,16 @@ class Controller:
         return next(signal for pdo in pdos for signal in pdo.signals if signal.key == name)
 
     def _new_control(self, pdos: tuple[RigPdo, ...]) -> Records:
-        rig, mode, limits = self.rig, self.rig.mode[self.mode], self.rig.limits
-        T = rig.bus.period_s
+        axis, mode, limits = self.axis, self.axis.mode[self.mode], self.axis.limits
+        T = axis.bus.period_s
         control = new_records(CONTROL)
         c = control[0]
-        c["period_ns"], c["window_ns"] = round(T * 1e9), round(rig.bus.tpdo_window_s * 1e9)
-        c["sync_cob_id"], c["host_id"] = CobId.SYNC, rig.host.node_id
-        c["motor_id"], c["brake_id"] = rig.motor.node_id, rig.brake.node_id
-        c["heartbeat_ns"] = round(rig.host.heartbeat_s * 1e9)
-        c["motor_heartbeat_timeout_ns"] = round(rig.motor.heartbeat_timeout_s * 1e9)
-        c["brake_heartbeat_timeout_ns"] = round(rig.brake.heartbeat_timeout_s * 1e9)
+        c["period_ns"], c["window_ns"] = round(T * 1e9), round(axis.bus.tpdo_window_s * 1e9)
+        c["sync_cob_id"], c["host_id"] = CobId.SYNC, axis.host.node_id
+        c["motor_id"], c["brake_id"] = axis.motor.node_id, axis.brake.node_id
+        c["heartbeat_ns"] = round(axis.host.heartbeat_s * 1e9)
+        c["motor_heartbeat_timeout_ns"] = round(axis.motor.heartbeat_timeout_s * 1e9)
+        c["brake_heartbeat_timeout_ns"] = round(axis.brake.heartbeat_timeout_s * 1e9)
         tpdos = [pdo for pdo in pdos if pdo.layout.direction == "tpdo"]
         c["rpdos"], c["tpdos"] = len(pdos) - len(tpdos), len(tpdos)
         for i, pdo in enumerate(tpdos):
@@ -224,15 +224,15 @@ class Controller:
         c["brake_Nm_raw"] = self._signal(pdos, "brake.setpoint_Nm").scale
         c["coil_A_raw"] = self._signal(pdos, "brake.coil_current_A").scale
 
-        c["friction_Nm"] = rig.mechanics.friction_Nm
-        c["compensation_Nm"] = mode.compensation * rig.mechanics.friction_Nm
-        c["viscous"] = rig.mechanics.viscous_Nms_rad
-        c["velocity_band_counts"] = rig.law.velocity_band_counts
-        c["gain_step"] = T / rig.law.gain_ramp_s if rig.law.gain_ramp_s > 0 else 1.0
+        c["friction_Nm"] = axis.mechanics.friction_Nm
+        c["compensation_Nm"] = mode.compensation * axis.mechanics.friction_Nm
+        c["viscous"] = axis.mechanics.viscous_Nms_rad
+        c["velocity_band_counts"] = axis.law.velocity_band_counts
+        c["gain_step"] = T / axis.law.gain_ramp_s if axis.law.gain_ramp_s > 0 else 1.0
 
         c["motor_limit_pm"] = self.motor_limit_pm(float(c["Nm_pm"]))
         c["motor_rate_Nm"] = limits.torque_rate_Nm_s * T
-        c["brake_limit_raw"] = brake_limit_raw(rig)
+        c["brake_limit_raw"] = brake_limit_raw(axis)
         c["brake_limit_Nm"] = min(limits.brake_torque_Nm, float(c["brake_limit_raw"] * c["brake_Nm_raw"]))
         c["speed_limit"], c["jump_counts"] = limits.speed_rad_s, limits.encoder_jump_counts
         c["net_work_J"] = limits.net_work_J
@@ -241,8 +241,8 @@ class Controller:
         c["mismatch_Nm"] = limits.handle_mismatch_Nm
         c["mismatch_cycles"] = _cycles(limits.handle_mismatch_s, T)
         c["missed_cycles"] = limits.missed_tpdo_cycles
-        c["coil_limit_A2"] = rig.brake.coil_continuous_A**2
-        c["coil_decay"] = math.exp(-T / rig.brake.coil_time_constant_s)
+        c["coil_limit_A2"] = axis.brake.coil_continuous_A**2
+        c["coil_decay"] = math.exp(-T / axis.brake.coil_time_constant_s)
         c["brake_lag_decay"] = math.exp(-T / BRAKE_LAG_S)
 
         c["still_cycles"], c["still_handle_Nm"] = _cycles(limits.still_s, T), limits.still_handle_torque_Nm
@@ -257,7 +257,7 @@ class Controller:
 
         switch = any(signal.name.endswith(".deadman") for pdo in pdos for signal in pdo.signals)
         c["deadman_slot"] = Image.DEADMAN if switch else -1
-        c["deadman_mask"] = deadman_mask(rig.host.deadman)
+        c["deadman_mask"] = deadman_mask(axis.host.deadman)
 
         c["safe_brake_Nm"] = limits.safe_brake_Nm
         c["safe_hold_cycles"] = _cycles(limits.safe_hold_s, T)
@@ -266,8 +266,8 @@ class Controller:
 
     def motor_limit_pm(self, Nm_pm: float) -> int:
         """Return the motor's torque limit in per mille, rounded down: what the drive's 6072h is set to."""
-        limit = math.floor(self.rig.motor_limit_Nm(self.mode) / abs(Nm_pm) + 1e-9)
-        motor = self.rig.description("motor")
+        limit = math.floor(self.axis.motor_limit_Nm(self.mode) / abs(Nm_pm) + 1e-9)
+        motor = self.axis.description("motor")
         target = motor.variable(0x6071, 0)
         ends = [(0x6071, target.largest)]
         if motor.has(0x6072, 0):  # without it bring-up refuses
@@ -276,7 +276,7 @@ class Controller:
             ends.append((0x6071, -target.low))
         index, end = min(ends, key=lambda one: one[1])
         if limit > end:
-            raise self.rig.mistake(
+            raise self.axis.mistake(
                 f"mode.{self.mode}.motor_limit_Nm",
                 f"at most {end * abs(Nm_pm):.4g}: the drive's {index:04X}h ends at {end:g} per mille",
             )

@@ -56,8 +56,8 @@ class Controllers:
     def adopt(self, axes: Records) -> None:
         """Go on in another array of the same shape, such as shared memory: the present state is copied there."""
         for k, controller in enumerate(self.each):
-            axes[k : k + 1] = controller.axis
-            controller.axis = axes[k : k + 1]
+            axes[k : k + 1] = controller.records
+            controller.records = axes[k : k + 1]
         self.axes = axes
 
     @property
@@ -154,7 +154,7 @@ class Controllers:
         first = self.tripped
         if first is None:
             return None
-        return f"axis {first.rig.axis}: {first.trip}" if first.rig.axis else first.trip
+        return f"axis {first.axis.name}: {first.trip}" if first.axis.name else first.trip
 
     @property
     def trip_ns(self) -> int:

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from coulombus.host.laws.laws import OWN_LAWS
+from coulombus.rigs.axis import Axis
 from coulombus.rigs.model import Mode
 from coulombus.rigs.rig import Rig, RigError
 
@@ -24,44 +25,44 @@ class Demand(NamedTuple):
     torque_Nm: float
 
 
-def brake_limit_raw(rig: Rig) -> int:
+def brake_limit_raw(axis: Axis) -> int:
     """Return the largest set-point that 7300h:01 takes: the high limit of the EDS file, or what its data type holds."""
-    return int(min(rig.description("brake").variable(0x7300, 1).largest, 0xFFFFFFFF))
+    return int(min(axis.description("brake").variable(0x7300, 1).largest, 0xFFFFFFFF))
 
 
-def _motor(rig: Rig, mode: str) -> Iterator[RigError]:
+def _motor(axis: Axis, mode: str) -> Iterator[RigError]:
     """Yield what the motor's limit cuts off: of the law in mode active, of the compensation in each."""
-    chosen, scale = rig.mode[mode], _scale(rig, "motor.target_torque_Nm")
-    compensation = chosen.compensation * rig.mechanics.friction_Nm
+    chosen, scale = axis.mode[mode], _scale(axis, "motor.target_torque_Nm")
+    compensation = chosen.compensation * axis.mechanics.friction_Nm
     wanted = [Demand("compensation", compensation)]
     if mode == "active":  # in slip the compensation takes its share off
-        law = _law(rig, chosen)
+        law = _law(axis, chosen)
         wanted = [Demand(key, Nm - compensation if key == "F_d_Nm" else Nm) for key, Nm in law] + wanted
-    limit, whose = rig.motor_limit_Nm(mode), f"mode.{mode}.motor_limit_Nm (the drive's 6072h)"
+    limit, whose = axis.motor_limit_Nm(mode), f"mode.{mode}.motor_limit_Nm (the drive's 6072h)"
     if limit < chosen.motor_limit_Nm:
         whose = f"the motor in mode {mode} (1.2 x mechanics.friction_Nm)"
     for key, torque_Nm in wanted:
         if torque_Nm > limit + scale:
-            yield rig.mistake(f"mode.{mode}.{key}", _expected(limit, torque_Nm, whose))
+            yield axis.mistake(f"mode.{mode}.{key}", _expected(limit, torque_Nm, whose))
 
 
-def _brake(rig: Rig, mode: str) -> Iterator[RigError]:
+def _brake(axis: Axis, mode: str) -> Iterator[RigError]:
     """Yield what the brake's limits cut off of the law in the modes in which the brake displays it."""
     if mode == "active":
         return
-    scale, variable = _scale(rig, "brake.setpoint_Nm"), rig.description("brake").variable(0x7300, 1)
-    device_Nm, own_Nm = brake_limit_raw(rig) * scale, rig.limits.brake_torque_Nm
+    scale, variable = _scale(axis, "brake.setpoint_Nm"), axis.description("brake").variable(0x7300, 1)
+    device_Nm, own_Nm = brake_limit_raw(axis) * scale, axis.limits.brake_torque_Nm
     limit, whose = own_Nm, "limits.brake_torque_Nm"
     if device_Nm < own_Nm:
-        limit, whose = device_Nm, f"the brake's 7300h:01 ({rig.description('brake').path}:{variable.line})"
-    for key, torque_Nm in _law(rig, rig.mode[mode]):
+        limit, whose = device_Nm, f"the brake's 7300h:01 ({axis.description('brake').path}:{variable.line})"
+    for key, torque_Nm in _law(axis, axis.mode[mode]):
         if torque_Nm > limit + scale:
-            yield rig.mistake(f"mode.{mode}.{key}", _expected(limit, torque_Nm, whose))
+            yield axis.mistake(f"mode.{mode}.{key}", _expected(limit, torque_Nm, whose))
 
 
-def _law(rig: Rig, mode: Mode) -> tuple[Demand, ...]:
+def _law(axis: Axis, mode: Mode) -> tuple[Demand, ...]:
     """Return what the rig's law displays at most in a mode; nothing where that is not known."""
-    own = OWN_LAWS.get(rig.law.function.strip())
+    own = OWN_LAWS.get(axis.law.function.strip())
     return () if own is None else tuple(Demand(key, getattr(mode, key)) for key in own.extremes)
 
 
@@ -69,9 +70,9 @@ def _expected(limit_Nm: float, torque_Nm: float, whose: str) -> str:
     return f"a torque of at most {limit_Nm:.6g} Nm, not {torque_Nm:.6g} Nm: {whose} ends there and would cut it off"
 
 
-def _scale(rig: Rig, key: str) -> float:
+def _scale(axis: Axis, key: str) -> float:
     """Return the torque of one raw count of a signal [Nm]; less than that is rounding."""
-    return next(abs(signal.scale) for pdo in rig.pdos() for signal in pdo.signals if signal.key == key)
+    return next(abs(signal.scale) for pdo in axis.pdos() for signal in pdo.signals if signal.key == key)
 
 
 def cut_off(rig: Rig, mode: str) -> list[str]:

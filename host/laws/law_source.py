@@ -43,7 +43,7 @@ class LawSource:
 
 def law_source(rig: Rig) -> LawSource | None:
     """Return the source of the rig's law; None where there is none to be read. The law is not run for it."""
-    name = rig.law.function
+    name = rig.law_function
     place = name.rpartition(":")[0]
     if name in OWN_LAWS:
         return LawSource(name, inspect.getsource(OWN_LAWS[name].function).encode())

@@ -127,7 +127,7 @@ class DataPlane:
             "bus_fd": self._client.fileno(),
             "memory_fd": self.shared.fd,
             "axes": self.shared.axis_count,
-            "law": rig.law.function,
+            "law": rig.law_function,
             "law_directory": str(rig.law_directory.absolute()),
             "priority": priority,
             "cpu": cpu,

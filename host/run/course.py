@@ -544,7 +544,7 @@ def real_run(
         run = _RealRun(
             rig,
             mode,
-            bus or default_address(rig.rig.name),
+            bus or default_address(rig.name),
             record=record,
             signals=signals or Signals(),
             progress=progress,

@@ -80,10 +80,10 @@ def file_sha256(path: Path) -> str:
 
 def axis_results(controllers: Controllers, figures: Sequence[Measures]) -> dict[str, dict[str, Any]] | None:
     """Return what a run came to for each axis; None where there is only one."""
-    if controllers.rig.axes[0] is controllers.rig:
+    if not controllers.rig.axis_names:
         return None
     return {
-        k.rig.axis: {
+        k.axis.name: {
             "cycles": int(k.host["display_cycles"][0]),
             "lost_pdos": int(k.host["lost_pdos"][0]),
             "trip": k.trip,

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import pairwise
-
-import numpy as np
 
 from coulombus.host.cycle.controller import Controller
 from coulombus.host.cycle.controllers import Controllers
@@ -38,20 +35,19 @@ class PhaseMarks:
         """How many axes have begun."""
         return len(self._begun)
 
-    def begin(self, axis: int, start_ns: int) -> None:
+    def begin(self, number: int, start_ns: int) -> None:
         """Let the schedule of an axis begin at `start_ns`; once is enough."""
-        if axis in self._begun or self._over:
+        if number in self._begun or self._over:
             return
-        self._begun.add(axis)
-        rig = self._axes[axis]
-        starts = np.concatenate(([0.0], np.cumsum([phase.duration_s for phase in rig.phases])))
-        names = [phase.kind for phase in rig.phases] + ["end"]
+        self._begun.add(number)
+        axis = self._axes[number]
+        names = [phase.kind for phase in axis.phases] + ["end"]
         self._waiting += [
-            (start_ns + round(start * 1e9), f"{rig.prefix}phase {name}")
-            for start, name in zip(starts.tolist(), names, strict=True)
+            (start_ns + round(start * 1e9), f"{axis.prefix}phase {name}")
+            for start, name in zip(axis.phase_starts_s, names, strict=True)
         ]
         self._waiting.sort(key=lambda one: one[0])
-        self._open.add(rig.prefix)
+        self._open.add(axis.prefix)
 
     def due(self, until_ns: int) -> Iterator[tuple[int, str]]:
         """Yield what is to be marked before `until_ns`, once."""
@@ -69,7 +65,7 @@ class PhaseMarks:
 
     def end(self, t_ns: int) -> Iterator[tuple[int, str]]:
         """Yield the ends, at `t_ns`, of the schedules that have not come to theirs."""
-        still_open = [rig.prefix for rig in self._axes if rig.prefix in self._open]
+        still_open = [axis.prefix for axis in self._axes if axis.prefix in self._open]
         self.stop()
         for prefix in still_open:
             yield t_ns, f"{prefix}phase end"
@@ -101,8 +97,9 @@ def _clipped(k: Controller) -> Iterator[str]:
 
 def _too_early(k: Controller) -> Iterator[str]:
     """The hand's schedule counts from Operation Enabled; the sign check and the ramp of the law's gain follow that."""
-    starts = [0.0, *np.cumsum([phase.duration_s for phase in k.rig.phases]).tolist()]
-    moves = [(at, phase) for (at, _), phase in zip(pairwise(starts), k.rig.phases, strict=True) if phase.kind != "rest"]
+    moves = [
+        (at, phase) for at, phase in zip(k.axis.phase_starts_s, k.axis.phases, strict=False) if phase.kind != "rest"
+    ]
     if not moves or int(k.host["enabled_ns"][0]) < 0:
         return
     begins_s, phase = moves[0]
@@ -117,4 +114,4 @@ def _too_early(k: Controller) -> Iterator[str]:
 
 
 def _axis(k: Controller) -> str:
-    return f"axis {k.rig.axis}: " if k.rig.axis else ""
+    return f"axis {k.axis.name}: " if k.axis.name else ""

@@ -197,7 +197,7 @@ def plans_of(controllers: Controllers) -> tuple[DevicePlan, ...]:
     return tuple(
         plan
         for controller in controllers
-        for plan in device_plans(controller.rig, controllers.mode, int(controller.control["motor_limit_pm"][0]))
+        for plan in device_plans(controller.axis, controllers.mode, int(controller.control["motor_limit_pm"][0]))
     )
 
 

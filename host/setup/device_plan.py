@@ -13,8 +13,8 @@ from coulombus.eds.cia402 import OPERATION_MODE_CST
 from coulombus.eds.own_devices import MANUFACTURER, is_own, told_identity
 from coulombus.eds.reader import Description, Variable
 from coulombus.host.setup.settings import Role, Setting, settings_of
+from coulombus.rigs.axis import Axis
 from coulombus.rigs.model import Brake, Motor
-from coulombus.rigs.rig import Rig
 
 __all__ = ["DevicePlan", "device_plans", "names_modes_without_cst"]
 
@@ -59,25 +59,25 @@ class DevicePlan:
     losses: tuple[str, ...]
 
 
-def device_plans(rig: Rig, mode: str, limit_pm: int) -> tuple[DevicePlan, DevicePlan]:
+def device_plans(axis: Axis, mode: str, limit_pm: int) -> tuple[DevicePlan, DevicePlan]:
     """Return the plans of drive and brake of one axis.
 
     Parameters
     ----------
     limit_pm : the drive's torque limit 6072h in this mode [per mille of the rated torque]
     """
-    return _plan(rig, "motor", mode, limit_pm), _plan(rig, "brake", mode, limit_pm)
+    return _plan(axis, "motor", mode, limit_pm), _plan(axis, "brake", mode, limit_pm)
 
 
-def _plan(rig: Rig, role: Role, mode: str, limit_pm: int) -> DevicePlan:
-    part = rig.motor if role == "motor" else rig.brake
-    name, description = rig.prefix + role, rig.description(role)
+def _plan(axis: Axis, role: Role, mode: str, limit_pm: int) -> DevicePlan:
+    part = axis.part(role)
+    name, description = axis.prefix + role, axis.description(role)
     who = f"{name} (node {part.node_id})"
     ours = is_own(role, told_identity(description))
     there: list[Setting] = []
     problems = [*_identity_problems(who, role, part, description)]
     losses = []
-    for setting in settings_of(rig, role, mode, limit_pm):
+    for setting in settings_of(axis, role, mode, limit_pm):
         meant = ours or setting.index not in MANUFACTURER
         if meant and description.has(setting.index, setting.subindex):
             there.append(setting)

@@ -12,8 +12,8 @@ from typing import Literal
 from coulombus.eds.cia301 import CobId, predefined
 from coulombus.eds.cia402 import OPERATION_MODE_CST
 from coulombus.eds.reader import Description, Variable
+from coulombus.rigs.axis import Axis
 from coulombus.rigs.model import Brake, Motor
-from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo
 
 __all__ = ["Role", "Setting", "encoded", "settings_of"]
@@ -34,18 +34,18 @@ class Setting:
     """True: a device without the object is accepted."""
 
 
-def settings_of(rig: Rig, role: Role, mode: str, limit_pm: int) -> Iterator[Setting]:
+def settings_of(axis: Axis, role: Role, mode: str, limit_pm: int) -> Iterator[Setting]:
     """Yield what one device is to be set to, in its order.
 
     Parameters
     ----------
     limit_pm : the drive's torque limit 6072h in this mode [per mille of the rated torque]
     """
-    part = rig.motor if role == "motor" else rig.brake
-    pdos = [pdo for pdo in rig.pdos() if pdo.node == rig.prefix + role]
-    yield from _unused_pdos(rig.description(role), pdos, part.node_id)
-    yield from _common_settings(rig, role, part)
-    yield from _motor_settings(rig, mode, limit_pm) if role == "motor" else _brake_settings(rig)
+    part = axis.part(role)
+    pdos = [pdo for pdo in axis.pdos() if pdo.node == axis.prefix + role]
+    yield from _unused_pdos(axis.description(role), pdos, part.node_id)
+    yield from _common_settings(axis, role, part)
+    yield from _motor_settings(axis, mode, limit_pm) if role == "motor" else _brake_settings(axis)
     for pdo in pdos:
         yield from _pdo_settings(pdo, role, round(part.setpoint_fault_s * 1000))
 
@@ -84,28 +84,28 @@ def _unused_pdos(description: Description, pdos: Sequence[RigPdo], node_id: int)
                     yield Setting(index, 1, cob_id | INVALID)
 
 
-def _common_settings(rig: Rig, role: Role, part: Motor | Brake) -> Iterator[Setting]:
+def _common_settings(axis: Axis, role: Role, part: Motor | Brake) -> Iterator[Setting]:
     """Heartbeats both ways and the loss of SYNC."""
     timeout_ms = round(part.heartbeat_timeout_s * 1000)
-    yield Setting(0x1016, 1, rig.host.node_id << 16 | timeout_ms, f"{role}.heartbeat_timeout_s")
+    yield Setting(0x1016, 1, axis.host.node_id << 16 | timeout_ms, f"{role}.heartbeat_timeout_s")
     yield Setting(0x1017, 0, round(part.heartbeat_s * 1000), f"{role}.heartbeat_s")
     yield Setting(0x1005, 0, CobId.SYNC)
     yield Setting(0x2002, 0, round(part.sync_timeout_s * 1e6), f"{role}.sync_timeout_s", optional=True)
 
 
-def _motor_settings(rig: Rig, mode: str, limit_pm: int) -> Iterator[Setting]:
+def _motor_settings(axis: Axis, mode: str, limit_pm: int) -> Iterator[Setting]:
     yield Setting(0x6060, 0, OPERATION_MODE_CST)
     yield Setting(0x6071, 0, 0)
     yield Setting(0x6072, 0, limit_pm, f"mode.{mode}.motor_limit_Nm")
-    zero_us = round(rig.motor.setpoint_zero_cycles * rig.bus.period_s * 1e6)
+    zero_us = round(axis.motor.setpoint_zero_cycles * axis.bus.period_s * 1e6)
     yield Setting(0x2001, 0, zero_us, "motor.setpoint_zero_cycles", optional=True)
 
 
-def _brake_settings(rig: Rig) -> Iterator[Setting]:
+def _brake_settings(axis: Axis) -> Iterator[Setting]:
     yield Setting(0x6340, 1, 1)
     yield Setting(0x7341, 1, 0)
-    yield Setting(0x2001, 0, round(rig.brake.hold_s * 1e6), "brake.hold_s", optional=True)
-    yield Setting(0x2005, 0, round(rig.brake.ramp_s * 1e6), "brake.ramp_s", optional=True)
+    yield Setting(0x2001, 0, round(axis.brake.hold_s * 1e6), "brake.hold_s", optional=True)
+    yield Setting(0x2005, 0, round(axis.brake.ramp_s * 1e6), "brake.ramp_s", optional=True)
 
 
 def encoded(variable: Variable, value: int) -> bytes:

@@ -52,7 +52,7 @@ class Demo:
 
 def schedule_s(rig: Rig) -> float:
     """Return the length of the rig's schedule; of several axes', the longest."""
-    return max(float(sum(phase.duration_s for phase in axis.phases)) for axis in rig.axes)
+    return max(axis.phase_starts_s[-1] for axis in rig.axes)
 
 
 def _between(value: float | None, low: float, high: float) -> bool:
@@ -66,7 +66,7 @@ def _number(value: float | None, unit: str) -> str:
 def judge(rig: Rig, results: dict[str, RunResult]) -> tuple[Criterion, ...]:
     """Judge an active and a hybrid run."""
     active, hybrid = results["active"], results["hybrid"]
-    push = HYBRID_PUSH_SHARE * rig.mode["hybrid"].F_s_Nm
+    push = HYBRID_PUSH_SHARE * rig.one_axis().mode["hybrid"].F_s_Nm
     counts, rms = hybrid.hold_counts_p2p, hybrid.hold_velocity_rms_rad_s
     still = counts is not None and rms is not None and counts <= HYBRID_COUNTS and rms <= HYBRID_RMS_RAD_S
     low, high = ACTIVE_RMS_RAD_S

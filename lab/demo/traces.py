@@ -125,7 +125,7 @@ def figure_14(recordings: Mapping[str, Source], path: Path) -> None:
     low, high = axes[0, 0].get_ylim()
     axes[0, 0].set_ylim(low - 0.18 * (high - low), high + 0.1 * (high - low))  # room for legend and phases
     figure.suptitle(
-        f"Friction display on the rig '{next(iter(recordings.values())).rig.rig.name}', from the recorded PDOs",
+        f"Friction display on the rig '{next(iter(recordings.values())).rig.name}', from the recorded PDOs",
         fontsize=12,
     )
     figure.tight_layout()

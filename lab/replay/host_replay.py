@@ -101,7 +101,7 @@ def host_replay(path: str | Path, overrides: Sequence[str] = (), rig: Rig | None
     recording = read(path, rig=rig)
     attachments = recording.capture.attachments
     mode = attachments.get("mode", b"").decode(errors="replace")
-    if mode not in recording.rig.mode:
+    if mode not in recording.rig.modes:
         raise ReplayError(
             f"{path}: it does not tell the host's mode (attachment 'mode'): --host replays what "
             "`coulombus run --record` or `coulombus simulate --record` wrote"
@@ -127,14 +127,14 @@ def host_replay(path: str | Path, overrides: Sequence[str] = (), rig: Rig | None
 def _compare_laws(recording: Recording, chosen: Rig) -> tuple[tuple[str, ...], bool]:
     """Return what is to be told of the law, and whether its source is the recorded one."""
     now, recorded = law_source(chosen), recorded_sha256(recording.capture.attachments)
-    name = recording.rig.law.function
+    name = recording.rig.law_function
     if now is None or recorded is None:
-        text = f"{recording.path}: whether {chosen.law.function} is the recorded law {name} is not known: no SHA-256 of its source is attached"
-        own = chosen.law.function == name and name in OWN_LAWS  # as in recordings of earlier versions
+        text = f"{recording.path}: whether {chosen.law_function} is the recorded law {name} is not known: no SHA-256 of its source is attached"
+        own = chosen.law_function == name and name in OWN_LAWS  # as in recordings of earlier versions
         return () if own else (text,), own
     if now.sha256 == recorded:
         return (), True
-    text = f"{recording.path}: the law is {chosen.law.function} with the SHA-256 {now.sha256}, recorded was {name} with {recorded}"
+    text = f"{recording.path}: the law is {chosen.law_function} with the SHA-256 {now.sha256}, recorded was {name} with {recorded}"
     return (text,), False
 
 

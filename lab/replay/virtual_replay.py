@@ -103,12 +103,12 @@ def virtual_replay(path: str | Path, rig: Rig | None = None) -> VirtualReplay:
             f"{path}: faults of a fault file struck in it ({struck}), and what they did to the bits is not in a recording: --virtual checks "
             "recordings without faults; --host checks this one"
         )
-    if recording.rig.law_of_recording and recording.rig.law.function not in OWN_LAWS:
+    if recording.rig.law_of_recording and recording.rig.law_function not in OWN_LAWS:
         recording = replace(
             recording, rig=recording.rig.with_law(next(iter(OWN_LAWS)))
         )  # nobody asks it: the host's frames are the recorded ones
     seed, mode = (attachments[name].decode(errors="replace") for name in ("seed", "mode"))
-    if not seed.isdecimal() or mode not in recording.rig.mode:
+    if not seed.isdecimal() or mode not in recording.rig.modes:
         raise ReplayError(
             f"{path}: its attachments 'seed' and 'mode' are {seed!r} and {mode!r}, expected a number and a mode of its rig"
         )

@@ -72,7 +72,7 @@ class VirtualRig(VirtualNetwork):
         self.rig, self.mode = rig, mode
         self.controllers = Controllers(rig, mode)
         self.controller = self.controllers.each[0]
-        self.operators = [Operator(controller.rig, mode) for controller in self.controllers]
+        self.operators = [Operator(controller.axis, mode) for controller in self.controllers]
         self.network = CanopenNetwork(lambda can_id, data, _: self.send(can_id, data), self._await_answer)
         self._left: list[tuple[float, float] | None] = [None] * len(
             rig.axes
@@ -90,7 +90,7 @@ class VirtualRig(VirtualNetwork):
         self._axes = axes.view(np.ndarray)  # Python looks at it often: a plain array answers faster than a recarray
         self._axes["motor"], self._axes["brake"] = MOTOR + 2 * np.arange(n), BRAKE + 2 * np.arange(n)
         self._axes["operator_start_ns"], self._axes["truth_on"] = -1, truth
-        self._axes["steps_per_knot"] = [max(1, round(KNOT_S / one.plant.step_s)) for one in rig.axes]
+        self._axes["steps_per_knot"] = [max(1, round(KNOT_S / one.simulation.plant.step_s)) for one in rig.axes]
         self._f_h = np.zeros((n, knots + 1))
         steps = knots * int(self._axes["steps_per_knot"].max())
         self._truth_block = np.zeros((n, steps if truth else 1, len(TRUTH_COLUMNS)))
@@ -206,7 +206,7 @@ class VirtualRig(VirtualNetwork):
     def nmt_state(self, node_id: int) -> int | None:
         """Return the NMT state that the node's last heartbeat told."""
         for controller in self.controllers:
-            for role, part in (("motor", controller.rig.motor), ("brake", controller.rig.brake)):
+            for role, part in (("motor", controller.axis.motor), ("brake", controller.axis.brake)):
                 if part.node_id == node_id:
                     state = int(controller.host[f"{role}_nmt"][0])
                     return None if state < 0 else state

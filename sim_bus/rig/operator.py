@@ -20,7 +20,7 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from coulombus.rigs.rig import Rig
+from coulombus.rigs.axis import Axis
 
 __all__ = ["KNOT_S", "LET_GO_S", "Operator", "paper_force_N"]
 
@@ -38,13 +38,13 @@ def paper_force_N(t: Floats) -> Floats:
 
 
 class Operator:
-    """The muscle torque of `rig`'s operator in mode `mode`, which sets the size of a push (share of F_s)."""
+    """The muscle torque of the operator of `axis` in mode `mode`, which sets the size of a push (share of F_s)."""
 
-    def __init__(self, rig: Rig, mode: str) -> None:
-        self._hand = rig.operator
-        self._phases = rig.phases
-        self._F_s = rig.mode[mode].F_s_Nm
-        self.starts_s = np.array(rig.phase_starts_s)
+    def __init__(self, axis: Axis, mode: str) -> None:
+        self._hand = axis.simulation.operator
+        self._phases = axis.phases
+        self._F_s = axis.mode[mode].F_s_Nm
+        self.starts_s = np.array(axis.phase_starts_s)
 
     def torque_Nm(self, t: Floats, start_s: float | None, end_s: float | None = None) -> Floats:
         r"""Return f_h [Nm] at the absolute times `t` [s] when the schedule began at `start_s` (None: it has not), and was left at `end_s`.

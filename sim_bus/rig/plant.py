@@ -40,7 +40,7 @@ from typing import Any
 import numpy as np
 
 from coulombus.compiled.decorator import inlined, kernel
-from coulombus.rigs.rig import Rig
+from coulombus.rigs.axis import Axis
 from coulombus.wire.frame import Records, new_records
 
 __all__ = [
@@ -137,9 +137,9 @@ def _decay(step_s: float, lag_s: float) -> float:
     return math.exp(-step_s / lag_s) if lag_s > 0 else 0.0
 
 
-def new_plant(rig: Rig, seed: int = 0) -> Records:
-    """Return the plant of `rig` at rest at angle 0, as an array of one record; `seed` starts the transducer's noise."""
-    p, hand = rig.plant, rig.operator
+def new_plant(axis: Axis, seed: int = 0) -> Records:
+    """Return the plant of `axis` at rest at angle 0, as an array of one record; `seed` starts the transducer's noise."""
+    p, hand = axis.simulation
     plant = new_records(PLANT)
     r = plant[0]
     r["step_ns"] = round(p.step_s * 1e9)
@@ -154,7 +154,7 @@ def new_plant(rig: Rig, seed: int = 0) -> Records:
     r["fluid_decay"] = _decay(p.step_s, p.brake_fluid_lag_s)
     r["motor_Nm_pm"] = p.motor_polarity * p.motor_rated_torque_Nm * p.ratio / 1000
     r["motor_peak_pm"] = 1000 * p.motor_peak_ratio
-    r["coil_A_Nm"] = rig.brake.coil_A_Nm
+    r["coil_A_Nm"] = axis.brake.coil_A_Nm
     r["counts_rad"] = p.encoder_polarity * p.encoder_counts_rev * p.ratio / (2 * math.pi)
     r["noise"], r["transducer_polarity"] = p.transducer_noise_Nm, p.transducer_polarity
     r["temperature"], r["ambient"] = p.temperature_degC, p.ambient_degC

@@ -127,14 +127,14 @@ def test_the_papers_loop_has_its_exact_orbits(cycles, samples):
 
 def test_the_rigs_loop_has_the_frequency_of_the_rig_on_its_bus():
     """The hold on the bench rig peaks at 74 Hz; the loop without a bus is as fast."""
-    found = simulate_point(LoopParameters.of_rig(load_rig("bench")))
+    found = simulate_point(LoopParameters.of_axis(load_rig("bench").one_axis()))
     assert not found.quiet
     assert 65 <= found.frequency_Hz <= 85
 
 
-def test_of_rig_is_what_the_defaults_say():
-    of_rig, default = asdict(LoopParameters.of_rig(load_rig("bench"))), asdict(LoopParameters())
-    assert of_rig == pytest.approx(default, rel=1e-12)
+def test_of_axis_is_what_the_defaults_say():
+    of_axis, default = asdict(LoopParameters.of_axis(load_rig("bench").one_axis())), asdict(LoopParameters())
+    assert of_axis == pytest.approx(default, rel=1e-12)
 
 
 def test_without_a_tap_it_stays_stuck_and_a_stale_swing_is_quiet():

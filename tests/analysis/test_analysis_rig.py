@@ -79,7 +79,9 @@ def test_the_delay_of_the_stamps_is_the_plants(tmp_path):
         with np.load(truth) as file:
             t, torque = file["t_s"], file["motor_Nm"]
         changed = t[1:][np.diff(np.sign(torque)) != 0]
-        changed = changed[(changed > 2.0) & (changed < 2.3)] - rig.plant.step_s  # a row is the step that ends there
+        changed = (
+            changed[(changed > 2.0) & (changed < 2.3)] - rig.one_axis().simulation.plant.step_s
+        )  # a row is the step that ends there
         sync = recording.t_s[recording.frames["can_id"] == 0x80]
         since = changed - sync[np.searchsorted(sync, changed) - 1]
         apart = (

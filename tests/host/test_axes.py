@@ -31,9 +31,9 @@ TWO_BUSES = ('axis.left.bus.channel="a"', 'axis.right.bus.channel="b"')
 def test_an_axis_has_what_is_its_own_and_shares_the_rest():
     rig = load_rig("two_axes")
     left, right = rig.axes
-    assert (left.axis, right.axis) == ("left", "right")
+    assert (left.name, right.name) == ("left", "right")
     assert (right.motor.node_id, right.brake.node_id) == (3, 4)
-    assert right.plant.inertia_kg_m2 == 4e-3
+    assert right.simulation.plant.inertia_kg_m2 == 4e-3
     assert left.plant.inertia_kg_m2 == 2.5e-3
     assert right.mode["hybrid"].F_s_Nm == 2.5
     assert right.mode["hybrid"].K_p_Nm_rad == left.mode["hybrid"].K_p_Nm_rad
@@ -41,11 +41,12 @@ def test_an_axis_has_what_is_its_own_and_shares_the_rest():
     assert rig.on("") is rig
 
 
-def test_a_rig_of_one_axis_is_its_own_axis():
+def test_a_rig_of_one_axis_has_one_without_a_name():
     rig = load_rig("bench")
-    assert rig.axes == (rig,)
-    assert rig.axis == rig.prefix == ""
-    assert rig.alone is rig
+    assert rig.axes == (rig.one_axis(),)
+    assert rig.one_axis().name == rig.one_axis().prefix == ""
+    assert rig.axis_names == ()
+    assert rig.alone() is rig
 
 
 def test_nodes_and_signals_carry_their_axis():
@@ -55,9 +56,9 @@ def test_nodes_and_signals_carry_their_axis():
     names = {signal.name for pdo in rig.pdos() for signal in pdo.signals}
     assert {"left.motor.position_rad", "right.brake.handle_torque_Nm"} <= names
     assert {pdo.layout.cob_id for pdo in rig.pdos() if pdo.node == "right.motor"} == {0x203, 0x183, 0x283}
-    alone = rig.axes[1].alone
+    alone = rig.alone("right")
     assert {pdo.node for pdo in alone.pdos()} == {"motor", "brake"}
-    assert alone.motor.node_id == 3
+    assert alone.one_axis().motor.node_id == 3
 
 
 def test_the_effective_text_gives_the_same_rig():
@@ -132,7 +133,9 @@ def test_names_that_no_axis_may_have(name):
 def test_one_axis_is_taken_out_of_several():
     rig = load_rig("two_axes")
     assert rig.one_axis("right").motor.node_id == 3
-    assert load_rig("bench").one_axis() == load_rig("bench")
+    assert load_rig("bench").one_axis() == load_rig("bench").one_axis()
+    assert rig.one_axis("right") != rig.one_axis("left")
+    assert load_rig("bench").alone() == load_rig("bench")
     with pytest.raises(RigError, match="left, right; this is about one axis"):
         rig.one_axis()
     with pytest.raises(RigError, match="--axis top: the rig two_axes has the axes left, right"):
@@ -234,12 +237,27 @@ def test_one_motor_with_torque_needs_the_dead_mans_switch(harmless):
     assert ("right.motor" in str(refused.value)) is (harmless != "right")
 
 
-def test_what_each_axis_answers_is_not_asked_of_the_whole():
+@pytest.mark.parametrize("name", ["bench", "two_axes"])
+@pytest.mark.parametrize(
+    "what", ["motor", "brake", "mechanics", "law", "mode", "limits", "plant", "operator", "phases", "phase_starts_s",
+             "description", "motor_limit_Nm", "mistake"],
+)  # fmt: skip
+def test_what_each_axis_answers_is_not_asked_of_the_whole(name, what):
+    rig = load_rig(name)
+    assert not hasattr(rig, what)
+    assert all(hasattr(axis, what) for axis in rig.axes)
+
+
+def test_a_rig_on_several_buses_has_no_bus_of_its_own():
+    rig = load_rig("two_axes", TWO_BUSES)
+    assert [bus.channel for bus in rig.buses] == ["a", "b"]
+    assert rig.on("b").bus.channel == "b"
+    with pytest.raises(TypeError, match=r"the buses a, b; take it on one with Rig\.on"):
+        _ = rig.bus
+
+
+def test_each_axis_has_its_own_motor_limit():
     rig = load_rig("two_axes")
-    with pytest.raises(TypeError, match="the axes left, right; ask each"):
-        rig.motor_limit_Nm("hybrid")
-    with pytest.raises(TypeError, match="the axes left, right; ask each"):
-        rig.description("motor")
     assert [round(axis.motor_limit_Nm("hybrid"), 3) for axis in rig.axes] == [0.168, 0.168]
 
 
@@ -310,7 +328,7 @@ def test_addresses_tell_how_their_buses_are_started(tmp_path):
 def test_one_bus_is_looked_at_at_a_time():
     rig = load_rig("two_axes", TWO_BUSES)
     there, address = one_bus(rig, None, "b")
-    assert (there.axes[0].axis, str(address)) == ("right", "coulombus:two_axes.b")
+    assert (there.axes[0].name, str(address)) == ("right", "coulombus:two_axes.b")
     assert str(one_bus(rig, "socketcan:can1", "b")[1]) == "socketcan:can1"
     with pytest.raises(AddressError, match="name one with --channel"):
         one_bus(rig, None, None)
@@ -324,7 +342,7 @@ def test_one_bus_is_looked_at_at_a_time():
 def test_the_rig_of_one_bus_has_the_axes_of_that_bus():
     rig = load_rig("two_axes", TWO_BUSES)
     there = rig.on("b")
-    assert [axis.axis for axis in there.axes] == ["right"]
+    assert [axis.name for axis in there.axes] == ["right"]
     assert there.motor.node_id == 3
     assert load_rig_text(there.effective(), there.path, there.eds_texts) == there
     with pytest.raises(KeyError, match="no bus"):
@@ -351,7 +369,7 @@ def test_two_buses_in_virtual_time(tmp_path):
 
 def test_a_trip_on_one_bus_stops_the_other():
     def stumble(world):
-        if world.rig.axes[0].axis == "right":
+        if world.rig.axes[0].name == "right":
             world.at(1_500_000_000, lambda world: world.power_off(0))
 
     result = simulate("two_axes", "passive", 2.0, overrides=TWO_BUSES, script=stumble)

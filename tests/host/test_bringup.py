@@ -363,12 +363,12 @@ def test_a_pdo_of_ten_bytes_is_refused_with_its_objects():
 @pytest.mark.parametrize(("code", "most"), [(I8, 127), (U8, 255), (I16, 4500), (I32, 4500)])
 def test_the_brakes_set_point_is_never_wider_than_its_object(code, most):
     text = edit(edit(BRAKE, "7300sub1", DataType=code), "7300sub1", HighLimit="" if code in (I8, U8) else 4500)
-    assert Controller(rig_of(MOTOR, text), "hybrid").control[0]["brake_limit_raw"] == most
+    assert Controller(rig_of(MOTOR, text).one_axis(), "hybrid").control[0]["brake_limit_raw"] == most
 
 
 def test_the_motors_limit_is_never_wider_than_its_set_point():
     with pytest.raises(RigError, match=r"mode.active.motor_limit_Nm.*the drive's 6071h ends at 127 per mille"):
-        Controller(rig_of(edit(MOTOR, "6071", DataType=I8, LowLimit="", HighLimit="")), "active")
+        Controller(rig_of(edit(MOTOR, "6071", DataType=I8, LowLimit="", HighLimit="")).one_axis(), "active")
 
 
 @pytest.mark.skipif(not CORPUS.is_dir(), reason="the vendors' files are not part of this project")

@@ -42,7 +42,7 @@ def with_eds(name, *changes, overrides=()):
 @pytest.mark.parametrize("name", ["bench", "paper", "two_axes"])
 def test_nothing_is_cut_off_of_the_rigs_of_the_package(name):
     rig = load_rig(name)
-    assert [text for mode in rig.mode for text in cut_off(rig, mode)] == []
+    assert [text for mode in rig.modes for text in cut_off(rig, mode)] == []
 
 
 @pytest.mark.parametrize(
@@ -75,7 +75,7 @@ def test_every_axis_is_looked_at(axis):
 def test_a_demand_that_is_the_limit_is_none_too_many():
     """6072h is rounded down to a per mille: what that takes off is no clipping."""
     rig = load_rig("bench", ["mode.active.F_s_Nm=1.5", "mode.hybrid.F_s_Nm=4.5"])
-    assert [text for mode in rig.mode for text in cut_off(rig, mode)] == []
+    assert [text for mode in rig.modes for text in cut_off(rig, mode)] == []
 
 
 def test_the_brakes_own_limit_counts_and_is_named():
@@ -104,8 +104,8 @@ def test_the_brake_takes_what_its_file_or_its_data_type_says(data_type, limit, m
         ("7300sub1", "DataType=0x0003\n", f"DataType={data_type}\n"),
         ("7300sub1", "HighLimit=5000", limit),
     )
-    assert brake_limit_raw(rig) == most
-    control = Controller(rig, "hybrid").control[0]
+    assert brake_limit_raw(rig.one_axis()) == most
+    control = Controller(rig.one_axis(), "hybrid").control[0]
     assert control["brake_limit_Nm"] == pytest.approx(min(4.5, most * 1e-3))
     assert bool(cut_off(rig, "hybrid")) is (most < 3500)
 

@@ -98,7 +98,7 @@ def test_no_torque_before_operation_enabled_and_little_in_the_sign_check():
         if bench.phase < Phase.SIGN:
             assert torque == 0
         largest = max(largest, torque)
-    assert 0.1 < largest <= bench.rig.limits.sign_check_torque_Nm + bench.c.Nm_pm
+    assert 0.1 < largest <= bench.rig.one_axis().limits.sign_check_torque_Nm + bench.c.Nm_pm
 
 
 def test_a_moving_handle_is_waited_for_and_then_refused():
@@ -143,7 +143,7 @@ def test_a_drive_that_does_not_enable_is_refused():
 def test_the_gain_ramps_in():
     bench = HostBench("hybrid")
     bench.arm()
-    F_s = bench.rig.mode["hybrid"].F_s_Nm
+    F_s = bench.rig.one_axis().mode["hybrid"].F_s_Nm
     shown = []
     for _ in range(600):
         bench.cycle()

@@ -18,7 +18,7 @@ NM_PM = 0.180 * 9.587 / 1000
 
 
 def control(mode="hybrid", *overrides):
-    return Controller(rig_of("bench", overrides), mode).control[0]
+    return Controller(rig_of("bench", overrides).one_axis(), mode).control[0]
 
 
 FIELDS = [
@@ -121,7 +121,7 @@ def test_a_motor_of_one_per_mille_is_checked_too():
 
 @pytest.mark.parametrize("polarity", [1, -1])
 def test_the_motors_limit_is_rounded_down_but_not_by_a_rounding_error(polarity):
-    controller = Controller(rig_of("bench", ("mode.active.motor_limit_Nm=1.5",)), "active")
+    controller = Controller(rig_of("bench", ("mode.active.motor_limit_Nm=1.5",)).one_axis(), "active")
     assert controller.motor_limit_pm(polarity * 0.25) == 6
     assert controller.motor_limit_pm(polarity * 0.26) == 5
     assert controller.motor_limit_pm(polarity * 0.1) == 15  # 1.5 / 0.1 is 14.999999999999998 or 15
@@ -130,8 +130,8 @@ def test_the_motors_limit_is_rounded_down_but_not_by_a_rounding_error(polarity):
 
 @pytest.mark.parametrize("polarity", [1, -1])
 def test_a_limit_that_6072h_cannot_hold_is_refused_with_the_most(polarity):
-    controller = Controller(rig_of("bench"), "active")
-    high = controller.rig.description("motor").variable(0x6072, 0).high
+    controller = Controller(rig_of("bench").one_axis(), "active")
+    high = controller.axis.description("motor").variable(0x6072, 0).high
     assert controller.motor_limit_pm(polarity * 1.5 / high) == high
     with pytest.raises(RigError, match=f"at most {high * 1.4 / high:.4g}: the drive's 6072h ends at {high} per mille"):
         controller.motor_limit_pm(polarity * 1.4 / high)
@@ -166,16 +166,19 @@ def with_inputs(text):
 
 def test_a_switch_in_a_tpdo_has_its_slot():
     rig = own_files(with_inputs, None, "host.deadman=object:60FD:0:0x00010000")
-    c = Controller(rig, "hybrid").control[0]
+    c = Controller(rig.one_axis(), "hybrid").control[0]
     assert (c["deadman_slot"], c["deadman_mask"]) == (Image.DEADMAN, 0x10000)
     assert (c["rpdos"], c["tpdos"]) == (2, len([pdo for pdo in rig.pdos() if pdo.layout.direction == "tpdo"]))
 
 
 def test_the_limit_of_6072h_is_its_own_and_may_be_absent():
-    assert Controller(own_files(high_limit("6072", "HighLimit=869\n")), "active").control[0]["motor_limit_pm"] == 869
+    assert (
+        Controller(own_files(high_limit("6072", "HighLimit=869\n")).one_axis(), "active").control[0]["motor_limit_pm"]
+        == 869
+    )
     with pytest.raises(RigError, match="6072h ends at 868 per mille"):
-        Controller(own_files(high_limit("6072", "HighLimit=868\n")), "active")
-    assert Controller(own_files(high_limit("6072", "")), "active").control[0]["motor_limit_pm"] == 869
+        Controller(own_files(high_limit("6072", "HighLimit=868\n")).one_axis(), "active")
+    assert Controller(own_files(high_limit("6072", "")).one_axis(), "active").control[0]["motor_limit_pm"] == 869
 
 
 TARGET = "LowLimit=-10000\nHighLimit=10000\n"
@@ -199,15 +202,15 @@ def test_the_motors_limit_fits_the_set_points_object_in_both_senses(lines, most)
     assert TARGET in (EDS / "motor.eds").read_text()
     if most is None:
         with pytest.raises(RigError, match=r"6071h ends at \d+ per mille"):
-            Controller(rig, "active")
+            Controller(rig.one_axis(), "active")
     else:
-        assert Controller(rig, "active").control[0]["motor_limit_pm"] == most
+        assert Controller(rig.one_axis(), "active").control[0]["motor_limit_pm"] == most
 
 
 @pytest.mark.parametrize(("line", "most"), [("HighLimit=4100\n", 4100), ("HighLimit=40000\n", 32767), ("", 32767)])
 def test_the_brakes_set_point_ends_at_its_objects_limit_and_at_16_bits(line, most):
     rig = own_files(None, high_limit("7300sub1", line))
-    assert Controller(rig, "hybrid").control[0]["brake_limit_raw"] == most
+    assert Controller(rig.one_axis(), "hybrid").control[0]["brake_limit_raw"] == most
 
 
 def test_a_set_point_without_a_sign_ends_at_its_own_limit():
@@ -215,11 +218,11 @@ def test_a_set_point_without_a_sign_ends_at_its_own_limit():
         "DataType=0x0003\nLowLimit=0\nHighLimit=5000\n", "DataType=0x0006\nLowLimit=0\nHighLimit=40000\n"
     )
     rig = own_files(None, wide)
-    assert Controller(rig, "hybrid").control[0]["brake_limit_raw"] == 40000
+    assert Controller(rig.one_axis(), "hybrid").control[0]["brake_limit_raw"] == 40000
 
 
 def test_the_positions_bit_is_that_of_its_tpdo():
-    controller = Controller(rig_of("bench"), "hybrid")
+    controller = Controller(rig_of("bench").one_axis(), "hybrid")
     pdos = controller.rig.pdos()
     tpdos = [pdo for pdo in pdos if pdo.layout.direction == "tpdo"][::-1]
     at = [any(signal.key == "motor.position_rad" for signal in pdo.signals) for pdo in tpdos].index(True)
@@ -230,7 +233,7 @@ def test_the_positions_bit_is_that_of_its_tpdo():
 
 
 def test_a_run_begins_still_with_both_nodes_just_heard():
-    controller = Controller(rig_of("bench"), "hybrid")
+    controller = Controller(rig_of("bench").one_axis(), "hybrid")
     assert controller.phase is Phase.OFF
     h = controller.host[0]
     h["motor_nmt"] = h["brake_nmt"] = 4
@@ -241,7 +244,7 @@ def test_a_run_begins_still_with_both_nodes_just_heard():
 
 @pytest.mark.parametrize("trip", [Trip.NONE, Trip.SPEED, Trip.RECORDING])
 def test_a_wish_to_stop_is_1_or_the_trip(trip):
-    controller = Controller(rig_of("bench"), "hybrid")
+    controller = Controller(rig_of("bench").one_axis(), "hybrid")
     controller.stop(trip)
     assert controller.host[0]["stop"] == (int(trip) or 1)
     assert int(Trip.SPEED) == 1

@@ -31,7 +31,7 @@ class Network(dict):
     def __init__(self, rig):
         self.log = []
         self.nmt = SimpleNamespace(send_command=lambda command: self.log.append(command))
-        for node_id in (rig.motor.node_id, rig.brake.node_id):
+        for node_id in (node.node_id for node in rig.nodes):
             download = lambda *what, node_id=node_id: self.log.append((node_id, *what))  # noqa: E731
             self[node_id] = SimpleNamespace(sdo=SimpleNamespace(download=download))
 

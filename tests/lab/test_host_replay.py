@@ -139,7 +139,7 @@ def test_the_trip_of_another_bus_is_an_input(tmp_path):
     """Where one bus of a rig trips, the hosts of the others are stopped at that instant: which no frame tells."""
 
     def stumble(world):
-        if world.rig.axes[0].axis == "right":
+        if world.rig.axes[0].name == "right":
             world.at(1_500_000_000, lambda world: world.power_off(0))
 
     buses = ("axis.left.bus.channel=a", "axis.right.bus.channel=b")

@@ -72,9 +72,11 @@ def test_truth_balances_and_neither_brake_nor_friction_pushes(runs, mode):
     t, v = truth["t_s"], truth["speed_rad_s"]
     assert np.all(np.diff(t) == pytest.approx(50e-6))
     rig = load_rig("bench")
+    axis = rig.one_axis()
+    plant = axis.simulation.plant
     work = sum(truth[f"{name}_work_J"] for name in ("operator", "motor", "brake", "friction"))
-    lost = np.concatenate(([0.0], np.cumsum(rig.plant.viscous_Nms_rad * 0.5 * (v[1:] ** 2 + v[:-1] ** 2) * np.diff(t))))
-    kinetic = 0.5 * rig.plant.inertia_kg_m2 * v**2
+    lost = np.concatenate(([0.0], np.cumsum(plant.viscous_Nms_rad * 0.5 * (v[1:] ** 2 + v[:-1] ** 2) * np.diff(t))))
+    kinetic = 0.5 * plant.inertia_kg_m2 * v**2
     scale = np.sum(np.abs(truth["operator_Nm"] * v)) * 50e-6
     assert np.max(np.abs(work - lost - kinetic)) <= 0.01 * scale
     for name in ("brake", "friction"):

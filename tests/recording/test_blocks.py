@@ -69,7 +69,7 @@ def whole_figures(recording):
     dwells = []
     for one in spans:
         if one.kind == "stroke":
-            stroke = recording.rig.phases[one.index]
+            stroke = recording.rig.one_axis().phases[one.index]
             dwell = one.begin_s + stroke.move_s
             while dwell < one.end_s:
                 dwells.append((dwell + 0.35, min(dwell + min(0.95, stroke.dwell_s), one.end_s)))
@@ -202,5 +202,5 @@ def test_only_the_beginning_is_read_for_the_rig(recorded, monkeypatch):
             yield part
 
     monkeypatch.setattr("coulombus.recording.signals.iter_pcapng", counted)
-    assert blocks(recorded).rig.rig.name == "bench"
+    assert blocks(recorded).rig.name == "bench"
     assert len(taken) == 1

@@ -108,7 +108,7 @@ def test_a_named_pipe_and_a_bus_that_goes_away(bus, tmp_path):
     (tmp_path / "a.pcapng").write_bytes(content[0])
     recording = read(tmp_path / "a.pcapng")
     assert recording.frames["can_id"].tolist() == [can_id for can_id, _ in SENT]
-    assert recording.rig.rig.name == "bench"
+    assert recording.rig.name == "bench"
     assert failures[0].exit_status == 4
 
 

@@ -5,13 +5,17 @@ from __future__ import annotations
 import copy
 import pickle
 import re
+from collections.abc import Iterator
+from dataclasses import FrozenInstanceError, fields, is_dataclass
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import pytest
 from pydantic import BaseModel, ValidationError
 
-from coulombus.rigs.rig import Rig, RigError, load_rig, load_rig_text
+from coulombus.rigs.axis import Sections
+from coulombus.rigs.rig import RigError, load_rig, load_rig_text
 from coulombus.rigs.words import accepted_range, fields_of, kinds_of, unit_of
 
 ROOT = Path(__file__).resolve().parent.parent.parent
@@ -44,50 +48,58 @@ def changed(*pairs: tuple[str, str]) -> str:
 
 def test_bench_is_what_its_file_says() -> None:
     rig = load_rig("bench")
-    assert (rig.host.node_id, rig.motor.node_id, rig.brake.node_id) == (127, 1, 2)
+    axis = rig.one_axis()
+    assert (rig.host.node_id, axis.motor.node_id, axis.brake.node_id) == (127, 1, 2)
     assert rig.bus.bitrate_bit_s == 1_000_000
     assert rig.bus.period_ns == 1_000_000
-    assert rig.plant.step_ns == 50_000
+    assert axis.simulation.plant.step_ns == 50_000
     assert rig.bus.transmission == 1
-    assert rig.motor.vendor_id == 0x4C0
-    assert rig.mechanics.ratio == 9.587
-    assert rig.mode["active"].F_s_Nm == 1.2
-    assert list(rig.mode) == ["active", "passive", "hybrid"]
-    assert [phase.kind for phase in rig.phases] == ["rest", "hold", "stroke"]
-    assert rig.phases[1].taps_s == (0.6, 2.1)
-    assert rig.limits.travel_limit_rad == np.inf
+    assert axis.motor.vendor_id == 0x4C0
+    assert axis.mechanics.ratio == 9.587
+    assert axis.mode["active"].F_s_Nm == 1.2
+    assert list(rig.modes) == ["active", "passive", "hybrid"]
+    assert [phase.kind for phase in axis.phases] == ["rest", "hold", "stroke"]
+    assert axis.phases[1].taps_s == (0.6, 2.1)
+    assert axis.limits.travel_limit_rad == np.inf
     assert rig.text == BENCH
     assert rig.overrides == ()
     assert rig.warnings == ()
     assert rig.name == "bench"
     assert Path(rig.path).name == "bench.toml"
-    assert rig.description("brake").has(0x7300, 1)
+    assert axis.description("brake").has(0x7300, 1)
 
 
 def test_paper_is_section_4() -> None:
     rig = load_rig("paper")
-    assert (rig.plant.inertia_kg_m2, rig.plant.viscous_Nms_rad) == (0.1, 0.5)
-    assert (rig.operator.inertia_kg_m2, rig.operator.damping_Nms_rad, rig.operator.stiffness_Nm_rad) == (
+    axis = rig.one_axis()
+    plant = axis.simulation.plant
+    assert (plant.inertia_kg_m2, plant.viscous_Nms_rad) == (0.1, 0.5)
+    assert (
+        axis.simulation.operator.inertia_kg_m2,
+        axis.simulation.operator.damping_Nms_rad,
+        axis.simulation.operator.stiffness_Nm_rad,
+    ) == (
         1.287,
         29.33,
         178,
     )
-    plant, hand = rig.plant, rig.operator
+    plant, hand = plant, axis.simulation.operator
     nothing = (plant.coulomb_Nm, plant.motor_lag_s, plant.brake_coil_lag_s, plant.brake_fluid_lag_s, hand.tremor_Nm)
     assert nothing == (0, 0, 0, 0, 0)
-    assert (plant.brake_off_state_Nm, plant.transducer_noise_Nm, rig.mechanics.friction_Nm) == (0, 0, 0)
+    assert (plant.brake_off_state_Nm, plant.transducer_noise_Nm, axis.mechanics.friction_Nm) == (0, 0, 0)
     assert 2 * np.pi / (plant.encoder_counts_rev * plant.ratio) <= 1e-6, "1 um or finer"
     assert plant.motor_rated_torque_Nm * plant.ratio * min(plant.motor_peak_ratio, 32.767) >= 10
-    for mode in rig.mode:
-        assert (rig.mode[mode].F_s_Nm, rig.mode[mode].F_d_Nm, rig.mode[mode].compensation) == (10, 10, 0)
-    assert rig.law.function == "coulomb"
-    assert [(phase.kind, phase.duration_s) for phase in rig.phases] == [("rest", 2), ("paper", 10)]
+    for mode in rig.modes:
+        assert (axis.mode[mode].F_s_Nm, axis.mode[mode].F_d_Nm, axis.mode[mode].compensation) == (10, 10, 0)
+    assert axis.law.function == "coulomb"
+    assert [(phase.kind, phase.duration_s) for phase in axis.phases] == [("rest", 2), ("paper", 10)]
     assert rig.warnings == ()
 
 
 def test_paper_limits_do_not_trip_where_nothing_resists() -> None:
     """Without friction the motion is largest: semi-implicit steps of (m + 1.287) v' + 29.83 v + 178 x = f_h."""
     rig = load_rig("paper")
+    axis = rig.one_axis()
     x = v = 0.0
     h, far, fast = 1e-4, 0.0, 0.0
     for k in range(100_000):
@@ -97,33 +109,66 @@ def test_paper_limits_do_not_trip_where_nothing_resists() -> None:
         x += h * v
         far, fast = max(far, abs(x)), max(fast, abs(v))
     assert 0.2 < far < 0.3
-    assert 3 * far < rig.limits.travel_limit_rad
-    assert 3 * fast < rig.limits.speed_rad_s
-    assert 3 * fast * 1e-3 * rig.motor.encoder_counts_rev / (2 * np.pi) < rig.limits.encoder_jump_counts
+    assert 3 * far < axis.limits.travel_limit_rad
+    assert 3 * fast < axis.limits.speed_rad_s
+    assert 3 * fast * 1e-3 * axis.motor.encoder_counts_rev / (2 * np.pi) < axis.limits.encoder_jump_counts
+
+
+def mutable(value: object, where: str) -> Iterator[str]:
+    """Yield where in a value something can be changed."""
+    if isinstance(value, BaseModel):
+        parts = [(key, getattr(value, key)) for key in type(value).model_fields]
+        changeable = not value.model_config.get("frozen")
+    elif is_dataclass(value):
+        parts = [(one.name, getattr(value, one.name)) for one in fields(value)]
+        changeable = not type(value).__dataclass_params__.frozen  # type: ignore[attr-defined]
+    elif isinstance(value, tuple | MappingProxyType):
+        items = value if isinstance(value, tuple) else [*value.values(), *value]
+        parts, changeable = [(str(n), one) for n, one in enumerate(items)], False
+    else:
+        parts = []
+        array = isinstance(value, np.ndarray) and not value.flags.writeable
+        changeable = not (value is None or array or isinstance(value, str | int | float | bytes | frozenset))
+    if changeable:
+        yield f"{where}: {type(value).__name__}"
+    for name, part in parts:
+        yield from mutable(part, f"{where}.{name}")
+
+
+@pytest.mark.parametrize("name", ["bench", "two_axes"])
+def test_nothing_of_a_rig_can_be_changed(name: str) -> None:
+    rig = load_rig(name, ['phase=[{kind="file", duration_s=1.0, t_s=[0.0, 1.0], torque_Nm=[0.0, 1.0]}]'])
+    assert list(mutable(rig, "rig")) == []
+    with pytest.raises(FrozenInstanceError):
+        rig.axes = ()  # type: ignore[misc]
+    with pytest.raises(ValidationError):
+        rig.axes[0].name = "other"
 
 
 def test_a_rig_is_frozen_hashable_and_survives_pickle() -> None:
     rig = load_rig("bench")
+    axis = rig.one_axis()
     with pytest.raises(ValidationError):
-        rig.plant.step_s = 1e-5  # type: ignore[misc]
+        axis.simulation.plant.step_s = 1e-5  # type: ignore[misc]
     with pytest.raises(ValidationError):
-        rig.mode["active"].F_s_Nm = 2.0  # type: ignore[misc]
+        axis.mode["active"].F_s_Nm = 2.0  # type: ignore[misc]
     again = pickle.loads(pickle.dumps(rig))
     assert again == rig
     assert hash(again) == hash(rig)
     assert again.pdos() == rig.pdos()
     assert copy.deepcopy(rig) is rig
     assert rig != load_rig("paper")
-    assert "nonsense" not in rig.mode
+    assert "nonsense" not in rig.modes
     with pytest.raises(KeyError, match="no mode 'nonsense'; it has active, passive, hybrid"):
-        rig.mode["nonsense"]
+        axis.mode["nonsense"]
 
 
 def test_motor_limit_by_mode() -> None:
     rig = load_rig("bench", ["mode.hybrid.motor_limit_Nm=1.0"])
-    assert rig.motor_limit_Nm("active") == 1.5
-    assert rig.motor_limit_Nm("hybrid") == pytest.approx(0.168)
-    assert rig.motor_limit_Nm("passive") == 0
+    axis = rig.one_axis()
+    assert axis.motor_limit_Nm("active") == 1.5
+    assert axis.motor_limit_Nm("hybrid") == pytest.approx(0.168)
+    assert axis.motor_limit_Nm("passive") == 0
 
 
 def test_defaults_are_there_only_where_they_are_harmless() -> None:
@@ -131,7 +176,13 @@ def test_defaults_are_there_only_where_they_are_harmless() -> None:
         r"(?m)^(description|sdo_timeout_s|gain_ramp_s|user|tremor_\w+|transducer_noise_Nm|taps_s) *=.*$", "", BENCH
     )
     rig = load_rig_text(text, "r.toml", EDS)
-    assert (rig.host.sdo_timeout_s, rig.law.user, rig.operator.tremor_Nm, rig.phases[1].taps_s) == (0.5, (), 0.0, ())
+    axis = rig.one_axis()
+    assert (rig.host.sdo_timeout_s, axis.law.user, axis.simulation.operator.tremor_Nm, axis.phases[1].taps_s) == (
+        0.5,
+        (),
+        0.0,
+        (),
+    )
     for key in ("motor_polarity", "encoder_polarity", "transducer_polarity"):
         for section in ("mechanics", "plant"):
             head = re.escape(f"[{section}]")
@@ -145,8 +196,8 @@ def test_a_schedule_may_be_absent_and_one_mode_is_enough() -> None:
     text = BENCH[: BENCH.index("[[phase]]")]
     text = re.sub(r"(?s)\[mode\.passive\].*?\[limits\]", "[limits]", text)
     rig = load_rig_text(text, "r.toml", EDS)
-    assert rig.phases == ()
-    assert list(rig.mode) == ["active"]
+    assert rig.one_axis().phases == ()
+    assert list(rig.modes) == ["active"]
     (error,) = errors(re.sub(r"(?s)\[mode\.active\].*?\[limits\]", "[mode]\n[limits]", text))
     assert "mode: no mode is given; expected at least one of [mode.active]" in error
 
@@ -173,7 +224,7 @@ def test_eds_files_are_looked_for_beside_the_rig_file_first(tmp_path: Path) -> N
     own = EDS["motor.eds"].replace("ProductName=", "ProductName=Own ", 1)
     (tmp_path / "motor.eds").write_text(own, encoding="utf-8")
     rig = load_rig(str(path))
-    assert rig.description("motor").path == str(tmp_path / "motor.eds")
+    assert rig.one_axis().description("motor").path == str(tmp_path / "motor.eds")
     assert rig.eds_texts == {"motor.eds": own, "mr_brake.eds": EDS["mr_brake.eds"]}
     assert rig != load_rig("bench"), "another drive is another rig"
 
@@ -201,7 +252,7 @@ def test_a_recording_needs_no_files() -> None:
     rig = load_rig("bench", ["motor.node_id=9"])
     again = load_rig_text(rig.effective(), "in a recording", rig.eds_texts)
     assert again == rig
-    assert again.description("brake").path == "mr_brake.eds"
+    assert again.one_axis().description("brake").path == "mr_brake.eds"
     assert again.pdos() == rig.pdos()
 
 
@@ -221,16 +272,17 @@ def test_overrides_set_any_key() -> None:
         "plant.motor_polarity=1",
     ]
     rig = load_rig("bench", given)
-    assert rig.mode["active"].F_s_Nm == 1.0
-    assert rig.phases[1].duration_s == 2.0
+    axis = rig.one_axis()
+    assert axis.mode["active"].F_s_Nm == 1.0
+    assert axis.phases[1].duration_s == 2.0
     assert rig.bus.transmission == 255
     assert rig.name == "x y"
-    assert rig.law.user == (1.0, 3.0)
-    assert rig.limits.travel_limit_rad == 2.0
-    assert rig.plant.motor_polarity == 1
+    assert axis.law.user == (1.0, 3.0)
+    assert axis.limits.travel_limit_rad == 2.0
+    assert axis.simulation.plant.motor_polarity == 1
     assert rig.overrides == tuple(given)
     assert rig.text == BENCH
-    assert rig.variant("mode.active.F_s_Nm=1.1").mode["active"].F_s_Nm == 1.1
+    assert rig.variant("mode.active.F_s_Nm=1.1").one_axis().mode["active"].F_s_Nm == 1.1
 
 
 def test_a_mistake_in_a_variant_stands_where_it_was_given():
@@ -238,11 +290,13 @@ def test_a_mistake_in_a_variant_stands_where_it_was_given():
     given = ("law.function=a.py:f",)
     rig = load_rig("bench", given)
     for variant in (rig, rig.variant(), rig.variant("mode.active.F_s_Nm=1.1"), load_rig("bench").variant(*given)):
-        assert "--set law.function=a.py:f: law.function: " in str(variant.mistake("law.function", "a law"))
+        assert "--set law.function=a.py:f: law.function: " in str(variant.one_axis().mistake("law.function", "a law"))
     two = load_rig("two_axes").variant(*given)
     assert all("--set law.function=a.py:f: " in str(axis.mistake("law.function", "a law")) for axis in two.axes)
     variant = load_rig("bench").variant("mode.active.F_s_Nm=1.1")
-    assert str(variant.mistake("law.function", "a law")) == str(load_rig("bench").mistake("law.function", "a law"))
+    assert str(variant.one_axis().mistake("law.function", "a law")) == str(
+        load_rig("bench").one_axis().mistake("law.function", "a law")
+    )
 
 
 @pytest.mark.parametrize(
@@ -285,10 +339,10 @@ def test_effective_configuration_gives_an_equal_rig(name: str) -> None:
     )
     again = load_rig_text(rig.effective(), name, rig.eds_texts)
     assert again == rig
-    assert again.model_dump() == rig.model_dump()
+    assert again.one_axis().model_dump() == rig.one_axis().model_dump()
     assert again.effective() == rig.effective()
-    assert again.plant.coulomb_Nm == 0.1
-    assert again.rig.description == 'quotes " \\ \x7f \n \N{MICRO SIGN}'
+    assert again.one_axis().simulation.plant.coulomb_Nm == 0.1
+    assert again.about.description == 'quotes " \\ \x7f \n \N{MICRO SIGN}'
 
 
 # Schedules from CSV files.
@@ -304,7 +358,7 @@ def _with_schedule(folder: Path, content: str, extra: str = "") -> Path:
 def test_schedule_from_a_file(tmp_path: Path) -> None:
     path = _with_schedule(tmp_path, "# by hand\nt_s, torque_Nm\n0,0\n0.5,1.5\n\n2,-1e-3\n")
     rig = load_rig(str(path))
-    phase = rig.phases[-1]
+    phase = rig.one_axis().phases[-1]
     assert phase.kind == "file"
     assert phase.duration_s == 2.0
     np.testing.assert_array_equal(phase.t_s, [0, 0.5, 2])
@@ -314,7 +368,10 @@ def test_schedule_from_a_file(tmp_path: Path) -> None:
     assert again == rig
     assert hash(again) == hash(rig)
     assert (
-        load_rig(str(_with_schedule(tmp_path, "t_s,torque_Nm\n0,0\n1,1\n", "duration_s = 5"))).phases[-1].duration_s
+        load_rig(str(_with_schedule(tmp_path, "t_s,torque_Nm\n0,0\n1,1\n", "duration_s = 5")))
+        .one_axis()
+        .phases[-1]
+        .duration_s
         == 5
     )
     assert load_rig(str(path)) != rig
@@ -351,7 +408,7 @@ def test_schedule_without_a_file_and_given_in_place() -> None:
     assert error.startswith(f"r.toml:{lines + 3}: phase.3.path: '\"no.csv\"' stands there; expected a CSV file")
     head = BENCH + '[[phase]]\nkind = "file"\n'
     rig = load_rig_text(head + "t_s = [0, 1]\ntorque_Nm = [1, 2.5]\n", "r.toml", EDS)
-    assert rig.phases[-1].torque_Nm.tolist() == [1.0, 2.5]
+    assert rig.one_axis().phases[-1].torque_Nm.tolist() == [1.0, 2.5]
     for rows, expected in (
         ("t_s = [0, 1]\ntorque_Nm = [1]\n", "phase.3.torque_Nm: 1 values stand there, t_s has 2"),
         ("t_s = [1, 1]\ntorque_Nm = [1, 2]\n", "phase.3.t_s: '[1, 1]' stands there; expected times that grow"),
@@ -404,7 +461,7 @@ def _tables() -> dict[str, dict[str, list[str]]]:
 
 
 def _sections() -> list[tuple[str, type[BaseModel]]]:
-    fields = fields_of(Rig)
+    fields = fields_of(Sections)
     found = [(f"`[{name}]`", kinds_of(info)[""]) for name, info in fields.items() if name not in ("mode", "phase")]
     modes = kinds_of(fields["mode"])[""]
     found.append(("`[mode.active]`", kinds_of(fields_of(modes)["active"])[""]))

@@ -43,7 +43,7 @@ def test_a_plain_canopen_network():
     network = canopen.Network()
     network.connect(interface="coulombus", channel="bench")
     try:
-        motor = network.add_node(rig.motor.node_id, rig.description("motor").path)
+        motor = network.add_node(rig.one_axis().motor.node_id, rig.one_axis().description("motor").path)
         motor.sdo.RESPONSE_TIMEOUT = 5
         assert motor.sdo[0x1000].raw == 0x00020192
         motor.sdo[0x1017].raw = 20

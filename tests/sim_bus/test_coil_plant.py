@@ -14,7 +14,7 @@ from coulombus.sim_bus.rig.plant import COIL_OPEN, COIL_SHORT, TRUTH_COLUMNS, ad
 class Rig:
     def __init__(self, *overrides: str) -> None:
         self.rig = load_rig("bench", ("operator.tremor_Nm=0.0", *overrides))
-        self.plant = new_plant(self.rig)
+        self.plant = new_plant(self.rig.one_axis())
         self.p = self.plant[0]
 
     def run(self, ms: int, brake_Nm: float = 0.0, hand_Nm: float = 0.0) -> float:

@@ -18,7 +18,7 @@ def at(operator, *times):
 
 
 def test_bench_schedule_rests_holds_and_strokes():
-    operator = Operator(load_rig("bench"), "active")
+    operator = Operator(load_rig("bench").one_axis(), "active")
     assert list(operator.starts_s) == [0.0, 1.0, 5.0, 13.0]
     assert list(at(operator, -0.5, 0.5, 13.5, 100.0)) == [0.0] * 4
     # 0.6 F_s sin(2 pi 0.5 t), and the tap of 0.6 Nm at 0.6 s for 10 ms
@@ -33,12 +33,12 @@ def test_bench_schedule_rests_holds_and_strokes():
 
 
 def test_push_is_a_share_of_the_modes_f_s():
-    active, hybrid = (Operator(load_rig("bench"), mode) for mode in ("active", "hybrid"))
+    active, hybrid = (Operator(load_rig("bench").one_axis(), mode) for mode in ("active", "hybrid"))
     assert at(hybrid, 1.5)[0] / at(active, 1.5)[0] == pytest.approx(3.5 / 1.2)
 
 
 def test_tremor_goes_on_before_and_after():
-    operator = Operator(load_rig("bench"), "active")
+    operator = Operator(load_rig("bench").one_axis(), "active")
     t = np.linspace(0, 1, 1001)
     tremor = operator.torque_Nm(t, None)
     assert np.max(np.abs(tremor)) == pytest.approx(0.02, rel=1e-3)
@@ -51,8 +51,8 @@ def test_papers_force():
     t = 0.7
     expected = 40 * math.sin(math.pi**2 / 4 * t) + math.sin(math.pi / 8 * t) + 2 * (1 - math.cos(math.pi / 2 * t))
     assert paper_force_N(np.array([t]))[0] == pytest.approx(expected)
-    operator = Operator(load_rig("paper"), "active")
-    start = operator.starts_s[[phase.kind for phase in load_rig("paper").phases].index("paper")]
+    operator = Operator(load_rig("paper").one_axis(), "active")
+    start = operator.starts_s[[phase.kind for phase in load_rig("paper").one_axis().phases].index("paper")]
     assert at(operator, start + t)[0] == pytest.approx(expected)
 
 
@@ -61,13 +61,13 @@ def test_a_csv_file_is_a_schedule(tmp_path):
     source = (load_rig("bench").text).split("[[phase]]")[0]
     rig_file = tmp_path / "mine.toml"
     rig_file.write_text(source + '[[phase]]\nkind = "file"\nduration_s = 2.0\npath = "push.csv"\n')
-    operator = Operator(load_rig(str(rig_file)), "active")
+    operator = Operator(load_rig(str(rig_file)).one_axis(), "active")
     assert list(at(operator, 0.5, 1.0, 1.75)) == pytest.approx([1.0, 2.0, 0.5])
 
 
 def test_a_schedule_that_is_left_fades_without_a_jump():
     """The hand's stiffness flung the freed handle back to 0: its torque had dropped from 10 Nm to nothing at once."""
-    operator = Operator(load_rig("bench"), "active")
+    operator = Operator(load_rig("bench").one_axis(), "active")
     t = np.linspace(6.5, 6.5 + 2 * LET_GO_S, 4001)
     found = operator.torque_Nm(t, 0.0, 6.5) - operator.tremor_Nm(t)
     assert found[0] == pytest.approx(at(operator, 6.5)[0]) == pytest.approx(10.0)

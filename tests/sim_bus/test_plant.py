@@ -21,10 +21,10 @@ def run(
 ):
     """Run the bench plant with commands held for 1 ms each; return plant and truth by column."""
     rig = load_rig("bench", ("operator.tremor_Nm=0.0", *overrides))
-    plant = new_plant(rig, seed)
+    plant = new_plant(rig.one_axis(), seed)
     plant["v"] = v0
     knots = round(seconds / KNOT_S)
-    per_knot = round(KNOT_S / rig.plant.step_s)
+    per_knot = round(KNOT_S / rig.one_axis().simulation.plant.step_s)
     force = np.asarray(f_h(np.arange(knots + 1) * KNOT_S), float)
     truth = np.zeros((knots * per_knot, len(TRUTH_COLUMNS)))
     for k in range(knots):
@@ -55,9 +55,9 @@ def push(t):
 def test_energy_balance_computed_from_torques_and_speed_closes_and_shrinks_with_the_step(step_s):
     _, truth, rig = run((f"plant.step_s={step_s}",), 2.0, chatter, lambda t: 0.4, push)
     work = sum(truth[f"{name}_work_J"][-1] for name in ("operator", "motor", "brake", "friction"))
-    kinetic = 0.5 * rig.plant.inertia_kg_m2 * truth["speed_rad_s"][-1] ** 2
+    kinetic = 0.5 * rig.one_axis().simulation.plant.inertia_kg_m2 * truth["speed_rad_s"][-1] ** 2
     # the viscous loss from the speed alone, by the trapezoidal rule: not the plant's own sum
-    viscous = rig.plant.viscous_Nms_rad * np.trapezoid(truth["speed_rad_s"] ** 2, truth["t_s"])
+    viscous = rig.one_axis().simulation.plant.viscous_Nms_rad * np.trapezoid(truth["speed_rad_s"] ** 2, truth["t_s"])
     residual = abs(work - viscous - kinetic)
     assert residual <= 0.01 * abs(truth["operator_work_J"][-1]) * (step_s / 2e-4)
 
@@ -104,12 +104,17 @@ def test_stuck_is_exactly_still_until_the_load_exceeds_the_friction():
 def test_slip_agrees_with_an_independent_integrator():
     """Constant push, Coulomb and viscous friction, the operator's spring: scipy with a stop event."""
     rig = load_rig("bench")
-    mass = rig.plant.inertia_kg_m2 + rig.operator.inertia_kg_m2
-    damping = rig.plant.viscous_Nms_rad + rig.operator.damping_Nms_rad
-    level = rig.plant.coulomb_Nm + rig.plant.brake_off_state_Nm
+    axis = rig.one_axis()
+    plant = axis.simulation.plant
+    mass = plant.inertia_kg_m2 + axis.simulation.operator.inertia_kg_m2
+    damping = plant.viscous_Nms_rad + axis.simulation.operator.damping_Nms_rad
+    level = plant.coulomb_Nm + plant.brake_off_state_Nm
 
     def slip(t, y):
-        return [y[1], (1.0 - level - damping * y[1] - rig.operator.stiffness_Nm_rad * y[0]) / mass]
+        return [
+            y[1],
+            (1.0 - level - damping * y[1] - axis.simulation.operator.stiffness_Nm_rad * y[0]) / mass,
+        ]
 
     def stop(t, y):
         return y[1] if t > 1e-6 else 1.0
@@ -124,15 +129,15 @@ def test_slip_agrees_with_an_independent_integrator():
 
 def test_motor_lag_is_first_order():
     _, truth, rig = run(("plant.coulomb_Nm=50.0",), 0.02, lambda t: 100.0)
-    full = 0.1 * rig.plant.motor_rated_torque_Nm * rig.plant.ratio
-    t = truth["t_s"] - rig.plant.step_s / 2  # the mean of a step stands for its middle
+    full = 0.1 * rig.one_axis().simulation.plant.motor_rated_torque_Nm * rig.one_axis().simulation.plant.ratio
+    t = truth["t_s"] - rig.one_axis().simulation.plant.step_s / 2  # the mean of a step stands for its middle
     assert truth["motor_Nm"] == pytest.approx(full * (1 - np.exp(-t / 1e-3)), abs=1e-3 * full)
 
 
 def test_brake_reaches_95_percent_in_54_ms():
     """Coil 3 ms and fluid 15 ms in series: the step response is known in closed form."""
     rig = load_rig("bench")
-    plant = new_plant(rig)
+    plant = new_plant(rig.one_axis())
     truth = np.zeros((1, len(TRUTH_COLUMNS)))
     fluid = []
     for _ in range(200):
@@ -146,9 +151,11 @@ def test_brake_reaches_95_percent_in_54_ms():
 
 def test_commands_saturate():
     _, truth, rig = run(("plant.coulomb_Nm=50.0",), 0.1, lambda t: 1e6, lambda t: -3.0)
-    assert truth["motor_Nm"].max() == pytest.approx(rig.plant.motor_peak_ratio * 0.18 * 9.587, rel=1e-3)
+    assert truth["motor_Nm"].max() == pytest.approx(
+        rig.one_axis().simulation.plant.motor_peak_ratio * 0.18 * 9.587, rel=1e-3
+    )
     plant, _, rig = run((), 0.5, brake_Nm=lambda t: 1e9)
-    assert plant["fluid"] == pytest.approx(rig.plant.brake_max_Nm)
+    assert plant["fluid"] == pytest.approx(rig.one_axis().simulation.plant.brake_max_Nm)
     plant, _, _ = run((), 0.5, brake_Nm=lambda t: -1.0)
     assert plant["fluid"] == 0.0
 
@@ -161,17 +168,19 @@ def test_zero_lags_act_at_once():
         "plant.coulomb_Nm=50.0",
     )
     plant, truth, rig = run(overrides, 0.001, lambda t: 100.0, lambda t: 2.0)
-    assert truth["motor_Nm"][-1] == pytest.approx(100 * rig.plant.motor_rated_torque_Nm * rig.plant.ratio / 1000)
+    assert truth["motor_Nm"][-1] == pytest.approx(
+        100 * rig.one_axis().simulation.plant.motor_rated_torque_Nm * rig.one_axis().simulation.plant.ratio / 1000
+    )
     assert plant["fluid"] == 2.0
 
 
 def test_noise_has_unit_variance_and_follows_its_seed():
-    plant = new_plant(load_rig("bench"), seed=5)
+    plant = new_plant(load_rig("bench").one_axis(), seed=5)
     values = np.array([sample_noise(plant[0]) for _ in range(20_000)])
     assert np.mean(values) == pytest.approx(0.0, abs=0.03)
     assert np.std(values) == pytest.approx(1.0, abs=0.02)
-    again = new_plant(load_rig("bench"), seed=5)
-    other = new_plant(load_rig("bench"), seed=6)
+    again = new_plant(load_rig("bench").one_axis(), seed=5)
+    other = new_plant(load_rig("bench").one_axis(), seed=6)
     assert sample_noise(again[0]) == values[0]
     assert sample_noise(other[0]) != values[0]
 
@@ -181,7 +190,7 @@ def test_plain_python_gives_the_same_course():
     rig = load_rig("bench")
     truth = np.zeros((200, len(TRUTH_COLUMNS)))
     plain = truth.copy()
-    a, b = new_plant(rig), new_plant(rig)
+    a, b = new_plant(rig.one_axis()), new_plant(rig.one_axis())
     force = np.linspace(0, 1.0, 11)
     advance(a[0], 30.0, 0.1, force, 20, 0, 200, truth, 0)
     getattr(advance, "py_func", advance)(b[0], 30.0, 0.1, force, 20, 0, 200, plain, 0)
@@ -197,5 +206,5 @@ def test_lags_that_decay_reach_0_and_do_not_stay_at_a_subnormal_number():
         lambda t: 100.0 if t < 0.01 else 0.0,
         lambda t: 1.0 if t < 0.01 else 0.0,
     )
-    assert math.exp(-1.99 / rig.plant.motor_lag_s) == 0.0  # long enough
+    assert math.exp(-1.99 / rig.one_axis().simulation.plant.motor_lag_s) == 0.0  # long enough
     assert (plant["motor"], plant["coil"], plant["fluid"]) == (0.0, 0.0, 0.0)

@@ -276,7 +276,9 @@ def test_what_a_client_sent_before_it_left_is_carried(rig):
 def test_sdo_nmt_and_pdos_of_the_nodes(rig):
     with served(rig) as server:
         a = Client(server)
-        assert upload(a, 1, 0x1018, 1) == struct.pack("<I", int(rig.description("motor").variable(0x1018, 1).default))
+        assert upload(a, 1, 0x1018, 1) == struct.pack(
+            "<I", int(rig.one_axis().description("motor").variable(0x1018, 1).default)
+        )
         assert upload(a, 2, 0x1000, 0) == struct.pack("<I", 0x000A0194)
         pdos = [pdo.layout.cob_id for pdo in rig.pdos() if pdo.layout.direction == "tpdo"]
         a.send(frame(0x000, bytes([1, 0])), frame(0x080))

@@ -25,9 +25,9 @@ class HostBench:
 
     def __init__(self, mode="hybrid", *overrides, rig=None):
         self.rig = rig_of("bench", overrides) if rig is None else rig
-        self.k = Controller(self.rig, mode)
-        self.k.axis = records_for_kernels(self.k.axis)
-        self.axis = self.k.axis[0]
+        self.k = Controller(self.rig.one_axis(), mode)
+        self.k.records = records_for_kernels(self.k.records)
+        self.axis = self.k.records[0]
         self.c, self.h = self.axis.control, self.axis.host
         self.out = record_for_kernels(new_queue())
         self.t_ns = 0

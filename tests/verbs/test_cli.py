@@ -213,7 +213,7 @@ def test_a_trip_for_want_of_tpdos_says_what_to_do_on_a_shared_machine(monkeypatc
     import coulombus.host.run.course
 
     def tripped(rig, *_, **__):
-        assert rig.limits.missed_tpdo_cycles == cycles
+        assert rig.one_axis().limits.missed_tpdo_cycles == cycles
         return SimpleNamespace(trip="TPDO_LOST: for want of some", exit_status=7, as_dict=dict)
 
     monkeypatch.setattr(coulombus.host.run.course, "real_run", tripped)

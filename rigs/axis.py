@@ -1,0 +1,198 @@
+"""One axis of a rig: a motor and a brake on one handle, with what the host believes of them and what the law is to display.
+
+What is per axis takes an `Axis`; what belongs to all of them - buses, host, name - is the `rigs.rig.Rig`'s. An axis is frozen through and through.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import accumulate
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from pydantic import ConfigDict, Field
+
+from coulombus.eds.reader import Description
+from coulombus.rigs.mistakes import RigError, Source, shown
+from coulombus.rigs.model import About, Brake, Bus, Host, Law, Limits, Mechanics, Modes, Motor, Section
+from coulombus.rigs.plant import Operator, Phase, Plant
+from coulombus.rigs.signals import Node, RigPdo, axis_pdos
+from coulombus.rigs.text import apply_override
+from coulombus.rigs.toml_lines import Key, read_toml
+
+__all__ = ["Axis", "Origin", "Sections", "Simulation"]
+
+HYBRID_MARGIN = 1.2
+
+
+class Sections(Section):
+    """The sections of a rig file, as one axis has them: its own values, and the shared ones in the places of those that it does not have."""
+
+    rig: About = Field(description="what the rig is called")
+    bus: Bus = Field(description="the CAN bus and the cycle")
+    host: Host = Field(description="the host as a CANopen node")
+    motor: Motor = Field(description="the motor drive")
+    brake: Brake = Field(description="the MR brake's driver")
+    mechanics: Mechanics = Field(description="the device, as the controller believes it to be")
+    law: Law = Field(description="the friction law")
+    mode: Modes = Field(description="the modes, each with its parameters")
+    limits: Limits = Field(description="what trips, and the safe state")
+    plant: Plant | None = Field(None, description="the rig as it truly is, for the simulation")
+    operator: Operator | None = Field(None, description="the simulated hand")
+    phases: tuple[Phase, ...] = Field(
+        (),
+        alias="phase",
+        strict=False,
+        description="the operator's schedule",
+        json_schema_extra={"expected": "[[phase]] in double brackets, once for each phase"},
+    )
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where the values of a rig come from.
+
+    Attributes
+    ----------
+    path : the file, or the name given to `load_rig_text`
+    text : the source text, without overrides
+    overrides : as they were given, the last one of a key counts
+    attached : the text is of a recording, perhaps a stranger's
+    law_named : whoever loaded the rig has named its law
+    """
+
+    path: str
+    text: str
+    overrides: tuple[str, ...] = ()
+    attached: bool = False
+    law_named: bool = False
+
+    def source(self, axis: str = "") -> Source:
+        """Return where each value of an axis stands."""
+        document = read_toml(self.text)
+        source = Source(self.path, document)
+        for override in self.overrides:
+            apply_override(document.values, override, source)
+        return source.of_axis(axis) if axis else source
+
+
+class Simulation(NamedTuple):
+    """What only the simulation knows of an axis."""
+
+    plant: Plant
+    operator: Operator
+
+
+class Axis(Sections):
+    """One axis: the sections of the rig file as they hold for it, its EDS files, and its PDOs.
+
+    Attributes
+    ----------
+    name : "" where the rig has one axis; else its signals are called NAME.motor.position_rad
+    motor_eds, brake_eds : what the EDS files say of its devices
+    origin : where the values come from
+    """
+
+    model_config = ConfigDict(arbitrary_types_allowed=True)
+
+    name: str = Field("", exclude=True)
+    motor_eds: Description = Field(exclude=True)
+    brake_eds: Description = Field(exclude=True)
+    origin: Origin = Field(exclude=True)
+
+    @classmethod
+    def of(cls, sections: Sections, name: str, descriptions: Mapping[Node, Description], origin: Origin) -> Axis:
+        """Return the axis that has these sections and EDS files."""
+        values: dict[str, Any] = {key: getattr(sections, key) for key in Sections.model_fields}
+        return cls(**values, name=name, motor_eds=descriptions["motor"], brake_eds=descriptions["brake"], origin=origin)
+
+    def from_origin(self, origin: Origin) -> Axis:
+        """Return the axis with another origin."""
+        return Axis.of(self, self.name, {"motor": self.motor_eds, "brake": self.brake_eds}, origin)
+
+    @property
+    def prefix(self) -> str:
+        """What stands before the names of the axis' nodes and signals: "" or "NAME."."""
+        return f"{self.name}." if self.name else ""
+
+    @property
+    def simulation(self) -> Simulation:
+        """What only the simulation knows.
+
+        Raises
+        ------
+        RigError
+            the rig file is for a host alone: it has no [plant] and [operator]
+        """
+        if self.plant is None or self.operator is None:
+            lacking = " and ".join(f"[{name}]" for name in ("plant", "operator") if getattr(self, name) is None)
+            raise RigError(
+                [f"{self.origin.path}: the rig {self.rig.name} has no {lacking}; a rig that is simulated needs both"]
+            )
+        return Simulation(self.plant, self.operator)
+
+    @property
+    def phase_starts_s(self) -> tuple[float, ...]:
+        """When each phase of the schedule begins, and when the last one ends [s]."""
+        return tuple(accumulate((phase.duration_s for phase in self.phases), initial=0.0))
+
+    def part(self, node: Node) -> Motor | Brake:
+        """Return the section of a device."""
+        return self.motor if node == "motor" else self.brake
+
+    def description(self, node: Node) -> Description:
+        """Return what the EDS file says of a device."""
+        return self.motor_eds if node == "motor" else self.brake_eds
+
+    def pdos(self) -> tuple[RigPdo, ...]:
+        """Return the PDOs that the host maps, always the same five, with their signals."""
+        return self._pdos
+
+    @cached_property
+    def _pdos(self) -> tuple[RigPdo, ...]:
+        return axis_pdos(self)
+
+    def motor_limit_Nm(self, mode: str) -> float:
+        """Return the largest motor torque at the handle [Nm] in a mode, which the drive's own limit 6072h is set to.
+
+        In `hybrid` the motor has friction to compensate and nothing else: at most 1.2 times the identified friction.
+        """
+        limit = self.mode[mode].motor_limit_Nm
+        return min(limit, HYBRID_MARGIN * self.mechanics.friction_Nm) if mode == "hybrid" else limit
+
+    @property
+    def law_of_recording(self) -> bool:
+        """Whether nobody but a recording names the law: then it is run only if it is one of the project's own."""
+        return self.origin.attached and not self.origin.law_named
+
+    @property
+    def law_directory(self) -> Path:
+        """Where the file of a law is looked for before the current folder: beside the rig file, never beside a recording."""
+        return Path() if self.origin.attached else Path(self.origin.path).parent
+
+    def said(self, text: str) -> str:
+        """Return `text` with each of the rig file's keys in it as the user wrote it: ``axis.NAME.limits.travel_rad`` where this axis has its own."""
+        return self.origin.source(self.name).said(text) if self.name else text
+
+    def mistake(self, key: str, expected: str) -> RigError:
+        """Return the error that says where `key` stands, what stands there, and what was `expected`, for later checks."""
+        path: Key = tuple(key.split("."))
+        source = self.origin.source(self.name)
+        value: Any = self.model_dump(by_alias=True)
+        for part in path:
+            value = value[part]
+        place = source.where(path)[1]
+        stands = f"{place}: {source.spelled(path)}: '{shown(value)}' stands there; expected {source.said(expected)}"
+        return RigError([stands])
+
+    def _identity(self) -> tuple[Any, ...]:
+        values = tuple(getattr(self, key) for key in Sections.model_fields)
+        return self.name, self.motor_eds.text, self.brake_eds.text, *values
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Axis) and self._identity() == other._identity()
+
+    def __hash__(self) -> int:
+        return hash(self._identity())
