@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from pydantic import ConfigDict, Field
 
-from coulombus.eds.reader import Description
+from coulombus.eds.reader import Description, parse_eds
 from coulombus.rigs.mistakes import RigError, Source, shown
 from coulombus.rigs.model import About, Brake, Bus, Host, Law, Limits, Mechanics, Modes, Motor, Section
 from coulombus.rigs.plant import Operator, Phase, Plant
@@ -196,3 +196,12 @@ class Axis(Sections):
 
     def __hash__(self) -> int:
         return hash(self._identity())
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        texts = tuple((one.path, one.text) for one in (self.motor_eds, self.brake_eds))
+        return _reload, (self.model_dump(by_alias=True), self.name, texts, self.origin)
+
+
+def _reload(values: dict[str, Any], name: str, eds_texts: tuple[tuple[str, str], ...], origin: Origin) -> Axis:
+    motor, brake = (parse_eds(text.encode(), path) for path, text in eds_texts)
+    return Axis.of(Sections.model_validate(values), name, {"motor": motor, "brake": brake}, origin)

@@ -322,7 +322,7 @@ class Controller:
             )
         if trip in (Trip.EMCY_MOTOR, Trip.EMCY_BRAKE):
             text += f" (error code {int(self.host['emcy_code'][0]):04X}h)"
-        return text
+        return self.axis.said(text)
 
     @property
     def _starved(self) -> bool:

@@ -101,7 +101,7 @@ def _plan(axis: Axis, role: Role, mode: str, limit_pm: int) -> DevicePlan:
         modes, questions_of_modes = _modes(who, description, part.node_id)
         problems += modes
         questions += questions_of_modes
-    told = (tuple(dict.fromkeys(texts)) for texts in (problems, questions, losses))
+    told = (tuple(dict.fromkeys(map(axis.said, texts))) for texts in (problems, questions, losses))
     return DevicePlan(name, part.node_id, role, part, description, writable, tuple(final.items()), *told)
 
 

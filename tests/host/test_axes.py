@@ -9,6 +9,7 @@ from click.testing import CliRunner
 
 from coulombus.host.cycle.axes import finish, on_frame
 from coulombus.host.cycle.controllers import Controllers
+from coulombus.host.cycle.demand import check_demand
 from coulombus.host.cycle.records import Phase, SignResult, Trip
 from coulombus.host.errors import SafetyTrip
 from coulombus.host.run.buses import merged
@@ -121,6 +122,40 @@ def test_a_mistake_of_an_override_is_told_with_the_override_that_counts():
     assert str(right.mistake("motor.heartbeat_s", "another")).startswith(
         "--set motor.heartbeat_s=0.04: motor.heartbeat_s"
     )
+
+
+@pytest.mark.parametrize(
+    ("override", "key"),
+    [
+        ("axis.left.limits.brake_torque_Nm=1", "axis.left.limits.brake_torque_Nm ends there"),
+        ("axis.left.limits={brake_torque_Nm=1}", "axis.left.limits.brake_torque_Nm ends there"),
+        ("axis.right.limits.brake_torque_Nm=1", "axis.right.limits.brake_torque_Nm ends there"),
+        ("limits.brake_torque_Nm=1", ": limits.brake_torque_Nm ends there"),
+    ],
+)
+def test_a_refusal_names_the_key_that_the_user_wrote(override, key):
+    """It named the shared key, which has another value."""
+    with pytest.raises(RigError) as refused:
+        check_demand(load_rig("two_axes", (override,)), "hybrid")
+    assert all(key in text for text in refused.value.errors)
+
+
+def test_what_axes_must_share_is_told_of_the_axis_that_has_its_own():
+    with pytest.raises(
+        RigError, match=r'^--set axis\.left\.law\.function="coulomb": axis\.left\.law\.function: differs from .* right'
+    ):
+        load_rig("two_axes", ('axis.left.law.function="coulomb"',))
+    with pytest.raises(RigError, match="at most 32.767 x axis.left.motor.rated_torque_Nm x mechanics.ratio"):
+        load_rig("two_axes", ("axis.left.motor.rated_torque_Nm=1e-6",))
+
+
+def test_a_trip_names_the_key_of_its_axis():
+    rig = load_rig("two_axes", ("axis.left.limits.speed_rad_s=14",))
+    left, right = Controllers(rig, "passive").each
+    for one in (left, right):
+        one.host["trip"] = Trip.SPEED
+    assert "faster than axis.left.limits.speed_rad_s" in left.trip
+    assert "faster than limits.speed_rad_s" in right.trip
 
 
 @pytest.mark.parametrize("name", ["Left", "motor", "2nd", "a.b"])
