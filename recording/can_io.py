@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import can
 from can.io.generic import MessageReader, SizedMessageWriter
 
-from coulombus.wire.can_id import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
+from coulombus.wire.messages import can_id_of, is_classical, message_of, word_of
 
 if TYPE_CHECKING:
     from coulombus.wire.frame import Records
@@ -44,18 +44,8 @@ class PcapngMessageReader(MessageReader):
         frames = self._capture.frames
         columns = (frames[name].tolist() for name in ("t_ns", "can_id", "length", "word", "source"))
         for t_ns, can_id, length, word, source in zip(*columns, strict=True):
-            extended, remote = bool(can_id & CAN_EFF_FLAG), bool(can_id & CAN_RTR_FLAG)
-            error = bool(can_id & CAN_ERR_FLAG)
-            yield can.Message(
-                timestamp=t_ns / 1e9,
-                arbitration_id=can_id & (0x1FFFFFFF if extended or error else 0x7FF),
-                is_extended_id=extended,
-                is_remote_frame=remote,
-                is_error_frame=error,
-                dlc=length,
-                data=b"" if remote else int(word).to_bytes(8, "little", signed=True)[:length],
-                channel=source,
-            )
+            data = int(word).to_bytes(8, "little", signed=True)
+            yield message_of(t_ns / 1e9, can_id, length, data, channel=source)
 
     def stop(self) -> None:
         """Nothing to do: the file was read as a whole."""
@@ -90,17 +80,13 @@ class PcapngMessageWriter(SizedMessageWriter):
 
     def on_message_received(self, msg: can.Message) -> None:
         """Take one message."""
-        if msg.is_fd or msg.dlc > 8:
+        if not is_classical(msg):
             self.skipped += 1
             return
         t_ns = max(0, round(msg.timestamp * 1e9))
         if self._count and (self._count == BATCH or t_ns - int(self._batch[0].t_ns) >= BATCH_NS):
             self._flush()
-        can_id = msg.arbitration_id | (CAN_EFF_FLAG if msg.is_extended_id else 0)
-        can_id |= (CAN_RTR_FLAG if msg.is_remote_frame else 0) | (CAN_ERR_FLAG if msg.is_error_frame else 0)
-        data = b"" if msg.is_remote_frame else bytes(msg.data)
-        word = int.from_bytes(data.ljust(8, b"\0"), "little", signed=True)
-        self._batch[self._count] = (t_ns, can_id, msg.dlc, word, 0)
+        self._batch[self._count] = (t_ns, can_id_of(msg), msg.dlc, word_of(msg), 0)
         self._count += 1
 
     def _flush(self) -> None:

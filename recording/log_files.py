@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from coulombus.eds.regular_file import require_regular
-from coulombus.wire.can_id import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 from coulombus.wire.frame import FRAME, Records, new_records
+from coulombus.wire.messages import can_id_of, is_classical, word_of
 
 __all__ = ["WALL_CLOCK_NS", "LogError", "is_log", "is_pcapng", "read_log"]
 
@@ -49,16 +49,10 @@ def read_log(path: str | Path) -> tuple[Records, list[str]]:
     try:
         with can.LogReader(path) as reader:
             for message in reader:
-                if message.is_fd or message.dlc > 8:
+                if not is_classical(message):
                     skipped += 1
                     continue
-                can_id = message.arbitration_id | (CAN_EFF_FLAG if message.is_extended_id else 0)
-                can_id |= (CAN_RTR_FLAG if message.is_remote_frame else 0) | (
-                    CAN_ERR_FLAG if message.is_error_frame else 0
-                )
-                data = b"" if message.is_remote_frame else bytes(message.data[: message.dlc])
-                word = int.from_bytes(data.ljust(8, b"\0"), "little", signed=True)
-                rows.append((_stamp_ns(message.timestamp), can_id, message.dlc, word, 0))
+                rows.append((_stamp_ns(message.timestamp), can_id_of(message), message.dlc, word_of(message), 0))
     except Exception as error:  # each of python-can's readers raises what its parsing happens to raise
         where = f"after frame {len(rows) + skipped}" if rows or skipped else "at its beginning"
         raise LogError(

@@ -123,6 +123,11 @@ class Rig:
         return tuple(dict.fromkeys(axis.bus.channel for axis in self.axes))
 
     @property
+    def schedule_s(self) -> float:
+        """The length of the operator's schedule; of several axes', the longest [s]. 0.0 where there is none."""
+        return max(axis.phase_starts_s[-1] for axis in self.axes)
+
+    @property
     def axis_names(self) -> tuple[str, ...]:
         """The axes' names; none where the rig file names no axis."""
         return tuple(axis.name for axis in self.axes if axis.name)

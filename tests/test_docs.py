@@ -13,8 +13,8 @@ from coulombus.eds.cia402 import diagram as power_states
 from coulombus.host.cycle.records import Phase, Trip
 from coulombus.host.cycle.transitions import TRANSITIONS as TABLE_OF_PHASES
 from coulombus.host.cycle.transitions import diagram as phases
-from coulombus.lab.demo.real_demo import SHARED_MACHINE
 from coulombus.node.emcy import CAUSES
+from coulombus.rigs.overrides import SHARED_MACHINE
 from coulombus.rigs.rig import load_rig
 from coulombus.sim_bus.rig.plant import TRUTH_COLUMNS
 from coulombus.verbs.main import main

@@ -36,6 +36,7 @@ __all__ = [
     "buses_option",
     "channel_option",
     "check_mode",
+    "display_s",
     "errors",
     "faults_option",
     "force_option",
@@ -139,6 +140,10 @@ def errors() -> Iterator[None]:
             raise Failure(str(error), status) from error
         if isinstance(error, MemoryError):
             raise Failure("no memory is left; end other programs, or raise the limit (ulimit -v)", 2) from error
+        if isinstance(error, ModuleNotFoundError) and (error.name or "").startswith("coulombus."):
+            room = (error.name or "").split(".")[1]
+            text = f"this installation has no coulombus.{room}, which this verb needs: it is the host's alone; install coulombus whole"
+            raise Failure(text, 2) from error
         if not isinstance(error, OSError):
             raise
         text = f"{error.filename}: {error.strerror}" if error.filename else str(error)
@@ -181,6 +186,16 @@ def check_mode(rig: Rig, rig_name: str, mode: str) -> None:
     """Refuse a mode that the rig does not have."""
     if mode not in rig.modes:
         raise click.BadParameter(f"{mode!r}: rig {rig_name!r} has {', '.join(rig.modes)}", param_hint="--mode")
+
+
+def display_s(rig: Rig, seconds: float | None) -> float:
+    """Return how long to display: so many seconds, or the rig's schedule."""
+    total = rig.schedule_s if seconds is None else seconds
+    if not total > 0:
+        raise click.UsageError(
+            f"the rig {rig.name} has no schedule ([[phase]]) that would tell how long to display: give --seconds"
+        )
+    return total
 
 
 def print_json(value: Any) -> None:

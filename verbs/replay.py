@@ -20,14 +20,6 @@ if TYPE_CHECKING:
 __all__ = ["bridge", "replay"]
 
 
-class Interrupted(Exception):
-    """A signal came before the end."""
-
-    def __init__(self, number: int, text: str) -> None:
-        super().__init__(text)
-        self.exit_status = 128 + number
-
-
 class NotToTheRig(Exception):
     """What would move a rig is not sent there without being asked for."""
 
@@ -157,7 +149,7 @@ def _play(file: Path, bus_name: str, rig_name: str | None, as_json: bool, **opti
     from coulombus.wire.client import Client
     from coulombus.wire.hello import Hello
     from coulombus.wire.realtime import ask_for_real_time
-    from coulombus.wire.stopping import StopSignals
+    from coulombus.wire.stopping import Stopped, StopSignals
 
     address = parse_address(bus_name)
     tape = _choose(load_tape(file), rig_name, **options)
@@ -202,7 +194,7 @@ def _play(file: Path, bus_name: str, rig_name: str | None, as_json: bool, **opti
             full = f", {played.full} of them waited for a full bus" if played.full else ""
             click.echo(f"{played.frames} frames onto {address} in {played.seconds:.3f} s{times}{full}")
     if cut_short:
-        raise Interrupted(number, f"interrupted after {played.frames} frames")
+        raise Stopped(number, f"after {played.frames} frames")
 
 
 def _choose(

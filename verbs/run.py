@@ -15,6 +15,7 @@ from coulombus.verbs.common import (
     buses_option,
     channel_option,
     check_mode,
+    display_s,
     errors,
     force_option,
     json_option,
@@ -85,11 +86,11 @@ def run_command(
     """
     with errors():
         from coulombus.host.run.buses import path_on
-        from coulombus.host.run.course import Signals, real_run
-        from coulombus.lab.demo.demo import schedule_s
-        from coulombus.lab.demo.real_demo import SHARED_MACHINE
+        from coulombus.host.run.course import real_run
         from coulombus.recording.output_file import check as check_output
         from coulombus.rigs.buses import bus_addresses
+        from coulombus.rigs.overrides import SHARED_MACHINE
+        from coulombus.wire.stopping import Signals
 
         rig = load(rig_name, (*SHARED_MACHINE, *overrides) if shared_machine else overrides)
         addresses = bus_addresses(rig, bus_names, channel)
@@ -98,7 +99,7 @@ def run_command(
             text = f"for simulated nodes only: on {real[0]} a motor could push unwatched for 50 ms; choose each limit by --set"
             raise click.BadParameter(text, param_hint="--shared-machine")
         check_mode(rig, rig_name, mode)
-        total = schedule_s(rig) if seconds is None else seconds
+        total = display_s(rig, seconds)
         if channel is not None:
             rig = rig.on(channel)
         if len(rig.channels) > 1:
@@ -106,6 +107,7 @@ def run_command(
             words += [word for text in overrides for word in ("--set", text)]
             words += ["--shared-machine"] if shared_machine else []
             words += ["--force"] if overwrite else []
+            words += [] if cpu is None else ["--cpu", str(cpu)]
             files = {"--record": record, "--histogram": histogram}
             for path in (path_on(path, channel) for path in files.values() if path for channel in addresses):
                 check_output(path, force=overwrite)  # of all buses before the first one starts

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 import click
 
-from coulombus.sim_bus.faults.lines import injected_lines
 from coulombus.verbs.common import (
     EXIT_STATUS,
     OutputDirectory,
     OutputFile,
     check_mode,
+    display_s,
     errors,
     faults_option,
     force_option,
@@ -84,13 +84,13 @@ def simulate_command(
       coulombus simulate --script script.toml --record run.pcapng
     """
     with errors():
-        from coulombus.lab.demo.demo import schedule_s
         from coulombus.lab.simulate import simulate
+        from coulombus.sim_bus.faults.lines import injected_lines
         from coulombus.sim_bus.network.script import read_script
 
         rig = load(rig_name, overrides)
         check_mode(rig, rig_name, mode)
-        total = schedule_s(rig) if seconds is None else seconds
+        total = display_s(rig, seconds)
         entries = () if script is None else read_script(script)
         with progress(not as_json) as report:
             result = simulate(
@@ -146,7 +146,7 @@ def demo(rig_name: str, overrides: tuple[str, ...], seed: int, out: Path, virtua
       coulombus demo --seed 3 --out out/third
     """
     with errors():
-        from coulombus.lab.demo.demo import DEMO_MODES, as_dict, run_demo, schedule_s
+        from coulombus.lab.demo.demo import DEMO_MODES, as_dict, run_demo
         from coulombus.lab.demo.traces import figure_14
         from coulombus.recording.signals import blocks
 
@@ -154,7 +154,7 @@ def demo(rig_name: str, overrides: tuple[str, ...], seed: int, out: Path, virtua
         missing = [mode for mode in DEMO_MODES if mode not in rig.modes]
         if missing:
             raise click.BadParameter(f"rig {rig_name!r} has no mode {missing[0]!r}", param_hint="--rig")
-        total = schedule_s(rig)
+        total = display_s(rig, None)
         if virtual:
             with progress(not as_json) as report:
                 result = run_demo(rig, out, seed=seed, progress=lambda mode, t: report(mode, t, total))
@@ -173,9 +173,10 @@ def demo(rig_name: str, overrides: tuple[str, ...], seed: int, out: Path, virtua
 
 
 def _real_demo(rig_name: str, overrides: tuple[str, ...], seed: int, out: Path, total: float, as_json: bool) -> Demo:
-    from coulombus.host.run.course import Signals
-    from coulombus.lab.demo.real_demo import SHARED_MACHINE, run_real_demo
+    from coulombus.lab.demo.real_demo import run_real_demo
+    from coulombus.rigs.overrides import SHARED_MACHINE
     from coulombus.rigs.rig import load_rig
+    from coulombus.wire.stopping import Signals
 
     both = (*SHARED_MACHINE, *overrides)
     say("for a machine shared with others: " + " ".join(f"--set {text}" for text in SHARED_MACHINE))

@@ -19,10 +19,11 @@ from can.bus import BusState
 from can.typechecking import AutoDetectedConfig, CanFilters
 
 from coulombus.wire.address import AddressError, BusAddress, BusUnavailable, live_bus_names, parse_address
-from coulombus.wire.can_id import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
+from coulombus.wire.can_id import CAN_EFF_FLAG, CAN_ERR_FLAG
 from coulombus.wire.client import BusDown, BusFull, Client, Echo, Received, pack_frame
 from coulombus.wire.hello import MAX_FILTERS, Flags, Hello
 from coulombus.wire.link import BUS_OFF
+from coulombus.wire.messages import can_id_of, data_of, is_classical, message_of
 
 __all__ = ["CoulombusBus"]
 
@@ -125,21 +126,11 @@ class CoulombusBus(can.BusABC):
         if not self._waiting and self._marked:
             self._marked = False
             os.eventfd_read(self._more)
-        remote, error = bool(can_id & CAN_RTR_FLAG), bool(can_id & CAN_ERR_FLAG)
-        extended = bool(can_id & CAN_EFF_FLAG)
+        error = bool(can_id & CAN_ERR_FLAG)
         if error and data[5] == self._client.station & 0xFF:
             self._off = bool(can_id & ERR_BUSOFF) or (self._off and not can_id & ERR_RESTARTED)
-        message = can.Message(
-            timestamp=stamp / 1e9,
-            arbitration_id=can_id & (0x1FFFFFFF if extended or error else 0x7FF),
-            is_extended_id=extended,
-            is_remote_frame=remote,
-            is_error_frame=error,
-            is_rx=not isinstance(received, Echo),
-            channel=self.channel,
-            dlc=length,
-            data=b"" if remote else data[:length],
-        )
+        is_rx = not isinstance(received, Echo)
+        message = message_of(stamp / 1e9, can_id, length, data, channel=self.channel, is_rx=is_rx)
         # until the bus has taken new filters, frames that passed the old ones still come
         return message, error or (self._filtered and not self._client.unanswered)
 
@@ -179,7 +170,7 @@ class CoulombusBus(can.BusABC):
             The bus does not take it, is gone, or this is a listener only.
         """
         self._refuse_when_shut()
-        if msg.is_fd or len(msg.data) > 8 or msg.dlc > 8:
+        if not is_classical(msg):
             raise can.CanOperationError("the virtual bus carries classical CAN frames only: at most 8 data bytes")
         if self._client.hello.flags & Flags.LISTEN_ONLY:
             raise can.CanOperationError(f"bus {self._client.address} was opened to listen only: nothing is sent")
@@ -189,9 +180,7 @@ class CoulombusBus(can.BusABC):
         if not 0 <= msg.arbitration_id < 1 << bits:
             hint = "" if msg.is_extended_id else "; set is_extended_id for one of 29 bits"
             raise can.CanOperationError(f"identifier {msg.arbitration_id:#x} has more than {bits} bits{hint}")
-        can_id = msg.arbitration_id | (CAN_EFF_FLAG if msg.is_extended_id else 0)
-        can_id |= CAN_RTR_FLAG if msg.is_remote_frame else 0
-        frame = pack_frame(can_id, b"" if msg.is_remote_frame else bytes(msg.data), msg.dlc)
+        frame = pack_frame(can_id_of(msg), data_of(msg), msg.dlc)
         deadline = time.monotonic() + (timeout or 0.0)
         while True:
             try:

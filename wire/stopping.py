@@ -1,7 +1,8 @@
 """The signals that end a verb, in one place: who takes them, and the exit status that they lead to.
 
 SIGINT (Ctrl-C), SIGTERM, SIGHUP (the terminal was closed) and SIGQUIT (Ctrl-Backslash) ask for the same thing, an orderly end. Every verb takes
-all four: by an exception (`as_exceptions`, around each verb), or by a handler of its own while it drives something (`taken`, `StopSignals`).
+all four: by an exception (`as_exceptions`, around each verb), or by a handler of its own while it drives something (`taken`, `StopSignals`,
+`Signals`).
 
 A shell starts its background jobs with SIGINT and SIGQUIT ignored; a handler takes them all the same. SIGHUP that is ignored stays so, as
 nohup(1) wants it.
@@ -19,7 +20,7 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any, TypeAlias
 
-__all__ = ["SIGNALS", "StopSignals", "Stopped", "as_exceptions", "status_of", "taken"]
+__all__ = ["SIGNALS", "Signals", "StopSignals", "Stopped", "as_exceptions", "status_of", "taken"]
 
 SIGNALS: tuple[int, ...] = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 AGAIN_S = 1.0
@@ -34,10 +35,15 @@ def status_of(number: int) -> int:
 
 
 class Stopped(KeyboardInterrupt):
-    """A signal of `SIGNALS` other than SIGINT ends the verb; `number` tells which."""
+    """A signal of `SIGNALS` ends the verb; `number` tells which. As KeyboardInterrupt it passes every ``except Exception`` on its way.
 
-    def __init__(self, number: int) -> None:
-        super().__init__(signal.Signals(number).name)
+    Parameters
+    ----------
+    when : what was going on, as in "before the run had begun"
+    """
+
+    def __init__(self, number: int, when: str = "") -> None:
+        super().__init__(f"{signal.Signals(number).name} {when}".rstrip())
         self.number = number
 
 
@@ -79,6 +85,43 @@ def as_exceptions() -> Iterator[None]:
     finally:
         for number in wanted:
             signal.signal(number, signal.SIG_DFL)
+
+
+class Signals:
+    """The stop signals of a run: until `defer` one ends what is being done by `Stopped`; from then on they are only remembered.
+
+    Attributes
+    ----------
+    number
+        The first signal that came; 0: none.
+    """
+
+    def __init__(self) -> None:
+        self.number = 0
+        self._deferred = False
+        self._taken = taken(self._handle)
+
+    def __enter__(self) -> Signals:
+        self._taken.__enter__()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._taken.__exit__(None, None, None)
+
+    def _handle(self, number: int, frame: FrameType | None) -> None:
+        if self.number == 0:
+            self.number = number
+            if not self._deferred:
+                self.stop()
+
+    def stop(self) -> None:
+        """Raise `Stopped` for the signal that has come, if one has."""
+        if self.number:
+            raise Stopped(self.number, "before the run had begun")
+
+    def defer(self) -> None:
+        """From now on whoever runs the rig looks at `number` and ends it safely."""
+        self._deferred = True
 
 
 class StopSignals:

@@ -14,7 +14,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from types import FrameType, TracebackType
+from types import TracebackType
 from typing import Any
 
 import can
@@ -24,7 +24,7 @@ from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.demand import check_demand
 from coulombus.host.cycle.records import Phase, Trip
 from coulombus.host.cycle.step import SOURCE_HOST
-from coulombus.host.errors import HostError, SafetyTrip
+from coulombus.host.errors import SafetyTrip
 from coulombus.host.laws.law_source import law_attachments
 from coulombus.host.realtime.data_plane import PRIORITY, DataPlane, default_cpu
 from coulombus.host.realtime.shared_memory import Status
@@ -41,9 +41,9 @@ from coulombus.recording.recorder import Recorder
 from coulombus.recording.signals import blocks
 from coulombus.rigs.rig import Rig
 from coulombus.wire.address import BusAddress, BusUnavailable, default_address
-from coulombus.wire.stopping import status_of, taken
+from coulombus.wire.stopping import Signals, status_of
 
-__all__ = ["Interrupted", "Signals", "real_run"]
+__all__ = ["real_run"]
 
 POLL_S = 0.01
 HOLD_BACK_NS = 50_000_000  # frames come into the log a little out of order; younger ones wait for the next batch
@@ -53,45 +53,6 @@ SAFE_TIMEOUT_S = 10.0
 FAILURES = 1000  # of this process while the rig is made safe: the data plane does that by itself meanwhile
 KEY_TIMEOUT_S = 30.0
 STUCK_S = 2.0  # a data plane that does not cycle for so long is dead
-
-
-class Interrupted(HostError):
-    """A signal came before anything was armed."""
-
-    def __init__(self, number: int) -> None:
-        super().__init__(f"{signal.Signals(number).name} before the run had begun")
-        self.exit_status = status_of(number)
-
-
-class Signals:
-    """The stop signals (`wire.stopping`) of a run.
-
-    Until `defer` they end what is being done by an exception; from then on they are only remembered in `number`.
-    """
-
-    def __init__(self) -> None:
-        self.number = 0
-        self._deferred = False
-        self._taken = taken(self._handle)
-
-    def __enter__(self) -> Signals:
-        self._taken.__enter__()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._taken.__exit__(None, None, None)
-
-    def _handle(self, number: int, frame: FrameType | None) -> None:
-        if self.number == 0:
-            self.number = number
-            if not self._deferred:
-                raise Interrupted(number)
-
-    def defer(self) -> None:
-        """From now on whoever runs the rig looks at `number` and ends it safely."""
-        self._deferred = True
 
 
 class _RealRun:
@@ -229,8 +190,7 @@ class _RealRun:
         if self.deadman == "key":
             self._hold_key()
         self.signals.defer()
-        if self.signals.number:
-            raise Interrupted(self.signals.number)
+        self.signals.stop()
         if not self.plane.alive or self.plane.status in (Status.LOST, Status.ENDED):
             raise BusUnavailable(f"bus {self.address}: lost before anything was armed: {self.plane.lost_text}")
         period = int(k.control["period_ns"][0])

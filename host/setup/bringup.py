@@ -37,6 +37,8 @@ class ControlPlane(Protocol):
     """The slow side of a bus: a `canopen` network, and time that passes while one waits."""
 
     network: canopen.Network
+    sdo_timeout_s: float
+    """How long an SDO response is waited for: the rig file's host.sdo_timeout_s."""
 
     def wait_ns(self, duration_ns: int) -> None:
         """Let `duration_ns` pass while frames are received."""
@@ -48,13 +50,13 @@ class ControlPlane(Protocol):
 class _Device:
     """SDO access to one node, with sizes from its EDS and errors in words."""
 
-    def __init__(self, plane: ControlPlane, plan: DevicePlan, timeout_s: float) -> None:
+    def __init__(self, plane: ControlPlane, plan: DevicePlan) -> None:
         self.plan, self.description = plan, plan.description
         self.name, self.node_id = plan.name, plan.node_id
         self.node = canopen.RemoteNode(self.node_id, canopen.ObjectDictionary())
         self.identity = (0, 0)
         plane.network.add_node(self.node)
-        self.node.sdo.RESPONSE_TIMEOUT = timeout_s
+        self.node.sdo.RESPONSE_TIMEOUT = plane.sdo_timeout_s
 
     def _where(self, index: int, subindex: int) -> str:
         try:
@@ -228,8 +230,7 @@ def bring_up(controllers: Controllers, plane: ControlPlane) -> tuple[str, ...]:
     nmt = plane.network.nmt
     nmt.send_command(NmtCommand.ENTER_PRE_OPERATIONAL)
     plane.wait_ns(SETTLE_NS)
-    timeout_s = controllers.rig.host.sdo_timeout_s
-    devices = [_Device(plane, plan, timeout_s) for plan in found]
+    devices = [_Device(plane, plan) for plan in found]
     _refuse([text for device in devices for text in device.identify()])
     for device in devices:
         if device.plan.role == "motor":

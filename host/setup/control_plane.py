@@ -59,6 +59,7 @@ class RealControlPlane:
 
     def __init__(self, rig: Rig, address: BusAddress) -> None:
         self._address = address
+        self.sdo_timeout_s = rig.host.sdo_timeout_s
         self._host_id = rig.host.node_id
         nodes = [node.node_id for node in rig.nodes]
         self._own = {base + node for base in (CobId.EMCY, CobId.SDO_TX, CobId.HEARTBEAT) for node in nodes}

@@ -16,7 +16,7 @@ from coulombus.host.run.result import RunResult
 from coulombus.lab.simulate import simulate
 from coulombus.rigs.rig import Rig
 
-__all__ = ["DEMO_MODES", "Criterion", "Demo", "judge", "run_demo", "schedule_s"]
+__all__ = ["DEMO_MODES", "Criterion", "Demo", "judge", "run_demo"]
 
 DEMO_MODES = ("active", "hybrid")
 
@@ -48,11 +48,6 @@ class Demo:
     def passed(self) -> bool:
         """True when every criterion holds."""
         return all(criterion.holds for criterion in self.criteria)
-
-
-def schedule_s(rig: Rig) -> float:
-    """Return the length of the rig's schedule; of several axes', the longest."""
-    return max(axis.phase_starts_s[-1] for axis in rig.axes)
 
 
 def _between(value: float | None, low: float, high: float) -> bool:
@@ -107,7 +102,7 @@ def judge(rig: Rig, results: dict[str, RunResult]) -> tuple[Criterion, ...]:
 def run_demo(rig: Rig, directory: Path, *, seed: int = 0, progress: Callable[[str, float], None] | None = None) -> Demo:
     """Run both modes through the rig's schedule; write recordings and ``demo.json`` under `directory`, in place of former ones."""
     directory.mkdir(parents=True, exist_ok=True)
-    seconds = schedule_s(rig)
+    seconds = rig.schedule_s
     results = {}
     for mode in DEMO_MODES:
 

@@ -13,27 +13,16 @@ from pathlib import Path
 from types import TracebackType
 
 from coulombus.host.errors import HostError
-from coulombus.host.run.course import Interrupted, Signals, real_run
+from coulombus.host.run.course import real_run
 from coulombus.host.run.result import RunResult
 from coulombus.host.setup.bringup import check_plan
-from coulombus.lab.demo.demo import DEMO_MODES, Demo, as_dict, judge, schedule_s
+from coulombus.lab.demo.demo import DEMO_MODES, Demo, as_dict, judge
 from coulombus.rigs.rig import Rig
 from coulombus.wire.address import BusAddress
 from coulombus.wire.realtime import die_with_parent
+from coulombus.wire.stopping import Signals, Stopped
 
-__all__ = ["SHARED_MACHINE", "SimProcess", "run_real_demo"]
-
-SHARED_MACHINE = (
-    "motor.setpoint_fault_s=0.05",
-    "brake.setpoint_fault_s=0.05",
-    "motor.sync_timeout_s=0.05",
-    "brake.sync_timeout_s=0.05",
-    "motor.heartbeat_timeout_s=0.5",
-    "brake.heartbeat_timeout_s=0.5",
-    "limits.missed_tpdo_cycles=50",
-    "host.loss_limit=1.0",
-)
-"""Overrides for a machine that is shared with others and may stand still for tens of milliseconds; the rig's PC needs none of them."""
+__all__ = ["SimProcess", "run_real_demo"]
 
 END_TIMEOUT_S = 10.0
 
@@ -105,7 +94,7 @@ def run_real_demo(
     """
     check_plan(rig)
     directory.mkdir(parents=True, exist_ok=True)
-    seconds = schedule_s(rig)
+    seconds = rig.schedule_s
     results: dict[str, RunResult] = {}
     with ExitStack() as stack:
         sims = {}
@@ -132,7 +121,7 @@ def run_real_demo(
                 force=True,
             )
             if signals is not None and signals.number:
-                raise Interrupted(signals.number)
+                raise Stopped(signals.number, "before the demo was over")
     demo = Demo(results, judge(rig, results))
     (directory / "demo.json").write_text(json.dumps(as_dict(demo), indent=2) + "\n")
     return demo

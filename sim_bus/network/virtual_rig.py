@@ -70,6 +70,7 @@ class VirtualRig(VirtualNetwork):
         truth: bool = False,
     ) -> None:
         self.rig, self.mode = rig, mode
+        self.sdo_timeout_s = rig.host.sdo_timeout_s
         self.controllers = Controllers(rig, mode)
         self.controller = self.controllers.each[0]
         self.operators = [Operator(controller.axis, mode) for controller in self.controllers]
@@ -134,7 +135,7 @@ class VirtualRig(VirtualNetwork):
         self.run_until(self.t_ns + timeout_ns, lambda: can_id in self._heard)
 
     def _await_answer(self, can_id: int) -> None:
-        self.run_until_heard(can_id, round(self.rig.host.sdo_timeout_s * 1e9))
+        self.run_until_heard(can_id, round(self.sdo_timeout_s * 1e9))
 
     # the kernel's exits
 

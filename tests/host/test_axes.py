@@ -14,7 +14,6 @@ from coulombus.host.cycle.records import Phase, SignResult, Trip
 from coulombus.host.errors import SafetyTrip
 from coulombus.host.run.buses import merged
 from coulombus.host.run.deadman import deadman_of
-from coulombus.lab.demo.demo import schedule_s
 from coulombus.lab.simulate import simulate
 from coulombus.recording.signals import read
 from coulombus.rigs.buses import bus_addresses, one_bus
@@ -145,7 +144,7 @@ def test_what_axes_must_share_is_told_of_the_axis_that_has_its_own():
         RigError, match=r'^--set axis\.left\.law\.function="coulomb": axis\.left\.law\.function: differs from .* right'
     ):
         load_rig("two_axes", ('axis.left.law.function="coulomb"',))
-    with pytest.raises(RigError, match="at most 32.767 x axis.left.motor.rated_torque_Nm x mechanics.ratio"):
+    with pytest.raises(RigError, match=r"at most 32\.767 x axis\.left\.motor\.rated_torque_Nm x mechanics\.ratio"):
         load_rig("two_axes", ("axis.left.motor.rated_torque_Nm=1e-6",))
 
 
@@ -313,8 +312,8 @@ def test_the_sign_check_that_leaves_the_most_doubt_is_told(outcomes):
 
 @pytest.mark.parametrize("axis", ["left", "right"])
 def test_the_longest_schedule_is_that_of_the_rig(axis):
-    assert schedule_s(load_rig("two_axes", [f"axis.{axis}.phase=[{{kind='rest', duration_s=40}}]"])) == 40.0
-    assert schedule_s(load_rig("two_axes", [f"axis.{axis}.phase=[{{kind='rest', duration_s=4}}]"])) == 13.0
+    assert load_rig("two_axes", [f"axis.{axis}.phase=[{{kind='rest', duration_s=40}}]"]).schedule_s == 40.0
+    assert load_rig("two_axes", [f"axis.{axis}.phase=[{{kind='rest', duration_s=4}}]"]).schedule_s == 13.0
 
 
 @pytest.mark.parametrize(("slow", "fast"), [("left", "right"), ("right", "left")])

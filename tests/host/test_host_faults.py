@@ -22,6 +22,7 @@ from coulombus.recording.pcapng_blocks import RecordingError
 from coulombus.recording.signals import read
 from coulombus.recording.trace import TRACE
 from coulombus.rigs.rig import load_rig
+from coulombus.wire import stopping
 from coulombus.wire.address import BusUnavailable, parse_address
 from coulombus.wire.frame import frames, new_records
 from fault_shim import Shim
@@ -157,7 +158,7 @@ def bench(tmp_path, monkeypatch):
             before()
             shim.__enter__()
 
-        class Signals(course.Signals):
+        class Signals(stopping.Signals):
             def defer(self):  # from here on the rig is being armed
                 super().defer()
                 if arming:

@@ -13,9 +13,9 @@ import time
 import pytest
 
 from coulombus.compiled.decorator import JIT_DISABLED
-from coulombus.lab.demo.real_demo import SHARED_MACHINE
 from coulombus.lab.replay.host_replay import host_replay
 from coulombus.recording.signals import read
+from coulombus.rigs.overrides import SHARED_MACHINE
 from coulombus.wire.client import pack_frame
 from real_bench import HOLD, PATIENCE_S, Observer, command, host, result, simulation, start
 

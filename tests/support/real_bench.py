@@ -11,7 +11,7 @@ import time
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from coulombus.lab.demo.real_demo import SHARED_MACHINE
+from coulombus.rigs.overrides import SHARED_MACHINE
 from coulombus.wire.address import parse_address
 from coulombus.wire.client import BusUnavailable, Client, pack_frame
 from coulombus.wire.hello import Hello

@@ -14,7 +14,7 @@ from contextlib import suppress
 
 PERIOD_S = 0.01
 LIMIT_S = 0.025
-"""Half of what the real-time tests' rig endures (`lab.demo.real_demo.SHARED_MACHINE`): the watcher sees a standstill from its next wake-up on."""
+"""Half of what the real-time tests' rig endures (`rigs.overrides.SHARED_MACHINE`): the watcher sees a standstill from its next wake-up on."""
 
 
 class Watchers:
