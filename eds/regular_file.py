@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import os
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
-__all__ = ["MOST_BYTES", "NoRegularFile", "read_regular", "require_regular"]
+__all__ = ["MOST_BYTES", "NoRegularFile", "naming", "read_regular", "require_regular"]
 
 MOST_BYTES = 1 << 26
 
@@ -24,6 +26,17 @@ KINDS = (
 
 class NoRegularFile(OSError):
     """The path is no regular file, or a larger one than is read; `strerror` says which."""
+
+
+@contextmanager
+def naming(path: str | Path) -> Iterator[None]:
+    """Let an error of a file that is read inside tell which one; reading names none, only opening does."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is None:
+            error.filename = str(path)
+        raise
 
 
 def require_regular(path: str | Path) -> None:
@@ -49,7 +62,8 @@ def read_regular(path: str | Path, most_bytes: int = MOST_BYTES) -> bytes:
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # what stands there may have changed since
     with open(descriptor, "rb") as file:
         _require_regular(path, os.fstat(descriptor).st_mode)
-        raw = file.read(most_bytes + 1)
+        with naming(path):
+            raw = file.read(most_bytes + 1)
     if len(raw) > most_bytes:
         raise NoRegularFile(0, f"has more than {most_bytes >> 20} MiB", str(path))
     return raw

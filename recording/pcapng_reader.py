@@ -16,7 +16,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from coulombus.compiled.decorator import kernel
-from coulombus.eds.regular_file import require_regular
+from coulombus.eds.regular_file import naming, require_regular
 from coulombus.recording.pcapng_blocks import (
     ATTACHMENT,
     BYTE_ORDER_MAGIC,
@@ -107,7 +107,8 @@ class _Reader:
 
     def more(self, at: int) -> bool:
         """Leave the words before `at` behind and read on; return whether there was more."""
-        chunk = self.file.read(CHUNK)
+        with naming(self.path):
+            chunk = self.file.read(CHUNK)
         self.base += 4 * at
         self.data = self.data[4 * at :] + chunk
         self.words = np.frombuffer(self.data, "<u4", len(self.data) // 4)
@@ -143,7 +144,7 @@ def iter_pcapng(path: str | Path) -> Iterator[Capture]:
     PcapngError
         The file is empty, of another format, damaged in its midst, or holds no CAN interface: at the stretch where that shows.
     OSError
-        It cannot be opened.
+        It cannot be opened or read.
     """
     require_regular(path)
     with Path(path).open("rb") as file:

@@ -14,6 +14,8 @@ from coulombus.rigs.toml_lines import Key
 __all__ = ["check", "remarks"]
 
 INT16_MAX = 32767
+WITHOUT_F_S = ("coulomb",)
+"""The project's laws that do not use F_s: what it is does not matter."""
 NODES = ("host", "motor", "brake")
 SIMULATION = ("plant", "operator")
 """Sections of a rig that is simulated; the host needs none of them."""
@@ -42,6 +44,10 @@ def _less(first: float, second: float) -> bool:
 
 def _at_most(first: float, second: float) -> bool:
     return first <= second
+
+
+def _at_most_of_law(first: float, second: float, law: str) -> bool:
+    return law.strip() in WITHOUT_F_S or first <= second
 
 
 def _zero(value: float) -> bool:
@@ -114,13 +120,14 @@ REMARKS = (
     _rule("plant.motor_rated_torque_Nm motor.rated_torque_Nm", lambda truth, belief: truth == belief,
           "the same as motor.rated_torque_Nm ({1}), unless a wrong rig is to be simulated"),
     *(
-        _rule(f"mode.{mode}.F_d_Nm mode.{mode}.F_s_Nm", _at_most,
+        _rule(f"mode.{mode}.F_d_Nm mode.{mode}.F_s_Nm law.function", _at_most_of_law,
               "at most F_s_Nm ({1}): this friction grows when it slips")
         for mode in MODES
     ),
-    _rule("mode.active.F_s_Nm mode.active.motor_limit_Nm", _at_most, "at most motor_limit_Nm ({1}), which cuts it off"),
+    _rule("mode.active.F_s_Nm mode.active.motor_limit_Nm law.function", _at_most_of_law,
+          "at most motor_limit_Nm ({1}), which cuts it off"),
     *(
-        _rule(f"mode.{mode}.F_s_Nm limits.brake_torque_Nm", _at_most,
+        _rule(f"mode.{mode}.F_s_Nm limits.brake_torque_Nm law.function", _at_most_of_law,
               "at most limits.brake_torque_Nm ({1}), which cuts it off")
         for mode in ("passive", "hybrid")
     ),

@@ -1,4 +1,8 @@
-"""The exit statuses of all verbs: the one place where they are said. An exception that ends a verb has its own as `exit_status`."""
+"""The exit statuses of all verbs: the one place where they are said. An exception that ends a verb has its own as `exit_status`.
+
+A reader of stdout that goes away (``| head``) changes no status: a verb that has a verdict still ends with it, and one that only prints (`decode`,
+`watch`, `dbc`) with 0, as it was read for as long as somebody read. `sim` and `node` go on until they are ended.
+"""
 
 from __future__ import annotations
 

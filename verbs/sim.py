@@ -25,6 +25,7 @@ from coulombus.verbs.common import (
     seed_option,
     set_option,
 )
+from coulombus.wire.verdict import abandon_stdout
 
 if TYPE_CHECKING:
     from coulombus.wire.address import BusAddress
@@ -142,9 +143,17 @@ def _sim_buses(words: list[str], addresses: dict[str, BusAddress]) -> int:
     buses = supervise(
         list(addresses),
         lambda channel: [*words, "--channel", channel, "--bus", f"{channel}={addresses[channel]}"],
-        lambda channel, line: click.echo(line),
+        lambda channel, line: _pass_on(line),
     )
     return max(bus.status for bus in buses)
+
+
+def _pass_on(line: str) -> None:
+    """Print a line of one bus; a reader that has gone, or a full disk, ends none of them."""
+    try:
+        click.echo(line)
+    except OSError:
+        abandon_stdout()
 
 
 @click.command("node", epilog=EXIT_STATUS)

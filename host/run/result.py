@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from coulombus.eds.regular_file import naming
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.recording.measures import Measures
 
@@ -74,7 +75,7 @@ class RunResult:
 
 def file_sha256(path: Path) -> str:
     """Return the SHA-256 of a file, read in blocks."""
-    with path.open("rb") as file:
+    with naming(path), path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 

@@ -93,6 +93,10 @@ def read_script(path: Path) -> tuple[Entry, ...]:
     if table or not isinstance(entries, list):
         other = "; a fault file is given by --faults" if {"fault", "noise", "seed"} & set(table) else ""
         raise ScriptError(f"{path}: {', '.join(table) or 'at'}; expected nothing but entries [[at]]{other}")
+    if not entries:
+        raise ScriptError(
+            f"{path}: there is no entry in it; expected [[at]] with t_s, node and action, once for each thing that happens"
+        )
     return tuple(_entry(f"{path}: entry {n} of [[at]]", given) for n, given in enumerate(entries, 1))
 
 

@@ -12,7 +12,7 @@ from types import FrameType
 from coulombus.sim_bus.faults.lines import injected_lines
 from coulombus.sim_bus.server.server import BusServer, SimResult
 from coulombus.wire.stopping import taken
-from coulombus.wire.verdict import say, verdict
+from coulombus.wire.verdict import printed, say, verdict
 
 __all__ = ["PRIORITY", "run_sim"]
 
@@ -39,9 +39,13 @@ def run_sim(
     over = threading.Event()
     failure: list[BaseException] = []
 
+    def ready() -> None:
+        with printed():  # the bus is there, whoever reads of it
+            (tell_ready or _tell_ready)(server, as_json)
+
     def course() -> None:
         try:
-            server.run(seconds, priority=priority, cpu=cpu, ready=lambda: (tell_ready or _tell_ready)(server, as_json))
+            server.run(seconds, priority=priority, cpu=cpu, ready=ready)
         except BaseException as error:
             failure.append(error)
         finally:

@@ -203,6 +203,14 @@ def test_wrong_faults_are_refused_with_the_entry(tmp_path, change, message):
         read_script(path)
 
 
+@pytest.mark.parametrize("text", ["", "# nothing\n", "at = []\n"])
+def test_a_script_in_which_nothing_stands_is_refused(tmp_path, text):
+    path = tmp_path / "s.toml"
+    path.write_text(text)
+    with pytest.raises(ScriptError, match=r"s\.toml: there is no entry in it; expected \[\[at\]\]"):
+        read_script(path)
+
+
 def test_the_same_script_gives_the_same_bytes_and_the_host_trips(tmp_path):
     from coulombus.lab.simulate import simulate
 

@@ -36,7 +36,7 @@ def long_recording(path, seconds, seed=1, *, driven=True):
     The drive is enabled; unless it is `driven`, the motor has no torque, as where no sign check is done.
     """
     rig = load_rig("bench")
-    kinds = [phase.kind for phase in rig.phases]
+    kinds = [phase.kind for phase in rig.one_axis().phases]
     assert "hold" in kinds
     assert "stroke" in kinds
     begins = {round(k * 1000 * seconds / len(kinds)): f"phase {kind}" for k, kind in enumerate(kinds)}

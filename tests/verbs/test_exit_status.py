@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from click.testing import CliRunner
 
+from coulombus.eds.regular_file import read_regular
 from coulombus.lab.simulate import simulate
 from coulombus.recording.output_file import new_file
 from coulombus.recording.pcapng_writer import PcapngWriter
+from coulombus.verbs import sim
 from coulombus.verbs.exit_status import STATUSES
 from coulombus.verbs.main import VERBS, main
 from coulombus.wire.frame import FRAME, new_records
@@ -340,3 +344,49 @@ def test_two_outputs_of_one_name_are_refused_before_anything_is_run(tmp_path, wo
     assert result.exit_code == USAGE, result.output
     assert "writes there, too; choose another name" in " ".join(result.output.split())
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_that_cannot_be_read_is_named():
+    """Opening names a file, reading does not: "[Errno 5] Input/output error" was all that was said."""
+    if not Path("/proc/self/mem").exists():
+        pytest.skip("no /proc/self/mem")
+    result = CliRunner().invoke(main, ["decode", "/proc/self/mem", "--rig", "bench"])
+    assert result.exit_code == 2
+    assert "/proc/self/mem: Input/output error" in result.output
+    result = CliRunner().invoke(main, ["check", "--rig", "/proc/self/mem.toml"])
+    assert result.exit_code == 3
+    with pytest.raises(OSError, match="Input/output error: '/proc/self/mem'"):
+        read_regular("/proc/self/mem")
+
+
+def test_several_buses_pass_their_options_on(monkeypatch):
+    """--cpu was forgotten."""
+    asked = []
+    monkeypatch.setattr("coulombus.host.run.buses.supervise", lambda channels, words: asked.append(words("a")) or [])
+    cpu = str(min(os.sched_getaffinity(0)))
+    buses = [word for axis in ("left", "right") for word in ("--set", f'axis.{axis}.bus.channel="{axis[0]}"')]
+    buses = [word.replace('"l"', '"a"').replace('"r"', '"b"') for word in buses]
+    CliRunner().invoke(main, ["run", "--rig", "two_axes", *buses, "--cpu", cpu, "--seconds", "2"])
+    (words,) = asked
+    assert words[words.index("--cpu") + 1] == cpu
+
+
+@pytest.mark.parametrize("error", [BrokenPipeError(), OSError(errno.ENOSPC, "No space left on device")])
+def test_buses_are_served_on_whoever_reads_their_lines(monkeypatch, error):
+    """The thread that passed the lines on died of the first one, and its bus stood still when the pipe was full."""
+
+    def refused(line):
+        raise error
+
+    abandoned = []
+    monkeypatch.setattr("coulombus.verbs.sim.click.echo", refused)
+    monkeypatch.setattr("coulombus.verbs.sim.abandon_stdout", lambda: abandoned.append(1))
+
+    def supervise(channels, words, tell):
+        for channel in channels:
+            tell(channel, "bus is ready")
+        return [SimpleNamespace(status=0)]
+
+    monkeypatch.setattr("coulombus.host.run.buses.supervise", supervise)
+    assert sim._sim_buses(["sim"], {"a": None, "b": None}) == 0
+    assert abandoned == [1, 1]
