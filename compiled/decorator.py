@@ -1,8 +1,7 @@
 """The one way this project compiles a function, and where the machine code is kept.
 
-Numba's disk cache looks at the file of the function that it compiles, not at the files of the functions which that one
-calls: an edited callee is served stale. Hence the cache directory is keyed by a hash of every source file that may hold
-a kernel. An edit anywhere gives a new directory; `compiled.kernel_cache` says where it stands, and which old ones are removed.
+What is kept of a kernel is bound to its own source file and to all that it imports (`compiled.sources`); `compiled.kernel_cache` says
+where it stands, and what is removed; `compiled.kernel_files` lets no two processes compile the same.
 
 Import this module before `numba`. ``NUMBA_CACHE_DIR`` set by the user wins (ours are sub-directories of it all the same);
 ``NUMBA_DISABLE_JIT=1`` runs every kernel as plain Python.
@@ -17,13 +16,11 @@ the cost of a plain call) and never caches a kernel whose tuple holds a function
 
 from __future__ import annotations
 
-import hashlib
-import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, TypeVar
 
 from coulombus.compiled.kernel_cache import choose
+from coulombus.compiled.sources import ROOT, source_key
 
 __all__ = [
     "CACHE_DIR",
@@ -34,25 +31,11 @@ __all__ = [
     "inlined",
     "kernel",
     "on_compiling",
-    "source_key",
 ]
-
-KERNEL_PACKAGES = ("compiled", "wire", "eds", "rigs", "recording", "node", "host", "sim_bus", "lab", "analysis")
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-
-def source_key(root: Path) -> str:
-    """Hash of all Python sources under `root` that may hold or feed a kernel, with the interpreter's version."""
-    digest = hashlib.sha256(sys.version.encode())
-    for package in KERNEL_PACKAGES:
-        folder = root / package
-        for path in sorted(folder.rglob("*.py")):
-            digest.update(str(path.relative_to(folder)).encode() + b"\0" + path.read_bytes())
-    return digest.hexdigest()[:16]
-
-
-CACHE_DIR = choose(source_key(Path(__file__).resolve().parent.parent))
+CACHE_DIR = choose(source_key(ROOT))
 """Where the machine code is kept; None where no place can be written."""
 
 import numba  # noqa: E402  (only now does numba read NUMBA_CACHE_DIR)

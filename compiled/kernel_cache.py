@@ -3,6 +3,7 @@
 ::
 
     BASE/coulombus/kernels-0123456789abcdef/coulombus-kernels      the marker: who made it, locked as long as a process uses it
+    BASE/coulombus/kernels-0123456789abcdef/compiling              locked byte by byte by who compiles
     BASE/coulombus/kernels-0123456789abcdef/host_1a2b.../*.nbi     what numba keeps
 
 BASE is ``NUMBA_CACHE_DIR``, else ``$XDG_CACHE_HOME``, else ``~/.cache``. What is kept there is run, so a directory of another user is not used.
@@ -24,15 +25,17 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
-__all__ = ["KEPT", "MARKER", "choose", "say"]
+__all__ = ["COMPILING", "KEPT", "MARKER", "choose", "others", "say"]
 
 OURS = "coulombus"
 MARKER = "coulombus-kernels"
+COMPILING = "compiling"
+"""The file whose bytes are locked, each for one kernel, by the process that compiles it (`compiled.kernel_files`)."""
 KEPT = 4
 """Directories that stay, the newest ones; one that a process uses stays in any case."""
 
 _NAME = re.compile(r"kernels-[0-9a-f]{16}")
-_NUMBAS = re.compile(r".+\.(nbi|nbc)(\.tmp\.[0-9a-f]+)?")
+_NUMBAS = re.compile(rf".+\.(nbi|nbc)(\.tmp\.[0-9a-f]+)?|{COMPILING}")
 _TRIES = 8
 _locks: list[int] = []  # descriptors of the markers that this process holds
 
@@ -177,6 +180,18 @@ def _tidy(directory: Path) -> None:
         for stale in sorted(others, key=_used_ns, reverse=True)[KEPT - 1 :]:
             with suppress(OSError):
                 _remove(stale)
+
+
+def others(directory: Path) -> list[Path]:
+    """Return the directories of this user's other states of the sources, the last used first."""
+    if not (_NAME.fullmatch(directory.name) and directory.parent.name == OURS):
+        return []
+    try:
+        names = [entry.name for entry in os.scandir(directory.parent) if entry.is_dir(follow_symlinks=False)]
+    except OSError:
+        return []
+    found = [directory.parent / name for name in names if _NAME.fullmatch(name) and name != directory.name]
+    return sorted((one for one in found if _own(one) and _used_ns(one)), key=_used_ns, reverse=True)
 
 
 def _used_ns(directory: Path) -> int:

@@ -5,27 +5,42 @@ A file that a full disk or a power cut has cut short would end every start with 
 name the same file for different signatures. So each file carries a CRC-32 and its key: what does not fit is told once, dropped and compiled
 again. A place that takes no more is told once, too.
 
+Only one process compiles a kernel (`_wait_for_turn`): the others wait, and load what it has saved. What a directory of other sources has kept of a
+kernel whose own sources are the same is taken from there.
+
 LLVM calls back into Python; an exception of a signal's handler that is raised there is printed and lost. While a kernel is compiled or loaded such
 an exception is kept, and raised behind it.
 """
 
 from __future__ import annotations
 
+import fcntl
+import os
 import pickle
+import struct
 import sys
 import threading
+import time
 import zlib
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from functools import cached_property
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from numba.core import event
 from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.np import linalg
 
-from coulombus.compiled.kernel_cache import say
+from coulombus.compiled.kernel_cache import COMPILING, others, say
+from coulombus.compiled.sources import ours, stamp
 
 __all__ = ["KernelCache", "interrupts_kept", "keep_interrupts"]
+
+
+PATIENCE_S, PAUSE_S = 300.0, 0.02
+"""How long a process waits for another one that compiles what it needs, before it does so itself."""
 
 
 class DamagedError(ValueError):
@@ -42,7 +57,22 @@ def _tell_once(text: str) -> None:
 
 
 class _Files(IndexDataCacheFile):  # type: ignore[misc]
-    """The index of one function and its data files, each pickle behind its CRC-32, the data with their key."""
+    """The index of one function and its data files, each pickle behind its CRC-32, the data with their key.
+
+    The index carries the `stamp` of the sources. It is asked for only where it matters: to read all the sources costs more than to load the code.
+    """
+
+    def __init__(self, directory: str, base: str, stamp: Callable[[], Any], any_stamp: bool) -> None:
+        self._stamp, self._any_stamp = stamp, any_stamp
+        super().__init__(directory, base, None)
+
+    @property
+    def _source_stamp(self) -> Any:
+        return self._stamp()
+
+    @_source_stamp.setter
+    def _source_stamp(self, none: None) -> None:
+        pass
 
     def _dump(self, obj: Any) -> bytes:
         data: bytes = super()._dump(obj)
@@ -56,10 +86,18 @@ class _Files(IndexDataCacheFile):  # type: ignore[misc]
                 stamp, overloads = _whole(file.read())
         except FileNotFoundError:
             return {}
-        return overloads if stamp == self._source_stamp else {}
+        return overloads if self._any_stamp or stamp == self._source_stamp else {}
 
     def _load_data(self, name: str) -> Any:
         return _whole(Path(self._data_path(name)).read_bytes())
+
+    def give(self, place: Path) -> bool:
+        """Copy index and data files to the folder `place`; tell whether there were any."""
+        names = self._load_index().values()
+        for name in (*names, self._index_name) if names else ():  # the index comes last: it names the others
+            with self._open_for_write(str(place / name)) as file:
+                file.write(Path(self._data_path(name)).read_bytes())
+        return bool(names)
 
     def save(self, key: Any, data: Any) -> None:
         super().save(key, (key, data))
@@ -75,41 +113,146 @@ def _whole(raw: bytes) -> Any:
     return pickle.loads(raw[4:])
 
 
-class KernelCache(FunctionCache):  # type: ignore[misc]
-    """The cache of one kernel."""
+class KernelCache:
+    """The cache of one kernel: numba's own, made when it is first needed."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
-        super().__init__(function)
-        stamp = self._impl.locator.get_source_stamp()
-        self._cache_file = _Files(self._cache_path, self._impl.filename_base, stamp)
+        self._function = function
+        self._lock: int | None = None  # held while it is compiled
+
+    @cached_property
+    def _numbas(self) -> FunctionCache | None:
+        try:
+            cache = FunctionCache(self._function)
+        except RuntimeError:  # it stands in no file
+            return None
+        self._locator, self._base = cache._impl.locator, cache._impl.filename_base
+        cache._cache_file = _Files(cache.cache_path, self._base, self._stamp, any_stamp=ours(self._file))
+        return cache
+
+    @property
+    def _file(self) -> str:
+        return self._function.__code__.co_filename
+
+    @property
+    def cache_path(self) -> str:
+        """The folder of its files; empty where nothing is kept."""
+        return "" if self._numbas is None else str(self._numbas.cache_path)
+
+    def _stamp(self) -> Any:
+        return stamp(self._file) if ours(self._file) else self._locator.get_source_stamp()
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return the compiled function; None where there is none, or none that is whole."""
+        """Return the compiled function; None where there is none, or none that is whole: the caller compiles it then, and nobody else."""
+        _import_arraymath()
+        if self._numbas is None:
+            return None
         try:
             with interrupts_kept():
-                return super().load_overload(sig, target_context)
+                found = self._numbas.load_overload(sig, target_context)
+                if found is None and self._numbas._enabled and self._lock is None:
+                    self._lock = _wait_for_turn(Path(self.cache_path), self._base)
+                    self._adopt(Path(self.cache_path))
+                    found = self._numbas.load_overload(sig, target_context)
+                if found is not None:
+                    self.release()
+                return found
         except Exception as error:  # a damaged pickle raises whatever its bytes say
             if hasattr(error, "exit_status"):  # a signal's
+                self.release()
                 raise
             self._forget()
             return None
 
+    def _adopt(self, place: Path) -> None:
+        """Take over what another state of the sources has kept, where this kernel is the same in both."""
+        if not ours(self._file) or (place / f"{self._base}.nbi").exists():
+            return
+        for other in others(place.parent):
+            with suppress(OSError, ValueError, EOFError, pickle.PickleError):
+                if _Files(str(other / place.name), self._base, self._stamp, any_stamp=False).give(place):
+                    return
+
     def _forget(self) -> None:
-        _tell_once(f"the cache of compiled code in {Path(self._cache_path).parent} was damaged; it is compiled again")
+        _tell_once(f"the cache of compiled code in {Path(self.cache_path).parent} was damaged; it is compiled again")
         try:
             self.flush()
         except OSError:
             self.disable()
 
+    def flush(self) -> None:
+        """Forget what was kept."""
+        if self._numbas is not None:
+            self._numbas.flush()
+
+    def disable(self) -> None:
+        """Keep nothing from now on."""
+        if self._numbas is not None:
+            self._numbas.disable()
+
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep a compiled function, where that is possible."""
+        if self._numbas is None:
+            return
         try:
-            super().save_overload(sig, data)
+            self._numbas.save_overload(sig, data)
         except (OSError, ValueError, EOFError, pickle.PickleError) as error:
             reason = getattr(error, "strerror", None) or error
-            place = Path(self._cache_path).parent
+            place = Path(self.cache_path).parent
             _tell_once(f"compiled code cannot be kept in {place} ({reason}); the next start compiles again")
             self.disable()
+        finally:
+            self.release()
+
+    def release(self) -> None:
+        """Let another process compile it, where this one waited for its turn."""
+        if self._lock is not None:
+            lock, self._lock = self._lock, None
+            os.close(lock)
+
+
+def _wait_for_turn(place: Path, base: str) -> int | None:
+    """Wait until no other process compiles the kernel whose files are `base` in `place`; return the lock, None where there is none to be had.
+
+    A kernel's callees are compiled within its own turn. Calls make no circle, so no two processes wait for each other.
+    """
+    at = zlib.crc32(f"{place.name}/{base}".encode())
+    try:
+        lock = os.open(place.parent / COMPILING, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+    except OSError:
+        return None
+    wanted = struct.pack("hhqqi4x", fcntl.F_WRLCK, os.SEEK_SET, at, 1, 0)
+    try:
+        for _ in range(round(PATIENCE_S / PAUSE_S)):
+            with suppress(BlockingIOError):
+                fcntl.fcntl(lock, fcntl.F_OFD_SETLK, wanted)
+                return lock
+            time.sleep(PAUSE_S)
+    except OSError:  # a file system without locks
+        pass
+    except BaseException:  # a signal's
+        os.close(lock)
+        raise
+    os.close(lock)
+    return None
+
+
+def _import_arraymath() -> None:
+    """Import what numba imports before it first loads or compiles, without scipy's BLAS: that would take half as long as all the rest.
+
+    Without it numba computes `numpy.cov` by a loop of its own; matrix products ask for BLAS when they are compiled.
+    """
+    if "numba.np.arraymath" in sys.modules:
+        return
+
+    def none() -> None:
+        raise ImportError
+
+    ensure_blas, linalg.ensure_blas = linalg.ensure_blas, none
+    try:
+        import_module("numba.np.arraymath")
+    finally:
+        linalg.ensure_blas = ensure_blas
 
 
 class _Interrupts(event.Listener):  # type: ignore[misc]
@@ -135,6 +278,10 @@ class _Interrupts(event.Listener):  # type: ignore[misc]
         self._depth += 1
 
     def on_end(self, event: Any) -> None:
+        if event is not None and sys.exc_info()[0] is not None:  # numba's own `Event.is_failed` says the contrary
+            cache = event.data["dispatcher"]._cache
+            if isinstance(cache, KernelCache):
+                cache.release()
         if threading.current_thread() is not threading.main_thread():
             return
         self._depth -= 1

@@ -1,6 +1,5 @@
 """Property tests draw the same examples in every run. Real-time tests are done again if the machine stood still when they failed."""
 
-import os
 import sys
 from pathlib import Path
 
@@ -12,11 +11,6 @@ from tiny_bus import tiny_bus
 
 settings.register_profile("coulombus", derandomize=True, deadline=None)
 settings.load_profile("coulombus")
-
-worker = os.environ.get("PYTEST_XDIST_WORKER", "gw0")
-if worker != "gw0":  # two that compile one kernel at the same time may spoil numba's index: each has a cache of its own
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    os.environ["NUMBA_CACHE_DIR"] = f"{os.environ.get('NUMBA_CACHE_DIR') or home / 'coulombus' / 'numba'}-{worker}"
 
 ROOMS = {path.name for path in (Path(__file__).resolve().parents[1] / "coulombus").iterdir() if path.is_symlink()}
 

@@ -8,8 +8,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-from coulombus.compiled.decorator import CACHE_DIR, JIT_DISABLED, source_key
+from coulombus.compiled.decorator import CACHE_DIR, JIT_DISABLED
 from coulombus.compiled.kernel_cache import KEPT, MARKER
+from coulombus.compiled.sources import source_key
 
 import pytest  # isort: skip
 
@@ -35,7 +36,7 @@ def python(code, directory, **environment):
         capture_output=True,
         text=True,
         check=True,
-        timeout=120,
+        timeout=900,
     )
 
 
@@ -45,7 +46,7 @@ def test_an_edited_callee_in_another_file_is_compiled_anew(tmp_path):
         (tmp_path / package).mkdir()
         (tmp_path / package / "__init__.py").touch()
     rooms = tmp_path / "coulombus"
-    for name in ("decorator.py", "kernel_cache.py", "kernel_files.py"):
+    for name in ("decorator.py", "kernel_cache.py", "kernel_files.py", "sources.py"):
         (rooms / "compiled" / name).write_text((ROOT / "compiled" / name).read_text())
     (rooms / "host" / "caller.py").write_text(CALLER)
     call = "from coulombus.host.caller import caller; print(caller(1), sum(caller.stats.cache_hits.values()))"
@@ -55,6 +56,10 @@ def test_an_edited_callee_in_another_file_is_compiled_anew(tmp_path):
     assert run(call, tmp_path, **cache) == "20 1"
     (rooms / "host" / "callee.py").write_text(CALLEE.format(2))
     assert run(call, tmp_path, **cache) == "30 0"
+    (rooms / "host" / "other.py").write_text("edited = 1\n")  # a new directory, but nothing to compile
+    assert run(call, tmp_path, **cache) == "30 1"
+    (rooms / "host" / "callee.py").write_text(CALLEE.format(1))  # edited back: an older directory has it
+    assert run(call, tmp_path, **cache) == "20 1"
 
 
 @pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
@@ -67,6 +72,41 @@ def test_nothing_compiles_on_the_second_start():
     after = {path: path.stat().st_mtime_ns for path in CACHE_DIR.rglob("*.nb[ic]")}
     assert before
     assert after == before
+
+
+IMPORTS = """
+from coulombus.wire.one import (
+    a,
+    b as c,
+)
+from coulombus.wire import two, three as third
+
+def late():
+    import coulombus.wire.four.five
+    from coulombus.six import seven
+"""
+
+
+def test_the_stamp_follows_what_is_imported_and_nothing_else(tmp_path):
+    names = ("wire/one", "wire/two", "wire/three", "wire/four/five", "six", "wire/__init__", "wire/four/__init__")
+    (tmp_path / "wire" / "four").mkdir(parents=True)
+    (tmp_path / "top.py").write_text(IMPORTS)
+    for name in (*names, "wire/unrelated", "wire/deep"):
+        (tmp_path / f"{name}.py").write_text("")
+    (tmp_path / "wire" / "one.py").write_text("from coulombus.wire.deep import d\n")
+
+    def now():
+        code = f"print(stamp({str(tmp_path / 'top.py')!r}, Path({str(tmp_path)!r})))"
+        return run(f"from pathlib import Path; from coulombus.compiled.sources import stamp; {code}", ROOT)
+
+    found = [now()]
+    for name in (*names, "wire/deep"):
+        with (tmp_path / f"{name}.py").open("a") as file:
+            file.write("x = 1\n")
+        found.append(now())
+    assert len(set(found)) == len(found)
+    (tmp_path / "wire" / "unrelated.py").write_text("x = 1\n")
+    assert now() == found[-1]
 
 
 def test_the_key_follows_every_source(tmp_path):
@@ -240,6 +280,47 @@ def test_a_cache_that_takes_no_more_is_told_once(own_kernels):
     assert result == "2 -1 0"
     assert told.count("\n") == told.count("cannot be kept") == 1
     assert "No space left on device" in told
+
+
+@pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
+def test_of_several_processes_one_compiles(tmp_path):
+    (tmp_path / "own.py").write_text(OWN)
+    code = f"import sys; sys.path.append({str(tmp_path)!r}); import own; input(); print(own.g(5), len(own.g.stats.cache_hits))"
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    several = [
+        subprocess.Popen(
+            [sys.executable, "-c", code], env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        for _ in range(3)
+    ]
+    for one in several:  # all have been started when the first begins
+        one.stdin.write("\n")
+        one.stdin.flush()
+    said = sorted(one.communicate(timeout=120)[0].strip() for one in several)
+    assert said == ["-1 0", "-1 1", "-1 1"]
+
+
+@pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
+def test_a_kernel_that_cannot_be_compiled_keeps_nobody_waiting(own_kernels, tmp_path):
+    bad = "import numba\nwhile True:\n try:\n  own.f('x')\n except numba.TypingError:\n  break\nimport fcntl, struct, pathlib, compiled_dir"
+    (tmp_path / "compiled_dir.py").write_text(
+        "import fcntl, os, struct\n"
+        "from coulombus.compiled.decorator import CACHE_DIR\n"
+        "lock = os.open(CACHE_DIR / 'compiling', os.O_RDWR)\n"
+        "fcntl.fcntl(lock, fcntl.F_OFD_SETLK, struct.pack('hhqqi4x', fcntl.F_WRLCK, 0, 0, 0, 0))\n"  # all of it
+        "os.close(lock)\n"
+    )
+    (tmp_path / "own.py").write_text(OWN)
+    code = f"import sys; sys.path.append({str(tmp_path)!r}); import own\n{bad}\nprint(own.f(1))"
+    done = python(code, ROOT, NUMBA_CACHE_DIR=str(tmp_path / "cache"))
+    assert (done.stdout, done.stderr) == ("2\n", "")
+
+
+@pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
+def test_a_kernel_that_stands_in_no_file_is_compiled_and_not_kept(tmp_path):
+    code = "from coulombus.compiled.decorator import kernel\n@kernel\ndef f(x):\n    return x + 1\nprint(f(1))"
+    assert run(code, ROOT, NUMBA_CACHE_DIR=str(tmp_path)) == "2"
+    assert list(tmp_path.rglob("*.nbc")) == []
 
 
 INTERRUPTED = """
