@@ -15,6 +15,7 @@ from coulombus.rigs.overrides import SHARED_MACHINE
 from coulombus.wire.address import parse_address
 from coulombus.wire.client import BusUnavailable, Client, pack_frame
 from coulombus.wire.hello import Hello
+from warm_start import Warm
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 PATIENCE_S = 240  # never reached where all is well; the first start compiles
@@ -24,14 +25,21 @@ taps_s = [0.2, 0.5], tap_Nm = 0.6, tap_s = 0.01}}]"""
 STROKE = f"""[{REST}, {{kind = "stroke", duration_s = 20.0, speed_rad_s = 2.0, move_s = 1.0, dwell_s = 1.0}}]"""
 
 
-def command(verb, *arguments, overrides=()):
+def words(verb, *arguments, overrides=()):
+    """Return what stands behind ``coulombus``."""
     sets = [part for text in (*SHARED_MACHINE, *overrides) for part in ("--set", text)]
-    return [sys.executable, "-m", "coulombus", verb, *map(str, arguments), *(sets if verb in ("run", "sim") else ())]
+    return [verb, *map(str, arguments), *(sets if verb in ("run", "sim") else ())]
+
+
+def command(verb, *arguments, overrides=()):
+    """Return the whole command, as a shell starts it."""
+    return [sys.executable, "-m", "coulombus", *words(verb, *arguments, overrides=overrides)]
 
 
 def start(verb, *arguments, overrides=(), **options):
-    return subprocess.Popen(
-        command(verb, *arguments, overrides=overrides),
+    cold = "preexec_fn" in options  # what is forked from a process that runs already cannot have one
+    return (subprocess.Popen if cold else Warm)(
+        (command if cold else words)(verb, *arguments, overrides=overrides),
         cwd=ROOT,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

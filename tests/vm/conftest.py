@@ -9,12 +9,12 @@ from __future__ import annotations
 import contextlib
 import json
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from vm_interfaces import INTERFACES, MISSING, ROOT
+from warm_start import Warm
 
 READY_S = 300  # under emulation everything takes its time
 
@@ -40,8 +40,8 @@ class Sim:
 
     def __init__(self, interface, *options):
         self.interface = interface
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "coulombus", "sim", "--bus", f"socketcan:{interface}", "--json", *options],
+        self.process = Warm(
+            ["sim", "--bus", f"socketcan:{interface}", "--json", *options],
             cwd=ROOT,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,

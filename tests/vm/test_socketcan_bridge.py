@@ -7,7 +7,6 @@ import signal
 import socket
 import struct
 import subprocess
-import sys
 
 import pytest
 
@@ -15,6 +14,7 @@ from coulombus.wire.address import parse_address
 from coulombus.wire.client import Client, pack_frame
 from tiny_bus import tiny_bus
 from vm_interfaces import ROOT
+from warm_start import Warm
 
 pytestmark = pytest.mark.real_time
 
@@ -30,9 +30,7 @@ def test_both_ways_and_nothing_goes_round(tmp_path, monkeypatch, interface):
         raw.bind((interface,))
         raw.settimeout(TIMEOUT_S)
         command = ["bridge", "coulombus:ours", f"socketcan:{interface}", "--json", "--ids", "100-1FF,00000005"]
-        process = subprocess.Popen(
-            [sys.executable, "-m", "coulombus", *command], cwd=ROOT, stdout=subprocess.PIPE, text=True
-        )
+        process = Warm(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
         try:
             assert json.loads(process.stdout.readline())["event"] == "ready"
             with Client(parse_address("coulombus:ours")) as client:

@@ -6,7 +6,6 @@ import json
 import signal
 import struct
 import subprocess
-import sys
 import threading
 import time
 from contextlib import contextmanager
@@ -18,6 +17,7 @@ from coulombus.wire.address import parse_address
 from coulombus.wire.client import BusFull, BusUnavailable, Client, pack_frame
 from coulombus.wire.hello import Hello
 from vm_interfaces import INTERFACES, ROOT
+from warm_start import Warm
 
 pytestmark = pytest.mark.real_time
 
@@ -46,9 +46,9 @@ def sim(start_sim):
 
 @contextmanager
 def host(interface, *arguments, mode="passive", seconds=2.0):
-    process = subprocess.Popen(
+    process = Warm(
         [
-            *(sys.executable, "-m", "coulombus", "run", "--bus", f"socketcan:{interface}", "--mode", mode, "--json"),
+            *("run", "--bus", f"socketcan:{interface}", "--mode", mode, "--json"),
             *("--seconds", str(seconds), *SETS, *map(str, arguments)),
         ],
         cwd=ROOT,

@@ -6,15 +6,16 @@ import contextlib
 import socket
 import struct
 import subprocess
-import sys
 import threading
 import time
+from functools import partial
 
 import canopen
 import pytest
 
 import canopen_clients
 from vm_interfaces import INTERFACES, ROOT
+from warm_start import Warm
 
 pytestmark = pytest.mark.real_time
 
@@ -139,12 +140,19 @@ def test_an_interface_that_goes_down_is_used_again_and_what_is_told_at_the_end(s
 def test_an_interface_that_is_removed_ends_the_sim():
     ip("add", "vcan9", "type", "vcan")
     try:
-        command = [sys.executable, "-m", "coulombus", "sim", "--bus", "socketcan:vcan9", "--json"]
-        refused = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+        sim = partial(
+            *(Warm, ["sim", "--bus", "socketcan:vcan9", "--json"]),
+            cwd=ROOT,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        refused = sim()
+        _, told = refused.communicate(timeout=TIMEOUT_S)
         assert refused.returncode == 4
-        assert "ip link set vcan9 up" in refused.stderr
+        assert "ip link set vcan9 up" in told
         ip("set", "vcan9", "up")
-        process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        process = sim()
         assert process.stdout is not None
         assert "ready" in process.stdout.readline()
     finally:
