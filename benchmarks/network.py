@@ -52,7 +52,7 @@ def memory_bytes() -> tuple[float, float]:
     """Return what one more node takes: its records, and all that Python allocates for it beside its dictionary."""
     description = read_eds(EDS)
     network = VirtualNetwork(capacity=32)
-    records = float(network.nodes.nbytes + network.rpdo.nbytes + network.tpdo.nbytes) / 32
+    records = float(network.nodes.nbytes) / 32
     network.add(description, 1)
     tracemalloc.start()
     before = tracemalloc.get_traced_memory()[0]

@@ -41,24 +41,24 @@ AccessType=rw
 
 
 @kernel
-def _carry(bus: Any, out: Any, log: Any, nodes: Any, rpdo: Any, tpdo: Any, until_ns: int) -> int:
+def _carry(bus: Any, out: Any, log: Any, node: Any, until_ns: int) -> int:
     """Go on until `until_ns` (0), or until the frame in `log[0]` is for Python's half of the node (1) or for the client (2)."""
     while True:
         start = start_ns(bus[0], out)
-        due = nodes[0].next_ns
+        due = node.next_ns
         if min(start, due) > until_ns:
             return _IDLE
         if due < start:
-            core.on_time(nodes, rpdo, tpdo, 0, due, out)
+            core.on_time(node, due, out)
             continue
         start_frame(bus[0], out, start)
-        while nodes[0].next_ns < bus[0].end_ns:
-            core.on_time(nodes, rpdo, tpdo, 0, nodes[0].next_ns, out)
+        while node.next_ns < bus[0].end_ns:
+            core.on_time(node, node.next_ns, out)
         end_frame(bus[0], out, log, 0)
         f = log[0]
         if f.source != _CLIENT:
             return _HEARD
-        if core.on_frame(nodes, rpdo, tpdo, 0, f.t_ns, f.can_id, f.length, f.word, out):
+        if core.on_frame(node, f.t_ns, f.can_id, f.length, f.word, out):
             return _SERVICE
 
 
@@ -75,18 +75,18 @@ class NodeBus:
     """A node that is powered on, its bus of `bitrate_bit_s`, and a client that answers at once."""
 
     def __init__(self, bitrate_bit_s: int = 1_000_000) -> None:
-        self._nodes, self._rpdo, self._tpdo = new_nodes(1)
+        self._node = new_nodes(1)[0]
         self._out = new_queue()
         self._bus, self._log = new_bus(bitrate_bit_s), frames(1)
         eds = parse_eds(EDS, "benchmark.eds")
-        self.device = Device(eds, NODE_ID, KIND_GENERIC, self._nodes, self._rpdo, self._tpdo, 0)
+        self.device = Device(eds, NODE_ID, KIND_GENERIC, self._node)
         self.device.power_on(0, self._out)
         self._t = 1_000_000
         while self._step() != _IDLE:
             pass
 
     def _step(self) -> int:
-        arguments = (self._bus, self._out, self._log, self._nodes, self._rpdo, self._tpdo)
+        arguments = (self._bus, self._out, self._log, self._node)
         why = int(_carry(*arguments, self._t))
         if why != _IDLE:
             f = self._log[0]

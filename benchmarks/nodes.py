@@ -36,11 +36,11 @@ class _Deaf(canopen.Network):  # type: ignore[misc]  # canopen has no types
 
 def expedited_us() -> tuple[float, float]:
     """Time of an expedited upload from the request to its response, in us: ours, LocalNode's. They take turns."""
-    nodes, rpdo, tpdo = new_nodes(1)
+    nodes = new_nodes(1)
     out = new_queue()
-    Device(read_eds(MOTOR), 1, KIND_DRIVE, nodes, rpdo, tpdo, 0).power_on(0, out)
+    Device(read_eds(MOTOR), 1, KIND_DRIVE, nodes[0]).power_on(0, out)
     handle = Entry(core.handle)
-    arguments = (nodes, rpdo, tpdo, 0, 1000, 0x601, 8, data_word(REQUEST), out)
+    arguments = (nodes[0], 1000, 0x601, 8, data_word(REQUEST), out)
 
     def ours() -> None:
         handle(*arguments)
@@ -71,21 +71,21 @@ def _seconds(function: Callable[[], None]) -> float:
 def fuzz(frames: int, seed: int = 0) -> dict[str, int]:
     """Send random and mutated frames to a node in virtual time and return its counters; any exception is a failure."""
     rng = random.Random(seed)
-    nodes, rpdo, tpdo = new_nodes(1)
+    nodes = new_nodes(1)
     out = new_queue()
-    device = Device(parse_eds(MOTOR.read_bytes(), str(MOTOR)), 1, KIND_DRIVE, nodes, rpdo, tpdo, 0)
+    device = Device(parse_eds(MOTOR.read_bytes(), str(MOTOR)), 1, KIND_DRIVE, nodes[0])
     device.power_on(0, out)
     handle, on_time = Entry(core.handle), Entry(core.on_time)
     row, t, answers = nodes.view(np.ndarray)[0], 0, 0
     for _ in range(frames):
         t += rng.randrange(50_000, 400_000)
         while row["next_ns"] < t:
-            on_time(nodes, rpdo, tpdo, 0, int(row["next_ns"]), out)
+            on_time(nodes[0], int(row["next_ns"]), out)
             answers += int(out["count"])
             out["count"] = 0
         can_id, data = random_frame(rng)
         word = data_word(data)
-        if handle(nodes, rpdo, tpdo, 0, t, can_id, len(data), word, out):
+        if handle(nodes[0], t, can_id, len(data), word, out):
             device.service(t, can_id, len(data), word, out)
         answers += int(out["count"])
         out["count"] = 0

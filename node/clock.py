@@ -16,25 +16,25 @@ __all__ = ["link_changed", "on_frame", "on_time"]
 
 
 @kernel
-def on_frame(nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, can_id: int, length: int, data: int, out: Any) -> int:
+def on_frame(n: Any, t_ns: int, can_id: int, length: int, data: int, out: Any) -> int:
     """As `node.core.on_frame`, at `t_ns` of the bus."""
-    first, own = out.count, own_ns(nodes[i], t_ns)
-    wanted = core.on_frame(nodes, rpdo, tpdo, i, own, can_id, length, data, out)
-    to_bus(nodes[i], out, first)
+    first, own = out.count, own_ns(n, t_ns)
+    wanted = core.on_frame(n, own, can_id, length, data, out)
+    to_bus(n, out, first)
     return int(wanted)
 
 
 @kernel
-def on_time(nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, out: Any) -> None:
+def on_time(n: Any, t_ns: int, out: Any) -> None:
     """As `node.core.on_time`, at `t_ns` of the bus."""
-    first, own = out.count, own_ns(nodes[i], t_ns)
-    core.on_time(nodes, rpdo, tpdo, i, own, out)
-    to_bus(nodes[i], out, first)
+    first, own = out.count, own_ns(n, t_ns)
+    core.on_time(n, own, out)
+    to_bus(n, out, first)
 
 
 @kernel
-def link_changed(nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, link: int, out: Any) -> None:
+def link_changed(n: Any, t_ns: int, link: int, out: Any) -> None:
     """As `node.core.link_changed`, at `t_ns` of the bus."""
-    first, own = out.count, own_ns(nodes[i], t_ns)
-    core.link_changed(nodes, rpdo, tpdo, i, own, link, out)
-    to_bus(nodes[i], out, first)
+    first, own = out.count, own_ns(n, t_ns)
+    core.link_changed(n, own, link, out)
+    to_bus(n, out, first)

@@ -17,20 +17,18 @@ from coulombus.node.communication_checks import CHECKS, CONSUMER, INVALID, PRODU
 from coulombus.node.dictionary import Dictionary, SdoAbort
 from coulombus.node.pdo_parameters import Pdos
 from coulombus.node.record import FAR_FUTURE_NS, MAX_CONSUMERS, MAX_HISTORY
-from coulombus.wire.frame import Records
+from coulombus.wire.frame import Record
 
 __all__ = ["Communication"]
 
 
 class Communication:
-    """The communication objects of the node in row `i`."""
+    """The communication objects of a node, by its record."""
 
-    def __init__(self, dictionary: Dictionary, nodes: Records, rpdo: Records, tpdo: Records, i: int) -> None:
+    def __init__(self, dictionary: Dictionary, node: Record) -> None:
         self._dictionary = dictionary
-        self._node = nodes[i]
-        self._rpdo = rpdo[i]
-        self._tpdo = tpdo[i]
-        self.pdos = Pdos(dictionary, nodes, rpdo, tpdo, i)
+        self._node = node
+        self.pdos = Pdos(dictionary, node)
 
     def sdo_servers(self) -> list[tuple[int, int, int]]:
         """Return the SDO servers that are valid: (number from 0, identifier of the requests, of the responses)."""
@@ -104,7 +102,7 @@ class Communication:
         if node["sync_overflow"] != number(0x1019):
             node["sync_overflow"] = number(0x1019)
             for k in range(int(node["tpdo_used"])):
-                node["tpdo_count"][k] = -1 if self._tpdo[k]["sync_start"] and node["sync_overflow"] else 0
+                node["tpdo_count"][k] = -1 if node["tpdo"][k]["sync_start"] and node["sync_overflow"] else 0
 
     def _refresh_emcy(self, subindex: int, t_ns: int) -> None:
         cob_id = self._dictionary.number(0x1014, 0, 0x80 + self._dictionary.node_id)
@@ -158,14 +156,14 @@ class Communication:
                 route[0x700 + int(node["consumer_id"][k])] = core.ROUTE_CONSUMER + k
         node["rpdo_next"][:] = -1
         for k in reversed(range(int(node["rpdo_used"]))):
-            can_id = int(self._rpdo[k]["cob_id"])
+            can_id = int(node["rpdo"][k]["cob_id"])
             if can_id >= 0:
                 if core.ROUTE_PDO <= route[can_id] < core.ROUTE_CONSUMER:
                     node["rpdo_next"][k] = int(route[can_id]) - core.ROUTE_PDO
                 route[can_id] = core.ROUTE_PDO + k
         for k in range(int(node["tpdo_used"])):
-            if self._tpdo[k]["cob_id"] >= 0:
-                rtr[int(self._tpdo[k]["cob_id"])] = core.ROUTE_PDO + k
+            if node["tpdo"][k]["cob_id"] >= 0:
+                rtr[int(node["tpdo"][k]["cob_id"])] = core.ROUTE_PDO + k
         rtr[CobId.HEARTBEAT + int(node["node_id"])] = core.ROUTE_GUARD
         if self._dictionary.number(0x1012) & CONSUMER:
             route[int(node["time_id"])] = core.ROUTE_TIME

@@ -1,21 +1,18 @@
 """The compiled half of a CANopen device: what happens on a frame and what happens at a time.
 
-`on_frame` and `on_time` are functions of their arguments: the node's records, the time, a frame. They push what the
+`on_frame` and `on_time` are functions of their arguments: the node's record, the time, a frame. They push what the
 node answers to the queue and keep the node's next deadline in `next_ns`. Deadlines are lazy: a reception only stores
 its time, and `on_time`, when it is called at `next_ns`, finds out whether something is late and computes the next
 deadline. A frame that has the same time as a deadline is handled first, so it is in time.
 
-Python (`node.device`) serves NMT commands and SDO, for which `on_frame` returns 1, and edits the same records.
-
-A kernel that calls `on_frame` for every frame passes its arrays through `compiled.decorator.borrowed` first: a frame that is
-not the node's own then costs below 1 ns (25 ns otherwise).
+Python (`node.device`) serves NMT commands and SDO, for which `on_frame` returns 1, and edits the same record.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
-from coulombus.compiled.decorator import borrowed, inlined, kernel
+from coulombus.compiled.decorator import inlined, kernel
 from coulombus.node import deadlines, emcy, expedited, guarding, outbox, pdo, segments
 from coulombus.node.reactions import (
     BY_ITSELF,
@@ -63,10 +60,7 @@ _ALL_NODES = 0
 
 @inlined
 def on_frame(
-    nodes: Any,
-    rpdo: Any,
-    tpdo: Any,
-    i: int,
+    n: Any,
     t_ns: int,
     can_id: int,
     length: int,
@@ -74,17 +68,14 @@ def on_frame(
     out: Any,
 ) -> int:
     """Handle a frame whose end was at `t_ns`; return 1 when Python has to serve it (SDO, NMT, LSS), else 0."""
-    if can_id <= 0x7FF and nodes[i].route[can_id] == ROUTE_NONE:
+    if can_id <= 0x7FF and n.route[can_id] == ROUTE_NONE:
         return 0
-    return handle(nodes, rpdo, tpdo, i, t_ns, can_id, length, data, out)
+    return handle(n, t_ns, can_id, length, data, out)
 
 
 @kernel
 def handle(
-    nodes: Any,
-    rpdo: Any,
-    tpdo: Any,
-    i: int,
+    n: Any,
     t_ns: int,
     can_id: int,
     length: int,
@@ -92,24 +83,22 @@ def handle(
     out: Any,
 ) -> int:
     """Do what `on_frame` does; for callers that are not compiled themselves."""
-    nodes, rpdo, tpdo = borrowed(nodes), borrowed(rpdo), borrowed(tpdo)
-    n = nodes[i]
     if can_id > 0x7FF:  # remote, extended or error frame
         if can_id & ~0x7FF == CAN_RTR_FLAG and n.powered and t_ns >= n.silent_ns:
             route = int(n.rtr_route[can_id & 0x7FF])
             if route == ROUTE_GUARD:
-                guarding.answer(n, i, t_ns, out)
+                guarding.answer(n, t_ns, out)
             elif route >= ROUTE_PDO and n.nmt == _OPERATIONAL:
-                pdo.answer_rtr(nodes, tpdo, i, route - ROUTE_PDO, t_ns, out)
+                pdo.answer_rtr(n, route - ROUTE_PDO, t_ns, out)
         return 0
     route = int(n.route[can_id])
     if route == ROUTE_NONE or n.powered == 0 or t_ns < n.silent_ns:
         return 0
     if route == ROUTE_SYNC:
-        _sync(nodes, rpdo, tpdo, i, t_ns, length, data, out)
+        _sync(n, t_ns, length, data, out)
         return 0
     if route >= ROUTE_CONSUMER:
-        deadlines.heartbeat_received(n, i, route - ROUTE_CONSUMER, t_ns, length, data, out)
+        deadlines.heartbeat_received(n, route - ROUTE_CONSUMER, t_ns, length, data, out)
         return 0
     if route >= ROUTE_PDO:
         if n.nmt != _OPERATIONAL:
@@ -118,10 +107,10 @@ def handle(
         acted = 0
         k = route - ROUTE_PDO
         while k >= 0:
-            acted |= pdo.receive(nodes, rpdo, i, k, t_ns, length, data, out)
+            acted |= pdo.receive(n, k, t_ns, length, data, out)
             k = n.rpdo_next[k]
         if acted and n.tpdo_events > 0:
-            n.next_ns = min(n.next_ns, pdo.transmit_events(nodes, tpdo, i, t_ns, n.next_ns, out))
+            n.next_ns = min(n.next_ns, pdo.transmit_events(n, t_ns, n.next_ns, out))
         return 0
     if route == ROUTE_NMT:
         if length < 2:
@@ -145,111 +134,104 @@ def handle(
         return 0
     if n.segments_open > 0 and segments.collect(n, t_ns, can_id, length, data):
         return 0
-    return 0 if expedited.answer(n, i, t_ns, can_id, length, data, out) else 1
+    return 0 if expedited.answer(n, t_ns, can_id, length, data, out) else 1
 
 
 @inlined
-def _sync(nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, length: int, data: int, out: Any) -> None:
+def _sync(n: Any, t_ns: int, length: int, data: int, out: Any) -> None:
     """Act on a SYNC: RPDOs act, inputs are sampled, synchronous TPDOs go out."""
-    n = nodes[i]
     if n.nmt != _OPERATIONAL:
         return
     if length != (1 if n.sync_overflow > 0 else 0):
         n.dropped_length += 1
-        emcy.come(n, i, t_ns, emcy.SYNC_LENGTH, length, out)
+        emcy.come(n, t_ns, emcy.SYNC_LENGTH, length, out)
         return
     n.sync_ns = t_ns
     if n.causes & (1 << emcy.SYNC_LENGTH | 1 << emcy.SYNC_LOST):
-        emcy.gone(n, i, t_ns, emcy.SYNC_LENGTH, out)
+        emcy.gone(n, t_ns, emcy.SYNC_LENGTH, out)
         if n.causes >> emcy.SYNC_LOST & 1:
-            emcy.gone(n, i, t_ns, emcy.SYNC_LOST, out)
+            emcy.gone(n, t_ns, emcy.SYNC_LOST, out)
             n.sync_armed = 0
     if n.sync_armed == 0:
         n.sync_armed = 1
         n.next_ns = min(n.next_ns, t_ns + 1)  # to schedule the watch
     if n.kind != KIND_GENERIC:
-        inputs(n, i, t_ns, out)
+        inputs(n, t_ns, out)
     if n.rpdo_pending:
-        pdo.act_pending(nodes, rpdo, i, t_ns, out)
+        pdo.act_pending(n, t_ns, out)
     step(n, t_ns)
     sample(n)
-    pdo.transmit_sync(nodes, tpdo, i, t_ns, data & 0xFF if length else -1, out)
+    pdo.transmit_sync(n, t_ns, data & 0xFF if length else -1, out)
     if n.tpdo_events > 0:
-        n.next_ns = min(n.next_ns, pdo.transmit_events(nodes, tpdo, i, t_ns, n.next_ns, out))
+        n.next_ns = min(n.next_ns, pdo.transmit_events(n, t_ns, n.next_ns, out))
 
 
 @kernel
-def on_time(nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, out: Any) -> None:
+def on_time(n: Any, t_ns: int, out: Any) -> None:
     """Judge what is due at `t_ns`, and set `next_ns`."""
-    nodes, rpdo, tpdo = borrowed(nodes), borrowed(rpdo), borrowed(tpdo)
-    n = nodes[i]
     if n.powered == 0:
         n.next_ns = FAR_FUTURE_NS
         return
     if n.kind != KIND_GENERIC:
-        inputs(n, i, t_ns, out)
-    if deadlines.expire(nodes, rpdo, i, t_ns, out):
-        _react(nodes, rpdo, tpdo, i, t_ns, n.error_behaviour, out)
+        inputs(n, t_ns, out)
+    if deadlines.expire(n, t_ns, out):
+        _react(n, t_ns, n.error_behaviour, out)
     if n.causes & emcy.DEVICE_MASK and n.device_error_behaviour != 1:
-        _react(nodes, rpdo, tpdo, i, t_ns, n.device_error_behaviour, out)
+        _react(n, t_ns, n.device_error_behaviour, out)
     if n.outbox_count > 0 and t_ns >= n.outbox_next_ns:
-        outbox.drain(n, i, t_ns, out)
+        outbox.drain(n, t_ns, out)
     if n.sync_producer_ns > 0 and n.nmt != _STOPPED and t_ns >= n.sync_next_ns:
-        _produce_sync(nodes, rpdo, tpdo, i, t_ns, out)
+        _produce_sync(n, t_ns, out)
     step(n, t_ns)
-    _schedule(nodes, rpdo, tpdo, i, t_ns, out)
+    _schedule(n, t_ns, out)
 
 
 @kernel
-def _react(nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, behaviour: int, out: Any) -> None:
+def _react(n: Any, t_ns: int, behaviour: int, out: Any) -> None:
     """Let NMT follow an error as 1029h says: 0 to PRE-OPERATIONAL from OPERATIONAL, 1 nothing, 2 to STOPPED."""
-    n = nodes[i]
     if behaviour == 0 and n.nmt == _OPERATIONAL:
-        set_nmt(nodes, rpdo, tpdo, i, t_ns, _PRE_OPERATIONAL, BY_ITSELF, out)
+        set_nmt(n, t_ns, _PRE_OPERATIONAL, BY_ITSELF, out)
     elif behaviour == 2 and n.nmt != _STOPPED:
-        set_nmt(nodes, rpdo, tpdo, i, t_ns, _STOPPED, BY_ITSELF, out)
+        set_nmt(n, t_ns, _STOPPED, BY_ITSELF, out)
 
 
 @kernel
-def _produce_sync(nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, out: Any) -> None:
-    n = nodes[i]
+def _produce_sync(n: Any, t_ns: int, out: Any) -> None:
     length = 0
     if n.sync_overflow > 0:
         length = 1
         n.sync_counter = n.sync_counter % n.sync_overflow + 1
-    push(out, i, t_ns, n.sync_id, length, n.sync_counter if length else 0)
+    push(out, n.station, t_ns, n.sync_id, length, n.sync_counter if length else 0)
     n.sync_next_ns += n.sync_producer_ns
     if n.sync_next_ns <= t_ns:  # called too late: no burst
         n.sync_next_ns = t_ns + n.sync_producer_ns
-    _sync(nodes, rpdo, tpdo, i, t_ns, length, n.sync_counter, out)
+    _sync(n, t_ns, length, n.sync_counter, out)
 
 
 @kernel
-def _schedule(nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, out: Any) -> None:
-    n = nodes[i]
-    next_ns = min(deadlines.next_deadline(nodes, rpdo, i, FAR_FUTURE_NS), n.outbox_next_ns)
+def _schedule(n: Any, t_ns: int, out: Any) -> None:
+    next_ns = min(deadlines.next_deadline(n, FAR_FUTURE_NS), n.outbox_next_ns)
     if n.sync_producer_ns > 0 and n.nmt != _STOPPED:
         next_ns = min(next_ns, n.sync_next_ns)
     next_ns = next_deadline(n, t_ns, next_ns)
     if n.nmt == _OPERATIONAL and n.tpdo_events > 0:
-        next_ns = pdo.transmit_events(nodes, tpdo, i, t_ns, next_ns, out)
+        next_ns = pdo.transmit_events(n, t_ns, next_ns, out)
     n.next_ns = max(next_ns, t_ns + 1)
 
 
 @kernel
-def set_nmt(nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, state: int, why: int, out: Any) -> None:
+def set_nmt(n: Any, t_ns: int, state: int, why: int, out: Any) -> None:
     """Change the NMT state; leaving OPERATIONAL, STOPPED and any reset make the output safe (`why`: node.reactions)."""
-    n = nodes[i]
     before = n.nmt
     n.nmt = state
     if before == _OPERATIONAL and state != _OPERATIONAL:
         pdo.forget_pending(n)
-        deadlines.stop(n, i, t_ns, out)
+        deadlines.stop(n, t_ns, out)
     if why == BY_RESET or (before != state and (before == _OPERATIONAL or state == _STOPPED)):
-        connection_lost(n, i, t_ns, why, out)
+        connection_lost(n, t_ns, why, out)
     if before != _OPERATIONAL and state == _OPERATIONAL:
         n.sync_armed = 0
-        pdo.start(nodes, tpdo, i, t_ns)
+        pdo.start(n, t_ns)
     if state in (_STOPPED, _INITIALISING):
         n.emcy_waiting = 0
     if state == _INITIALISING:
@@ -258,60 +240,57 @@ def set_nmt(nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, state: int, why
         n.sync_counter = 0
         n.sync_next_ns = t_ns + n.sync_producer_ns
     step(n, t_ns)
-    _schedule(nodes, rpdo, tpdo, i, t_ns, out)
+    _schedule(n, t_ns, out)
 
 
 @kernel
-def written(nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, carries: int, out: Any) -> None:
+def written(n: Any, t_ns: int, carries: int, out: Any) -> None:
     """Let the device act on what Python wrote to `values` or to the records (an SDO download)."""
-    n = nodes[i]
-    deadlines.settle(n, i, t_ns, out)
-    apply(n, i, t_ns, t_ns, carries, out)
+    deadlines.settle(n, t_ns, out)
+    apply(n, t_ns, t_ns, carries, out)
     step(n, t_ns)
-    _schedule(nodes, rpdo, tpdo, i, t_ns, out)
+    _schedule(n, t_ns, out)
 
 
 @kernel
-def forget_connections(nodes: Any, i: int, t_ns: int, out: Any) -> None:
+def forget_connections(n: Any, t_ns: int, out: Any) -> None:
     """After a reset nothing is watched yet, so no loss of a connection is present."""
-    deadlines.settle(nodes[i], i, t_ns, out)
-    emcy.gone(nodes[i], i, t_ns, emcy.RPDO_SHORT, out)
-    emcy.gone(nodes[i], i, t_ns, emcy.RPDO_LONG, out)
-    emcy.gone(nodes[i], i, t_ns, emcy.SYNC_LENGTH, out)
-    emcy.update_register(nodes[i])
+    deadlines.settle(n, t_ns, out)
+    emcy.gone(n, t_ns, emcy.RPDO_SHORT, out)
+    emcy.gone(n, t_ns, emcy.RPDO_LONG, out)
+    emcy.gone(n, t_ns, emcy.SYNC_LENGTH, out)
+    emcy.update_register(n)
 
 
 @kernel
-def link_changed(nodes: Any, rpdo: Any, tpdo: Any, i: int, t_ns: int, link: int, out: Any) -> None:
+def link_changed(n: Any, t_ns: int, link: int, out: Any) -> None:
     """Act on what the node's CAN controller tells (`wire.link.LINK_...`).
 
     Bus-off is a communication error: the fault reaction, and what 1029h:01 says, as without heartbeats. Its EMCY can go out
     when the controller is back only (8140h), and as the error is gone then, "error reset" follows unless a drive holds its fault.
     """
-    n = nodes[i]
     if n.powered == 0:
         return
     if link == LINK_PASSIVE:
-        emcy.come(n, i, t_ns, emcy.ERROR_PASSIVE, 0, out)
+        emcy.come(n, t_ns, emcy.ERROR_PASSIVE, 0, out)
     elif link == LINK_ACTIVE:
-        emcy.gone(n, i, t_ns, emcy.ERROR_PASSIVE, out)
+        emcy.gone(n, t_ns, emcy.ERROR_PASSIVE, out)
     elif link == LINK_OFF:
         n.emcy_waiting = 0
         n.causes = n.causes & ~(1 << emcy.ERROR_PASSIVE) | 1 << emcy.BUS_OFF
         n.latched &= ~(1 << emcy.ERROR_PASSIVE | 1 << emcy.BUS_OFF)
         react(n, t_ns, emcy.BUS_OFF)
-        _react(nodes, rpdo, tpdo, i, t_ns, n.error_behaviour, out)
+        _react(n, t_ns, n.error_behaviour, out)
     elif link == LINK_RECOVERED:
-        alarm(n, i, t_ns, emcy.BUS_OFF, 0, out)
-        emcy.gone(n, i, t_ns, emcy.BUS_OFF, out)
+        alarm(n, t_ns, emcy.BUS_OFF, 0, out)
+        emcy.gone(n, t_ns, emcy.BUS_OFF, out)
     step(n, t_ns)
-    _schedule(nodes, rpdo, tpdo, i, t_ns, out)
+    _schedule(n, t_ns, out)
 
 
 @kernel
-def refresh_inputs(nodes: Any, i: int, t_ns: int) -> None:
+def refresh_inputs(n: Any, t_ns: int) -> None:
     """Bring the values that the device measures up to date (before an SDO upload)."""
-    n = nodes[i]
     if n.powered:
         step(n, t_ns)
         sample(n)

@@ -21,7 +21,7 @@ _WAITING, _ALIVE, _LOST = 0, 1, 2
 
 
 @kernel
-def heartbeat_received(n: Any, i: int, k: int, t_ns: int, length: int, data: int, out: Any) -> None:
+def heartbeat_received(n: Any, k: int, t_ns: int, length: int, data: int, out: Any) -> None:
     """Take a heartbeat of consumer entry `k`; a boot-up is none: who has just started has lost its connections."""
     if length < 1:
         n.dropped_length += 1
@@ -35,11 +35,11 @@ def heartbeat_received(n: Any, i: int, k: int, t_ns: int, length: int, data: int
     n.consumer_state[k] = _ALIVE
     n.next_ns = min(n.next_ns, t_ns + n.consumer_ns[k])
     if before == _LOST:
-        settle(n, i, t_ns, out)
+        settle(n, t_ns, out)
 
 
 @kernel
-def settle(n: Any, i: int, t_ns: int, out: Any) -> None:
+def settle(n: Any, t_ns: int, out: Any) -> None:
     """Release the losses that are no longer present: none lost any more, or no longer watched."""
     heartbeats, rpdos = 0, 0
     for k in range(n.consumers_used):
@@ -47,69 +47,67 @@ def settle(n: Any, i: int, t_ns: int, out: Any) -> None:
     for k in range(n.rpdo_used):
         rpdos += n.rpdo_lost[k]
     if heartbeats == 0 and n.causes >> emcy.HEARTBEAT & 1:
-        emcy.gone(n, i, t_ns, emcy.HEARTBEAT, out)
+        emcy.gone(n, t_ns, emcy.HEARTBEAT, out)
     if n.guard_state != guarding.LOST and n.causes >> emcy.LIFE_GUARDING & 1:
-        emcy.gone(n, i, t_ns, emcy.LIFE_GUARDING, out)
+        emcy.gone(n, t_ns, emcy.LIFE_GUARDING, out)
     if rpdos == 0 and n.causes >> emcy.RPDO_DEADLINE & 1:
-        emcy.gone(n, i, t_ns, emcy.RPDO_DEADLINE, out)
+        emcy.gone(n, t_ns, emcy.RPDO_DEADLINE, out)
     if n.sync_armed == 0 and n.causes >> emcy.SYNC_LOST & 1:
-        emcy.gone(n, i, t_ns, emcy.SYNC_LOST, out)
+        emcy.gone(n, t_ns, emcy.SYNC_LOST, out)
 
 
 @kernel
-def stop(n: Any, i: int, t_ns: int, out: Any) -> None:
+def stop(n: Any, t_ns: int, out: Any) -> None:
     """NMT left OPERATIONAL: SYNC and RPDOs are no longer expected, so their loss is no longer present."""
     n.sync_armed = 0
     for k in range(n.rpdo_used):
         n.rpdo_armed[k] = 0
         n.rpdo_lost[k] = 0
-    settle(n, i, t_ns, out)
+    settle(n, t_ns, out)
 
 
 @kernel
-def expire(nodes: Any, rpdo: Any, i: int, t_ns: int, out: Any) -> int:
+def expire(n: Any, t_ns: int, out: Any) -> int:
     """Judge what is late at `t_ns`; return 1 when a heartbeat or the guarding was lost now (1029h decides what NMT does)."""
-    n = nodes[i]
     lost_now = 0
     if n.heartbeat_ns > 0 and t_ns >= n.heartbeat_next_ns:
-        push(out, i, t_ns, 0x700 + n.node_id, 1, n.nmt)
+        push(out, n.station, t_ns, 0x700 + n.node_id, 1, n.nmt)
         n.heartbeat_next_ns += n.heartbeat_ns
         if n.heartbeat_next_ns <= t_ns:  # called too late: no burst
             n.heartbeat_next_ns = t_ns + n.heartbeat_ns
     if n.emcy_waiting > 0:
-        emcy.drain(n, i, t_ns, out)
+        emcy.drain(n, t_ns, out)
     for k in range(n.consumers_used):
         if n.consumer_state[k] == _ALIVE and t_ns - n.consumer_last_ns[k] >= n.consumer_ns[k]:
             n.consumer_state[k] = _LOST
             n.latched &= ~(1 << emcy.HEARTBEAT)  # each producer that is lost is told of
-            alarm(n, i, t_ns, emcy.HEARTBEAT, n.consumer_id[k], out)
+            alarm(n, t_ns, emcy.HEARTBEAT, n.consumer_id[k], out)
             lost_now = 1
     if guarding.late(n, t_ns):
         n.guard_state = guarding.LOST
-        alarm(n, i, t_ns, emcy.LIFE_GUARDING, 0, out)
+        alarm(n, t_ns, emcy.LIFE_GUARDING, 0, out)
         lost_now = 1
     if n.nmt == _OPERATIONAL:
         for k in range(n.rpdo_used):
-            p = rpdo[i, k]
+            p = n.rpdo[k]
             late = p.cob_id >= 0 and p.event_ns > 0 and t_ns - n.rpdo_ns[k] >= p.event_ns
             if late and n.rpdo_armed[k] and n.rpdo_lost[k] == 0:
                 n.rpdo_lost[k] = 1
-                alarm(n, i, t_ns, emcy.RPDO_DEADLINE, k + 1, out)
+                alarm(n, t_ns, emcy.RPDO_DEADLINE, k + 1, out)
         timeout_ns = n.values[slots.SYNC_TIMEOUT_US] * 1000
         if n.sync_armed and timeout_ns > 0 and t_ns - n.sync_ns >= timeout_ns and not n.causes >> emcy.SYNC_LOST & 1:
-            alarm(n, i, t_ns, emcy.SYNC_LOST, 0, out)
+            alarm(n, t_ns, emcy.SYNC_LOST, 0, out)
     for k in range(n.sdo_used):
         if t_ns >= n.sdo_deadline_ns[k]:
             if n.nmt != _STOPPED:
-                push(out, i, t_ns + n.processing_ns, n.sdo_abort_id[k], 8, n.sdo_abort_word[k])
+                push(out, n.station, t_ns + n.processing_ns, n.sdo_abort_id[k], 8, n.sdo_abort_word[k])
             n.sdo_deadline_ns[k] = FAR_FUTURE_NS
     return lost_now
 
 
 @kernel
-def next_deadline(nodes: Any, rpdo: Any, i: int, next_ns: int) -> int:
+def next_deadline(n: Any, next_ns: int) -> int:
     """Return the earlier of `next_ns` and the next of these deadlines."""
-    n = nodes[i]
     for k in range(n.sdo_used):
         next_ns = min(next_ns, n.sdo_deadline_ns[k])
     next_ns = guarding.next_deadline(n, next_ns)
@@ -122,7 +120,7 @@ def next_deadline(nodes: Any, rpdo: Any, i: int, next_ns: int) -> int:
             next_ns = min(next_ns, n.consumer_last_ns[k] + n.consumer_ns[k])
     if n.nmt == _OPERATIONAL:
         for k in range(n.rpdo_used):
-            p = rpdo[i, k]
+            p = n.rpdo[k]
             if p.cob_id >= 0 and p.event_ns > 0 and n.rpdo_armed[k] and n.rpdo_lost[k] == 0:
                 next_ns = min(next_ns, n.rpdo_ns[k] + p.event_ns)
         timeout_ns = n.values[slots.SYNC_TIMEOUT_US] * 1000

@@ -1,6 +1,6 @@
-"""A CANopen device: its description, its dictionary and its services, on one row of the records that the core runs on.
+"""A CANopen device: its description, its dictionary and its services, on the record that the core runs on.
 
-The owner of the records calls `core.on_frame` with every frame and `core.on_time` at ``nodes[i].next_ns``; when
+The owner of the records calls `core.on_frame` with every frame and `core.on_time` at ``record.next_ns``; when
 `on_frame` returns 1 it calls `Device.service` with the same arguments. Nothing here knows a socket, a thread or a clock.
 """
 
@@ -28,7 +28,7 @@ from coulombus.node.sdo_service import SdoService
 from coulombus.node.store import Store
 from coulombus.node.time_stamp import LENGTH as TIME_LENGTH
 from coulombus.node.time_stamp import time_of_day, time_word
-from coulombus.wire.frame import Queue, Records, push
+from coulombus.wire.frame import Queue, Record, push
 
 __all__ = ["SDO_TIMEOUT_NS", "Device"]
 
@@ -47,7 +47,7 @@ NMT_RESET: Mapping[int, int] = {NmtCommand.RESET_NODE: 0x0000, NmtCommand.RESET_
 
 
 class Device:
-    """The device in row `i` of `nodes`, `rpdo`, `tpdo`.
+    """A device and its record.
 
     Parameters
     ----------
@@ -57,8 +57,8 @@ class Device:
         1 to 127, or `eds.cia305.UNCONFIGURED`: it waits until an LSS master gives it one.
     kind
         `node.record.KIND_DRIVE`, `KIND_BRAKE` or `KIND_GENERIC` (any EDS: objects, PDOs and services, no behaviour).
-    nodes, rpdo, tpdo, i
-        From `node.record.new_nodes`, and the row that becomes this device.
+    record
+        The one of `node.record.new_nodes` that becomes this device.
     store
         Where it keeps what 1010h and LSS store; by default a memory of its own, which resets and power cycles do not clear.
 
@@ -73,10 +73,7 @@ class Device:
         description: Description,
         node_id: int,
         kind: int,
-        nodes: Records,
-        rpdo: Records,
-        tpdo: Records,
-        i: int,
+        record: Record,
         store: Store | None = None,
     ) -> None:
         if not 1 <= node_id <= 127 and node_id != UNCONFIGURED:
@@ -84,18 +81,16 @@ class Device:
         if kind not in (KIND_GENERIC, KIND_DRIVE, KIND_BRAKE):
             raise ValueError(f"kind {kind}; expected KIND_GENERIC, KIND_DRIVE or KIND_BRAKE of coulombus.node.record")
         self.description, self.node_id, self.kind = description, node_id, kind
-        self._records = (nodes, rpdo, tpdo, i)
-        self._nodes, self._i = nodes, i
-        self.record = nodes[i]
+        self.record = record
         self.record["node_id"], self.record["kind"] = node_id, kind
-        self.dictionary = Dictionary(description, node_id, kind, nodes["values"][i])
-        self.communication = Communication(self.dictionary, nodes, rpdo, tpdo, i)
+        self.dictionary = Dictionary(description, node_id, kind, record["values"])
+        self.communication = Communication(self.dictionary, record)
         self.store = Store() if store is None else store
         self.parameters = Parameters(self.dictionary, self.store, CARRIED[kind])
         access = Access(self.dictionary, self.communication, self.parameters, kind, self._changed)
         self._tabulate()
-        self._sdo = SdoService(access, self.communication, nodes, rpdo, tpdo, i)
-        self.lss = Lss(self.dictionary, node_id, nodes, i, self.store, self._reset_communication)
+        self._sdo = SdoService(access, self.communication, record)
+        self.lss = Lss(self.dictionary, record, node_id, self.store, self._reset_communication)
         self._now = 0
         self._load(0x0000, 0)
 
@@ -108,7 +103,7 @@ class Device:
 
     def __getitem__(self, key: tuple[int, int]) -> Value:
         """Return an object's present value, as a Python number, text or bytes."""
-        core.refresh_inputs(self._nodes, self._i, self._now)
+        core.refresh_inputs(self.record, self._now)
         self.communication.collect(key[0])
         return self.dictionary[key]
 
@@ -221,7 +216,7 @@ class Device:
                 self.lss.power_on()
                 record["causes"] = record["latched"] = record["history_count"] = 0
             self._load(first, t_ns)
-            core.forget_connections(self._nodes, self._i, t_ns, out)
+            core.forget_connections(self.record, t_ns, out)
             self._boot(t_ns, out)
         else:
             record["dropped_unknown"] += 1
@@ -242,7 +237,7 @@ class Device:
             return False
         if self.record["nmt"] not in (NmtState.OPERATIONAL, NmtState.PRE_OPERATIONAL):
             return False
-        push(out, self._i, t_ns, int(self.record["time_id"]), TIME_LENGTH, time_word(time))
+        push(out, self.record["station"], t_ns, int(self.record["time_id"]), TIME_LENGTH, time_word(time))
         return True
 
     def _boot(self, t_ns: int, out: Queue) -> None:
@@ -250,7 +245,7 @@ class Device:
             self.lss.mute()
             return
         ready_ns = t_ns + int(self.record["processing_ns"])
-        push(out, self._i, ready_ns, 0x700 + self.node_id, 1, NmtState.INITIALISING)
+        push(out, self.record["station"], ready_ns, 0x700 + self.node_id, 1, NmtState.INITIALISING)
         guarding.restart(self.record)
         self._set_nmt(t_ns, NmtState.PRE_OPERATIONAL, reactions.BY_COMMAND, out)
         if not self.dictionary.number(0x1F80, 0, STAYS_PRE_OPERATIONAL) & STAYS_PRE_OPERATIONAL:
@@ -262,4 +257,4 @@ class Device:
             self.record["next_ns"] = t_ns + 1  # what outlives the reset is told behind the boot-up
 
     def _set_nmt(self, t_ns: int, state: int, why: int, out: Queue) -> None:
-        core.set_nmt(*self._records, t_ns, int(state), why, out)
+        core.set_nmt(self.record, t_ns, int(state), why, out)

@@ -103,7 +103,7 @@ def update_register(n: Any) -> None:
 
 
 @kernel
-def _send(n: Any, i: int, t_ns: int, code: int, info: int, out: Any) -> None:
+def _send(n: Any, t_ns: int, code: int, info: int, out: Any) -> None:
     """Push the EMCY frame, or let it wait for the end of the inhibit time; STOPPED and INITIALISING allow none.
 
     So few wait that what is told is never old; the last of them is always the newest.
@@ -121,16 +121,16 @@ def _send(n: Any, i: int, t_ns: int, code: int, info: int, out: Any) -> None:
         n.next_ns = min(n.next_ns, max(n.emcy_ready_ns, t_ns + 1))
         return
     n.emcy_ready_ns = ready + n.emcy_inhibit_ns
-    push(out, i, ready, n.emcy_id, 8, word)
+    push(out, n.station, ready, n.emcy_id, 8, word)
 
 
 @kernel
-def drain(n: Any, i: int, t_ns: int, out: Any) -> None:
+def drain(n: Any, t_ns: int, out: Any) -> None:
     """Push what waited and is due now; an EMCY that was switched off meanwhile is forgotten."""
     if n.emcy_id < 0:
         n.emcy_waiting = 0
     while n.emcy_waiting > 0 and t_ns >= n.emcy_ready_ns:
-        push(out, i, t_ns, n.emcy_id, 8, n.emcy_word[0])
+        push(out, n.station, t_ns, n.emcy_id, 8, n.emcy_word[0])
         n.emcy_ready_ns = t_ns + n.emcy_inhibit_ns
         n.emcy_waiting -= 1
         for k in range(n.emcy_waiting):
@@ -138,7 +138,7 @@ def drain(n: Any, i: int, t_ns: int, out: Any) -> None:
 
 
 @kernel
-def come(n: Any, i: int, t_ns: int, cause: int, info: int, out: Any) -> None:
+def come(n: Any, t_ns: int, cause: int, info: int, out: Any) -> None:
     """Tell of a `cause` (bit number) that is present, once; `info` (16 bits) goes to bytes 3-4 and into 1003h."""
     bit = 1 << cause
     n.causes |= bit
@@ -150,22 +150,22 @@ def come(n: Any, i: int, t_ns: int, cause: int, info: int, out: Any) -> None:
         n.history[k] = n.history[k - 1]
     n.history[0] = _CODE[cause] | info << 16
     n.history_count = min(n.history_count + 1, MAX_HISTORY)
-    _send(n, i, t_ns, _CODE[cause], info, out)
+    _send(n, t_ns, _CODE[cause], info, out)
 
 
 @kernel
-def gone(n: Any, i: int, t_ns: int, cause: int, out: Any) -> None:
+def gone(n: Any, t_ns: int, cause: int, out: Any) -> None:
     """Release a `cause` that is no longer present; a drive's fault stays latched until its reset."""
     bit = 1 << cause
     n.causes &= ~bit
     if not n.latched & bit or (n.kind == KIND_DRIVE and FAULT_MASK & bit):
         return
-    clear_latches(n, i, t_ns, bit, out)
+    clear_latches(n, t_ns, bit, out)
 
 
 @kernel
-def clear_latches(n: Any, i: int, t_ns: int, mask: int, out: Any) -> None:
+def clear_latches(n: Any, t_ns: int, mask: int, out: Any) -> None:
     """Reset the latches of `mask` and send "error reset" with the register of what remains."""
     n.latched &= ~mask
     update_register(n)
-    _send(n, i, t_ns, 0x0000, 0, out)
+    _send(n, t_ns, 0x0000, 0, out)

@@ -34,7 +34,7 @@ def _place(n: Any, key: int) -> int:
 
 
 @kernel
-def answer(n: Any, i: int, t_ns: int, can_id: int, length: int, data: int, out: Any) -> bool:
+def answer(n: Any, t_ns: int, can_id: int, length: int, data: int, out: Any) -> bool:
     """Answer the request if it is one of these; tell whether it was."""
     if can_id != n.sdo_rx_id or length != 8 or data & 0xFF != _UPLOAD or n.sdo_deadline_ns[0] != FAR_FUTURE_NS:
         return False
@@ -48,5 +48,5 @@ def answer(n: Any, i: int, t_ns: int, can_id: int, length: int, data: int, out: 
     size = n.fast_size[place]
     value = n.values[n.fast_slot[place]] & ((1 << 8 * size) - 1)
     head = 0x43 | (4 - size) << 2 | (data & 0xFFFFFF00)
-    push(out, i, t_ns + n.processing_ns, n.sdo_tx_id, 8, head | value << 32)
+    push(out, n.station, t_ns + n.processing_ns, n.sdo_tx_id, 8, head | value << 32)
     return True

@@ -27,18 +27,18 @@ def restart(n: Any) -> None:
 
 
 @kernel
-def answer(n: Any, i: int, t_ns: int, out: Any) -> None:
+def answer(n: Any, t_ns: int, out: Any) -> None:
     """Answer a remote frame on 700h + node id."""
     if n.guard_on == 0 or n.nmt == _INITIALISING:
         return
-    push(out, i, t_ns + n.processing_ns, 0x700 + n.node_id, 1, n.guard_toggle << 7 | n.nmt)
+    push(out, n.station, t_ns + n.processing_ns, 0x700 + n.node_id, 1, n.guard_toggle << 7 | n.nmt)
     n.guard_toggle ^= 1
     if n.guard_life_ns > 0:
         n.guard_last_ns = t_ns
         if n.guard_state != _ALIVE:
             n.next_ns = min(n.next_ns, t_ns + n.guard_life_ns)
         if n.guard_state == LOST:
-            emcy.gone(n, i, t_ns, emcy.LIFE_GUARDING, out)
+            emcy.gone(n, t_ns, emcy.LIFE_GUARDING, out)
         n.guard_state = _ALIVE
 
 

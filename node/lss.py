@@ -18,7 +18,7 @@ from coulombus.node import core, outbox
 from coulombus.node.dictionary import Dictionary
 from coulombus.node.record import FAR_FUTURE_NS
 from coulombus.node.store import Store
-from coulombus.wire.frame import Queue, Records, data_bytes, data_word, push
+from coulombus.wire.frame import Queue, Record, data_bytes, data_word, push
 
 __all__ = ["Lss"]
 
@@ -31,12 +31,14 @@ _SECTION = "lss"
 
 
 class Lss:
-    """The LSS slave of the device in row `i` of `nodes`.
+    """The LSS slave of a device.
 
     Parameters
     ----------
     dictionary
         1018h is the identity: vendor, product, revision, serial number.
+    record
+        The device's, of `node.record.new_nodes`.
     node_id
         The persistent node id; `eds.cia305.UNCONFIGURED` for none.
     store
@@ -48,14 +50,13 @@ class Lss:
     def __init__(
         self,
         dictionary: Dictionary,
+        record: Record,
         node_id: int,
-        nodes: Records,
-        i: int,
         store: Store,
         restart: Callable[[int, Queue], None],
     ) -> None:
-        self._dictionary, self._nodes, self._i = dictionary, nodes, i
-        self._record, self._memory, self._restart = nodes[i], store, restart
+        self._dictionary, self._record = dictionary, record
+        self._memory, self._restart = store, restart
         self.state = LssState.WAITING
         self.node_id, self.rate = node_id, 0  # the rate: an index of `BIT_RATES`; no bus here changes its own
         kept = store.section(_SECTION)
@@ -119,7 +120,7 @@ class Lss:
             return
         if answer is not None:
             ready_ns = t_ns + int(record["processing_ns"])
-            push(out, self._i, ready_ns, CobId.LSS_TX, 8, data_word(answer.ljust(8, b"\0")))
+            push(out, self._record["station"], ready_ns, CobId.LSS_TX, 8, data_word(answer.ljust(8, b"\0")))
         back_to_waiting = content[0] == LssService.SWITCH_STATE_GLOBAL and self.state is LssState.WAITING
         if back_to_waiting and was_unconfigured and self.pending_node_id != UNCONFIGURED:
             self._restart(t_ns, out)
@@ -196,7 +197,7 @@ class Lss:
         self.rate = self.pending_rate
         delay_ns = int.from_bytes(data[1:3], "little") * 1_000_000
         record["sdo_deadline_ns"][:] = FAR_FUTURE_NS
-        outbox.forget(self._nodes, self._i, -1)
+        outbox.forget(self._record, -1)
         end_ns = t_ns + 2 * delay_ns
         record["silent_ns"] = record["emcy_ready_ns"] = end_ns
         for name in ("heartbeat_next_ns", "sync_next_ns"):

@@ -20,9 +20,8 @@ POLL_NS = 100_000
 
 
 @kernel
-def put(nodes: Any, i: int, t_ns: int, channel: int, can_id: int, words: Any) -> int:
+def put(n: Any, t_ns: int, channel: int, can_id: int, words: Any) -> int:
     """Let the segments `words` of the SDO server `channel` wait; return 0 when there is no room for them all."""
-    n = nodes[i]
     if n.outbox_count + words.shape[0] > OUTBOX:
         return 0
     if n.outbox_count == 0:
@@ -38,9 +37,8 @@ def put(nodes: Any, i: int, t_ns: int, channel: int, can_id: int, words: Any) ->
 
 
 @kernel
-def forget(nodes: Any, i: int, channel: int) -> None:
+def forget(n: Any, channel: int) -> None:
     """Take back what waits of the SDO server `channel` (-1: of all)."""
-    n = nodes[i]
     kept = 0
     for j in range(n.outbox_count):
         k = (n.outbox_first + j) % OUTBOX
@@ -56,12 +54,12 @@ def forget(nodes: Any, i: int, channel: int) -> None:
 
 
 @kernel
-def drain(n: Any, i: int, t_ns: int, out: Any) -> None:
+def drain(n: Any, t_ns: int, out: Any) -> None:
     """Move segments to the frame queue as far as there is room; a transfer that moves is not late."""
     room = min(AHEAD - out.count - out.waiting, n.outbox_count)
     for _ in range(room):
         k = n.outbox_first
-        push(out, i, t_ns + n.processing_ns, n.outbox_id[k], 8, n.outbox_word[k])
+        push(out, n.station, t_ns + n.processing_ns, n.outbox_id[k], 8, n.outbox_word[k])
         n.sdo_deadline_ns[n.outbox_channel[k]] = t_ns + SDO_TIMEOUT_NS
         n.outbox_first = (k + 1) % OUTBOX
         n.outbox_count -= 1

@@ -21,15 +21,14 @@ _SYNC_MAX, _SYNC_RTR, _RTR, _EVENT = 240, 252, 253, 254
 
 
 @kernel
-def start(nodes: Any, tpdo: Any, i: int, t_ns: int) -> None:
+def start(n: Any, t_ns: int) -> None:
     """NMT enters OPERATIONAL: nothing received, nothing sent yet; every event TPDO is due once."""
-    n = nodes[i]
     forget_pending(n)
     for k in range(n.rpdo_used):
         n.rpdo_armed[k] = 0
         n.rpdo_lost[k] = 0
     for k in range(n.tpdo_used):
-        p = tpdo[i, k]
+        p = n.tpdo[k]
         n.tpdo_count[k] = -1 if p.sync_start > 0 and n.sync_overflow > 0 else 0
         n.tpdo_ns[k] = t_ns - p.inhibit_ns
         n.tpdo_due[k] = 1
@@ -44,20 +43,19 @@ def forget_pending(n: Any) -> None:
 
 
 @inlined
-def receive(nodes: Any, rpdo: Any, i: int, k: int, t_ns: int, length: int, data: int, out: Any) -> int:
+def receive(n: Any, k: int, t_ns: int, length: int, data: int, out: Any) -> int:
     """Take the frame of RPDO `k`; return 1 when it acted at once."""
-    n = nodes[i]
-    p = rpdo[i, k]
+    p = n.rpdo[k]
     if length < p.length:
         n.dropped_length += 1
-        alarm(n, i, t_ns, emcy.RPDO_SHORT, k + 1, out)
+        alarm(n, t_ns, emcy.RPDO_SHORT, k + 1, out)
         return 0
     if length > p.length:
         n.excess_length += 1
-        alarm(n, i, t_ns, emcy.RPDO_LONG, k + 1, out)
+        alarm(n, t_ns, emcy.RPDO_LONG, k + 1, out)
     elif n.causes & (1 << emcy.RPDO_SHORT | 1 << emcy.RPDO_LONG):
-        emcy.gone(n, i, t_ns, emcy.RPDO_SHORT, out)
-        emcy.gone(n, i, t_ns, emcy.RPDO_LONG, out)
+        emcy.gone(n, t_ns, emcy.RPDO_SHORT, out)
+        emcy.gone(n, t_ns, emcy.RPDO_LONG, out)
     n.rpdo_ns[k] = t_ns
     if n.rpdo_armed[k] == 0:
         n.rpdo_armed[k] = 1
@@ -65,7 +63,7 @@ def receive(nodes: Any, rpdo: Any, i: int, k: int, t_ns: int, length: int, data:
             n.next_ns = min(n.next_ns, t_ns + p.event_ns)
     if n.rpdo_lost[k]:
         n.rpdo_lost[k] = 0
-        deadlines.settle(n, i, t_ns, out)
+        deadlines.settle(n, t_ns, out)
     if p.transmission <= _SYNC_MAX:
         if n.sync_window_ns > 0 and t_ns - n.sync_ns > n.sync_window_ns:
             n.dropped_window += 1  # after the window it acts on no SYNC, though it shows that its sender lives
@@ -75,54 +73,52 @@ def receive(nodes: Any, rpdo: Any, i: int, k: int, t_ns: int, length: int, data:
         n.rpdo_waits[k] = 1
         return 0
     unpack(p, data, n.values)
-    _act(n, i, t_ns, k, out)
+    _act(n, t_ns, k, out)
     step(n, t_ns)
     return 1
 
 
 @inlined
-def _act(n: Any, i: int, t_ns: int, k: int, out: Any) -> None:
+def _act(n: Any, t_ns: int, k: int, out: Any) -> None:
     carries = n.rpdo_carries[k]
     if carries == 0:
         return
-    apply(n, i, t_ns, n.rpdo_ns[k], carries, out)
+    apply(n, t_ns, n.rpdo_ns[k], carries, out)
 
 
 @inlined
-def act_pending(nodes: Any, rpdo: Any, i: int, t_ns: int, out: Any) -> None:
+def act_pending(n: Any, t_ns: int, out: Any) -> None:
     """Let the RPDOs act that waited for this SYNC, in their order."""
-    n = nodes[i]
     for k in range(n.rpdo_used):
         if n.rpdo_waits[k]:
             n.rpdo_waits[k] = 0
-            unpack(rpdo[i, k], n.rpdo_word[k], n.values)
-            _act(n, i, t_ns, k, out)
+            unpack(n.rpdo[k], n.rpdo_word[k], n.values)
+            _act(n, t_ns, k, out)
     n.rpdo_pending = 0
 
 
 @inlined
-def _send(n: Any, p: Any, i: int, k: int, t_ns: int, word: int, out: Any) -> None:
+def _send(n: Any, p: Any, k: int, t_ns: int, word: int, out: Any) -> None:
     n.tpdo_word[k] = word
     n.tpdo_ns[k] = t_ns
     n.tpdo_due[k] = 0
-    push(out, i, t_ns + n.processing_ns, p.cob_id, p.length, word)
+    push(out, n.station, t_ns + n.processing_ns, p.cob_id, p.length, word)
 
 
 @inlined
-def transmit_sync(nodes: Any, tpdo: Any, i: int, t_ns: int, counter: int, out: Any) -> None:
+def transmit_sync(n: Any, t_ns: int, counter: int, out: Any) -> None:
     """Send the synchronous TPDOs; `counter` is the SYNC's, or -1."""
-    n = nodes[i]
     if n.sync_window_ns > 0 and n.processing_ns > n.sync_window_ns:
         return  # they would come after the window
     for k in range(n.tpdo_used):
-        p = tpdo[i, k]
+        p = n.tpdo[k]
         kind = p.transmission
         if p.cob_id < 0 or kind > _SYNC_RTR:
             continue
         if kind == 0:
             word = pack(p, n.values)
             if n.tpdo_due[k] or word != n.tpdo_word[k]:
-                _send(n, p, i, k, t_ns, word, out)
+                _send(n, p, k, t_ns, word, out)
         elif kind == _SYNC_RTR:
             n.tpdo_word[k] = pack(p, n.values)
             n.tpdo_due[k] = 0
@@ -135,17 +131,16 @@ def transmit_sync(nodes: Any, tpdo: Any, i: int, t_ns: int, counter: int, out: A
             count += 1
             if count >= kind:
                 count = 0
-                _send(n, p, i, k, t_ns, pack(p, n.values), out)
+                _send(n, p, k, t_ns, pack(p, n.values), out)
             n.tpdo_count[k] = count
 
 
 @kernel
-def transmit_events(nodes: Any, tpdo: Any, i: int, t_ns: int, next_ns: int, out: Any) -> int:
+def transmit_events(n: Any, t_ns: int, next_ns: int, out: Any) -> int:
     """Send the event-driven TPDOs that are due; return the earlier of `next_ns` and their next deadline."""
-    n = nodes[i]
     sample(n)
     for k in range(n.tpdo_used):
-        p = tpdo[i, k]
+        p = n.tpdo[k]
         if p.cob_id < 0 or p.transmission < _EVENT:
             continue
         word = pack(p, n.values)
@@ -153,7 +148,7 @@ def transmit_events(nodes: Any, tpdo: Any, i: int, t_ns: int, next_ns: int, out:
             n.tpdo_due[k] = 1
         if n.tpdo_due[k]:
             if t_ns - n.tpdo_ns[k] >= p.inhibit_ns:
-                _send(n, p, i, k, t_ns, word, out)
+                _send(n, p, k, t_ns, word, out)
             else:
                 next_ns = min(next_ns, n.tpdo_ns[k] + p.inhibit_ns)
         if p.event_ns > 0:
@@ -162,14 +157,13 @@ def transmit_events(nodes: Any, tpdo: Any, i: int, t_ns: int, next_ns: int, out:
 
 
 @kernel
-def answer_rtr(nodes: Any, tpdo: Any, i: int, k: int, t_ns: int, out: Any) -> None:
+def answer_rtr(n: Any, k: int, t_ns: int, out: Any) -> None:
     """Answer a remote frame for TPDO `k`, where its COB-ID allows that; a synchronous one repeats its last sample."""
-    n = nodes[i]
-    p = tpdo[i, k]
+    p = n.tpdo[k]
     if p.rtr_allowed == 0:
         return
     word = n.tpdo_word[k]
     if p.transmission >= _RTR or n.tpdo_due[k]:
         sample(n)
         word = pack(p, n.values)
-    push(out, i, t_ns + n.processing_ns, p.cob_id, p.length, word)
+    push(out, n.station, t_ns + n.processing_ns, p.cob_id, p.length, word)

@@ -30,7 +30,7 @@ from coulombus.eds.pdo import (
 from coulombus.node.dictionary import Dictionary, SdoAbort
 from coulombus.node.reactions import CARRIES_CONTROLWORD, CARRIES_SETPOINT, CARRIES_SPEED
 from coulombus.node.record import KIND_BRAKE, KIND_DRIVE, KIND_GENERIC, MAX_PDOS
-from coulombus.wire.frame import Records
+from coulombus.wire.frame import Record
 
 __all__ = ["Pdos", "restricted"]
 
@@ -49,12 +49,11 @@ _SYNC_MAX, _RTR_MIN, _EVENT_MIN = 240, 252, 254
 
 
 class Pdos:
-    """The PDO parameters of the node in row `i`."""
+    """The PDO parameters of a node, by its record."""
 
-    def __init__(self, dictionary: Dictionary, nodes: Records, rpdo: Records, tpdo: Records, i: int) -> None:
+    def __init__(self, dictionary: Dictionary, node: Record) -> None:
         self._dictionary = dictionary
-        self._node = nodes[i]
-        self._records = {"rpdo": rpdo[i], "tpdo": tpdo[i]}
+        self._node = node
 
     def locate(self, index: int) -> tuple[Direction, int, bool] | None:
         """Return (direction, number from 0, whether it is a mapping) of a PDO parameter, else None."""
@@ -176,11 +175,11 @@ class Pdos:
         if k >= MAX_PDOS:
             return
         layout = self.layout(direction, k)
-        record, node = self._records[direction][k], self._node
+        record, node = self._node[direction][k], self._node
         existed = 0 <= record["cob_id"] == layout.cob_id
         counted = existed and record["transmission"] == layout.transmission
         fill(record, layout, self._slot)
-        valid = np.flatnonzero(self._records[direction]["cob_id"] >= 0)
+        valid = np.flatnonzero(self._node[direction]["cob_id"] >= 0)
         used = int(valid[-1]) + 1 if len(valid) else 0
         if direction == "rpdo":
             carried = CARRIED[int(node["kind"])]
@@ -201,13 +200,13 @@ class Pdos:
             node["tpdo_ns"][k] = t_ns - layout.inhibit_ns
             node["tpdo_due"][k] = 1
         node["tpdo_used"] = used
-        node["tpdo_events"] = int(np.sum(self._records["tpdo"]["transmission"][valid] >= _EVENT_MIN))
+        node["tpdo_events"] = int(np.sum(node["tpdo"]["transmission"][valid] >= _EVENT_MIN))
 
     def refresh_all(self, t_ns: int) -> None:
         """Bring every PDO record up to its parameters; a valid PDO that the core has no room for is made invalid."""
         directions: tuple[Direction, ...] = ("rpdo", "tpdo")
         for direction in directions:
-            self._records[direction]["cob_id"] = -1
+            self._node[direction]["cob_id"] = -1
             for k in range(MAX_PDOS):
                 if self._dictionary.description.has(COMMUNICATION[direction] + k):
                     self.refresh(direction, k, t_ns)

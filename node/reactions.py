@@ -51,7 +51,7 @@ def step(n: Any, t_ns: int) -> None:
 
 
 @inlined
-def apply(n: Any, i: int, t_ns: int, received_ns: int, carries: int, out: Any) -> None:
+def apply(n: Any, t_ns: int, received_ns: int, carries: int, out: Any) -> None:
     """Act on the controlword or the set-point that now stand in their slots; it was received at `received_ns`."""
     if n.kind == KIND_DRIVE:
         if carries & CARRIES_SETPOINT:
@@ -59,7 +59,7 @@ def apply(n: Any, i: int, t_ns: int, received_ns: int, carries: int, out: Any) -
         if carries & CARRIES_SPEED:
             states402.new_setpoint(n, received_ns, True)
         if carries & CARRIES_CONTROLWORD:
-            states402.new_controlword(n, i, t_ns, out)
+            states402.new_controlword(n, t_ns, out)
     elif n.kind == KIND_BRAKE and carries & CARRIES_SETPOINT:
         brake404.new_setpoint(n, received_ns)
 
@@ -72,12 +72,12 @@ BY_COMMAND, BY_RESET, BY_ITSELF = 0, 1, 2
 
 
 @kernel
-def connection_lost(n: Any, i: int, t_ns: int, why: int, out: Any) -> None:
+def connection_lost(n: Any, t_ns: int, why: int, out: Any) -> None:
     """NMT left OPERATIONAL: safe output."""
     forced = 1 if why == BY_RESET else 0
     if n.kind == KIND_DRIVE:
         if states402.connection_lost(n, t_ns, forced):
-            alarm(n, i, t_ns, emcy.CONNECTION, 0, out)
+            alarm(n, t_ns, emcy.CONNECTION, 0, out)
             n.causes &= ~(1 << emcy.CONNECTION)  # an event, not a condition
     elif n.kind == KIND_BRAKE:
         if why == BY_ITSELF:
@@ -87,9 +87,9 @@ def connection_lost(n: Any, i: int, t_ns: int, why: int, out: Any) -> None:
 
 
 @kernel
-def alarm(n: Any, i: int, t_ns: int, cause: int, info: int, out: Any) -> None:
+def alarm(n: Any, t_ns: int, cause: int, info: int, out: Any) -> None:
     """Tell of a cause by EMCY, and react: a drive's fault gives torque 0, a brake's own fault the ramp."""
-    emcy.come(n, i, t_ns, cause, info, out)
+    emcy.come(n, t_ns, cause, info, out)
     react(n, t_ns, cause)
 
 
@@ -106,29 +106,29 @@ def react(n: Any, t_ns: int, cause: int) -> None:
 
 
 @inlined
-def inputs(n: Any, i: int, t_ns: int, out: Any) -> None:
+def inputs(n: Any, t_ns: int, out: Any) -> None:
     """Look at the supply and at the device's own faults; almost always there is nothing new."""
     if n.kind == KIND_BRAKE:
         coil404.watch(n, t_ns)
     present = (n.in_faults | n.detected) << emcy.FIRST_DEVICE_CAUSE
     if present != n.causes & _INPUT_CAUSES or n.in_supply_ok == 0:
-        _new_inputs(n, i, t_ns, present, out)
+        _new_inputs(n, t_ns, present, out)
 
 
 @kernel
-def _new_inputs(n: Any, i: int, t_ns: int, present: int, out: Any) -> None:
+def _new_inputs(n: Any, t_ns: int, present: int, out: Any) -> None:
     supply_lost = n.kind == KIND_DRIVE and n.in_supply_ok == 0
     if supply_lost:
         if states402.needs_supply(n):
-            alarm(n, i, t_ns, emcy.SUPPLY, 0, out)
+            alarm(n, t_ns, emcy.SUPPLY, 0, out)
     elif n.causes >> emcy.SUPPLY & 1:
-        emcy.gone(n, i, t_ns, emcy.SUPPLY, out)
+        emcy.gone(n, t_ns, emcy.SUPPLY, out)
     for cause in range(emcy.FIRST_DEVICE_CAUSE, emcy.DEVICE_CAUSES_END):
         before, now = n.causes >> cause & 1, present >> cause & 1
         if now and not before:
-            alarm(n, i, t_ns, cause, 0, out)
+            alarm(n, t_ns, cause, 0, out)
         elif before and not now:
-            emcy.gone(n, i, t_ns, cause, out)
+            emcy.gone(n, t_ns, cause, out)
 
 
 @kernel

@@ -1,7 +1,7 @@
 """The one record of a node, which its compiled core and its Python services share.
 
-`new_nodes` makes the records of several nodes at once: the core addresses a node by its row, so that one kernel serves
-a whole bus. Everything is int64 or float64; times are int64 nanoseconds; a time that never comes is `FAR_FUTURE_NS`.
+`new_nodes` makes the records of several nodes at once; a kernel takes one of them, by reference. A node's PDOs nest in its record.
+Everything is int64 or float64; times are int64 nanoseconds; a time that never comes is `FAR_FUTURE_NS`.
 """
 
 from __future__ import annotations
@@ -51,6 +51,7 @@ _I, _F = np.int64, np.float64
 NODE = np.dtype(
     [
         # who and when
+        ("station", _I),  # number of its station on the bus: its row
         ("node_id", _I),
         ("kind", _I),  # 0 generic, 1 drive, 2 brake
         ("nmt", _I),  # NmtState
@@ -110,6 +111,8 @@ NODE = np.dtype(
         ("time_set_ns", _I),  # when the time of day was told; -1: never
         ("time_word", _I),  # what was told: bits 0-27 ms after midnight, bits 32-47 days since 1984-01-01
         # PDOs
+        ("rpdo", PDO, (MAX_PDOS,)),
+        ("tpdo", PDO, (MAX_PDOS,)),
         ("rpdo_ns", _I, (MAX_PDOS,)),  # last reception
         ("rpdo_armed", _I, (MAX_PDOS,)),  # its deadline is watched
         ("rpdo_lost", _I, (MAX_PDOS,)),
@@ -228,8 +231,8 @@ NODE = np.dtype(
 )
 
 
-def new_nodes(n: int) -> tuple[Records, Records, Records]:
-    """Return the records of `n` nodes that are powered off, their RPDOs and their TPDOs (all not valid)."""
+def new_nodes(n: int) -> Records:
+    """Return the records of `n` nodes that are powered off; none of their PDOs is valid."""
     nodes = np.zeros(n, NODE).view(np.recarray)
     nodes["next_ns"] = FAR_FUTURE_NS
     nodes["processing_ns"] = 20_000
@@ -237,7 +240,6 @@ def new_nodes(n: int) -> tuple[Records, Records, Records]:
     nodes["sdo_deadline_ns"] = FAR_FUTURE_NS
     nodes["time_set_ns"] = -1
     nodes["outbox_next_ns"] = FAR_FUTURE_NS
-    rpdo = np.zeros((n, MAX_PDOS), PDO).view(np.recarray)
-    tpdo = np.zeros((n, MAX_PDOS), PDO).view(np.recarray)
-    rpdo["cob_id"] = tpdo["cob_id"] = -1
-    return nodes, rpdo, tpdo
+    nodes["station"] = np.arange(n)
+    nodes["rpdo"]["cob_id"] = nodes["tpdo"]["cob_id"] = -1
+    return nodes

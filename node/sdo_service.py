@@ -18,7 +18,7 @@ from coulombus.node.communication_objects import Communication
 from coulombus.node.record import FAR_FUTURE_NS, SDO_TIMEOUT_NS
 from coulombus.node.sdo_access import Access
 from coulombus.node.sdo_server import SdoServer, abort_frame
-from coulombus.wire.frame import Queue, Records, data_bytes, data_word, push
+from coulombus.wire.frame import Queue, Record, data_bytes, data_word, push
 
 __all__ = ["SdoService"]
 
@@ -35,15 +35,12 @@ class _Channel:
 
 
 class SdoService:
-    """The SDO servers of the device in row `i`; `access` is what they serve."""
+    """The SDO servers of a device, by its record; `access` is what they serve."""
 
-    def __init__(
-        self, access: Access, communication: Communication, nodes: Records, rpdo: Records, tpdo: Records, i: int
-    ) -> None:
+    def __init__(self, access: Access, communication: Communication, node: Record) -> None:
         self._access, self._communication = access, communication
-        self._records, self._nodes, self._i = (nodes, rpdo, tpdo, i), nodes, i
-        self._row = nodes.view(np.ndarray)[i]
-        self._deadlines = self._row["sdo_deadline_ns"]
+        self._node = node
+        self._deadlines = self._node["sdo_deadline_ns"]
         self._channels: dict[int, _Channel] = {}
         self._push = Entry(push)
         self._refresh = Entry(core.refresh_inputs)
@@ -65,8 +62,8 @@ class SdoService:
                 self._close_segments(before.number)
         self._channels = channels
         first = next(((rx, channel.tx) for rx, channel in channels.items() if channel.number == 0), (-1, -1))
-        self._row["sdo_rx_id"], self._row["sdo_tx_id"] = first
-        self._row["sdo_used"] = max((channel.number + 1 for channel in channels.values()), default=0)
+        self._node["sdo_rx_id"], self._node["sdo_tx_id"] = first
+        self._node["sdo_used"] = max((channel.number + 1 for channel in channels.values()), default=0)
 
     def serves(self, can_id: int) -> bool:
         """Tell whether a server listens to an identifier."""
@@ -80,14 +77,14 @@ class SdoService:
         which = slice(None) if number is None else number
         self._deadlines[which] = FAR_FUTURE_NS
         self._close_segments(which)
-        if self._row["outbox_count"]:
-            outbox.forget(self._nodes, self._i, -1 if number is None else number)
+        if self._node["outbox_count"]:
+            outbox.forget(self._node, -1 if number is None else number)
 
     # requests
 
     def serve(self, t_ns: int, can_id: int, length: int, data: int, out: Queue) -> None:
         """Serve a request on `can_id`."""
-        row = self._row
+        row = self._node
         if length != 8:
             row["dropped_length"] += 1
             return
@@ -100,17 +97,17 @@ class SdoService:
         if was_open and (t_ns > deadline_ns or deadline_ns == FAR_FUTURE_NS):
             server.drop()  # the transfer that stood still: the core has told the client so, or would have now
         if was_open and row["outbox_count"]:
-            outbox.forget(self._nodes, self._i, k)  # whatever it says, it waits for none of them any more
+            outbox.forget(self._node, k)  # whatever it says, it waits for none of them any more
         if (data >> 8 & 0xFFFF) >= _MEASURED and data & 0x60 in (0x40, 0x20):
-            self._refresh(self._nodes, self._i, t_ns)
+            self._refresh(self._node, t_ns)
         access = self._access
         access.written, access.carries = False, 0
         response = server.request(data_bytes(data, 8))
         if response is not None:
-            self._push(out, self._i, t_ns + int(row["processing_ns"]), channel.tx, 8, data_word(response))
+            self._push(out, self._node["station"], t_ns + int(row["processing_ns"]), channel.tx, 8, data_word(response))
         if server.burst:
             words = np.array([data_word(segment) for segment in server.burst], np.int64)
-            if not outbox.put(self._nodes, self._i, t_ns, k, channel.tx, words):
+            if not outbox.put(self._node, t_ns, k, channel.tx, words):
                 self._refuse(channel, t_ns, out)
         if server.transfer is not None:
             self._watch(channel, t_ns)
@@ -118,11 +115,11 @@ class SdoService:
         elif was_open:
             self._deadlines[k] = FAR_FUTURE_NS
         if access.written:
-            core.written(*self._records, t_ns, access.carries, out)
+            core.written(self._node, t_ns, access.carries, out)
 
     def _take_segments(self, channel: _Channel) -> None:
         """Give the server what the core collected, and close the channel's row."""
-        row, k = self._row, channel.number
+        row, k = self._node, channel.number
         count = int(row["segments_count"][k])
         if count:
             channel.server.take(
@@ -132,15 +129,15 @@ class SdoService:
 
     def _close_segments(self, which: int | slice) -> None:
         """Let the core collect no segments any more for one server or for all."""
-        self._row["segments_id"][which] = 0
-        self._row["segments_open"] = np.count_nonzero(self._row["segments_id"])
+        self._node["segments_id"][which] = 0
+        self._node["segments_open"] = np.count_nonzero(self._node["segments_id"])
 
     def _open_segments(self, channel: _Channel) -> None:
         """Let the core collect the segments that the server expects, where it expects any."""
         following, last = channel.server.expected
         if following >= last:
             return
-        row, k = self._row, channel.number
+        row, k = self._node, channel.number
         row["segments_next"][k], row["segments_last"][k] = following, last
         row["segments_count"][k] = 0
         row["segments_id"][k] = channel.rx
@@ -151,11 +148,11 @@ class SdoService:
         place = channel.server.transfer or (0, 0)
         channel.server.drop()
         word = data_word(abort_frame(*place, Abort.MEMORY))
-        self._push(out, self._i, t_ns + int(self._row["processing_ns"]), channel.tx, 8, word)
+        self._push(out, self._node["station"], t_ns + int(self._node["processing_ns"]), channel.tx, 8, word)
 
     def _watch(self, channel: _Channel, t_ns: int) -> None:
         """Let the core watch the open transfer from now on."""
-        row, k = self._row, channel.number
+        row, k = self._node, channel.number
         place = channel.server.transfer
         assert place is not None
         self._deadlines[k] = t_ns + SDO_TIMEOUT_NS

@@ -166,7 +166,7 @@ def connection_lost(n: Any, t_ns: int, forced: int) -> int:
 
 
 @kernel
-def new_controlword(n: Any, i: int, t_ns: int, out: Any) -> None:
+def new_controlword(n: Any, t_ns: int, out: Any) -> None:
     """Act on the controlword that was written: one row of the table at most."""
     word = n.values[slots.CONTROLWORD]
     rising = word & 0x80 and not n.controlword & 0x80
@@ -176,7 +176,7 @@ def new_controlword(n: Any, i: int, t_ns: int, out: Any) -> None:
         if rising and n.causes & emcy.FAULT_MASK == 0:
             n.power_state = NEXT_STATE[state, _FAULT_RESET]
             if n.latched & emcy.FAULT_MASK:
-                emcy.clear_latches(n, i, t_ns, emcy.FAULT_MASK, out)
+                emcy.clear_latches(n, t_ns, emcy.FAULT_MASK, out)
         return
     following = NEXT_STATE[state, COMMAND_OF_CONTROLWORD[word & 0xF]]
     if following == state:

@@ -23,6 +23,7 @@ __all__ = [
     "QUEUE",
     "QUEUE_CAPACITY",
     "Queue",
+    "Record",
     "Records",
     "arbitration_key",
     "data_bytes",
@@ -35,7 +36,9 @@ __all__ = [
 
 Records: TypeAlias = npt.NDArray[Any]
 """An array of records (a structured dtype)."""
-Queue: TypeAlias = np.record
+Record: TypeAlias = np.record
+"""One record: an element of such an array, a view of it."""
+Queue: TypeAlias = Record
 """A record of `QUEUE`: the frames that stations ask the bus to send."""
 
 FRAME = np.dtype(

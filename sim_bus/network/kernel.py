@@ -215,8 +215,6 @@ def run(
     out: Any,
     log: Any,
     nodes: Any,
-    rpdo: Any,
-    tpdo: Any,
     deadlines: Any,
     wants: Any,
     listening: Any,
@@ -232,7 +230,7 @@ def run(
     """Run until Python is needed; return the `Exit` that says why."""
     w, cable = world[0], bus[0]
     log = borrowed(log)
-    nodes, rpdo, tpdo = borrowed(nodes), borrowed(rpdo), borrowed(tpdo)
+    nodes = borrowed(nodes)
     deadlines, wants, listening = borrowed(deadlines), borrowed(wants), borrowed(listening)
     axes, axis_of, plant = borrowed(axes), borrowed(axis_of), borrowed(plant)
     f_h, truth = borrowed(f_h), borrowed(truth)
@@ -280,9 +278,9 @@ def run(
             if a >= 0:
                 _look(axes, plant, nodes, f_h, truth, a, t)
             if nodes[i].clock_on == 0:
-                core.on_time(nodes, rpdo, tpdo, i, t, out)
+                core.on_time(nodes[i], t, out)
             else:
-                clock.on_time(nodes, rpdo, tpdo, i, t, out)
+                clock.on_time(nodes[i], t, out)
             keep_deadline(deadlines, i, nodes[i])
             if a >= 0:
                 _actuate(axes, plant, nodes, f_h, truth, a, t)
@@ -293,7 +291,7 @@ def run(
                 for i in range(nodes.shape[0]):
                     link, b.stations[i].link = b.stations[i].link, 0
                     if link != 0:
-                        clock.link_changed(nodes, rpdo, tpdo, i, t, link, out)
+                        clock.link_changed(nodes[i], t, link, out)
                         keep_deadline(deadlines, i, nodes[i])
                         if axis_of[i] >= 0:
                             _actuate(axes, plant, nodes, f_h, truth, axis_of[i], t)
@@ -308,9 +306,9 @@ def run(
                 i = wants[b.can_id, k + 1] if plain else k
                 if nodes[i].powered and receives(b, i):
                     if nodes[i].clock_on == 0:
-                        wanted = core.on_frame(nodes, rpdo, tpdo, i, t, b.can_id, b.length, b.word, out)
+                        wanted = core.on_frame(nodes[i], t, b.can_id, b.length, b.word, out)
                     else:
-                        wanted = clock.on_frame(nodes, rpdo, tpdo, i, t, b.can_id, b.length, b.word, out)
+                        wanted = clock.on_frame(nodes[i], t, b.can_id, b.length, b.word, out)
                     if wanted != 0:
                         w.service[w.services] = i
                         w.services += 1

@@ -147,7 +147,7 @@ class VirtualNetwork:
         self._script: list[tuple[int, int, Callable[[Any], None]]] = []
         self._planned = 0
 
-        self.nodes, self.rpdo, self.tpdo = new_nodes(capacity)
+        self.nodes = new_nodes(capacity)
         self.bus = new_bus(bitrate_bit_s)
         self._out = new_queue()
         self._log = frames(LOG_FRAMES)
@@ -159,7 +159,7 @@ class VirtualNetwork:
         self.axes, self.plant = m.axes, m.plant
         self._arrays = (
             *(self._world.view(np.recarray), self.bus, self._out, self._log),
-            *(self.nodes, self.rpdo, self.tpdo, new_deadlines(capacity), new_wants(capacity), self._listening),
+            *(self.nodes, new_deadlines(capacity), new_wants(capacity), self._listening),
             *(m.axes, m.axis_of, m.plant, m.f_h, m.truth, *m.host),
         )
         attach(self.bus[0], TAP)
@@ -205,7 +205,7 @@ class VirtualNetwork:
         if node_id != UNCONFIGURED and any(device.node_id == node_id for device in self.devices):
             raise ValueError(f"node id {node_id} is taken")
         description = eds if isinstance(eds, Description) else read_eds(Path(eds))
-        self.devices.append(Device(description, node_id, kind, self.nodes, self.rpdo, self.tpdo, row, **options))
+        self.devices.append(Device(description, node_id, kind, self.nodes[row], **options))
         return self.devices[row]
 
     def station(

@@ -18,7 +18,7 @@ ACTS, ON_THE_WAY, THERE = 0, 1, 2
 
 def brake():
     """A brake that bears 2 Nm since T; 512 raw is 1 Nm, full scale 8 Nm, the fault value 0.5 Nm."""
-    nodes, *_ = new_nodes(1)
+    nodes = new_nodes(1)
     n = nodes[0]
     n.kind, n.nmt, n.powered, n.next_ns = KIND_BRAKE, 5, 1, T + 10**9
     n.ao_gain_Nm, n.ao_full_Nm, n.setpoint_high, n.ao_FV_Nm = 2.0**-9, 8.0, 4000, 100.0

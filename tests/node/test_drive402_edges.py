@@ -23,7 +23,7 @@ BOTH = pytest.mark.parametrize("sign", [1, -1])
 
 def drive(state=OE, torque=300, **values):
     """A drive in CST at `torque`, whose slow-down ramp takes its time."""
-    nodes, *_ = new_nodes(1)
+    nodes = new_nodes(1)
     n = nodes[0]
     n.kind, n.nmt, n.powered, n.power_state, n.mode, n.node_id, n.emcy_id = KIND_DRIVE, 5, 1, state, 10, 1, 0x81
     n.next_ns, n.demand_ns, n.setpoint_armed, n.setpoint_ns = T + 10**9, T, 1, T
@@ -131,7 +131,7 @@ def lose_connection(state, forced, option, stop):
 def commanded(n, word):
     out = new_queue()
     n.values[slots.CONTROLWORD] = word
-    states402.new_controlword(n, 0, T, out)
+    states402.new_controlword(n, T, out)
     return [int(row["word"]) & 0xFFFF for row in out.frames[: int(out["count"])]]
 
 

@@ -20,7 +20,7 @@ LOWEST, HIGHEST = -(2**31), 2**31 - 1
 
 def drive(mode=TORQUE, torque=0.0, speed=0.0, **values):
     """An enabled drive whose limits are 800 upwards and 700 downwards; Kp is 1/4, Ki 64 per mille per (count/s)."""
-    nodes, *_ = new_nodes(1)
+    nodes = new_nodes(1)
     n = nodes[0]
     n.kind, n.nmt, n.powered, n.power_state, n.mode, n.controlword = KIND_DRIVE, 5, 1, OE, mode, 15
     n.demand_ns, n.torque_demand_pm, n.out_torque_pm = T, torque, torque

@@ -23,7 +23,7 @@ class Node:
     """An OPERATIONAL device: a drive at 300 per mille, or a brake at 2 Nm; row 0."""
 
     def __init__(self, kind, state=OE):
-        self.nodes, *_ = new_nodes(1)
+        self.nodes = new_nodes(1)
         self.out = new_queue()
         n = self.n = self.nodes[0]
         n.kind, n.nmt, n.powered, n.node_id, n.emcy_id, n.next_ns = kind, 5, 1, 9, 0x89, T + 10**9
@@ -48,7 +48,7 @@ class Node:
         return [word & 0xFFFF for word in words]
 
     def call(self, function, *arguments):
-        return function(self.n, 0, T, *arguments, self.out)
+        return function(self.n, T, *arguments, self.out)
 
     @property
     def safe(self):

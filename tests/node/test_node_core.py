@@ -61,7 +61,7 @@ def test_frames_of_others_change_nothing():
 
 
 def test_a_node_is_told_apart_from_its_neighbour_in_the_same_records():
-    nodes, _, _ = new_nodes(3)
+    nodes = new_nodes(3)
     assert nodes.shape == (3,)
     assert np.all(nodes["next_ns"] == FAR_FUTURE_NS)
     assert np.all(nodes["processing_ns"] == 20_000)
@@ -90,7 +90,7 @@ def test_a_late_call_gives_no_burst_of_heartbeats():
     bench.write(0x1017, 0, 10, 2)
     bench.take()
     bench.t = 95 * MS
-    core.on_time(bench.nodes, bench.rpdo, bench.tpdo, 0, bench.t, bench.out)
+    core.on_time(bench.nodes[0], bench.t, bench.out)
     bench._collect()
     assert [s.t_ns for s in bench.take(0x701)] == [95 * MS]
     assert bench.node.next_ns == 105 * MS
@@ -301,10 +301,10 @@ def test_counter_overflow_stands_while_a_period_is_set():
 
 
 def test_a_device_refuses_what_it_cannot_be():
-    nodes, rpdo, tpdo = new_nodes(1)
+    nodes = new_nodes(1)
     for node_id, kind, text in ((0, 1, "node id 0"), (128, 1, "expected 1 to 127"), (1, 3, "kind 3")):
         with pytest.raises(ValueError, match=text):
-            Device(description("motor"), node_id, kind, nodes, rpdo, tpdo, 0)
+            Device(description("motor"), node_id, kind, nodes[0])
     with pytest.raises(KeyError, match="no object 5555h"):
         Bench("motor").device[0x5555, 0]
 
@@ -355,5 +355,5 @@ def test_no_sequence_of_frames_breaks_a_node(sequence, name):
         assert abs(bench.node.out_torque_pm) <= bench.node.values[slots.MAX_TORQUE]
         assert 0 <= bench.node.out_brake_Nm <= 32.767
         assert bench.out["dropped"] == 0
-        remapped = {int(p["cob_id"]) for p in bench.tpdo[0]} | {int(bench.node.emcy_id), int(bench.node.sync_id)}
+        remapped = {int(p["cob_id"]) for p in bench.node.tpdo} | {int(bench.node.emcy_id), int(bench.node.sync_id)}
         assert {s.can_id for s in bench.take()} <= own | remapped

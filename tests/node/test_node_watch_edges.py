@@ -18,7 +18,7 @@ class Node:
     """Node 9 in row 1 of two, OPERATIONAL, that watches nothing yet."""
 
     def __init__(self, kind=KIND_BRAKE):
-        self.nodes, self.rpdo, _ = new_nodes(2)
+        self.nodes = new_nodes(2)
         self.out = new_queue()
         n = self.n = self.nodes[1]
         n.node_id, n.kind, n.nmt, n.powered, n.emcy_id = 9, kind, 5, 1, 0x89
@@ -35,21 +35,21 @@ class Node:
 
     def lose(self, *causes):
         for cause in causes:
-            emcy.come(self.n, 1, T, cause, 0, self.out)
+            emcy.come(self.n, T, cause, 0, self.out)
         self.sent()
 
     def settle(self):
-        deadlines.settle(self.n, 1, T, self.out)
+        deadlines.settle(self.n, T, self.out)
         return {cause for cause in COMMUNICATION if not self.n.causes >> cause & 1}
 
     def expire(self, t_ns=T):
-        return deadlines.expire(self.nodes, self.rpdo, 1, t_ns, self.out)
+        return deadlines.expire(self.n, t_ns, self.out)
 
     def hear(self, k, t_ns, length=1, data=5):
-        deadlines.heartbeat_received(self.n, 1, k, t_ns, length, data, self.out)
+        deadlines.heartbeat_received(self.n, k, t_ns, length, data, self.out)
 
     def deadline(self, before=FAR_FUTURE_NS):
-        return deadlines.next_deadline(self.nodes, self.rpdo, 1, before)
+        return deadlines.next_deadline(self.n, before)
 
 
 # a heartbeat that comes
@@ -157,7 +157,7 @@ def test_outside_operational_neither_sync_nor_rpdos_are_expected():
     node.lose(*COMMUNICATION)
     n.sync_armed, n.guard_state, n.consumer_state[1] = 1, guarding.LOST, LOST
     n.rpdo_armed[:4], n.rpdo_lost[:4] = 1, 1
-    deadlines.stop(n, 1, T, node.out)
+    deadlines.stop(n, T, node.out)
     assert n.sync_armed == 0
     assert n.rpdo_armed[:4].tolist() == n.rpdo_lost[:4].tolist() == [0, 0, 0, 1]
     assert n.causes == 1 << emcy.HEARTBEAT | 1 << emcy.LIFE_GUARDING
@@ -244,7 +244,7 @@ def test_an_entry_beyond_those_in_use_is_not_watched():
     node = Node()
     n = node.n
     n.consumer_state[3], n.consumer_ns[3] = ALIVE, 10
-    n.rpdo_armed[3], node.rpdo[1, 3].cob_id, node.rpdo[1, 3].event_ns = 1, 0x209, 10
+    n.rpdo_armed[3], node.n.rpdo[3].cob_id, node.n.rpdo[3].event_ns = 1, 0x209, 10
     n.sdo_deadline_ns[2] = T - 1
     assert node.expire() == 0
     assert node.sent() == []
@@ -267,7 +267,7 @@ def test_guarding_is_lost_at_its_time():
 
 
 def deadline(node, k=2, period=1000, cob_id=0x209):
-    p = node.rpdo[1, k]
+    p = node.n.rpdo[k]
     p.cob_id, p.event_ns = cob_id, period
     node.n.rpdo_armed[k], node.n.rpdo_ns[k] = 1, T - period
     return p
@@ -386,7 +386,7 @@ def test_a_stale_sdo_transfer_is_aborted_at_its_time_unless_stopped(k, nmt):
 
 
 def answered(node, t_ns=T):
-    guarding.answer(node.n, 1, t_ns, node.out)
+    guarding.answer(node.n, t_ns, node.out)
     return node.sent()
 
 

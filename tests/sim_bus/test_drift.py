@@ -28,7 +28,7 @@ MS, S = 1_000_000, 1_000_000_000
 @given(st.integers(0, 10**14), st.integers(0, 10**14), st.integers(-(10**8), 10**8), st.integers(-(10**8), 10**8))
 def test_own_time_and_back(begin, later, first, second):
     """Against fractions; two clocks one after the other, so that the second begins where the first has come to."""
-    node = new_nodes(1)[0][0]
+    node = new_nodes(1)[0]
     assert (own_ns(node, begin), bus_ns(node, begin)) == (begin, begin)
     set_clock(node, begin, first)
     own = begin + floor(Fraction(later * (10**9 + first), 10**9))

@@ -166,7 +166,7 @@ def test_mistakes_are_named():
 
 @pytest.mark.parametrize("count", [1, 2, 5, 126])
 def test_the_next_deadline_is_the_earliest(count):
-    nodes, _, _ = new_nodes(count)
+    nodes = new_nodes(count)
     nodes["powered"] = 1
     random = np.random.default_rng(count)
     nodes["next_ns"] = random.integers(0, 50, count)
@@ -184,7 +184,7 @@ def test_the_next_deadline_is_the_earliest(count):
 
 
 def test_who_wants_a_frame_follows_the_routes():
-    nodes, _, _ = new_nodes(7)
+    nodes = new_nodes(7)
     deadlines, wants = new_deadlines(7), new_wants(7)
     random = np.random.default_rng(1)
     for _ in range(30):

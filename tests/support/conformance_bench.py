@@ -30,9 +30,9 @@ class VirtualLink:
     """A device that is alone with the tester; each frame takes `DELAY_NS`. `tamper` may change what the device sends."""
 
     def __init__(self, eds: Description, node_id: int, kind: int, device_type=Device) -> None:
-        self.nodes, self.rpdo, self.tpdo = new_nodes(1)
+        self.nodes = new_nodes(1)
         self.out = new_queue()
-        self.device = device_type(eds, node_id, kind, self.nodes, self.rpdo, self.tpdo, 0)
+        self.device = device_type(eds, node_id, kind, self.nodes[0])
         self.t = 0
         self.sent: deque[Frame] = deque()
         self.prepare()
@@ -51,14 +51,14 @@ class VirtualLink:
 
     def deliver(self, can_id: int, data: bytes, length: int) -> None:
         arguments = (self.t, can_id, length, data_word(data), self.out)
-        if core.on_frame(self.nodes, self.rpdo, self.tpdo, 0, *arguments):
+        if core.on_frame(self.nodes[0], *arguments):
             self.device.service(*arguments)
         self._collect()
 
     def until(self, t_ns: int) -> None:
         while int(self.nodes[0].next_ns) <= t_ns:
             self.t = max(self.t, int(self.nodes[0].next_ns))
-            core.on_time(self.nodes, self.rpdo, self.tpdo, 0, self.t, self.out)
+            core.on_time(self.nodes[0], self.t, self.out)
             self._collect()
         self.t = max(self.t, t_ns)
 

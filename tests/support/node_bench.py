@@ -49,10 +49,10 @@ class Bench:
         eds: Description | None = None,
         store: Store | None = None,
     ):
-        self.nodes, self.rpdo, self.tpdo = new_nodes(1)
+        self.nodes = new_nodes(1)
         self.out = new_queue()
         kind = KIND_OF.get(name, 0) if kind is None else kind
-        self.device = Device(eds or description(name), node_id, kind, self.nodes, self.rpdo, self.tpdo, 0, store)
+        self.device = Device(eds or description(name), node_id, kind, self.nodes[0], store)
         self.node = self.nodes[0]
         self.node_id = node_id
         self.t = 0
@@ -68,9 +68,9 @@ class Bench:
         """The end of a frame, at the present time."""
         size = len(data) if length is None else length
         word = data_word(data)
-        arguments = (0, self.t, can_id, size, word, self.out)
-        if core.on_frame(self.nodes, self.rpdo, self.tpdo, *arguments):
-            self.device.service(*arguments[1:])
+        arguments = (self.t, can_id, size, word, self.out)
+        if core.on_frame(self.node, *arguments):
+            self.device.service(*arguments)
         self._collect()
 
     def run(self, duration_ns: int) -> None:
@@ -84,7 +84,7 @@ class Bench:
             assert calls < 1_000_000, "the node asks for no end of calls"
             self.t = max(self.t, int(self.node.next_ns))
             before = self.t
-            core.on_time(self.nodes, self.rpdo, self.tpdo, 0, self.t, self.out)
+            core.on_time(self.nodes[0], self.t, self.out)
             assert self.node.next_ns > before
             self._collect()
         self.t = t_ns
