@@ -6,12 +6,13 @@ where it stands, and what is removed; `compiled.kernel_files` lets no two proces
 Import this module before `numba`. ``NUMBA_CACHE_DIR`` set by the user wins (ours are sub-directories of it all the same);
 ``NUMBA_DISABLE_JIT=1`` runs every kernel as plain Python.
 
-Two ways make a call cheap for the few calls that every frame makes. A call that passes five arrays costs about 25 ns: an array is a structure of
-seven words, and its reference is counted atomically on the way in and out. `inlined` makes a kernel part of its caller; `borrowed` returns an
-array whose references are not counted.
+Kernels take records: a record is one pointer, and an array in a record costs nothing to pass. What has no fixed size (a log, a row of devices) comes
+as an array in a named tuple, which `Entry` hands over in half a microsecond. A law's function stands beside the tuples: in a tuple numba
+would type it as a value that the disk cache cannot keep.
 
-Kernels take their arrays one by one, however many they are. A named tuple of them would read better, but numba types it anew at each call (20 times
-the cost of a plain call) and never caches a kernel whose tuple holds a function, as the friction law: it would compile at every start.
+Two ways make a call cheap for the few calls that every frame makes. A call that passes five arrays costs about 25 ns: an array is a structure of
+seven words, and its reference is counted atomically on the way in and out. `inlined` makes a kernel part of its caller; `borrowed` returns
+arrays whose references are not counted.
 """
 
 from __future__ import annotations
@@ -79,41 +80,74 @@ def cached(compiled: F) -> F:
     return compiled
 
 
+def _variable(given: Any) -> Any:
+    """Return the type of a variable that may hold a constant of the type `given`."""
+    return given.dtype if isinstance(given, types.IntEnumMember) else types.unliteral(given)  # type: ignore[attr-defined]
+
+
+def _compiled(function: F, **options: Any) -> F:
+    """Compile `function` on its first call, once for the types of its arguments.
+
+    Numba by itself compiles a function anew for each constant with which another kernel calls it, so a state or a length is one argument of many
+    signatures; a fifth of all compilations were such copies. Nobody takes a kernel's address, so its wrapper for C is left out.
+    """
+    compiled: F = numba.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options)(function)
+    if JIT_DISABLED:
+        return compiled
+    dispatcher: Any = compiled
+    resolve = dispatcher.get_call_template
+
+    def get_call_template(args: Any, kws: Any) -> Any:
+        return resolve(tuple(map(_variable, args)), {name: _variable(given) for name, given in kws.items()})
+
+    dispatcher.get_call_template = get_call_template
+    return cached(compiled)
+
+
 def kernel(function: F) -> F:
     """Compile `function` on its first call: no GIL, cached on disk, C's arithmetic errors (no exceptions).
 
     Inside a kernel all integers are int64: mixing int64 with uint64 gives float64.
     """
-    compiled: F = numba.njit(nogil=True, error_model="numpy")(function)
-    return cached(compiled)
+    return _compiled(function)
 
 
 def inlined(function: F) -> F:
     """Compile `function` as `kernel` does, but into each of its callers."""
-    compiled: F = numba.njit(nogil=True, error_model="numpy", inline="always")(function)
-    return cached(compiled)
+    return _compiled(function, inline="always")
 
 
 if JIT_DISABLED:
 
-    def borrowed(array: Any) -> Any:
-        """Return the array as it is."""
-        return array
+    def borrowed(arrays: Any) -> Any:
+        """Return the arrays as they are."""
+        return arrays
 
 else:
 
     @intrinsic  # type: ignore[untyped-decorator]
-    def borrowed(typingctx: Any, array: Any) -> Any:
-        """Return the same array without counting its references; the caller's own reference keeps it alive."""
+    def borrowed(typingctx: Any, arrays: Any) -> Any:
+        """Return the same array, or named tuple of arrays, without counting references; the caller's own keep them alive."""
+
+        def without_count(context: Any, builder: Any, kind: Any, value: Any) -> Any:
+            view = make_array(kind)(context, builder, value=value)
+            view.meminfo = cgutils.get_null_value(view.meminfo.type)
+            return view._getvalue()
 
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            view = make_array(array)(context, builder, value=args[0])
-            view.meminfo = cgutils.get_null_value(view.meminfo.type)
-            return impl_ret_untracked(context, builder, array, view._getvalue())
+            value = args[0]
+            if isinstance(arrays, types.Array):
+                value = without_count(context, builder, arrays, value)
+            else:
+                for k, kind in enumerate(arrays):
+                    if isinstance(kind, types.Array):
+                        item = without_count(context, builder, kind, builder.extract_value(value, k))
+                        value = builder.insert_value(value, item, k)
+            return impl_ret_untracked(context, builder, arrays, value)
 
-        if not isinstance(array, types.Array):
+        if not isinstance(arrays, (types.Array, types.BaseTuple)):  # type: ignore[attr-defined]
             return None
-        return array(array), codegen
+        return arrays(arrays), codegen
 
 
 class Entry:

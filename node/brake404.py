@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from coulombus.compiled.decorator import inlined, kernel
+from coulombus.compiled.decorator import kernel
 from coulombus.node import coil404, emcy, slots
 
 __all__ = ["connection_lost", "cut", "new_setpoint", "next_deadline", "sample", "start", "step"]
@@ -33,7 +33,7 @@ def start(n: Any, t_ns: int) -> None:
     coil404.start(n)
 
 
-@inlined
+@kernel
 def _torque(n: Any, raw: int) -> float:
     """Return the torque [Nm] that a value of 7300h stands for, full scale at most; the coil's limit is the caller's."""
     torque: float = min(max(max(raw, 0) * n.ao_gain_Nm + n.ao_bias_Nm, 0.0), n.ao_full_Nm)
@@ -126,7 +126,7 @@ def _to_int16(value: float) -> int:
     return math.floor(value + 0.5)
 
 
-@inlined
+@kernel
 def _input(n: Any, k: int, value: float) -> None:
     scaled = value * n.ai_gain[k] + n.ai_bias[k]
     if n.ai_low[k] <= scaled <= n.ai_high[k]:

@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from coulombus.compiled.decorator import inlined, kernel
+from coulombus.compiled.decorator import kernel
 from coulombus.node import emcy, slots
 
 __all__ = ["demagnetise", "next_deadline", "start", "watch"]
@@ -40,7 +40,7 @@ def start(n: Any) -> None:
     n.out_reverse_A = 0.0
 
 
-@inlined
+@kernel
 def watch(n: Any, t_ns: int) -> None:
     """Bring `detected` and `limit_Nm` up to what is measured; almost always there is nothing to do."""
     measured = abs(n.in_coil_A)

@@ -137,7 +137,7 @@ def handle(
     return 0 if expedited.answer(n, t_ns, can_id, length, data, out) else 1
 
 
-@inlined
+@kernel
 def _sync(n: Any, t_ns: int, length: int, data: int, out: Any) -> None:
     """Act on a SYNC: RPDOs act, inputs are sampled, synchronous TPDOs go out."""
     if n.nmt != _OPERATIONAL:

@@ -21,7 +21,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from coulombus.compiled.decorator import inlined, kernel
+from coulombus.compiled.decorator import kernel
 from coulombus.eds import cia402
 from coulombus.node import slots
 
@@ -57,7 +57,7 @@ _LOWEST, _HIGHEST = -0x80000000, 0x7FFFFFFF
 _LONGEST_STEP_S = 0.01  # of the integral: nobody called for longer
 
 
-@inlined
+@kernel
 def is_speed_mode(mode: int) -> bool:
     """Whether 60FFh is the set-point."""
     return mode in _SPEED_MODES
@@ -74,7 +74,7 @@ def _beyond(n: Any) -> int:
     return (2 if down else 1) if up else -1 if down else 0
 
 
-@inlined
+@kernel
 def high_limit(n: Any) -> int:
     """Return the largest torque that is allowed now."""
     values = n.values
@@ -82,7 +82,7 @@ def high_limit(n: Any) -> int:
     return 0 if n.guarded and _beyond(n) > 0 else high
 
 
-@inlined
+@kernel
 def low_limit(n: Any) -> int:
     """Return the most negative torque that is allowed now."""
     values = n.values
@@ -177,7 +177,7 @@ def _slow_down(n: Any, t_ns: int, elapsed_ns: int) -> None:
     _put_out(n)
 
 
-@inlined
+@kernel
 def _put_out(n: Any) -> None:
     n.out_torque_pm = n.torque_demand_pm
     n.values[slots.TORQUE_DEMAND] = math.floor(n.torque_demand_pm + 0.5)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from coulombus.compiled.decorator import inlined, kernel
+from coulombus.compiled.decorator import kernel
 from coulombus.eds.codec import pack, unpack
 from coulombus.node import deadlines, emcy
 from coulombus.node.reactions import alarm, apply, sample, step
@@ -42,7 +42,7 @@ def forget_pending(n: Any) -> None:
         n.rpdo_waits[k] = 0
 
 
-@inlined
+@kernel
 def receive(n: Any, k: int, t_ns: int, length: int, data: int, out: Any) -> int:
     """Take the frame of RPDO `k`; return 1 when it acted at once."""
     p = n.rpdo[k]
@@ -78,7 +78,7 @@ def receive(n: Any, k: int, t_ns: int, length: int, data: int, out: Any) -> int:
     return 1
 
 
-@inlined
+@kernel
 def _act(n: Any, t_ns: int, k: int, out: Any) -> None:
     carries = n.rpdo_carries[k]
     if carries == 0:
@@ -86,7 +86,7 @@ def _act(n: Any, t_ns: int, k: int, out: Any) -> None:
     apply(n, t_ns, n.rpdo_ns[k], carries, out)
 
 
-@inlined
+@kernel
 def act_pending(n: Any, t_ns: int, out: Any) -> None:
     """Let the RPDOs act that waited for this SYNC, in their order."""
     for k in range(n.rpdo_used):
@@ -97,7 +97,7 @@ def act_pending(n: Any, t_ns: int, out: Any) -> None:
     n.rpdo_pending = 0
 
 
-@inlined
+@kernel
 def _send(n: Any, p: Any, k: int, t_ns: int, word: int, out: Any) -> None:
     n.tpdo_word[k] = word
     n.tpdo_ns[k] = t_ns
@@ -105,7 +105,7 @@ def _send(n: Any, p: Any, k: int, t_ns: int, word: int, out: Any) -> None:
     push(out, n.station, t_ns + n.processing_ns, p.cob_id, p.length, word)
 
 
-@inlined
+@kernel
 def transmit_sync(n: Any, t_ns: int, counter: int, out: Any) -> None:
     """Send the synchronous TPDOs; `counter` is the SYNC's, or -1."""
     if n.sync_window_ns > 0 and n.processing_ns > n.sync_window_ns:

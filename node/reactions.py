@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from coulombus.compiled.decorator import inlined, kernel
+from coulombus.compiled.decorator import kernel
 from coulombus.node import brake404, coil404, emcy, states402
 from coulombus.node.record import KIND_BRAKE, KIND_DRIVE
 
@@ -28,7 +28,7 @@ CARRIES_CONTROLWORD, CARRIES_SETPOINT, CARRIES_SPEED = 1, 2, 4
 _INPUT_CAUSES = emcy.DEVICE_MASK | 1 << emcy.SUPPLY
 
 
-@inlined
+@kernel
 def sample(n: Any) -> None:
     """Bring what the device measures, and its statusword, to the slots."""
     if n.kind == KIND_DRIVE:
@@ -37,7 +37,7 @@ def sample(n: Any) -> None:
         brake404.sample(n)
 
 
-@inlined
+@kernel
 def step(n: Any, t_ns: int) -> None:
     """Compute the output that acts at `t_ns`."""
     if n.kind == KIND_DRIVE:
@@ -50,7 +50,7 @@ def step(n: Any, t_ns: int) -> None:
         n.next_ns = min(n.next_ns, t_ns + RAMP_STEP_NS)
 
 
-@inlined
+@kernel
 def apply(n: Any, t_ns: int, received_ns: int, carries: int, out: Any) -> None:
     """Act on the controlword or the set-point that now stand in their slots; it was received at `received_ns`."""
     if n.kind == KIND_DRIVE:
@@ -105,7 +105,7 @@ def react(n: Any, t_ns: int, cause: int) -> None:
             brake404.connection_lost(n, t_ns, 1)
 
 
-@inlined
+@kernel
 def inputs(n: Any, t_ns: int, out: Any) -> None:
     """Look at the supply and at the device's own faults; almost always there is nothing new."""
     if n.kind == KIND_BRAKE:

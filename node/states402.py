@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from coulombus.compiled.decorator import inlined, kernel
+from coulombus.compiled.decorator import kernel
 from coulombus.eds import cia402
 from coulombus.eds.cia402 import COMMAND_OF_CONTROLWORD, NEXT_STATE
 from coulombus.eds.cia402 import STATUSWORD as STATUSWORD_OF_STATE
@@ -98,13 +98,13 @@ def _leave_enabled(n: Any, state: int) -> None:
     motion402.stop(n)
 
 
-@inlined
+@kernel
 def _ramp(option: int) -> int:
     ramp: int = _RAMP[option] if 0 <= option < _RAMP.shape[0] else 0
     return ramp
 
 
-@inlined
+@kernel
 def _driven(n: Any) -> bool:
     """Whether there may be torque."""
     return bool(n.power_state == _ENABLED or n.power_state == _QUICK_STOP or n.power_state == _REACTION)

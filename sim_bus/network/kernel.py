@@ -12,7 +12,7 @@ plants and one of the blocks of the operator's force. A device that belongs to n
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,7 +29,20 @@ from coulombus.sim_bus.rig.plant import advance, coil_current, sample_noise
 from coulombus.wire.clock import CLOCK_FIELDS, bus_ns, own_ns, to_bus
 from coulombus.wire.frame import FRAME, QUEUE_CAPACITY
 
-__all__ = ["AXIS", "BRAKE", "LOG_FRAMES", "MOST_DEVICES", "MOTOR", "WORLD", "Exit", "next_event", "refresh", "run"]
+__all__ = [
+    "AXIS",
+    "BRAKE",
+    "LOG_FRAMES",
+    "MOST_DEVICES",
+    "MOTOR",
+    "WORLD",
+    "Exit",
+    "Host",
+    "World",
+    "next_event",
+    "refresh",
+    "run",
+]
 
 MOTOR, BRAKE = 0, 1
 """Rows of the node records of a rig, and their station numbers."""
@@ -109,11 +122,47 @@ AXIS = np.dtype(
         ("force_end_ns", np.int64),  # the time at which it ends
         ("steps_per_knot", np.int64),
         ("truth_on", np.int64),
-        ("torque_pm", np.float64),  # what motor and brake are held at since the plant was last advanced
-        ("brake_Nm", np.float64),
     ],
     align=True,
 )
+
+
+class World(NamedTuple):
+    """All that the loop runs on, but for the host's cycle."""
+
+    state: Any
+    """A record of `WORLD`."""
+    bus: Any
+    """`sim_bus.copper.arbiter.new_bus`: the wire, and its second half while the cable is cut."""
+    out: Any
+    """A record of `wire.frame.QUEUE`: what the bus is asked to send."""
+    log: Any
+    """Records of `wire.frame.FRAME`: what the bus has carried."""
+    nodes: Any
+    """`node.record.new_nodes`: the devices."""
+    deadlines: Any
+    """`sim_bus.network.agenda.new_deadlines`: when each device wants to be called."""
+    wants: Any
+    """`sim_bus.network.agenda.new_wants`: which devices want a frame."""
+    listening: Any
+    """By identifier: 1 where one of Python's stations wants the frame."""
+    axes: Any
+    """Records of `AXIS`."""
+    axis_of: Any
+    """By row of a device: its axis, or -1."""
+    plant: Any
+    """Records of `sim_bus.rig.plant.PLANT`, one for each axis."""
+    f_h: Any
+    """By axis: the block of the operator's force."""
+    truth: Any
+    """By axis: the block of the plant's true course."""
+
+
+class Host(NamedTuple):
+    """The host's cycle, as `host.cycle.axes` takes it."""
+
+    axes: Any  # `host.cycle.controller.AXIS` records
+    owner: Any  # by identifier: the axis that its frames belong to
 
 
 @inlined
@@ -131,34 +180,34 @@ def _sample(p: Any, motor: Any, brake: Any) -> None:
 
 
 @inlined
-def _advance(axis: Any, p: Any, f_h: Any, truth: Any, t_ns: int) -> None:
-    """Bring the plant to the last grid point at or before `t_ns` (within the force block) under the held commands."""
+def _advance(world: World, a: int, t_ns: int) -> None:
+    """Bring the plant of axis `a` to the last grid point at or before `t_ns` (within the force block) under the held commands."""
+    axis, p = world.axes[a], world.plant[a]
     steps = (t_ns - p.t_ns) // p.step_ns
     if steps > 0:
         first = p.t_ns // p.step_ns - axis.force_step
         row = first if axis.truth_on else -1
-        advance(p, axis.torque_pm, axis.brake_Nm, f_h, axis.steps_per_knot, first, steps, truth, row)
+        advance(p, world.f_h[a], axis.steps_per_knot, first, steps, world.truth[a], row)
 
 
 @inlined
-def _look(axes: Any, plant: Any, nodes: Any, f_h: Any, truth: Any, a: int, t_ns: int) -> None:
+def _look(world: World, a: int, t_ns: int) -> None:
     """Bring the rig of axis `a` to `t_ns` and let its devices look at it."""
-    axis, p = axes[a], plant[a]
-    _advance(axis, p, f_h[a], truth[a], t_ns)
-    _sample(p, nodes[axis.motor], nodes[axis.brake])
+    _advance(world, a, t_ns)
+    axis = world.axes[a]
+    _sample(world.plant[a], world.nodes[axis.motor], world.nodes[axis.brake])
 
 
 @inlined
-def _actuate(axes: Any, plant: Any, nodes: Any, f_h: Any, truth: Any, a: int, t_ns: int) -> None:
+def _actuate(world: World, a: int, t_ns: int) -> None:
     """Let the rig of axis `a` feel what its devices command from `t_ns` on, when that has changed."""
-    axis = axes[a]
-    torque, brake = nodes[axis.motor].out_torque_pm, nodes[axis.brake].out_brake_Nm
-    reverse_A = nodes[axis.brake].out_reverse_A
-    if torque != axis.torque_pm or brake != axis.brake_Nm or reverse_A != plant[a].reverse_A:
-        _advance(axis, plant[a], f_h[a], truth[a], t_ns)
-        plant[a].reverse_A = reverse_A
-        axis.torque_pm = torque
-        axis.brake_Nm = brake
+    axis, p = world.axes[a], world.plant[a]
+    motor, brake = world.nodes[axis.motor], world.nodes[axis.brake]
+    if motor.out_torque_pm != p.motor_pm or brake.out_brake_Nm != p.brake_Nm or brake.out_reverse_A != p.reverse_A:
+        _advance(world, a, t_ns)
+        p.reverse_A = brake.out_reverse_A
+        p.motor_pm = motor.out_torque_pm
+        p.brake_Nm = brake.out_brake_Nm
 
 
 @kernel
@@ -209,45 +258,25 @@ def next_event(w: Any, b: Any, out: Any, deadlines: Any, host: Any) -> tuple[int
 
 
 @kernel
-def run(
-    world: Any,
-    bus: Any,
-    out: Any,
-    log: Any,
-    nodes: Any,
-    deadlines: Any,
-    wants: Any,
-    listening: Any,
-    axes: Any,
-    axis_of: Any,
-    plant: Any,
-    f_h: Any,
-    truth: Any,
-    host: Any,
-    owner: Any,
-    law_function: Any,
-) -> int:
+def run(world: World, host: Host, law_function: Any) -> int:
     """Run until Python is needed; return the `Exit` that says why."""
-    w, cable = world[0], bus[0]
-    log = borrowed(log)
-    nodes = borrowed(nodes)
-    deadlines, wants, listening = borrowed(deadlines), borrowed(wants), borrowed(listening)
-    axes, axis_of, plant = borrowed(axes), borrowed(axis_of), borrowed(plant)
-    f_h, truth = borrowed(f_h), borrowed(truth)
-    host, owner = borrowed(host), borrowed(owner)
+    world, host = borrowed(world), borrowed(host)  # each use of an array would count its references
+    w, bus, out, nodes = world.state, world.bus, world.out, world.nodes
+    axes, axis_of, deadlines, wants = world.axes, world.axis_of, world.deadlines, world.wants
+    cable = bus[0]
     if w.stale:
         refresh(w, nodes, axes, deadlines, wants)
     while True:
-        if w.log_count + MOST_ROWS > log.shape[0] or w.sent_count + QUEUE_CAPACITY > SENT_FRAMES:
+        if w.log_count + MOST_ROWS > world.log.shape[0] or w.sent_count + QUEUE_CAPACITY > SENT_FRAMES:
             return EXIT_LOG
         b = cable
         if cable.cut != 0:
             b = bus[choose(bus, out)]
         if cable.fault_calls != 0:
             for a in range(axes.shape[0]):
-                _look(axes, plant, nodes, f_h, truth, a, w.t_ns)
+                _look(world, a, w.t_ns)
             return EXIT_FAULT
-        t, what = next_event(w, b, out, deadlines, host)
+        t, what = next_event(w, b, out, deadlines, host.axes)
         if t < w.t_ns:
             t = w.t_ns
         if t > w.until_ns:
@@ -256,7 +285,7 @@ def run(
             w.t_ns = t = w.force_end_ns
             for a in range(axes.shape[0]):
                 if axes[a].force_end_ns == t:
-                    _advance(axes[a], plant[a], f_h[a], truth[a], t)
+                    _advance(world, a, t)
                     w.axis = a
                     return EXIT_FORCE
         w.t_ns = t
@@ -265,27 +294,27 @@ def run(
             continue
         if what in (NOTHING, SCRIPT):
             for a in range(axes.shape[0]):
-                _advance(axes[a], plant[a], f_h[a], truth[a], t)
+                _advance(world, a, t)
             return EXIT_UNTIL if what == NOTHING else EXIT_SCRIPT
         if what == HOST:
             first, t_host = out.count, own_ns(w, t)
-            host_axes.on_time(host, law_function, t_host, out)
+            host_axes.on_time(host.axes, law_function, t_host, out)
             if w.clock_on + w.keep_sent != 0:
                 _keep(w, out, first)
         elif what == DEVICE:
             i = next_device(deadlines)
             a = axis_of[i]
             if a >= 0:
-                _look(axes, plant, nodes, f_h, truth, a, t)
+                _look(world, a, t)
             if nodes[i].clock_on == 0:
                 core.on_time(nodes[i], t, out)
             else:
                 clock.on_time(nodes[i], t, out)
             keep_deadline(deadlines, i, nodes[i])
             if a >= 0:
-                _actuate(axes, plant, nodes, f_h, truth, a, t)
+                _actuate(world, a, t)
         else:
-            w.log_count += end_frame(b, out, log, w.log_count)
+            w.log_count += end_frame(b, out, world.log, w.log_count)
             if b.links != 0:
                 b.links = 0
                 for i in range(nodes.shape[0]):
@@ -294,13 +323,13 @@ def run(
                         clock.link_changed(nodes[i], t, link, out)
                         keep_deadline(deadlines, i, nodes[i])
                         if axis_of[i] >= 0:
-                            _actuate(axes, plant, nodes, f_h, truth, axis_of[i], t)
+                            _actuate(world, axis_of[i], t)
             if b.delivered == 0:
                 continue
             w.services = w.control_plane = w.heard = 0
             if b.can_id == SYNC:
                 for a in range(axes.shape[0]):
-                    _look(axes, plant, nodes, f_h, truth, a, t)
+                    _look(world, a, t)
             plain = b.can_id <= 0x7FF
             for k in range(wants[b.can_id, 0] if plain else nodes.shape[0]):
                 i = wants[b.can_id, k + 1] if plain else k
@@ -314,21 +343,21 @@ def run(
                         w.services += 1
                     keep_deadline(deadlines, i, nodes[i])
                     if axis_of[i] >= 0:
-                        _actuate(axes, plant, nodes, f_h, truth, axis_of[i], t)
+                        _actuate(world, axis_of[i], t)
             if not w.host_elsewhere and receives(b, step.SOURCE_HOST):
                 w.had[w.log_count - 1] = 1
                 first, t_host = out.count, own_ns(w, t)
-                wanted = host_axes.on_frame(host, owner, t_host, b.can_id, b.length, b.word)
+                wanted = host_axes.on_frame(host.axes, host.owner, t_host, b.can_id, b.length, b.word)
                 if wanted == 1 and w.host_on:
-                    host_axes.finish(host, law_function, t_host, 0, out)
+                    host_axes.finish(host.axes, law_function, t_host, 0, out)
                     if w.clock_on + w.keep_sent != 0:
                         _keep(w, out, first)
                 elif wanted == 2:
                     w.control_plane = 1
-            w.heard = listening[b.can_id] if plain else w.listen_all
+            w.heard = world.listening[b.can_id] if plain else w.listen_all
             if w.services + w.control_plane + w.heard != 0:
                 for a in range(axes.shape[0]):
-                    _look(axes, plant, nodes, f_h, truth, a, t)
+                    _look(world, a, t)
                 return EXIT_SERVICE
         if w.to_begin > 0:
             for a in range(axes.shape[0]):
@@ -337,7 +366,7 @@ def run(
                     w.to_begin -= 1
                     w.axis = a
                     return EXIT_ENABLED
-        phases = host_axes.phases(host)
+        phases = host_axes.phases(host.axes)
         if phases != w.phase:
             w.phase = phases
             return EXIT_PHASE

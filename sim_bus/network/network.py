@@ -36,7 +36,7 @@ from typing import Any, Protocol, Self
 
 import numpy as np
 
-from coulombus.compiled.decorator import JIT_DISABLED
+from coulombus.compiled.decorator import Entry
 from coulombus.eds.cia301 import NmtCommand
 from coulombus.eds.cia305 import UNCONFIGURED
 from coulombus.eds.reader import Description, read_eds
@@ -51,7 +51,7 @@ from coulombus.sim_bus.copper.cut import divide, wire_of
 from coulombus.sim_bus.copper.waiting import withdraw
 from coulombus.sim_bus.network.agenda import IDENTIFIERS, new_deadlines, new_wants
 from coulombus.sim_bus.network.interrupts import InterruptsHeld
-from coulombus.sim_bus.network.kernel import AXIS, LOG_FRAMES, MOST_DEVICES, WORLD, Exit, run
+from coulombus.sim_bus.network.kernel import AXIS, LOG_FRAMES, MOST_DEVICES, WORLD, Exit, Host, World, run
 from coulombus.sim_bus.network.stations import CanopenNetwork, Heard, Station
 from coulombus.sim_bus.rig.plant import PLANT, TRUTH_COLUMNS
 from coulombus.wire.clock import own_ns, to_bus
@@ -88,7 +88,8 @@ class Mechanics:
     plant: Any
     f_h: Any
     truth: Any
-    host: tuple[Any, ...]
+    host: Host
+    law_function: Any
 
 
 def without_mechanics(devices: int) -> Mechanics:
@@ -99,7 +100,8 @@ def without_mechanics(devices: int) -> Mechanics:
         plant=new_records(PLANT, 0),
         f_h=np.zeros((0, 1)),
         truth=np.zeros((0, 1, len(TRUTH_COLUMNS))),
-        host=(new_records(HOST_AXIS, 1), np.zeros(IDENTIFIERS, np.int64), unused_law()),
+        host=Host(axes=new_records(HOST_AXIS, 1), owner=np.zeros(IDENTIFIERS, np.int64)),
+        law_function=unused_law(),
     )
 
 
@@ -157,30 +159,22 @@ class VirtualNetwork:
         w["script_ns"], w["force_end_ns"], w["stale"], w["host_elsewhere"] = FAR_NS, FAR_NS, 1, mechanics is None
         m = mechanics or without_mechanics(capacity)
         self.axes, self.plant = m.axes, m.plant
-        self._arrays = (
-            *(self._world.view(np.recarray), self.bus, self._out, self._log),
-            *(self.nodes, new_deadlines(capacity), new_wants(capacity), self._listening),
-            *(m.axes, m.axis_of, m.plant, m.f_h, m.truth, *m.host),
-        )
+        state = self._world.view(np.recarray)[0]
+        agenda = new_deadlines(capacity), new_wants(capacity), self._listening
+        rigs = m.axes, m.axis_of, m.plant, m.f_h, m.truth
+        world = World(state, self.bus, self._out, self._log, self.nodes, *agenda, *rigs)
+        self._arguments = (world, m.host, m.law_function)
         attach(self.bus[0], TAP)
         if mechanics is not None:
             attach(self.bus[0], SOURCE_HOST)
-        self._run = self._compiled_run()
-
-    def _compiled_run(self) -> Callable[..., int]:
-        """Return the kernel without the dispatcher, which would look at each argument's type at each call (40 us)."""
-        if JIT_DISABLED:
-            return run
-        self._world["until_ns"] = 0  # nothing is due: the call only compiles, or loads what was compiled
-        run(*self._arrays)
-        entry: Callable[..., int] = run.overloads[run.nopython_signatures[-1].args].entry_point  # type: ignore[attr-defined]
-        return entry
+        self._run = Entry(run)
+        self._run(*self._arguments)  # nothing is due: the call only compiles, or loads what was compiled
 
     @property
-    def arguments(self) -> tuple[Any, ...]:
-        """The arrays, in the order of `sim_bus.network.kernel.run`'s arguments; since it ran last, somebody may have written to the records."""
+    def arguments(self) -> tuple[World, Host, Any]:
+        """The arguments of `sim_bus.network.kernel.run`; since it ran last, somebody may have written to the records."""
         self._world["stale"] = 1
-        return self._arrays
+        return self._arguments
 
     @property
     def out(self) -> Queue:

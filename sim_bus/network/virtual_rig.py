@@ -17,7 +17,7 @@ from coulombus.node.emcy import DEVICE_FAULTS, FIRST_DEVICE_CAUSE
 from coulombus.node.record import KIND_BRAKE, KIND_DRIVE
 from coulombus.recording.trace import EVENT, Event
 from coulombus.rigs.rig import Rig
-from coulombus.sim_bus.network.kernel import AXIS, BRAKE, MOTOR, Exit
+from coulombus.sim_bus.network.kernel import AXIS, BRAKE, MOTOR, Exit, Host
 from coulombus.sim_bus.network.network import CanopenNetwork, Mechanics, VirtualNetwork
 from coulombus.sim_bus.rig.operator import KNOT_S, Operator
 from coulombus.sim_bus.rig.plant import COIL_INTACT, COIL_OPEN, COIL_SHORT, PLANT, TRUTH_COLUMNS, new_plant
@@ -101,12 +101,14 @@ class VirtualRig(VirtualNetwork):
         for a, one in enumerate(rig.axes):
             plant[a : a + 1] = new_plant(one, seed + a * SEED_STEP)
         k = self.controllers
-        host = (k.axes, k.owner, k.law_function)
         super().__init__(
             rig.bus.bitrate_bit_s,
             capacity=2 * n,
             on_frames=on_frames,
-            mechanics=Mechanics(axes, np.arange(2 * n) // 2, plant, self._f_h, self._truth_block, host),
+            mechanics=Mechanics(
+                *(axes, np.arange(2 * n) // 2, plant, self._f_h, self._truth_block),
+                *(Host(k.axes, k.owner), k.law_function),
+            ),
         )
         self.nodes["coil_A_Nm"][BRAKE::2] = [one.brake.coil_A_Nm for one in rig.axes]
         for one in rig.axes:
@@ -156,9 +158,8 @@ class VirtualRig(VirtualNetwork):
     def _actuate(self) -> None:
         """What a service or a script made of the devices' outputs acts from now on: the plants were advanced to the present."""
         self.plant["reverse_A"] = self.nodes["out_reverse_A"][BRAKE::2]
-        for axis in self._axes:
-            axis["torque_pm"] = self.nodes[axis["motor"]]["out_torque_pm"]
-            axis["brake_Nm"] = self.nodes[axis["brake"]]["out_brake_Nm"]
+        self.plant["motor_pm"] = self.nodes["out_torque_pm"][MOTOR::2]
+        self.plant["brake_Nm"] = self.nodes["out_brake_Nm"][BRAKE::2]
 
     def _control_plane(self, t_ns: int, can_id: int, data: bytes) -> None:
         self._heard.add(can_id)

@@ -89,6 +89,8 @@ PLANT = np.dtype(
         # state
         ("temperature", np.float64),
         ("coil_fault", np.int64),  # COIL_INTACT, COIL_OPEN, COIL_SHORT
+        ("motor_pm", np.float64),  # what the drive commands, per mille of the motor's rated torque
+        ("brake_Nm", np.float64),  # what the brake's driver commands
         ("reverse_A", np.float64),  # the driver's current of the opposite sign
         ("remanent", np.float64),  # brake torque that the iron remembers
         ("remanent_before", np.float64),  # ... before the current became negative
@@ -260,23 +262,19 @@ def _move(p: Any, dt: float, drive: float, f_h: float, level: float, motor: floa
 
 
 @kernel
-def advance(
-    p: Any, motor_pm: float, brake_Nm: float, f_h: Any, per_knot: int, first: int, steps: int, truth: Any, row: int
-) -> None:
-    """Advance the plant by `steps` of its steps under held commands.
+def advance(p: Any, f_h: Any, per_knot: int, first: int, steps: int, truth: Any, row: int) -> None:
+    """Advance the plant by `steps` of its steps under the commands that are held (`motor_pm`, `brake_Nm`, `reverse_A`).
 
     Parameters
     ----------
     p : PLANT record
-    motor_pm : per mille of the motor's rated torque, as the drive commands it
-    brake_Nm : torque that the brake driver commands, >= 0
     f_h : float64 array, the operator's muscle torque [Nm] at knots of `per_knot` steps each, linear between them
     first : the first step, counted from f_h[0]
     truth : float64 array (rows, len(TRUTH_COLUMNS)); rows from `row` on are written unless `row` is negative
     """
-    motor_pm = min(max(motor_pm, -p.motor_peak_pm), p.motor_peak_pm)
+    motor_pm = min(max(p.motor_pm, -p.motor_peak_pm), p.motor_peak_pm)
     target = motor_pm * p.motor_Nm_pm
-    coil_target = min(max(brake_Nm, 0.0), p.brake_max)
+    coil_target = min(max(p.brake_Nm, 0.0), p.brake_max)
     if p.reverse_A > 0.0:
         coil_target = -min(p.reverse_A / p.coil_A_Nm, p.brake_max)
     if p.coil_fault != COIL_INTACT:

@@ -8,7 +8,7 @@ socket full (EAGAIN). What the bus has carried goes out in batches; a client tha
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -102,6 +102,23 @@ SLOT = np.dtype(
 )
 
 
+class Clients(NamedTuple):
+    """The sockets of the bus and what goes through them; row `i` of each but `pollfds` is the client in slot `i`."""
+
+    slots: Any
+    """Records of `SLOT`."""
+    boxes: Any
+    """Records of `wire.mailbox.MAILBOX`."""
+    words: Any
+    """The message that was read last."""
+    filters: Any
+    """Pairs of identifier and mask."""
+    batches: Any
+    """The message that is filled for the client."""
+    pollfds: Any
+    """Room for a struct pollfd each, and for two more."""
+
+
 @inlined
 def _passes(slot: Any, filters: Any, can_id: int) -> bool:
     """Tell whether SocketCAN's filters let a frame through."""
@@ -156,8 +173,9 @@ def _to_interface(slot: Any, batch: Any) -> int:
 
 
 @kernel
-def hand_out(w: Any, p: Any, bus: Any, log: Any, slots: Any, filters: Any, batches: Any) -> int:
+def hand_out(w: Any, p: Any, bus: Any, log: Any, clients: Clients) -> int:
     """Put what the bus has carried into the batches of all who want it."""
+    slots, filters, batches = clients.slots, clients.filters, clients.batches
     for row in range(p.handed_out, w.log_count):
         f = log[row]
         head = f.can_id | f.length << 32
@@ -302,29 +320,20 @@ def _under_way(bus: Any, station: int, out: Any) -> bool:
 
 
 @kernel
-def take(
-    w: Any,
-    p: Any,
-    bus: Any,
-    slots: Any,
-    boxes: Any,
-    words: Any,
-    out: Any,
-    offset_ns: int,
-    t_ns: int,
-) -> int:
+def take(w: Any, p: Any, bus: Any, clients: Clients, out: Any, offset_ns: int, t_ns: int) -> int:
     """Offer the bus each client's next frame, reading its next message when the last one has gone; return 0, or why Python is needed."""
+    slots = clients.slots
     for i in range(slots.shape[0]):
         s = slots[i]
         if s.state == FREE:
             continue
         while s.next >= s.staged and not s.dry:
-            why = _read(p, slots, boxes, i, offset_ns, t_ns)
+            why = _read(p, slots, clients.boxes, i, offset_ns, t_ns)
             if why != 0:
                 return why
         if s.gone and s.next >= s.staged and not (s.state == OPEN and _under_way(bus, STATION + i, out)):
             p.slot = i
             return CLOSED
         if s.next < s.staged:
-            _offer(w, bus, s, words[i], STATION + i, out)
+            _offer(w, bus, s, clients.words[i], STATION + i, out)
     return 0

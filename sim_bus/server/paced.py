@@ -33,8 +33,8 @@ from coulombus.compiled.libc import (
 )
 from coulombus.eds.cia402 import PowerState
 from coulombus.sim_bus.copper.cut import choose
-from coulombus.sim_bus.network.kernel import Exit, next_event, refresh, run
-from coulombus.sim_bus.server.clients import FREE, GONE, flush, hand_out, take
+from coulombus.sim_bus.network.kernel import Exit, Host, World, next_event, refresh, run
+from coulombus.sim_bus.server.clients import FREE, GONE, Clients, flush, hand_out, take
 
 __all__ = ["PACE", "Serve", "serve"]
 
@@ -140,40 +140,17 @@ def _forgive(p: Any, slots: Any, planned_ns: int, t_ns: int) -> int:
 
 
 @kernel
-def serve(
-    pace: Any,
-    slots: Any,
-    boxes: Any,
-    words: Any,
-    filters: Any,
-    batches: Any,
-    pollfds: Any,
-    world: Any,
-    bus: Any,
-    out: Any,
-    log: Any,
-    nodes: Any,
-    deadlines: Any,
-    wants: Any,
-    listening: Any,
-    axes: Any,
-    axis_of: Any,
-    plant: Any,
-    f_h: Any,
-    truth: Any,
-    host: Any,
-    owner: Any,
-    law_function: Any,
-) -> int:
+def serve(pace: Any, clients: Clients, world: World, host: Host, law_function: Any) -> int:
     """Serve until Python is needed; return an `Exit` or a `Serve` that says why."""
-    p, w, cable = pace[0], world[0], bus[0]
+    p, w, bus, out = pace[0], world.state, world.bus, world.out
+    slots, batches, cable = clients.slots, clients.batches, bus[0]
     flag = pace.ctypes.data
     if w.stale:
-        refresh(w, nodes, axes, deadlines, wants)
+        refresh(w, world.nodes, world.axes, world.deadlines, world.wants)
     while True:
         t_ns = now_ns() - p.start_ns
         offset_ns = t_ns - clock_ns(CLOCK_REALTIME)
-        taken = take(w, p, bus, slots, boxes, words, out, offset_ns, t_ns)
+        taken = take(w, p, bus, clients, out, offset_ns, t_ns)
         if t_ns > p.planned_ns + STALL_NS:
             t_ns -= _forgive(p, slots, p.planned_ns, t_ns)
         p.planned_ns = t_ns
@@ -184,53 +161,37 @@ def serve(
             b = cable
             if cable.cut != 0:
                 b = bus[choose(bus, out)]
-            t_event, _ = next_event(w, b, out, deadlines, host)
+            t_event, _ = next_event(w, b, out, world.deadlines, host.axes)
             if t_event > t_ns:
                 break
             w.until_ns = max(t_event, w.t_ns)
-            reason = run(
-                world,
-                bus,
-                out,
-                log,
-                nodes,
-                deadlines,
-                wants,
-                listening,
-                axes,
-                axis_of,
-                plant,
-                f_h,
-                truth,
-                host,
-                owner,
-                law_function,
-            )
+            reason = run(world, host, law_function)
             if w.log_count > p.handed_out:
-                p.latest_ns = max(p.latest_ns, t_ns - log[w.log_count - 1].t_ns)
-                if hand_out(w, p, bus, log, slots, filters, batches) != 0:
+                p.latest_ns = max(p.latest_ns, t_ns - world.log[w.log_count - 1].t_ns)
+                if hand_out(w, p, bus, world.log, clients) != 0:
                     return GONE
             if reason in (UNTIL, LOG):
                 if p.keep == 0:
                     p.handed_out = w.log_count = 0
                 elif w.log_count >= p.keep:
                     reason = RECORD
-                for a in range(axes.shape[0]):
-                    if axes[a].operator_start_ns >= 0 and nodes[axes[a].motor].power_state != OPERATION_ENABLED:
+                for a in range(world.axes.shape[0]):
+                    axis = world.axes[a]
+                    if axis.operator_start_ns >= 0 and world.nodes[axis.motor].power_state != OPERATION_ENABLED:
                         w.axis = a
                         reason = RESTED
             if reason not in (UNTIL, LOG):
                 for i in range(slots.shape[0]):
                     flush(slots[i], batches[i])
                 return reason
-            taken = take(w, p, bus, slots, boxes, words, out, offset_ns, t_ns)
+            taken = take(w, p, bus, clients, out, offset_ns, t_ns)
             if taken != 0:
                 break
         for i in range(slots.shape[0]):
             flush(slots[i], batches[i])
         if taken != 0:
             return taken
-        if p.keep != 0 and 0 < w.log_count <= p.handed_out and t_ns - log[0].t_ns >= KEPT_NS:
+        if p.keep != 0 and 0 < w.log_count <= p.handed_out and t_ns - world.log[0].t_ns >= KEPT_NS:
             return RECORD
         if load_acquire(flag) != 0:
             return STOP
@@ -238,7 +199,7 @@ def serve(
         if t_ns >= p.end_ns:
             return TIME
         p.planned_ns = min(min(t_event, p.end_ns), t_ns + LONGEST_SLEEP_NS)
-        why = _wait(p, slots, pollfds, max(p.planned_ns - t_ns, 0))
+        why = _wait(p, slots, clients.pollfds, max(p.planned_ns - t_ns, 0))
         p.planned_ns = max(p.planned_ns, t_ns)
         if why != 0:
             return why

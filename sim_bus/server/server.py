@@ -19,12 +19,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from coulombus.compiled.decorator import Entry
 from coulombus.eds.cia301 import NmtCommand
 from coulombus.sim_bus.copper.attempt import attach, detach
 from coulombus.sim_bus.copper.controller import link
 from coulombus.sim_bus.copper.cut import wire_of
 from coulombus.sim_bus.network.network import VirtualNetwork
-from coulombus.sim_bus.server.clients import BATCH, MESSAGE_FRAMES, SLOT, SLOTS, STATION, Need, State
+from coulombus.sim_bus.server.clients import BATCH, MESSAGE_FRAMES, SLOT, SLOTS, STATION, Clients, Need, State
 from coulombus.sim_bus.server.paced import PACE, Serve, serve
 from coulombus.wire.address import BusAddress, BusUnavailable, socket_path
 from coulombus.wire.frame import new_records
@@ -133,7 +134,9 @@ class BusServer:
         self._sockets: dict[int, socket.socket] = {}
         self._pids: dict[int, int] = {}
         self._since: dict[int, float] = {}
-        self._arguments = (self._pace, self._slots, self._boxes, self._words, self._filters, self._batches)
+        arrays = self._slots, self._boxes, self._words, self._filters, self._batches, self._pollfds
+        self._clients = Clients(*arrays)
+        self._run = Entry(serve)
         self._wake = os.eventfd(0, os.EFD_CLOEXEC | os.EFD_NONBLOCK)
         self._spare = os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC)  # for who comes when there is no other left
         self._listener: socket.socket | None = None
@@ -159,7 +162,7 @@ class BusServer:
         self._pace["stop"] = self._pace["wakeups"] = 0
 
     def _serve(self) -> int:
-        return serve(*self._arguments, self._pollfds, *self.world.arguments)
+        return int(self._run(self._pace, self._clients, *self.world.arguments))
 
     def stop(self) -> None:
         """End `run` soon; may be called from another thread or a signal handler."""

@@ -22,7 +22,8 @@ class Rig:
         truth = np.zeros((20, len(TRUTH_COLUMNS)))
         largest = 0.0
         for _ in range(ms):
-            advance(self.p, 0.0, brake_Nm, np.full(2, hand_Nm), 20, 0, 20, truth, 0)
+            self.p.brake_Nm = brake_Nm
+            advance(self.p, np.full(2, hand_Nm), 20, 0, 20, truth, 0)
             largest = max(largest, float(np.abs(truth[:, TRUTH_COLUMNS.index("brake_Nm")]).max()))
         return largest
 
@@ -49,9 +50,10 @@ def test_heating_and_cooling_follow_the_formula():
 def test_the_temperature_does_not_depend_on_how_the_steps_are_cut():
     long, short = Rig(*HEAT), Rig(*HEAT)
     force, truth = np.zeros(2001), np.zeros((1, len(TRUTH_COLUMNS)))
-    advance(long.p, 0.0, 3.0, force, 20, 0, 4000, truth, -1)
+    long.p.brake_Nm = short.p.brake_Nm = 3.0
+    advance(long.p, force, 20, 0, 4000, truth, -1)
     for k in range(4000):
-        advance(short.p, 0.0, 3.0, force, 20, k, 1, truth, -1)
+        advance(short.p, force, 20, k, 1, truth, -1)
     assert long.p.temperature == pytest.approx(short.p.temperature, abs=0.02)
     assert long.p.fluid == short.p.fluid
 
@@ -103,7 +105,8 @@ def test_remanence_never_pushes_and_the_balance_closes():
     for k in range(900):
         rig.p.reverse_A = 0.1 if 600 <= k < 620 else 0.0
         hand = 3.0 * math.sin(0.02 * k)
-        advance(rig.p, 0.0, 3.0 if k < 300 else 0.0, np.full(2, hand), 20, 0, 20, truth, row)
+        rig.p.brake_Nm = 3.0 if k < 300 else 0.0
+        advance(rig.p, np.full(2, hand), 20, 0, 20, truth, row)
         row += 20
     t = dict(zip(TRUTH_COLUMNS, truth.T, strict=True))
     assert np.all(t["brake_Nm"] * t["speed_rad_s"] <= 0)

@@ -29,17 +29,8 @@ def run(
     truth = np.zeros((knots * per_knot, len(TRUTH_COLUMNS)))
     for k in range(knots):
         t = k * KNOT_S
-        advance(
-            plant[0],
-            float(motor_pm(t)),
-            float(brake_Nm(t)),
-            force,
-            per_knot,
-            k * per_knot,
-            per_knot,
-            truth,
-            k * per_knot,
-        )
+        plant["motor_pm"], plant["brake_Nm"] = motor_pm(t), brake_Nm(t)
+        advance(plant[0], force, per_knot, k * per_knot, per_knot, truth, k * per_knot)
     return plant[0], dict(zip(TRUTH_COLUMNS, truth.T, strict=True)), rig
 
 
@@ -141,7 +132,8 @@ def test_brake_reaches_95_percent_in_54_ms():
     truth = np.zeros((1, len(TRUTH_COLUMNS)))
     fluid = []
     for _ in range(200):
-        advance(plant[0], 0.0, 1.0, np.zeros(2), 20, 0, 20, truth, -1)
+        plant["brake_Nm"] = 1.0
+        advance(plant[0], np.zeros(2), 20, 0, 20, truth, -1)
         fluid.append(float(plant["fluid"][0]))
     t = np.arange(1, 201) * 1e-3
     expected = 1 - (15 * np.exp(-t / 15e-3) - 3 * np.exp(-t / 3e-3)) / 12
@@ -192,8 +184,10 @@ def test_plain_python_gives_the_same_course():
     plain = truth.copy()
     a, b = new_plant(rig.one_axis()), new_plant(rig.one_axis())
     force = np.linspace(0, 1.0, 11)
-    advance(a[0], 30.0, 0.1, force, 20, 0, 200, truth, 0)
-    getattr(advance, "py_func", advance)(b[0], 30.0, 0.1, force, 20, 0, 200, plain, 0)
+    for plant in a, b:
+        plant["motor_pm"], plant["brake_Nm"] = 30.0, 0.1
+    advance(a[0], force, 20, 0, 200, truth, 0)
+    getattr(advance, "py_func", advance)(b[0], force, 20, 0, 200, plain, 0)
     assert plain == pytest.approx(truth, rel=1e-9, abs=1e-12)
     assert set(PLANT.names) == set(a.dtype.names)
 
