@@ -91,7 +91,7 @@ class Communication:
 
     def _refresh_sync(self, subindex: int, t_ns: int) -> None:
         node, number = self._node, self._dictionary.number
-        cob_id, period_ns = number(0x1005, 0, 0x80), number(0x1006) * 1000
+        cob_id, period_ns = number(0x1005, 0, CobId.SYNC), number(0x1006) * 1000
         producer_ns = period_ns if cob_id & PRODUCER and cob_id & 0x7FF else 0
         if node["sync_producer_ns"] != producer_ns:
             node["sync_producer_ns"] = producer_ns
@@ -105,7 +105,7 @@ class Communication:
                 node["tpdo_count"][k] = -1 if node["tpdo"][k]["sync_start"] and node["sync_overflow"] else 0
 
     def _refresh_emcy(self, subindex: int, t_ns: int) -> None:
-        cob_id = self._dictionary.number(0x1014, 0, 0x80 + self._dictionary.node_id)
+        cob_id = self._dictionary.number(0x1014, 0, CobId.EMCY + self._dictionary.node_id)
         self._node["emcy_id"] = -1 if cob_id & INVALID or not cob_id & 0x7FF else cob_id & 0x7FF  # 0 is NMT's
         inhibit_ns = self._dictionary.number(0x1015) * 100_000
         self._node["emcy_inhibit_ns"] = inhibit_ns
@@ -153,7 +153,7 @@ class Communication:
         rtr[:] = core.ROUTE_NONE
         for k in range(int(node["consumers_used"])):
             if node["consumer_ns"][k]:
-                route[0x700 + int(node["consumer_id"][k])] = core.ROUTE_CONSUMER + k
+                route[CobId.HEARTBEAT + int(node["consumer_id"][k])] = core.ROUTE_CONSUMER + k
         node["rpdo_next"][:] = -1
         for k in reversed(range(int(node["rpdo_used"]))):
             can_id = int(node["rpdo"][k]["cob_id"])

@@ -13,6 +13,7 @@ from __future__ import annotations
 from typing import Any
 
 from coulombus.compiled.decorator import inlined, kernel
+from coulombus.eds.cia301 import NmtState
 from coulombus.node import deadlines, emcy, expedited, guarding, outbox, pdo, segments
 from coulombus.node.reactions import (
     BY_ITSELF,
@@ -54,7 +55,6 @@ ROUTE_NONE, ROUTE_NMT, ROUTE_SYNC, ROUTE_SDO, ROUTE_LSS, ROUTE_TIME, ROUTE_GUARD
 ROUTE_PDO = 8  # + number of the PDO: an RPDO in `route`, a TPDO in `rtr_route`
 ROUTE_CONSUMER = 1024  # + number of the entry of 1016h
 
-_INITIALISING, _STOPPED, _OPERATIONAL, _PRE_OPERATIONAL = 0, 4, 5, 127
 _ALL_NODES = 0
 
 
@@ -88,7 +88,7 @@ def handle(
             route = int(n.rtr_route[can_id & 0x7FF])
             if route == ROUTE_GUARD:
                 guarding.answer(n, t_ns, out)
-            elif route >= ROUTE_PDO and n.nmt == _OPERATIONAL:
+            elif route >= ROUTE_PDO and n.nmt == NmtState.OPERATIONAL:
                 pdo.answer_rtr(n, route - ROUTE_PDO, t_ns, out)
         return 0
     route = int(n.route[can_id])
@@ -101,7 +101,7 @@ def handle(
         deadlines.heartbeat_received(n, route - ROUTE_CONSUMER, t_ns, length, data, out)
         return 0
     if route >= ROUTE_PDO:
-        if n.nmt != _OPERATIONAL:
+        if n.nmt != NmtState.OPERATIONAL:
             n.dropped_unknown += 1
             return 0
         acted = 0
@@ -121,7 +121,7 @@ def handle(
     if route == ROUTE_LSS:
         return 1
     if route == ROUTE_TIME:
-        if n.nmt == _STOPPED:
+        if n.nmt == NmtState.STOPPED:
             n.dropped_unknown += 1
         elif length == 6:
             n.time_set_ns = t_ns
@@ -129,7 +129,7 @@ def handle(
         else:
             n.dropped_length += 1
         return 0
-    if n.nmt == _STOPPED:
+    if n.nmt == NmtState.STOPPED:
         n.dropped_unknown += 1
         return 0
     if n.segments_open > 0 and segments.collect(n, t_ns, can_id, length, data):
@@ -140,7 +140,7 @@ def handle(
 @kernel
 def _sync(n: Any, t_ns: int, length: int, data: int, out: Any) -> None:
     """Act on a SYNC: RPDOs act, inputs are sampled, synchronous TPDOs go out."""
-    if n.nmt != _OPERATIONAL:
+    if n.nmt != NmtState.OPERATIONAL:
         return
     if length != (1 if n.sync_overflow > 0 else 0):
         n.dropped_length += 1
@@ -180,7 +180,7 @@ def on_time(n: Any, t_ns: int, out: Any) -> None:
         _react(n, t_ns, n.device_error_behaviour, out)
     if n.outbox_count > 0 and t_ns >= n.outbox_next_ns:
         outbox.drain(n, t_ns, out)
-    if n.sync_producer_ns > 0 and n.nmt != _STOPPED and t_ns >= n.sync_next_ns:
+    if n.sync_producer_ns > 0 and n.nmt != NmtState.STOPPED and t_ns >= n.sync_next_ns:
         _produce_sync(n, t_ns, out)
     step(n, t_ns)
     _schedule(n, t_ns, out)
@@ -189,10 +189,10 @@ def on_time(n: Any, t_ns: int, out: Any) -> None:
 @kernel
 def _react(n: Any, t_ns: int, behaviour: int, out: Any) -> None:
     """Let NMT follow an error as 1029h says: 0 to PRE-OPERATIONAL from OPERATIONAL, 1 nothing, 2 to STOPPED."""
-    if behaviour == 0 and n.nmt == _OPERATIONAL:
-        set_nmt(n, t_ns, _PRE_OPERATIONAL, BY_ITSELF, out)
-    elif behaviour == 2 and n.nmt != _STOPPED:
-        set_nmt(n, t_ns, _STOPPED, BY_ITSELF, out)
+    if behaviour == 0 and n.nmt == NmtState.OPERATIONAL:
+        set_nmt(n, t_ns, NmtState.PRE_OPERATIONAL, BY_ITSELF, out)
+    elif behaviour == 2 and n.nmt != NmtState.STOPPED:
+        set_nmt(n, t_ns, NmtState.STOPPED, BY_ITSELF, out)
 
 
 @kernel
@@ -211,10 +211,10 @@ def _produce_sync(n: Any, t_ns: int, out: Any) -> None:
 @kernel
 def _schedule(n: Any, t_ns: int, out: Any) -> None:
     next_ns = min(deadlines.next_deadline(n, FAR_FUTURE_NS), n.outbox_next_ns)
-    if n.sync_producer_ns > 0 and n.nmt != _STOPPED:
+    if n.sync_producer_ns > 0 and n.nmt != NmtState.STOPPED:
         next_ns = min(next_ns, n.sync_next_ns)
     next_ns = next_deadline(n, t_ns, next_ns)
-    if n.nmt == _OPERATIONAL and n.tpdo_events > 0:
+    if n.nmt == NmtState.OPERATIONAL and n.tpdo_events > 0:
         next_ns = pdo.transmit_events(n, t_ns, next_ns, out)
     n.next_ns = max(next_ns, t_ns + 1)
 
@@ -224,19 +224,21 @@ def set_nmt(n: Any, t_ns: int, state: int, why: int, out: Any) -> None:
     """Change the NMT state; leaving OPERATIONAL, STOPPED and any reset make the output safe (`why`: node.reactions)."""
     before = n.nmt
     n.nmt = state
-    if before == _OPERATIONAL and state != _OPERATIONAL:
+    if before == NmtState.OPERATIONAL and state != NmtState.OPERATIONAL:
         pdo.forget_pending(n)
         deadlines.stop(n, t_ns, out)
-    if why == BY_RESET or (before != state and (before == _OPERATIONAL or state == _STOPPED)):
+    if why == BY_RESET or (before != state and (before == NmtState.OPERATIONAL or state == NmtState.STOPPED)):
         connection_lost(n, t_ns, why, out)
-    if before != _OPERATIONAL and state == _OPERATIONAL:
+    if before != NmtState.OPERATIONAL and state == NmtState.OPERATIONAL:
         n.sync_armed = 0
         pdo.start(n, t_ns)
-    if state in (_STOPPED, _INITIALISING):
+    if state in (NmtState.STOPPED, NmtState.INITIALISING):
         n.emcy_waiting = 0
-    if state == _INITIALISING:
+    if state == NmtState.INITIALISING:
         n.emcy_ready_ns = t_ns
-    if before in (_STOPPED, _INITIALISING) and state != before and n.sync_producer_ns > 0:  # the producer begins anew
+    if (
+        before in (NmtState.STOPPED, NmtState.INITIALISING) and state != before and n.sync_producer_ns > 0
+    ):  # the producer begins anew
         n.sync_counter = 0
         n.sync_next_ns = t_ns + n.sync_producer_ns
     step(n, t_ns)

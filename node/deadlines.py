@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 from coulombus.compiled.decorator import kernel
+from coulombus.eds.cia301 import CobId, NmtState
 from coulombus.node import emcy, guarding, slots
 from coulombus.node.reactions import alarm
 from coulombus.node.record import FAR_FUTURE_NS
@@ -16,7 +17,6 @@ from coulombus.wire.frame import push
 
 __all__ = ["expire", "heartbeat_received", "next_deadline", "settle", "stop"]
 
-_STOPPED, _OPERATIONAL = 4, 5
 _WAITING, _ALIVE, _LOST = 0, 1, 2
 
 
@@ -71,7 +71,7 @@ def expire(n: Any, t_ns: int, out: Any) -> int:
     """Judge what is late at `t_ns`; return 1 when a heartbeat or the guarding was lost now (1029h decides what NMT does)."""
     lost_now = 0
     if n.heartbeat_ns > 0 and t_ns >= n.heartbeat_next_ns:
-        push(out, n.station, t_ns, 0x700 + n.node_id, 1, n.nmt)
+        push(out, n.station, t_ns, CobId.HEARTBEAT + n.node_id, 1, n.nmt)
         n.heartbeat_next_ns += n.heartbeat_ns
         if n.heartbeat_next_ns <= t_ns:  # called too late: no burst
             n.heartbeat_next_ns = t_ns + n.heartbeat_ns
@@ -87,7 +87,7 @@ def expire(n: Any, t_ns: int, out: Any) -> int:
         n.guard_state = guarding.LOST
         alarm(n, t_ns, emcy.LIFE_GUARDING, 0, out)
         lost_now = 1
-    if n.nmt == _OPERATIONAL:
+    if n.nmt == NmtState.OPERATIONAL:
         for k in range(n.rpdo_used):
             p = n.rpdo[k]
             late = p.cob_id >= 0 and p.event_ns > 0 and t_ns - n.rpdo_ns[k] >= p.event_ns
@@ -99,7 +99,7 @@ def expire(n: Any, t_ns: int, out: Any) -> int:
             alarm(n, t_ns, emcy.SYNC_LOST, 0, out)
     for k in range(n.sdo_used):
         if t_ns >= n.sdo_deadline_ns[k]:
-            if n.nmt != _STOPPED:
+            if n.nmt != NmtState.STOPPED:
                 push(out, n.station, t_ns + n.processing_ns, n.sdo_abort_id[k], 8, n.sdo_abort_word[k])
             n.sdo_deadline_ns[k] = FAR_FUTURE_NS
     return lost_now
@@ -118,7 +118,7 @@ def next_deadline(n: Any, next_ns: int) -> int:
     for k in range(n.consumers_used):
         if n.consumer_state[k] == _ALIVE:
             next_ns = min(next_ns, n.consumer_last_ns[k] + n.consumer_ns[k])
-    if n.nmt == _OPERATIONAL:
+    if n.nmt == NmtState.OPERATIONAL:
         for k in range(n.rpdo_used):
             p = n.rpdo[k]
             if p.cob_id >= 0 and p.event_ns > 0 and n.rpdo_armed[k] and n.rpdo_lost[k] == 0:

@@ -192,7 +192,7 @@ class Device:
     def service(self, t_ns: int, can_id: int, length: int, data: int, out: Queue) -> None:
         """Serve the frame for which `core.on_frame` returned 1: an NMT command, an SDO or an LSS request."""
         self._now = t_ns
-        if can_id == 0x000:
+        if can_id == CobId.NMT:
             self.nmt_command(t_ns, data & 0xFF, out)
         elif can_id == CobId.LSS_RX:
             self.lss.request(t_ns, length, data, out)
@@ -245,7 +245,7 @@ class Device:
             self.lss.mute()
             return
         ready_ns = t_ns + int(self.record["processing_ns"])
-        push(out, self.record["station"], ready_ns, 0x700 + self.node_id, 1, NmtState.INITIALISING)
+        push(out, self.record["station"], ready_ns, CobId.HEARTBEAT + self.node_id, 1, int(NmtState.INITIALISING))
         guarding.restart(self.record)
         self._set_nmt(t_ns, NmtState.PRE_OPERATIONAL, reactions.BY_COMMAND, out)
         if not self.dictionary.number(0x1F80, 0, STAYS_PRE_OPERATIONAL) & STAYS_PRE_OPERATIONAL:

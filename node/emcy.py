@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from coulombus.compiled.decorator import kernel
+from coulombus.eds.cia301 import NmtState
 from coulombus.node import slots
 from coulombus.node.record import EMCY_WAITING, KIND_DRIVE, MAX_HISTORY
 from coulombus.wire.frame import push
@@ -30,8 +31,6 @@ __all__ = [
     "gone",
     "update_register",
 ]
-
-_STOPPED, _INITIALISING = 4, 0
 
 
 class Cause(NamedTuple):
@@ -110,7 +109,7 @@ def _send(n: Any, t_ns: int, code: int, info: int, out: Any) -> None:
     """
     if n.kind == KIND_DRIVE and (code or n.latched == 0):
         n.values[slots.ERROR_CODE] = code
-    if n.emcy_id < 0 or n.nmt == _STOPPED or n.nmt == _INITIALISING:
+    if n.emcy_id < 0 or n.nmt == NmtState.STOPPED or n.nmt == NmtState.INITIALISING:
         return
     word, ready = code | n.values[slots.ERROR_REGISTER] << 16 | info << 24, t_ns + n.processing_ns
     n.emcy_count += 1

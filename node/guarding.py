@@ -10,13 +10,13 @@ from __future__ import annotations
 from typing import Any
 
 from coulombus.compiled.decorator import kernel
+from coulombus.eds.cia301 import CobId, NmtState
 from coulombus.node import emcy
 from coulombus.wire.frame import push
 
 __all__ = ["LOST", "answer", "late", "next_deadline", "restart"]
 
 _WAITING, _ALIVE, LOST = 0, 1, 2
-_INITIALISING = 0
 
 
 @kernel
@@ -29,9 +29,9 @@ def restart(n: Any) -> None:
 @kernel
 def answer(n: Any, t_ns: int, out: Any) -> None:
     """Answer a remote frame on 700h + node id."""
-    if n.guard_on == 0 or n.nmt == _INITIALISING:
+    if n.guard_on == 0 or n.nmt == NmtState.INITIALISING:
         return
-    push(out, n.station, t_ns + n.processing_ns, 0x700 + n.node_id, 1, n.guard_toggle << 7 | n.nmt)
+    push(out, n.station, t_ns + n.processing_ns, CobId.HEARTBEAT + n.node_id, 1, n.guard_toggle << 7 | n.nmt)
     n.guard_toggle ^= 1
     if n.guard_life_ns > 0:
         n.guard_last_ns = t_ns

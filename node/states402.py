@@ -23,7 +23,8 @@ import numpy as np
 
 from coulombus.compiled.decorator import kernel
 from coulombus.eds import cia402
-from coulombus.eds.cia402 import COMMAND_OF_CONTROLWORD, NEXT_STATE
+from coulombus.eds.cia301 import NmtState
+from coulombus.eds.cia402 import COMMAND_OF_CONTROLWORD, NEXT_STATE, Command, PowerState
 from coulombus.eds.cia402 import STATUSWORD as STATUSWORD_OF_STATE
 from coulombus.node import emcy, motion402, slots
 from coulombus.node.motion402 import MODES
@@ -56,14 +57,6 @@ ALL_MODES = sum(1 << (mode - 1) for mode in MODES if mode)
 """6502h: what the drive can do."""
 
 _CST = cia402.OPERATION_MODE_CST
-_DISABLED = int(cia402.PowerState.SWITCH_ON_DISABLED)
-_SWITCHED_ON = int(cia402.PowerState.SWITCHED_ON)
-_ENABLED = int(cia402.PowerState.OPERATION_ENABLED)
-_QUICK_STOP = int(cia402.PowerState.QUICK_STOP_ACTIVE)
-_REACTION = int(cia402.PowerState.FAULT_REACTION_ACTIVE)
-_FAULT = int(cia402.PowerState.FAULT)
-_FAULT_RESET = int(cia402.Command.FAULT_RESET)
-_STOPPED = 4
 
 _HALT = 0x0100
 _WARNING, _REMOTE, _TARGET_REACHED, _LIMIT, _FOLLOWS = 0x0080, 0x0200, 0x0400, 0x0800, 0x1000
@@ -81,7 +74,7 @@ _RAMP = np.array([0, motion402.SLOW, motion402.QUICK, 0, 0, motion402.SLOW, moti
 @kernel
 def start(n: Any, t_ns: int) -> None:
     """Enter Switch On Disabled (transitions 0 and 1): after power-on and reset node."""
-    n.power_state = _DISABLED
+    n.power_state = PowerState.SWITCH_ON_DISABLED
     n.controlword = 0
     n.setpoint_armed = 0
     n.setpoint_stale = 0
@@ -107,7 +100,11 @@ def _ramp(option: int) -> int:
 @kernel
 def _driven(n: Any) -> bool:
     """Whether there may be torque."""
-    return bool(n.power_state == _ENABLED or n.power_state == _QUICK_STOP or n.power_state == _REACTION)
+    return bool(
+        n.power_state == PowerState.OPERATION_ENABLED
+        or n.power_state == PowerState.QUICK_STOP_ACTIVE
+        or n.power_state == PowerState.FAULT_REACTION_ACTIVE
+    )
 
 
 @kernel
@@ -116,24 +113,24 @@ def fault(n: Any, t_ns: int, at_once: bool) -> None:
     n.setpoint_stale = 1
     ramp = _ramp(n.values[slots.FAULT_OPTION])
     if at_once or ramp == 0 or not _driven(n):
-        _leave_enabled(n, _FAULT)
-    elif n.power_state != _REACTION:
-        n.power_state = _REACTION
-        motion402.begin(n, t_ns, ramp, _FAULT)
+        _leave_enabled(n, PowerState.FAULT)
+    elif n.power_state != PowerState.FAULT_REACTION_ACTIVE:
+        n.power_state = PowerState.FAULT_REACTION_ACTIVE
+        motion402.begin(n, t_ns, ramp, PowerState.FAULT)
 
 
 @kernel
 def needs_supply(n: Any) -> bool:
     """Whether the high-level power is switched on, so that its loss is a fault."""
-    return bool(_SWITCHED_ON <= n.power_state <= _REACTION)
+    return bool(PowerState.SWITCHED_ON <= n.power_state <= PowerState.FAULT_REACTION_ACTIVE)
 
 
 @kernel
 def _quick_stop(n: Any, t_ns: int) -> None:
     """Transition 11, and 12 behind the ramp unless 605Ah lets the drive stay."""
     option = n.values[slots.QUICK_STOP_OPTION]
-    n.power_state = _QUICK_STOP
-    following = _QUICK_STOP if option >= _STAYS else _DISABLED
+    n.power_state = PowerState.QUICK_STOP_ACTIVE
+    following = PowerState.QUICK_STOP_ACTIVE if option >= _STAYS else PowerState.SWITCH_ON_DISABLED
     if _ramp(option):
         motion402.begin(n, t_ns, _ramp(option), following)
     else:
@@ -153,15 +150,15 @@ def connection_lost(n: Any, t_ns: int, forced: int) -> int:
     if not _driven(n):
         return 0
     if not forced:
-        if option == _NO_ACTION or n.power_state == _REACTION:
+        if option == _NO_ACTION or n.power_state == PowerState.FAULT_REACTION_ACTIVE:
             return 0
         if option == _FAULT_SIGNAL:
             return 1
         if option == _QUICK_STOP_COMMAND:
-            if n.power_state == _ENABLED:
+            if n.power_state == PowerState.OPERATION_ENABLED:
                 _quick_stop(n, t_ns)
             return 0
-    _leave_enabled(n, _DISABLED)
+    _leave_enabled(n, PowerState.SWITCH_ON_DISABLED)
     return 0
 
 
@@ -172,45 +169,52 @@ def new_controlword(n: Any, t_ns: int, out: Any) -> None:
     rising = word & 0x80 and not n.controlword & 0x80
     n.controlword = word
     state = n.power_state
-    if state == _FAULT:
+    if state == PowerState.FAULT:
         if rising and n.causes & emcy.FAULT_MASK == 0:
-            n.power_state = NEXT_STATE[state, _FAULT_RESET]
+            n.power_state = NEXT_STATE[state, Command.FAULT_RESET]
             if n.latched & emcy.FAULT_MASK:
                 emcy.clear_latches(n, t_ns, emcy.FAULT_MASK, out)
         return
     following = NEXT_STATE[state, COMMAND_OF_CONTROLWORD[word & 0xF]]
     if following == state:
-        if state == _ENABLED and n.slowing and n.slowing_to != _ENABLED and word & 0xF == 0xF:
+        if (
+            state == PowerState.OPERATION_ENABLED
+            and n.slowing
+            and n.slowing_to != PowerState.OPERATION_ENABLED
+            and word & 0xF == 0xF
+        ):
             n.slowing = 0  # enabled again before the ramp was over
         return
-    if n.in_supply_ok == 0 and (following == _ENABLED or (following == _SWITCHED_ON and state < following)):
+    if n.in_supply_ok == 0 and (
+        following == PowerState.OPERATION_ENABLED or (following == PowerState.SWITCHED_ON and state < following)
+    ):
         return  # no high-level power: the drive cannot be switched on
-    if state == _ENABLED:
+    if state == PowerState.OPERATION_ENABLED:
         _leave(n, t_ns, following)
-    elif state == _QUICK_STOP:
-        if following == _ENABLED and n.values[slots.QUICK_STOP_OPTION] < _STAYS:
+    elif state == PowerState.QUICK_STOP_ACTIVE:
+        if following == PowerState.OPERATION_ENABLED and n.values[slots.QUICK_STOP_OPTION] < _STAYS:
             return  # transition 16 is for a drive that stays
         _leave_enabled(n, following)
     else:
         n.power_state = following
-    if following == _ENABLED:
+    if following == PowerState.OPERATION_ENABLED:
         motion402.enter(n, t_ns)
 
 
 @kernel
 def _leave(n: Any, t_ns: int, following: int) -> None:
     """Leave Operation Enabled by command (transitions 5, 8, 9, 11), as the option codes say."""
-    if following == _QUICK_STOP:
+    if following == PowerState.QUICK_STOP_ACTIVE:
         _quick_stop(n, t_ns)
         return
     option = 0
-    if following == _SWITCHED_ON:
+    if following == PowerState.SWITCHED_ON:
         option = n.values[slots.DISABLE_OPTION]
-    elif following != _DISABLED:
+    elif following != PowerState.SWITCH_ON_DISABLED:
         option = n.values[slots.SHUTDOWN_OPTION]
     if option != 1:
         _leave_enabled(n, following)
-    elif n.slowing == 0 or n.slowing_to == _ENABLED:
+    elif n.slowing == 0 or n.slowing_to == PowerState.OPERATION_ENABLED:
         motion402.begin(n, t_ns, motion402.SLOW, following)
     else:
         n.slowing_to = following  # already on its way
@@ -253,7 +257,12 @@ def step(n: Any, t_ns: int) -> None:
     target = values[slots.TARGET_TORQUE] + values[slots.TORQUE_OFFSET]
     n.limited = 1 if target > high or target < low else 0
     target = min(max(target, low), high)
-    if n.power_state != _ENABLED or n.in_supply_ok == 0 or n.setpoint_stale or n.controlword & _HALT:
+    if (
+        n.power_state != PowerState.OPERATION_ENABLED
+        or n.in_supply_ok == 0
+        or n.setpoint_stale
+        or n.controlword & _HALT
+    ):
         target = 0
     n.torque_demand_pm = n.out_torque_pm = float(target)
     values[slots.TORQUE_DEMAND] = target
@@ -284,16 +293,16 @@ def sample(n: Any) -> None:
         word |= cia402.VOLTAGE_ENABLED
     if n.latched & ~emcy.FAULT_MASK:
         word |= _WARNING
-    if n.nmt != _STOPPED:
+    if n.nmt != NmtState.STOPPED:
         word |= _REMOTE
     if n.limited:
         word |= _LIMIT
-    if n.power_state == _ENABLED and not n.setpoint_stale:
+    if n.power_state == PowerState.OPERATION_ENABLED and not n.setpoint_stale:
         if n.mode != _CST:
             word |= motion402.target_bits(n)
         elif not n.slowing and not n.controlword & _HALT:
             word |= _FOLLOWS
-    elif n.power_state == _QUICK_STOP and not n.slowing:
+    elif n.power_state == PowerState.QUICK_STOP_ACTIVE and not n.slowing:
         word |= _TARGET_REACHED  # the quick stop is complete, and the drive stays
     values[slots.STATUSWORD] = word
 

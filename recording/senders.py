@@ -5,17 +5,20 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from coulombus.eds.cia301 import CobId
 from coulombus.recording.signals import blocks
 from coulombus.rigs.rig import Rig, RigError, load_rig
 
 __all__ = ["HOST", "rig_of", "senders"]
 
 HOST, NOBODY = 0, -1
-FROM_NODES = (0x080, 0x180, 0x280, 0x380, 0x480, 0x580, 0x700)
+FROM_NODES = (
+    *(CobId.EMCY, CobId.TPDO1, CobId.TPDO2, CobId.TPDO3, CobId.TPDO4),
+    *(CobId.SDO_TX, CobId.HEARTBEAT),
+)
 """Function codes of what a node sends: EMCY, TPDO1 to 4, SDO response, heartbeat (CiA 301, 7.3.3)."""
-TO_NODES = (0x200, 0x300, 0x400, 0x500, 0x600)
+TO_NODES = (CobId.RPDO1, CobId.RPDO2, CobId.RPDO3, CobId.RPDO4, CobId.SDO_RX)
 """RPDO1 to 4, SDO request."""
-LSS_MASTER = 0x7E5
 
 
 def senders(can_ids: npt.NDArray[np.int64], rig: Rig | None = None) -> npt.NDArray[np.int64]:
@@ -26,9 +29,9 @@ def senders(can_ids: npt.NDArray[np.int64], rig: Rig | None = None) -> npt.NDArr
         table[code + nodes] = nodes
     for code in TO_NODES:
         table[code + nodes] = HOST
-    table[[0x000, 0x080, 0x100, LSS_MASTER]] = HOST
+    table[[CobId.NMT, CobId.SYNC, CobId.TIME, CobId.LSS_RX]] = HOST
     if rig is not None:
-        table[0x700 + rig.host.node_id] = HOST
+        table[CobId.HEARTBEAT + rig.host.node_id] = HOST
         for pdo in rig.pdos():
             layout = pdo.layout
             table[layout.cob_id] = HOST if layout.direction == "rpdo" else pdo.node_id

@@ -8,7 +8,7 @@ from coulombus.conformance.tester.provoke import cause_error, emcy_id
 from coulombus.conformance.tester.registry import case
 from coulombus.conformance.tester.unit import MS, Unit
 from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, SdoAborted
-from coulombus.eds.cia301 import Abort
+from coulombus.eds.cia301 import Abort, CobId
 
 __all__: list[str] = []
 
@@ -17,7 +17,7 @@ __all__: list[str] = []
 def identifier(unit: Unit) -> None:
     """Read 1014h and compare it with the EDS, or with 80h + node-id where that gives no default."""
     said = unit.default(unit.need(0x1014))
-    value, wanted = unit.number(0x1014), said if isinstance(said, int) else 0x80 + unit.node_id
+    value, wanted = unit.number(0x1014), said if isinstance(said, int) else CobId.EMCY + unit.node_id
     if value != wanted:
         raise CaseFailed(f"1014h is {value:08X}h, expected {wanted:08X}h")
 

@@ -17,7 +17,7 @@ from coulombus.conformance.tester.registry import case
 from coulombus.conformance.tester.sdo_client import head
 from coulombus.conformance.tester.unit import Unit, encode
 from coulombus.conformance.tester.verdict import CaseFailed, NoAnswer, NotApplicable, SdoAborted, where
-from coulombus.eds.cia301 import NmtCommand
+from coulombus.eds.cia301 import CobId, NmtCommand
 from coulombus.eds.reader import Variable
 
 RW = ("rw", "rwr", "rww")
@@ -168,7 +168,7 @@ def beyond_limit(unit: Unit, above: bool) -> str:
 def server_identifiers(unit: Unit) -> None:
     """Read 1200h:01 and :02."""
     unit.need(0x1200, 1)
-    for subindex, expected in ((1, 0x600 + unit.node_id), (2, 0x580 + unit.node_id)):
+    for subindex, expected in ((1, CobId.SDO_RX + unit.node_id), (2, CobId.SDO_TX + unit.node_id)):
         value = unit.number(0x1200, subindex)
         if value != expected:
             raise CaseFailed(f"1200h:{subindex:02X} is {value:08X}h, expected {expected:08X}h")

@@ -9,6 +9,7 @@ from coulombus.conformance.tester.pdo_stimuli import candidates
 from coulombus.conformance.tester.registry import case
 from coulombus.conformance.tester.unit import MS, Unit, encode
 from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, SdoAborted
+from coulombus.eds.cia301 import CobId
 
 __all__: list[str] = []
 
@@ -56,7 +57,7 @@ def identifier(unit: Unit) -> None:
     """Read 1005h: identifier 80h, no producer."""
     unit.need(0x1005)
     value = unit.number(0x1005)
-    if value & 0x1FFFFFFF != 0x80:
+    if value & 0x1FFFFFFF != CobId.SYNC:
         raise CaseFailed(f"1005h is {value:08X}h, expected 00000080h")
 
 

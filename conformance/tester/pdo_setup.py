@@ -42,7 +42,10 @@ MOST = 4
 
 CONSUMER_MS = 60
 READABLE, WRITABLE = ("ro", "rw", "rwr", "const"), ("rw", "rww", "wo")
-_DEFAULT_ID = {RPDO: (0x200, 0x300, 0x400, 0x500), TPDO: (0x180, 0x280, 0x380, 0x480)}
+_DEFAULT_ID = {
+    RPDO: (CobId.RPDO1, CobId.RPDO2, CobId.RPDO3, CobId.RPDO4),
+    TPDO: (CobId.TPDO1, CobId.TPDO2, CobId.TPDO3, CobId.TPDO4),
+}
 
 
 class Unsupported(Exception):

@@ -14,9 +14,9 @@ import numpy as np
 
 from coulombus.compiled.decorator import inlined, kernel
 from coulombus.sim_bus.copper.controller import (
-    BUS_OFF,
     PASSIVE_LEVEL,
     STATIONS,
+    CanState,
     begin_bus_off,
     count_received,
     count_sent,
@@ -100,9 +100,9 @@ def refresh(bus: Any) -> None:
         c = bus.stations[bus.on[k]]
         if c.tec | c.rec | c.state | c.changed | c.listen_only | c.one_shot | c.loopback | c.queue_limit:
             bus.alert = 1
-            if c.queue_limit or c.state == BUS_OFF:
+            if c.queue_limit or c.state == CanState.BUS_OFF:
                 bus.limited = 1
-        if c.state != BUS_OFF and c.listen_only == 0:
+        if c.state != CanState.BUS_OFF and c.listen_only == 0:
             acknowledging += 1
     if bus.fault_count > 0 or bus.alarm_ns < FAR_NS or (bus.on_count > 0 and acknowledging < 2):
         bus.alert = 1
@@ -145,7 +145,7 @@ def detach(bus: Any, station: int) -> None:
 def restart(bus: Any, station: int, now_ns: int) -> None:
     """Begin the recovery of a station in bus-off, as ``ip link set can0 type can restart``."""
     c = bus.stations[station & STATION_MASK]
-    if c.state == BUS_OFF:
+    if c.state == CanState.BUS_OFF:
         c.restart_at_ns = now_ns
         plan_alarm(bus, now_ns)
         refresh(bus)
@@ -156,7 +156,7 @@ def _recover(bus: Any, now_ns: int) -> None:
     """Credit the stations in bus-off with the runs of 11 recessive bits since the last dominant one."""
     for k in range(bus.on_count):
         c = bus.stations[bus.on[k]]
-        if c.state != BUS_OFF or c.restart_at_ns > now_ns:
+        if c.state != CanState.BUS_OFF or c.restart_at_ns > now_ns:
             continue
         begin_ns = max(bus.recessive_ns, c.restart_at_ns)
         runs = max(now_ns - begin_ns, 0) * bus.bit_rate // NS // RUN_BITS
@@ -175,7 +175,7 @@ def _next(bus: Any, now_ns: int) -> int:
         c = bus.stations[row]
         if c.attached == 0:
             attach(bus, row)
-        if c.state == BUS_OFF or c.listen_only:
+        if c.state == CanState.BUS_OFF or c.listen_only:
             c.dropped += 1
         elif c.suspend_ns > now_ns:
             _wait_again(bus, place, bus.held_order[place], c.suspend_ns)
@@ -297,8 +297,8 @@ def _send(bus: Any, place: int, now_ns: int) -> None:
     for k in range(bus.on_count):
         c = bus.stations[bus.on[k]]
         own = bus.on[k] == row
-        c.hears = 1 if c.state != BUS_OFF and (not own or c.loopback) else 0
-        if c.state != BUS_OFF and ((not own and not c.listen_only) or (own and c.loopback)):
+        c.hears = 1 if c.state != CanState.BUS_OFF and (not own or c.loopback) else 0
+        if c.state != CanState.BUS_OFF and ((not own and not c.listen_only) or (own and c.loopback)):
             acknowledged = True
     disturbed = bus.flips > 0 or bus.wrong_crc != 0 or bus.stuck_from_ns < end_ns or bus.noise_ns < end_ns
     if disturbed or bus.unsettled or not acknowledged or _contested(bus, order):
@@ -334,7 +334,13 @@ def _contested(bus: Any, order: int) -> bool:
 def _contends(bus: Any, source: int, now_ns: int) -> bool:
     """Tell, once for each station with a frame ready, whether it takes part in the arbitration that begins now."""
     c = bus.stations[source & STATION_MASK]
-    if c.contends_ns == now_ns or c.state == BUS_OFF or c.listen_only or c.suspend_ns > now_ns or not may_start(c):
+    if (
+        c.contends_ns == now_ns
+        or c.state == CanState.BUS_OFF
+        or c.listen_only
+        or c.suspend_ns > now_ns
+        or not may_start(c)
+    ):
         return False
     c.contends_ns = now_ns
     return True
@@ -417,7 +423,7 @@ def _tell_states(bus: Any, out: Any, log: Any, row: int, last: int) -> int:
         c.link = LINK_RECOVERED if c.recovered else _LINKS[c.state]
         bus.links = 1
         c.changed = c.recovered = 0
-        if c.state == BUS_OFF:
+        if c.state == CanState.BUS_OFF:
             begin_bus_off(c, bus.end_ns, FAR_NS)
             withdraw(bus, out, _number(station))
     return row
@@ -433,7 +439,7 @@ def _settle(bus: Any) -> None:
             count_sent(c)
             if c.tec >= PASSIVE_LEVEL or c.rec >= PASSIVE_LEVEL:
                 c.suspend_ns = bus.free_ns + SUSPEND_BITS * NS // bus.bit_rate
-        elif c.state != BUS_OFF:
+        elif c.state != CanState.BUS_OFF:
             count_received(c)
     _once_more(bus)
 
@@ -454,7 +460,7 @@ def _end_slow(bus: Any) -> None:
         state = bus.tx_state[k]
         if state != FAILED and state != LOST:
             continue
-        if c.attached == 0 or c.state == BUS_OFF or c.one_shot:
+        if c.attached == 0 or c.state == CanState.BUS_OFF or c.one_shot:
             c.dropped += 1
             continue
         can_id, order = bus.tx_can_id[k], bus.tx_order[k]

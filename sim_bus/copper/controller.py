@@ -79,13 +79,6 @@ class ErrorKind(IntEnum):
     ACK = 4
 
 
-ERROR_ACTIVE, ERROR_WARNING, ERROR_PASSIVE, BUS_OFF = (
-    int(CanState.ERROR_ACTIVE),
-    int(CanState.ERROR_WARNING),
-    int(CanState.ERROR_PASSIVE),
-    int(CanState.BUS_OFF),
-)
-
 _SET_UP = ("attached", "listen_only", "one_shot", "loopback", "queue_limit", "restart_ns")
 _CONFINEMENT = ("tec", "rec", "state", "changed", "recovered", "restart_at_ns", "runs_left", "suspend_ns")
 _COUNTERS = (
@@ -118,24 +111,24 @@ CONTROLLER = np.dtype(
 @kernel
 def _follow(c: Any) -> None:
     """Let `state` follow the counters (rules i, j, k); `changed` is set until somebody has told it."""
-    if c.state == BUS_OFF:
+    if c.state == CanState.BUS_OFF:
         return
     worst = max(c.tec, c.rec)
-    state = ERROR_ACTIVE
+    state = CanState.ERROR_ACTIVE
     if c.tec >= BUS_OFF_LEVEL:
-        state = BUS_OFF
+        state = CanState.BUS_OFF
     elif worst >= PASSIVE_LEVEL:
-        state = ERROR_PASSIVE
+        state = CanState.ERROR_PASSIVE
     elif worst >= WARNING_LEVEL:
-        state = ERROR_WARNING
+        state = CanState.ERROR_WARNING
     if state == c.state:
         return
     if state > c.state:
-        if c.state < ERROR_WARNING:
+        if c.state < CanState.ERROR_WARNING:
             c.warnings += 1
-        if c.state < ERROR_PASSIVE <= state:
+        if c.state < CanState.ERROR_PASSIVE <= state:
             c.passives += 1
-        if state == BUS_OFF:
+        if state == CanState.BUS_OFF:
             c.bus_offs += 1
             c.runs_left = RECOVERY_RUNS
     c.state = state
@@ -183,7 +176,7 @@ def begin_bus_off(c: Any, t_ns: int, far_ns: int) -> None:
 def recover(c: Any) -> None:
     """Rule l: error active again, with both counters 0."""
     c.tec = c.rec = 0
-    c.state = ERROR_ACTIVE
+    c.state = CanState.ERROR_ACTIVE
     c.changed = c.recovered = 1
     c.restarts += 1
     c.suspend_ns = c.mode = c.joins = 0

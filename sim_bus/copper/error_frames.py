@@ -20,7 +20,7 @@ from __future__ import annotations
 from typing import Any
 
 from coulombus.compiled.decorator import inlined, kernel
-from coulombus.sim_bus.copper.controller import BUS_OFF, ERROR_ACTIVE, ERROR_PASSIVE
+from coulombus.sim_bus.copper.controller import CanState
 from coulombus.wire.frame import CAN_ERR_FLAG
 
 __all__ = ["ERR_CNT", "ERR_LOSTARB", "error_frame", "lost_frame", "state_frame", "with_counters"]
@@ -57,14 +57,14 @@ def state_frame(c: Any, station: int) -> tuple[int, int]:
     how = 0
     if c.recovered:
         classes |= ERR_RESTARTED
-    if c.state == BUS_OFF:
+    if c.state == CanState.BUS_OFF:
         classes |= ERR_BUSOFF
-    elif c.state == ERROR_ACTIVE:
+    elif c.state == CanState.ERROR_ACTIVE:
         classes |= ERR_CRTL
         how = ACTIVE_AGAIN
     else:
         classes |= ERR_CRTL
-        passive = c.state == ERROR_PASSIVE
+        passive = c.state == CanState.ERROR_PASSIVE
         if c.tec >= c.rec:
             how |= TX_PASSIVE if passive else TX_WARNING
         if c.rec >= c.tec:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from coulombus.compiled.decorator import inlined, kernel
-from coulombus.sim_bus.copper.controller import BUS_OFF, STATIONS
+from coulombus.sim_bus.copper.controller import STATIONS, CanState
 from coulombus.sim_bus.copper.noise import renew
 from coulombus.sim_bus.copper.slow_motion import MAX_FLIPS, is_meant
 from coulombus.sim_bus.copper.stuffing import TAIL_BITS
@@ -199,7 +199,7 @@ def _babble(bus: Any, f: Any, row: int, now_ns: int) -> None:
     """Let a babbler ask for its frames that are due."""
     while f.next_ns <= now_ns and f.next_ns < f.until_ns:
         c = bus.stations[f.station & STATION_MASK]
-        if c.state != BUS_OFF and bus.waiting_of[f.station & STATION_MASK] < BABBLE_LIMIT:
+        if c.state != CanState.BUS_OFF and bus.waiting_of[f.station & STATION_MASK] < BABBLE_LIMIT:
             fire(bus, row, f.next_ns, f.can_id)
             hold(bus, first_order(f.can_id) | 1, f.can_id, f.length, f.word, f.station, f.next_ns)
         f.next_ns += f.period_ns
@@ -246,7 +246,7 @@ def plan_alarm(bus: Any, now_ns: int) -> None:
             next_ns = min(next_ns, f.next_ns)
     for k in range(bus.on_count):
         c = bus.stations[bus.on[k]]
-        if c.state == BUS_OFF and c.restart_at_ns < FAR_NS:
+        if c.state == CanState.BUS_OFF and c.restart_at_ns < FAR_NS:
             begin_ns = max(bus.recessive_ns, c.restart_at_ns)
             next_ns = min(next_ns, begin_ns + -(-c.runs_left * RUN_BITS * NS // bus.bit_rate))
     bus.alarm_ns = next_ns

@@ -82,7 +82,6 @@ class Sent(IntEnum):
 IDLE, FRAME, FLAG, OVERLOAD, WAIT, DELIMITER, INTERMISSION, INTEGRATING = map(int, Mode)
 PENDING, DONE, FAILED, LOST, GIVEN_UP = map(int, Sent)
 BIT, STUFF, CRC, FORM, ACK = map(int, ErrorKind)
-BUS_OFF = int(CanState.BUS_OFF)
 CLIENTS_FROM, CLIENTS_TO = CLIENT_ROWS.start, CLIENT_ROWS.stop
 NOT_YET = 1 << 30
 CRC_DELIMITER, ACK_SLOT, ACK_DELIMITER, LAST_BUT_ONE, LAST = 0, 1, 2, 8, 9  # `tail`: bits behind the CRC sequence
@@ -509,7 +508,7 @@ def run_bits(bus: Any) -> int:
         level = 1
         for k in range(bus.on_count):
             c = bus.stations[bus.on[k]]
-            c.level = 1 if c.state == BUS_OFF else _drive(bus, c)
+            c.level = 1 if c.state == CanState.BUS_OFF else _drive(bus, c)
             level &= c.level
         stuck = bus.stuck_from_ns <= begin_ns < bus.stuck_until_ns
         if stuck:
@@ -532,7 +531,7 @@ def run_bits(bus: Any) -> int:
         for k in range(bus.on_count):
             station = bus.on[k]
             c = bus.stations[station]
-            if c.state == BUS_OFF:
+            if c.state == CanState.BUS_OFF:
                 continue
             bit = _disturbed(bus, station, level)
             if hit and hits != ALL and is_meant(hits, station):
@@ -540,7 +539,7 @@ def run_bits(bus: Any) -> int:
             _step(bus, c, station, bit, end_ns)
             if c.changed:
                 changed = True
-                if c.state == BUS_OFF:
+                if c.state == CanState.BUS_OFF:
                     if c.frame >= 0:
                         bus.tx_state[c.frame] = FAILED
                         c.frame = -1

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from coulombus.compiled.decorator import inlined, kernel
-from coulombus.sim_bus.copper.controller import BUS_OFF
+from coulombus.sim_bus.copper.controller import CanState
 from coulombus.wire.frame import arbitration_key
 
 __all__ = [
@@ -146,7 +146,7 @@ def accept(bus: Any, frame: Any) -> bool:
         bus.sequence = FIRST_SEQUENCE
     if bus.limited:  # a transmit queue of finite length, or a station in bus-off, takes no more
         c = bus.stations[frame.source & STATION_MASK]
-        if 0 < c.queue_limit <= bus.waiting_of[frame.source & STATION_MASK] or c.state == BUS_OFF:
+        if 0 < c.queue_limit <= bus.waiting_of[frame.source & STATION_MASK] or c.state == CanState.BUS_OFF:
             c.dropped += 1
             return True
     order = first_order(frame.can_id) | bus.sequence

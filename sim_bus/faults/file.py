@@ -31,6 +31,7 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, field_validator, model_validator
 
+from coulombus.eds.cia301 import CobId
 from coulombus.eds.regular_file import read_regular
 from coulombus.rigs.toml_lines import MOST_CHARACTERS, Document, Key, read_toml
 from coulombus.sim_bus.copper.faults import MAX_FAULTS, TAIL_BIT
@@ -65,14 +66,14 @@ RESTART_MS = 100
 
 BASES = {
     "NMT": 0x000,
-    "SYNC": 0x080,
-    "EMCY": 0x080,
-    "TIME": 0x100,
-    **{f"TPDO{n}": 0x080 + 0x100 * n for n in range(1, 5)},
-    **{f"RPDO{n}": 0x100 + 0x100 * n for n in range(1, 5)},
-    "SDO RESPONSE": 0x580,
-    "SDO REQUEST": 0x600,
-    "HEARTBEAT": 0x700,
+    "SYNC": CobId.SYNC,
+    "EMCY": CobId.EMCY,
+    "TIME": CobId.TIME,
+    **{name: CobId[name] for name in ("TPDO1", "TPDO2", "TPDO3", "TPDO4")},
+    **{name: CobId[name] for name in ("RPDO1", "RPDO2", "RPDO3", "RPDO4")},
+    "SDO RESPONSE": CobId.SDO_TX,
+    "SDO REQUEST": CobId.SDO_RX,
+    "HEARTBEAT": CobId.HEARTBEAT,
 }
 """Identifiers of the predefined connection set (CiA 301, 7.3.5); a node's is that plus its node id."""
 OF_NO_NODE = ("NMT", "SYNC", "TIME")

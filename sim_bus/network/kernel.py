@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from coulombus.compiled.decorator import borrowed, inlined, kernel
+from coulombus.eds.cia301 import CobId
 from coulombus.eds.cia402 import PowerState
 from coulombus.host.cycle import axes as host_axes
 from coulombus.host.cycle import step
@@ -49,8 +50,6 @@ MOTOR, BRAKE = 0, 1
 MOST_DEVICES = 127
 
 ENCODER_LOST = 1 << emcy.ENCODER - emcy.FIRST_DEVICE_CAUSE
-OPERATION_ENABLED = int(PowerState.OPERATION_ENABLED)
-SYNC = 0x80
 
 
 class Exit(IntEnum):
@@ -65,16 +64,6 @@ class Exit(IntEnum):
     SCRIPT = 6  # a script's entry is due
     FAULT = 7  # a frame has triggered a fault that the bus cannot do itself
 
-
-EXIT_UNTIL, EXIT_FORCE, EXIT_LOG = int(Exit.UNTIL), int(Exit.FORCE), int(Exit.LOG)
-EXIT_SERVICE, EXIT_ENABLED, EXIT_PHASE, EXIT_SCRIPT = (
-    int(Exit.SERVICE),
-    int(Exit.ENABLED),
-    int(Exit.PHASE),
-    int(Exit.SCRIPT),
-)
-
-EXIT_FAULT = int(Exit.FAULT)
 
 FRAME_END, SCRIPT, DEVICE, HOST, FRAME_START, NOTHING = 0, 1, 2, 3, 4, 5
 """What happens next, in the order of events at the same instant."""
@@ -268,14 +257,14 @@ def run(world: World, host: Host, law_function: Any) -> int:
         refresh(w, nodes, axes, deadlines, wants)
     while True:
         if w.log_count + MOST_ROWS > world.log.shape[0] or w.sent_count + QUEUE_CAPACITY > SENT_FRAMES:
-            return EXIT_LOG
+            return Exit.LOG
         b = cable
         if cable.cut != 0:
             b = bus[choose(bus, out)]
         if cable.fault_calls != 0:
             for a in range(axes.shape[0]):
                 _look(world, a, w.t_ns)
-            return EXIT_FAULT
+            return Exit.FAULT
         t, what = next_event(w, b, out, deadlines, host.axes)
         if t < w.t_ns:
             t = w.t_ns
@@ -287,7 +276,7 @@ def run(world: World, host: Host, law_function: Any) -> int:
                 if axes[a].force_end_ns == t:
                     _advance(world, a, t)
                     w.axis = a
-                    return EXIT_FORCE
+                    return Exit.FORCE
         w.t_ns = t
         if what == FRAME_START:
             start_frame(b, out, t)
@@ -295,7 +284,7 @@ def run(world: World, host: Host, law_function: Any) -> int:
         if what in (NOTHING, SCRIPT):
             for a in range(axes.shape[0]):
                 _advance(world, a, t)
-            return EXIT_UNTIL if what == NOTHING else EXIT_SCRIPT
+            return Exit.UNTIL if what == NOTHING else Exit.SCRIPT
         if what == HOST:
             first, t_host = out.count, own_ns(w, t)
             host_axes.on_time(host.axes, law_function, t_host, out)
@@ -327,7 +316,7 @@ def run(world: World, host: Host, law_function: Any) -> int:
             if b.delivered == 0:
                 continue
             w.services = w.control_plane = w.heard = 0
-            if b.can_id == SYNC:
+            if b.can_id == CobId.SYNC:
                 for a in range(axes.shape[0]):
                     _look(world, a, t)
             plain = b.can_id <= 0x7FF
@@ -358,15 +347,15 @@ def run(world: World, host: Host, law_function: Any) -> int:
             if w.services + w.control_plane + w.heard != 0:
                 for a in range(axes.shape[0]):
                     _look(world, a, t)
-                return EXIT_SERVICE
+                return Exit.SERVICE
         if w.to_begin > 0:
             for a in range(axes.shape[0]):
-                if axes[a].operator_start_ns < 0 and nodes[axes[a].motor].power_state == OPERATION_ENABLED:
+                if axes[a].operator_start_ns < 0 and nodes[axes[a].motor].power_state == PowerState.OPERATION_ENABLED:
                     axes[a].operator_start_ns = t
                     w.to_begin -= 1
                     w.axis = a
-                    return EXIT_ENABLED
+                    return Exit.ENABLED
         phases = host_axes.phases(host.axes)
         if phases != w.phase:
             w.phase = phases
-            return EXIT_PHASE
+            return Exit.PHASE

@@ -8,11 +8,12 @@ from typing import Any, Protocol
 
 import canopen
 
+from coulombus.eds.cia301 import CobId
 from coulombus.wire.frame import Queue, data_word, push
 
 __all__ = ["CanopenNetwork", "Heard", "Station"]
 
-SDO_REQUEST, SDO_RESPONSE, SDO_ABORT = 0x600, 0x580, 0x80
+SDO_ABORT = 0x80
 
 
 @dataclass(frozen=True)
@@ -102,8 +103,8 @@ class CanopenNetwork(canopen.Network):  # type: ignore[misc]  # canopen has no t
     def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
         """Queue a frame; when it is an SDO request, run the bus until the node's response or the time-out."""
         self._send(can_id, bytes(data), remote)
-        if can_id & 0x780 == SDO_REQUEST and data[0] != SDO_ABORT:  # nobody answers an abort
-            self._answer(SDO_RESPONSE + (can_id & 0x7F))
+        if can_id & 0x780 == CobId.SDO_RX and data[0] != SDO_ABORT:  # nobody answers an abort
+            self._answer(CobId.SDO_TX + (can_id & 0x7F))
 
     def send_periodic(self, can_id: int, data: bytes, period: float, remote: bool = False) -> Any:
         """Refused: periodic frames are the kernel's."""

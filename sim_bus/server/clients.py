@@ -65,9 +65,6 @@ class State(IntEnum):
     JOINED = 4  # the virtual bus of another process: so are they there
 
 
-FREE, GREETING, OPEN = int(State.FREE), int(State.GREETING), int(State.OPEN)
-SOCKETCAN, JOINED = int(State.SOCKETCAN), int(State.JOINED)
-MESSAGE, CLOSED, GONE = int(Need.MESSAGE), int(Need.CLOSED), int(Need.GONE)
 OWN, LISTEN_ONLY, ERRORS = 1, 2, 4  # wire.hello.Flags
 INVERTED = 0x20000000  # CAN_INV_FILTER
 ECHO = 1 << 40
@@ -152,7 +149,7 @@ def flush(slot: Any, batch: Any) -> None:
 
 @kernel
 def _to_interface(slot: Any, batch: Any) -> int:
-    """Write the frame in `batch` to the bus that carries it, a SocketCAN interface takes one at a time; return 0, or GONE.
+    """Write the frame in `batch` to the bus that carries it, a SocketCAN interface takes one at a time; return 0, or Need.GONE.
 
     That a bus of another process has gone is found on reading.
     """
@@ -161,7 +158,7 @@ def _to_interface(slot: Any, batch: Any) -> int:
         if number == EINTR:
             continue
         if number in (ENODEV, ENXIO):
-            return GONE
+            return Need.GONE
         if number == ENETDOWN:
             slot.net_down += 1
         elif number in (ENOBUFS, EAGAIN):
@@ -188,13 +185,13 @@ def hand_out(w: Any, p: Any, bus: Any, log: Any, clients: Clients) -> int:
                 if half != b.stations[f.source & STATION_MASK].half:
                     continue
                 b = bus[half]
-            if s.state in (SOCKETCAN, JOINED):
+            if s.state in (State.SOCKETCAN, State.JOINED):
                 if f.source < STATION:
                     batches[i, 0], batches[i, 1] = head, f.word
                     if _to_interface(s, batches[i]) != 0:
                         p.slot = i
-                        return GONE
-            elif s.state == OPEN:
+                        return Need.GONE
+            elif s.state == State.OPEN:
                 own = f.source == STATION + i
                 word = f.word
                 if error:  # of the bus, with the counters of the client's own controller; or of its own state
@@ -234,27 +231,27 @@ def _read(p: Any, slots: Any, boxes: Any, i: int, offset_ns: int, t_ns: int) -> 
         if number == EAGAIN:
             return 0
         p.slot = i
-        if s.state == SOCKETCAN:
+        if s.state == State.SOCKETCAN:
             if number == ENETDOWN:
                 s.net_down += 1
                 return 0
             p.error = number
-            return GONE
+            return Need.GONE
         s.gone = 1
         return 0
     box = boxes[i]
-    if n == 0 and s.state != SOCKETCAN:
+    if n == 0 and s.state != State.SOCKETCAN:
         s.dry = s.gone = 1
         return 0
-    if s.state == SOCKETCAN:
+    if s.state == State.SOCKETCAN:
         s.overflow = box.overflow
     if box.truncated or n == 0:
         s.malformed += 1
         return 0
-    if s.state == GREETING or (n % 16 == 8 and s.state != JOINED):
+    if s.state == State.GREETING or (n % 16 == 8 and s.state != State.JOINED):
         p.slot = i
         p.message_bytes = n
-        return MESSAGE
+        return Need.MESSAGE
     if n % 16 != 0:
         s.malformed += 1
         return 0
@@ -283,7 +280,7 @@ def _offer(w: Any, bus: Any, s: Any, words: Any, station: int, out: Any) -> None
         length = head >> 32 & 0xFF
         can_id = head & 0xFFFFFFFF
         if can_id & CAN_ERR_FLAG:
-            if s.state == SOCKETCAN:
+            if s.state == State.SOCKETCAN:
                 s.error_frames += 1
             else:
                 s.malformed += 1
@@ -325,15 +322,15 @@ def take(w: Any, p: Any, bus: Any, clients: Clients, out: Any, offset_ns: int, t
     slots = clients.slots
     for i in range(slots.shape[0]):
         s = slots[i]
-        if s.state == FREE:
+        if s.state == State.FREE:
             continue
         while s.next >= s.staged and not s.dry:
             why = _read(p, slots, clients.boxes, i, offset_ns, t_ns)
             if why != 0:
                 return why
-        if s.gone and s.next >= s.staged and not (s.state == OPEN and _under_way(bus, STATION + i, out)):
+        if s.gone and s.next >= s.staged and not (s.state == State.OPEN and _under_way(bus, STATION + i, out)):
             p.slot = i
-            return CLOSED
+            return Need.CLOSED
         if s.next < s.staged:
             _offer(w, bus, s, clients.words[i], STATION + i, out)
     return 0

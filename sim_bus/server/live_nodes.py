@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
+from coulombus.eds.cia301 import CobId
 from coulombus.eds.own_devices import PRODUCTS, VENDOR_ID, told_identity
 from coulombus.eds.reader import Description, read_eds
 from coulombus.node.device import Device
@@ -28,7 +29,6 @@ __all__ = ["KINDS", "LiveNodes", "NodeError", "run_nodes"]
 KINDS = {"generic": KIND_GENERIC, "drive": KIND_DRIVE, "brake": KIND_BRAKE}
 OWN_DEVICES = {(VENDOR_ID, PRODUCTS["motor"]): KIND_DRIVE, (VENDOR_ID, PRODUCTS["brake"]): KIND_BRAKE}
 """1018h:01 and 1018h:02 of our own devices' files, and what lives behind their objects."""
-BOOT_UP, SDO_RESPONSE = 0x700, 0x580
 BIT_RATE = 1_000_000
 
 
@@ -112,8 +112,8 @@ class LiveNodes:
             self._devices(network, Store)
             return network
         devices = self._devices(network, lambda: Store() if self.store is None else FileStore(self.store))
-        own = {BOOT_UP + device.node_id: row for row, device in enumerate(devices)}
-        own |= {SDO_RESPONSE + device.node_id: row for row, device in enumerate(devices)}
+        own = {CobId.HEARTBEAT + device.node_id: row for row, device in enumerate(devices)}
+        own |= {CobId.SDO_TX + device.node_id: row for row, device in enumerate(devices)}
         network.station(own, lambda frame: self._heard(devices[own[frame.can_id]], own[frame.can_id], frame))
         return network
 
@@ -133,7 +133,7 @@ class LiveNodes:
     def _heard(self, device: Device, row: int, frame: Heard) -> None:
         """Tell of the first boot-up of a node, and of another node that has its id."""
         if frame.source == row:
-            if frame.can_id == BOOT_UP + device.node_id:
+            if frame.can_id == CobId.HEARTBEAT + device.node_id:
                 self._tell("ready", device, row, frame)
         else:
             self._tell("duplicate", device, row, frame)

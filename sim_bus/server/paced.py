@@ -34,7 +34,7 @@ from coulombus.compiled.libc import (
 from coulombus.eds.cia402 import PowerState
 from coulombus.sim_bus.copper.cut import choose
 from coulombus.sim_bus.network.kernel import Exit, Host, World, next_event, refresh, run
-from coulombus.sim_bus.server.clients import FREE, GONE, Clients, flush, hand_out, take
+from coulombus.sim_bus.server.clients import Clients, Need, State, flush, hand_out, take
 
 __all__ = ["PACE", "Serve", "serve"]
 
@@ -54,11 +54,6 @@ class Serve(IntEnum):
     RECORD = 34  # `PACE.keep` frames wait in the log to be recorded, or the oldest for KEPT_NS
     FAILED = 35  # a system call that the loop cannot do without; `PACE.error`
 
-
-STOP, TIME, ACCEPT, RESTED = int(Serve.STOP), int(Serve.TIME), int(Serve.ACCEPT), int(Serve.RESTED)
-UNTIL, LOG = int(Exit.UNTIL), int(Exit.LOG)
-RECORD, FAILED = int(Serve.RECORD), int(Serve.FAILED)
-OPERATION_ENABLED = int(PowerState.OPERATION_ENABLED)
 
 PACE = np.dtype(
     [
@@ -87,7 +82,7 @@ PACE = np.dtype(
 
 @kernel
 def _wait(p: Any, slots: Any, pollfds: Any, timeout_ns: int) -> int:
-    """Sleep until a client has something or the time is over; return ACCEPT when one waits at the listener, FAILED, or 0.
+    """Sleep until a client has something or the time is over; return Serve.ACCEPT when one waits at the listener, FAILED, or 0.
 
     Only what is watched stands in `pollfds`: they are never more than this process may open (RLIMIT_NOFILE), which ppoll refuses.
     """
@@ -97,7 +92,7 @@ def _wait(p: Any, slots: Any, pollfds: Any, timeout_ns: int) -> int:
     for i in range(n):
         s = slots[i]  # a client whose message is not done is not asked, not even whether it is still there
         s.watched = 0
-        if s.state != FREE and s.next >= s.staged and s.gone == 0:
+        if s.state != State.FREE and s.next >= s.staged and s.gone == 0:
             pollfds[count] = s.fd | POLLIN << 32
             s.watched = count
             count += 1
@@ -108,16 +103,16 @@ def _wait(p: Any, slots: Any, pollfds: Any, timeout_ns: int) -> int:
         if number in (EINTR, EAGAIN):
             return 0
         p.error = number
-        return FAILED
+        return Serve.FAILED
     if ready > 0:
         if pollfds[1] >> 48 & POLLNVAL:
             p.error = EBADF
-            return FAILED
+            return Serve.FAILED
         for i in range(n):
             if slots[i].watched != 0 and pollfds[slots[i].watched] >> 48 != 0:
                 slots[i].dry = 0
         if pollfds[0] >> 48 != 0:
-            return ACCEPT
+            return Serve.ACCEPT
     return 0
 
 
@@ -126,7 +121,7 @@ def _forgive(p: Any, slots: Any, planned_ns: int, t_ns: int) -> int:
     """Take out of the world's time what the whole machine stood still since `planned_ns`; return by how much."""
     first = t_ns
     for i in range(slots.shape[0]):
-        if slots[i].state != FREE and slots[i].next < slots[i].staged:
+        if slots[i].state != State.FREE and slots[i].next < slots[i].staged:
             first = min(first, slots[i].ready_ns)
     lost = first - planned_ns
     if lost < STALL_NS:
@@ -169,21 +164,25 @@ def serve(pace: Any, clients: Clients, world: World, host: Host, law_function: A
             if w.log_count > p.handed_out:
                 p.latest_ns = max(p.latest_ns, t_ns - world.log[w.log_count - 1].t_ns)
                 if hand_out(w, p, bus, world.log, clients) != 0:
-                    return GONE
-            if reason in (UNTIL, LOG):
+                    return Need.GONE
+            why = 0
+            if reason not in (Exit.UNTIL, Exit.LOG):
+                why += reason
+            else:
                 if p.keep == 0:
                     p.handed_out = w.log_count = 0
                 elif w.log_count >= p.keep:
-                    reason = RECORD
+                    why = Serve.RECORD
                 for a in range(world.axes.shape[0]):
                     axis = world.axes[a]
-                    if axis.operator_start_ns >= 0 and world.nodes[axis.motor].power_state != OPERATION_ENABLED:
+                    state = world.nodes[axis.motor].power_state
+                    if axis.operator_start_ns >= 0 and state != PowerState.OPERATION_ENABLED:
                         w.axis = a
-                        reason = RESTED
-            if reason not in (UNTIL, LOG):
+                        why = Serve.RESTED
+            if why != 0:
                 for i in range(slots.shape[0]):
                     flush(slots[i], batches[i])
-                return reason
+                return why
             taken = take(w, p, bus, clients, out, offset_ns, t_ns)
             if taken != 0:
                 break
@@ -192,12 +191,12 @@ def serve(pace: Any, clients: Clients, world: World, host: Host, law_function: A
         if taken != 0:
             return taken
         if p.keep != 0 and 0 < w.log_count <= p.handed_out and t_ns - world.log[0].t_ns >= KEPT_NS:
-            return RECORD
+            return Serve.RECORD
         if load_acquire(flag) != 0:
-            return STOP
+            return Serve.STOP
         t_ns = now_ns() - p.start_ns
         if t_ns >= p.end_ns:
-            return TIME
+            return Serve.TIME
         p.planned_ns = min(min(t_event, p.end_ns), t_ns + LONGEST_SLEEP_NS)
         why = _wait(p, slots, clients.pollfds, max(p.planned_ns - t_ns, 0))
         p.planned_ns = max(p.planned_ns, t_ns)

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from coulombus.compiled.decorator import Entry
-from coulombus.eds.cia301 import NmtCommand
+from coulombus.eds.cia301 import CobId, NmtCommand
 from coulombus.sim_bus.copper.attempt import attach, detach
 from coulombus.sim_bus.copper.controller import link
 from coulombus.sim_bus.copper.cut import wire_of
@@ -422,7 +422,7 @@ def _warm_up(world: VirtualNetwork) -> None:
     """Let a world that nobody looks at do what the real one will: what is compiled, or loaded, at its first call takes a second."""
     world.power_on()
     for device in world.devices:
-        rx = 0x600 + device.node_id
+        rx = CobId.SDO_RX + device.node_id
         for word in (0x0000_0000_0010_1740, 0x0000_0064_0010_172B):  # upload, download of 1017h
             device.service(0, rx, 8, word, world._out)
     for row in range(len(world.devices)):
