@@ -34,7 +34,7 @@ from coulombus.compiled.libc import (
 from coulombus.eds.cia402 import PowerState
 from coulombus.sim_bus.copper.cut import choose
 from coulombus.sim_bus.network.kernel import Exit, Host, World, next_event, refresh, run
-from coulombus.sim_bus.server.clients import Clients, Need, State, flush, hand_out, take
+from coulombus.sim_bus.server.clients import Clients, State, flush, hand_out, take
 
 __all__ = ["PACE", "Serve", "serve"]
 
@@ -163,8 +163,9 @@ def serve(pace: Any, clients: Clients, world: World, host: Host, law_function: A
             reason = run(world, host, law_function)
             if w.log_count > p.handed_out:
                 p.latest_ns = max(p.latest_ns, t_ns - world.log[w.log_count - 1].t_ns)
-                if hand_out(w, p, bus, world.log, clients) != 0:
-                    return Need.GONE
+                lost = hand_out(w, p, bus, world.log, clients)
+                if lost != 0:
+                    return lost
             why = 0
             if reason not in (Exit.UNTIL, Exit.LOG):
                 why += reason
