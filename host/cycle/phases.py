@@ -10,12 +10,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
 from coulombus.compiled.decorator import kernel
-from coulombus.eds.cia402 import CONTROLWORD, CONTROLWORD_TO_ENABLE, INTERNAL_LIMIT, Command, PowerState
+from coulombus.eds.cia402 import INTERNAL_LIMIT, PowerState
 from coulombus.host.cycle.records import Image, Phase, SignResult, Trip
+from coulombus.host.cycle.transitions import CONTROLWORDS
 
 __all__ = [
     "advance",
@@ -36,19 +34,6 @@ STILL_COUNTS = 1
 SIGN_TRAVEL_FACTOR = 4  # the ramp ends at this multiple of the counts that the encoder's verdict needs
 SETTLE_STEPS = 5.0  # the sign check's torque is taken back so many times as fast as it came
 DISABLE_CYCLES = 100  # how long a drive may take to say that it is disabled
-
-
-def _controlwords() -> npt.NDArray[np.int64]:
-    """Controlword by phase and by the drive's state; the last column is for a statusword of no state (-1)."""
-    table = np.zeros((len(Phase), len(PowerState) + 1), np.int64)
-    table[[Phase.STILL, Phase.ENABLE], :-1] = CONTROLWORD_TO_ENABLE
-    table[Phase.STILL, PowerState.SWITCHED_ON] = CONTROLWORD[Command.SWITCH_ON]  # and no further
-    table[Phase.SIGN : Phase.DISABLE, PowerState.OPERATION_ENABLED] = CONTROLWORD[Command.ENABLE_OPERATION]
-    return table
-
-
-CONTROLWORDS = _controlwords()
-"""``CONTROLWORDS[phase, state of the drive]``: what the host sends; 0, disable voltage, wherever it does not want the drive enabled."""
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""The phases of the cycle as one table: from which phase which one follows, when, and why the safe state is entered.
+"""The phases of the cycle as tables: which phase follows which, when, and why; and what controlword each sends.
 
 `host.cycle.phases` does what the table says; the tests hold every transition of the compiled step against it. The diagram of docs/safety.md is
 drawn from it. Two changes of the phase are none of the step's: `Controller.start` begins with STILL, and the data plane that
@@ -9,9 +9,13 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+import numpy.typing as npt
+
+from coulombus.eds.cia402 import CONTROLWORD, CONTROLWORD_TO_ENABLE, Command, PowerState
 from coulombus.host.cycle.records import Phase, Trip
 
-__all__ = ["TRANSITIONS", "Transition", "allowed", "diagram"]
+__all__ = ["CONTROLWORDS", "TRANSITIONS", "Transition", "allowed", "diagram"]
 
 
 class Transition(NamedTuple):
@@ -66,6 +70,19 @@ TRANSITIONS = (
     Transition((Phase.DISABLE,), "drive disabled, or time over", Phase.DONE),
 )
 """Every transition that the compiled step makes. A phase that no row leaves in a cycle goes on."""
+
+
+def _controlwords() -> npt.NDArray[np.int64]:
+    """Controlword by phase and by the drive's state; the last column is for a statusword of no state (-1)."""
+    table = np.zeros((len(Phase), len(PowerState) + 1), np.int64)
+    table[[Phase.STILL, Phase.ENABLE], :-1] = CONTROLWORD_TO_ENABLE
+    table[Phase.STILL, PowerState.SWITCHED_ON] = CONTROLWORD[Command.SWITCH_ON]  # and no further
+    table[Phase.SIGN : Phase.DISABLE, PowerState.OPERATION_ENABLED] = CONTROLWORD[Command.ENABLE_OPERATION]
+    return table
+
+
+CONTROLWORDS = _controlwords()
+"""``CONTROLWORDS[phase, state of the drive]``: what the host sends; 0, disable voltage, wherever it does not want the drive enabled."""
 
 
 def allowed(phase: Phase, following: Phase, trip: Trip = Trip.NONE) -> bool:

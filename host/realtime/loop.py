@@ -11,6 +11,8 @@ It looks after its parent, too: one that has ended, or that has not shown itself
 Answers to what the system says: EINTR - again; EAGAIN, ENOBUFS on sending - the frame is lost, counted, not repeated (a frame that waits is a
 wrong set-point later), and too many cycles of it trip; everything else, and the other side closing - the bus is lost. Only the safe set-points
 behind the last cycle are sent again until they are taken, for `END_ATTEMPTS` ms: nothing comes after them.
+
+    b : the Buffers        p : the PLANE record        c, h : the CONTROL and the HOST record of an axis        f, g, r : a frame or a row
 """
 
 from __future__ import annotations
@@ -277,7 +279,7 @@ def _transmit(b: Any, patience: int) -> int:
 
 
 @kernel
-def _watch_parent(p: Any, base: int, axes: Any) -> None:
+def _look_after_parent(p: Any, base: int, axes: Any) -> None:
     """Ask for the safe state when the parent has ended or stands still; when it has ended and all axes are done, there is nothing left to do."""
     until = load_acquire(base + AT_PARENT)
     orphan = p.parent != 0 and getppid() != p.parent
@@ -323,7 +325,7 @@ def _obey(b: Any) -> None:
     """Do what the parent asks for: the safe state, the dead man's key; and look whether it is there."""
     p, axes, base = b.plane[0], b.axes, b.plane.ctypes.data
     _stop(p, axes, load_acquire(base + AT_STOP))
-    _watch_parent(p, base, axes)
+    _look_after_parent(p, base, axes)
     if axes[0].control.deadman_key:
         held = 1 if now_ns() < load_acquire(base + AT_DEADMAN) else 0
         for k in range(axes.shape[0]):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from coulombus.host.cycle.axes import (
+    ask_to_stop,
     begin,
     finish,
     next_ns,
@@ -114,6 +115,15 @@ def test_where_one_axis_has_tripped_the_others_stop(first, phase, stop):
     stopped = Trip.OTHER_AXIS if phase < Phase.SAFE and stop <= 1 else stop
     assert axes.host["stop"][other] == stopped
     assert axes.host["stop"][first] == 0
+
+
+@pytest.mark.parametrize("trip", [0, 1, 2, int(Trip.HOST)])
+def test_a_wish_to_stop_is_for_all_axes_and_the_first_reason_counts(trip):
+    for stops, taken in (((0, 1), (trip, max(trip, 1))), ((2, 0), (2, trip)), ((1, 30), (max(trip, 1), 30))):
+        axes = Axes()
+        axes.host["stop"] = stops
+        ask_to_stop(axes.k.axes, trip)
+        assert tuple(axes.host["stop"].tolist()) == taken
 
 
 def test_without_a_trip_no_axis_stops_another():
