@@ -181,14 +181,17 @@ def test_a_frame_of_nobody_is_counted_and_does_nothing(can_id):
 # the motor's limit
 
 
-def limited(wanted, *, before=0.0, v_counts=0.0, age=0, motor=1, encoder=1, limit_pm=256):
-    bench = HostBench("active").enter(Phase.SIGN)
+def limited(
+    wanted, *, before=0.0, v_counts=0.0, age=0, motor=1, encoder=1, limit_pm=256, phase=Phase.SIGN, counter="clipped"
+):
+    bench = HostBench("active").enter(phase)
     c, h = bench.c, bench.h
     c.Nm_pm, c.rad_count, c.period_ns = motor * 2.0**-8, encoder * 2.0**-6, 500_000_000
     c.motor_limit_pm, c.motor_rate_Nm, c.speed_limit = limit_pm, 0.5, 20.0
     h.torque_Nm, h.v_counts, h.position_age, h.clipped_torque = before, v_counts, age, 5
+    h.slowed_torque = 5
     torque = limit_torque(c, h, wanted)
-    return torque, h.clipped_torque - 5
+    return torque, getattr(h, f"{counter}_torque") - 5
 
 
 @BOTH
@@ -228,6 +231,41 @@ def test_the_motor_is_limited_in_rate_size_and_near_the_speed_limit(
 def test_a_small_limit_keeps_the_torques_sense(sign, motor):
     assert limited(sign * 0.5, motor=motor, limit_pm=64) == (sign * 0.25, 1)
     assert limited(sign * 0.5, motor=motor, limit_pm=0) == (0.0, 1)
+
+
+COUNT = 2.0**-8
+
+
+@BOTH
+@pytest.mark.parametrize("phase", Phase)
+def test_only_the_phases_that_show_torque_pass_any(sign, phase):
+    shows = Phase.SIGN <= phase <= Phase.RUN
+    assert limited(sign * 0.25, phase=phase) == (sign * 0.25 if shows else 0.0, 0)
+
+
+@BOTH
+@pytest.mark.parametrize(("beyond", "clipped"), [(0.0, 0), (COUNT, 0), (1.5 * COUNT, 1)])
+def test_less_than_a_count_beyond_the_limit_is_rounding(sign, beyond, clipped):
+    assert limited(sign * (1.0 + beyond), before=sign * 0.75) == (sign * 1.0, clipped)
+
+
+@BOTH
+@pytest.mark.parametrize(
+    ("wanted", "before", "slowed"),
+    [
+        (0.25, 0.0, 0),
+        (0.5 + COUNT, 0.0, 0),  # a count is rounding
+        (0.5 + 2 * COUNT, 0.0, 1),
+        (0.75, 0.0, 1),
+        (0.25, 1.0, 1),
+        (9.0, 1.0, 0),  # clipped, not slowed
+        (9.0, 0.25, 1),
+    ],
+)
+def test_a_torque_that_the_rate_holds_back_is_counted_while_the_law_is_shown(sign, wanted, before, slowed):
+    for phase in (Phase.SIGN, Phase.SETTLE, Phase.RUN):
+        _, counted = limited(sign * wanted, before=sign * before, phase=phase, counter="slowed")
+        assert counted == (slowed if phase is Phase.RUN else 0)
 
 
 @BOTH
@@ -289,6 +327,28 @@ def test_a_switch_in_the_process_image_holds_while_it_is_not_zero(value):
     bench.cycle()
     assert bench.h.deadman_ok == (value != 0)
     assert bench.h.trip == (Trip.NONE if value else Trip.DEADMAN)
+
+
+@pytest.mark.parametrize(
+    ("mask", "value", "held"),
+    [
+        (0x6, 0x6, 1),
+        (0x6, 0xF, 1),
+        (0x6, 0x2, 0),
+        (0x6, 0x4, 0),
+        (0x6, 0x9, 0),
+        (0x6, 0, 0),
+        (0x8, 0x8, 1),
+        (0x8, 0x7, 0),
+    ],
+)
+def test_all_bits_of_the_mask_hold_the_switch(mask, value, held):
+    bench = HostBench().enter(Phase.RUN, counts=300)
+    bench.c.deadman_slot, bench.c.deadman_mask = int(Image.DEADMAN), mask
+    bench.h.image[Image.DEADMAN], bench.h.deadman_ok = value, 1 - held
+    bench.cycle()
+    assert bench.h.deadman_ok == held
+    assert bench.h.trip == (Trip.NONE if held else Trip.DEADMAN)
 
 
 def test_slot_0_may_hold_the_switch_and_minus_1_is_none():
