@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +15,8 @@ from coulombus.host.cycle.demand import check_demand
 from coulombus.host.cycle.records import Trip
 from coulombus.host.laws.law_source import law_attachments
 from coulombus.host.run.buses import merged, path_on
-from coulombus.host.run.result import RunResult, axis_results, file_sha256
-from coulombus.host.run.schedule import PhaseMarks, display_remarks, full_gain_s
+from coulombus.host.run.result import RunResult, file_sha256
+from coulombus.host.run.schedule import PhaseMarks
 from coulombus.host.setup.bringup import check_plan, release, shut_down
 from coulombus.lab.bringup import switch_on
 from coulombus.recording.measures import Measures, measure
@@ -148,28 +148,21 @@ class _Run:
         if regular and self.record is not None and self.failure is None:
             figures = [measure(one) for one in blocks(self.record).axes]
         enabled = self.world.enabled_ns
-        return RunResult(
-            mode=k.mode,
-            cycles=int(k.host["display_cycles"].max()),
-            period_ns=int(k.control["period_ns"][0]),
+        return RunResult.of(
+            k,
+            figures,
+            record=self.record,
+            trip=trip,
+            losses=self.losses,
             missed_deadlines=int(h["missed_deadlines"]),
-            lost_pdos=int(k.host["lost_pdos"].sum()),
             wakeup_us=None,
             cpu_us_per_cycle=None,
-            recording=str(self.record) if self.record is not None else None,
             recording_sha256=file_sha256(self.record) if regular and self.record is not None else None,
-            trip=trip,
-            **asdict(figures[0]),
-            sign_check=k.sign_result.name.lower(),
             simulated_s=0.0 if enabled is None else (self.world.t_ns - enabled) * 1e-9,
-            full_gain_s=full_gain_s(k),
-            remarks=display_remarks(k),
             counters=k.counters(),
             exit_status=7 if trip else 0,
             trip_ns=int(bus_ns(self.world.host_clock, k.trip_ns)) if k.trip_ns else None,
-            axes=axis_results(k, figures),
             faults=None if self.injection is None else self.injection.results(),
-            losses=list(self.losses) or None,
             controllers=None if self.injection is None else controllers_of(self.world),
         )
 

@@ -21,7 +21,7 @@ from itertools import combinations
 from typing import Any
 
 from coulombus.rigs.mistakes import Source
-from coulombus.rigs.toml_lines import Key
+from coulombus.rigs.toml_lines import Key, Table
 
 __all__ = ["MAX_AXES", "check_axes", "split_axes"]
 
@@ -65,7 +65,7 @@ def split_axes(values: dict[str, Any], source: Source) -> dict[str, dict[str, An
     return found
 
 
-def _merge(shared: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
+def _merge(shared: Table, own: Table) -> dict[str, Any]:
     """Return `shared` with the values of `own` in their places; a list is replaced as a whole."""
     merged = deepcopy(dict(shared))
     for key, value in own.items():
@@ -74,14 +74,14 @@ def _merge(shared: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
     return merged
 
 
-def _get(values: Mapping[str, Any], key: Key) -> Any:
+def _get(values: Table, key: Key) -> Any:
     found: Any = values
     for part in key:
         found = found.get(part) if isinstance(found, Mapping) else None
     return found
 
 
-def check_axes(axes: Mapping[str, Mapping[str, Any]], sources: Mapping[str, Source]) -> None:
+def check_axes(axes: Mapping[str, Table], sources: Mapping[str, Source]) -> None:
     """Note what the axes must share and do not, and node ids that two of one bus have."""
     for first, second in combinations(axes, 2):
         one, other, source = axes[first], axes[second], sources[second]
@@ -102,7 +102,7 @@ def check_axes(axes: Mapping[str, Mapping[str, Any]], sources: Mapping[str, Sour
                     )
 
 
-def _ids(one: Mapping[str, Any], other: Mapping[str, Any]) -> Iterator[tuple[Key, str]]:
+def _ids(one: Table, other: Table) -> Iterator[tuple[Key, str]]:
     taken = {_get(one, (node, "node_id")): node for node in ("brake", "motor")}
     for node in ("motor", "brake"):
         key: Key = (node, "node_id")

@@ -12,6 +12,7 @@ from coulombus.eds.reader import Description, EdsError, parse_eds, read_eds
 from coulombus.eds.regular_file import read_regular
 from coulombus.rigs.mistakes import Source, nearest
 from coulombus.rigs.signals import Node, deadman_object, shortcomings
+from coulombus.rigs.toml_lines import Table
 
 __all__ = ["read_descriptions", "read_schedules"]
 
@@ -26,9 +27,7 @@ def _find(name: str, rig_path: str, package: Path | None) -> tuple[Path | None, 
     return next((path for path in tried if path.exists()), None), tried  # a FIFO is found, and refused when it is read
 
 
-def read_descriptions(
-    values: Mapping[str, Any], source: Source, eds_texts: Mapping[str, str] | None
-) -> dict[Node, Description]:
+def read_descriptions(values: Table, source: Source, eds_texts: Mapping[str, str] | None) -> dict[Node, Description]:
     """Return the nodes' EDS files by "motor" and "brake"; mistakes are noted in `source`."""
     found: dict[Node, Description] = {}
     nodes: tuple[Node, ...] = ("motor", "brake")
@@ -74,7 +73,7 @@ def _from_file(name: str, rig_path: str) -> Description:
     )
 
 
-def read_schedules(values: Mapping[str, Any], source: Source, *, attached: bool = False) -> None:
+def read_schedules(values: Table, source: Source, *, attached: bool = False) -> None:
     """Fill in `t_s`, `torque_Nm` and `duration_s` of the phases of kind "file"; mistakes are noted in `source`.
 
     Of a rig that is `attached` to a recording no file is read: the recording has the schedule's values.

@@ -26,7 +26,7 @@ from coulombus.rigs.model import About, Brake, Bus, Host, Motor
 from coulombus.rigs.rules import check, remarks
 from coulombus.rigs.signals import Node, RigPdo
 from coulombus.rigs.text import apply_override, emit
-from coulombus.rigs.toml_lines import MOST_CHARACTERS, read_toml
+from coulombus.rigs.toml_lines import MOST_CHARACTERS, Table, read_toml
 from coulombus.rigs.words import explain
 
 __all__ = ["Rig", "RigError", "RigNode", "known_rigs", "load_rig", "load_rig_text", "packaged_rig"]
@@ -267,7 +267,7 @@ def _from(rig: Rig, origin: Origin) -> Rig:
     return replace(rig, axes=tuple(axis.from_origin(origin) for axis in rig.axes), origin=origin)
 
 
-def _spelled(name: str, values: Mapping[str, Any]) -> str:
+def _spelled(name: str, values: Table) -> str:
     return emit(values, f"The rig {name} as it was used, overrides included.")
 
 

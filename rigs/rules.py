@@ -9,7 +9,7 @@ from typing import Any
 
 from coulombus.rigs.mistakes import Source, shown
 from coulombus.rigs.model import CIA_301_BIT_RATES, MODES, WORK_WINDOW_CYCLES, to_ns
-from coulombus.rigs.toml_lines import Key
+from coulombus.rigs.toml_lines import Key, Table
 
 __all__ = ["check", "remarks"]
 
@@ -140,7 +140,7 @@ REMARKS = (
 )  # fmt: skip
 
 
-def _broken_rules(rules: tuple[Rule, ...], values: Mapping[str, Any], source: Source) -> Iterator[tuple[Key, Any, str]]:
+def _broken_rules(rules: tuple[Rule, ...], values: Table, source: Source) -> Iterator[tuple[Key, Any, str]]:
     for rule in rules:
         if any(source.is_wrong(key) for key in rule.keys):
             continue
@@ -154,7 +154,7 @@ def _broken_rules(rules: tuple[Rule, ...], values: Mapping[str, Any], source: So
             yield rule.keys[0], found[0], rule.expected.format(*map(shown, found))
 
 
-def check(values: Mapping[str, Any], source: Source) -> None:
+def check(values: Table, source: Source) -> None:
     """Note what is wrong between keys that are right by themselves."""
     for key, value, wanted in list(_broken_rules(RULES, values, source)):
         source.stands(key, value, wanted)
@@ -174,7 +174,7 @@ def check(values: Mapping[str, Any], source: Source) -> None:
             _check_columns(phase, ("phase", i), source)
 
 
-def _check_columns(phase: Mapping[str, Any], key: Key, source: Source) -> None:
+def _check_columns(phase: Table, key: Key, source: Source) -> None:
     times, torques = phase.get("t_s"), phase.get("torque_Nm")
     if (
         not isinstance(times, list)
@@ -191,7 +191,7 @@ def _check_columns(phase: Mapping[str, Any], key: Key, source: Source) -> None:
         source.stands((*key, "t_s"), times, "times that grow, from 0 on")
 
 
-def remarks(values: Mapping[str, Any], source: Source) -> tuple[str, ...]:
+def remarks(values: Table, source: Source) -> tuple[str, ...]:
     """Return what is allowed and yet may not be meant, with file:line."""
     found = [
         f"{source.where(key)[1]}: {source.spelled(key)}: '{shown(value)}' stands there; expected {source.said(wanted)}"

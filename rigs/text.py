@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from coulombus.rigs.mistakes import Source, dotted, toml_value
-from coulombus.rigs.toml_lines import Key, split_key
+from coulombus.rigs.toml_lines import Key, Table, split_key
 
 __all__ = ["apply_override", "emit"]
 
@@ -63,7 +63,7 @@ def _read(value: str) -> Any:
     return read["value"] if len(read) == 1 else value.strip()
 
 
-def emit(values: Mapping[str, Any], comment: str) -> str:
+def emit(values: Table, comment: str) -> str:
     """Return nested sections as TOML text; None is left out, arrays of tables are those that hold mappings."""
     lines = [f"# {line}" for line in comment.splitlines()]
     for name, section in values.items():
@@ -92,7 +92,7 @@ def _is_section(value: Any) -> bool:
     return isinstance(value, Mapping) or tables
 
 
-def _keys(lines: list[str], section: Mapping[str, Any]) -> None:
+def _keys(lines: list[str], section: Table) -> None:
     for key, value in sorted(section.items(), key=lambda item: item[0] != "kind"):
         plain = value.tolist() if isinstance(value, np.ndarray) else value
         if plain is not None:

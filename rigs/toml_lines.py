@@ -8,13 +8,17 @@ from __future__ import annotations
 
 import re
 import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
-__all__ = ["MOST_CHARACTERS", "Document", "Key", "read_toml", "split_key"]
+__all__ = ["MOST_CHARACTERS", "Document", "Key", "Table", "read_toml", "split_key"]
 
 Key: TypeAlias = tuple[str | int, ...]
 """Path of a value: ("mode", "active", "F_s_Nm"), or ("phase", 1, "kind") in an array of tables."""
+
+Table: TypeAlias = Mapping[str, Any]
+"""A table of a TOML file: keys, and what TOML holds."""
 
 MOST_ERRORS = 50
 MOST_CHARACTERS, MOST_LINES = 1 << 24, 10_000

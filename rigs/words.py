@@ -9,7 +9,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from coulombus.rigs.mistakes import Source, dotted, nearest
-from coulombus.rigs.toml_lines import Key
+from coulombus.rigs.toml_lines import Key, Table
 
 __all__ = ["accepted_range", "expected", "explain", "fields_of", "kinds_of", "unit_of"]
 
@@ -112,7 +112,7 @@ def expected(name: str, info: FieldInfo) -> str:
     return f"{text} ({info.description})" if info.description else text
 
 
-def explain(error: ValidationError, values: Mapping[str, Any], schema: type[BaseModel], source: Source) -> None:
+def explain(error: ValidationError, values: Table, schema: type[BaseModel], source: Source) -> None:
     """Note every mistake that pydantic found in `values`, once for each key."""
     for detail in error.errors():
         key, holder, info = _follow(detail["loc"], values, schema)

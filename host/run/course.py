@@ -11,7 +11,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from types import TracebackType
@@ -30,8 +29,9 @@ from coulombus.host.realtime.data_plane import PRIORITY, DataPlane, default_cpu
 from coulombus.host.realtime.shared_memory import Status
 from coulombus.host.run.control_socket import HostSocket
 from coulombus.host.run.deadman import HeldKey, deadman_of
-from coulombus.host.run.result import RunResult, axis_results, file_sha256
-from coulombus.host.run.schedule import PhaseMarks, display_remarks, full_gain_s
+from coulombus.host.run.histogram import Counts
+from coulombus.host.run.result import RunResult, file_sha256
+from coulombus.host.run.schedule import PhaseMarks
 from coulombus.host.setup.bringup import bring_up, check_plan, release, shut_down
 from coulombus.host.setup.control_plane import RealControlPlane
 from coulombus.recording.measures import Measures, measure
@@ -41,6 +41,7 @@ from coulombus.recording.recorder import Recorder
 from coulombus.recording.signals import blocks
 from coulombus.rigs.rig import Rig
 from coulombus.wire.address import BusAddress, BusUnavailable, default_address
+from coulombus.wire.frame import Records
 from coulombus.wire.stopping import Signals, status_of
 
 __all__ = ["real_run"]
@@ -82,7 +83,7 @@ class _RealRun:
         self.losses: tuple[str, ...] = ()
         self.stopped_by: str | None = None
         self.recorder: Recorder | None = None
-        self._waiting: np.ndarray[Any, Any] | None = None
+        self._waiting: Records | None = None
         self._ended = False  # whether the safe state is marked
         self._marks = PhaseMarks(rig)
         self._touched = False  # whether this host has sent anything
@@ -384,22 +385,17 @@ class _RealRun:
         counters |= plane.counters()
         cycles, exit_status = int(k.host["display_cycles"].max()), self._exit_status()
         self._outcome = {"mode": k.mode, "cycles": cycles, "trip": trip, "exit_status": exit_status}
-        return RunResult(
-            mode=k.mode,
-            cycles=cycles,
-            period_ns=int(k.control["period_ns"][0]),
+        return RunResult.of(
+            k,
+            figures,
+            record=self.record,
+            trip=trip,
+            losses=self.losses,
             missed_deadlines=counters["missed_deadlines"],
-            lost_pdos=int(k.host["lost_pdos"].sum()),
             wakeup_us=wakeup.as_dict() if wakeup else None,
             cpu_us_per_cycle=plane.cpu_us_per_cycle(),
-            recording=str(self.record) if self.record is not None else None,
             recording_sha256=sha256,
-            trip=trip,
-            **asdict(figures[0]),
-            sign_check=k.sign_result.name.lower(),
             simulated_s=cycles * int(k.control["period_ns"][0]) * 1e-9,
-            full_gain_s=full_gain_s(k),
-            remarks=display_remarks(k),
             counters=counters,
             exit_status=exit_status,
             bus=str(self.address),
@@ -408,8 +404,6 @@ class _RealRun:
             deadman=self.deadman,
             stopped_by=self.stopped_by,
             trip_ns=k.trip_ns - self.zero_ns if k.trip_ns else None,
-            axes=axis_results(k, figures),
-            losses=list(self.losses) or None,
         )
 
     def concluded(self) -> RunResult:
@@ -429,7 +423,7 @@ class _RealRun:
         except Exception as error:
             raise SafetyTrip(f"HOST: {self.error}") from error
 
-    def histograms(self) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+    def histograms(self) -> tuple[Counts, Counts]:
         """Return copies of the histograms of wake-up and of SYNC to RPDO, in microseconds."""
         return self.plane.shared.wakeup_bins.copy(), self.plane.shared.latency_bins.copy()
 

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["coarse", "draw_histogram", "draw_histograms"]
+__all__ = ["Counts", "coarse", "draw_histogram", "draw_histograms"]
+
+Counts: TypeAlias = npt.NDArray[np.int64]
+"""How many times fell into each bin."""
 
 BINS_PER_DECADE = 20
 
 
-def coarse(bins: np.ndarray[Any, Any]) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+def coarse(bins: Counts) -> tuple[npt.NDArray[np.float64], Counts]:
     """Return edges [us] on a logarithmic grid, and counts of a histogram whose bins are one microsecond wide.
 
     The first edge is 1 us: shorter times are counted with those between 1 and 2 us.
@@ -27,13 +31,13 @@ def coarse(bins: np.ndarray[Any, Any]) -> tuple[np.ndarray[Any, Any], np.ndarray
     return edges, counts
 
 
-def draw_histogram(ax: Axes, bins: np.ndarray[Any, Any], label: str) -> None:
+def draw_histogram(ax: Axes, bins: Counts, label: str) -> None:
     """Draw one histogram with logarithmic axes."""
     edges, counts = coarse(bins)
     ax.stairs(counts, edges, label=label, fill=True, alpha=0.6)
 
 
-def draw_histograms(wakeup: np.ndarray[Any, Any], latency: np.ndarray[Any, Any], path: Path) -> None:
+def draw_histograms(wakeup: Counts, latency: Counts, path: Path) -> None:
     """Write the picture of both histograms to `path`."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

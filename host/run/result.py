@@ -10,9 +10,10 @@ from typing import Any
 
 from coulombus.eds.regular_file import naming
 from coulombus.host.cycle.controllers import Controllers
+from coulombus.host.run.schedule import display_remarks, full_gain_s
 from coulombus.recording.measures import Measures
 
-__all__ = ["RunResult", "axis_results", "file_sha256"]
+__all__ = ["RunResult", "file_sha256"]
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,40 @@ class RunResult:
     controllers: dict[str, dict[str, Any]] | None = None
     """State and error counters of each node's CAN controller at the end, where there was a fault file."""
 
+    @classmethod
+    def of(
+        cls,
+        host: Controllers,
+        figures: Sequence[Measures],
+        *,
+        record: Path | None,
+        trip: str | None,
+        losses: Sequence[str],
+        **own: Any,
+    ) -> RunResult:
+        """Return what a run came to: what is alike in virtual time and on a rig from its controllers, the rest as given.
+
+        Parameters
+        ----------
+        figures : the display's, of each axis
+        own : the fields that are left
+        """
+        return cls(
+            mode=host.mode,
+            cycles=int(host.host["display_cycles"].max()),
+            period_ns=int(host.control["period_ns"][0]),
+            lost_pdos=int(host.host["lost_pdos"].sum()),
+            recording=None if record is None else str(record),
+            trip=trip,
+            **asdict(figures[0]),
+            sign_check=host.sign_result.name.lower(),
+            axes=_axis_results(host, figures),
+            full_gain_s=full_gain_s(host),
+            remarks=display_remarks(host),
+            losses=list(losses) or None,
+            **own,
+        )
+
     def as_dict(self) -> dict[str, Any]:
         """Return the result as plain values for JSON."""
         return asdict(self)
@@ -79,7 +114,7 @@ def file_sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def axis_results(controllers: Controllers, figures: Sequence[Measures]) -> dict[str, dict[str, Any]] | None:
+def _axis_results(controllers: Controllers, figures: Sequence[Measures]) -> dict[str, dict[str, Any]] | None:
     """Return what a run came to for each axis; None where there is only one."""
     if not controllers.rig.axis_names:
         return None

@@ -377,7 +377,7 @@ def test_the_rig_of_one_bus_has_the_axes_of_that_bus():
     rig = load_rig("two_axes", TWO_BUSES)
     there = rig.on("b")
     assert [axis.name for axis in there.axes] == ["right"]
-    assert there.motor.node_id == 3
+    assert there.axes[0].motor.node_id == 3
     assert load_rig_text(there.effective(), there.path, there.eds_texts) == there
     with pytest.raises(KeyError, match="no bus"):
         rig.on("c")

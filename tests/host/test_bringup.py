@@ -138,7 +138,9 @@ def test_a_maker_s_own_objects_are_written_where_file_and_device_are_ours(eds, r
 def test_a_device_that_is_not_ours_gets_nothing_of_ours_whatever_the_plan_says():
     """The last line of defence: the gate is at the download, too."""
     (plan, _) = plans_of(Controllers(rig_of(), "hybrid"))
-    device = bringup._Device(SimpleNamespace(network=SimpleNamespace(add_node=lambda node: None)), plan, 0.1)
+    device = bringup._Device(
+        SimpleNamespace(network=SimpleNamespace(add_node=lambda node: None), sdo_timeout_s=0.1), plan
+    )
     device.node = SimpleNamespace(sdo=None)
     device.identity = (0x4C0, 0x403)
     with pytest.raises(DeviceMismatch, match=r"2002h.*not ours.*0x00000403"):
@@ -251,7 +253,9 @@ class Other:
 )
 def test_read_backs_are_compared_whole(server, value, difference):
     (plan, _) = plans_of(Controllers(rig_of(), "hybrid"))
-    device = bringup._Device(SimpleNamespace(network=SimpleNamespace(add_node=lambda node: None)), plan, 0.1)
+    device = bringup._Device(
+        SimpleNamespace(network=SimpleNamespace(add_node=lambda node: None), sdo_timeout_s=0.1), plan
+    )
     device.identity, device.node = (0x4C0, OURS), SimpleNamespace(sdo=server)
     object.__setattr__(plan, "writes", tuple(bringup.Setting(0x6071, 0, value) for _ in range(2)))
     object.__setattr__(plan, "read_backs", (((0x6071, 0), value),))

@@ -223,7 +223,7 @@ def test_a_set_point_without_a_sign_ends_at_its_own_limit():
 
 def test_the_positions_bit_is_that_of_its_tpdo():
     controller = Controller(rig_of("bench").one_axis(), "hybrid")
-    pdos = controller.rig.pdos()
+    pdos = controller.axis.pdos()
     tpdos = [pdo for pdo in pdos if pdo.layout.direction == "tpdo"][::-1]
     at = [any(signal.key == "motor.position_rad" for signal in pdo.signals) for pdo in tpdos].index(True)
     assert at > 0

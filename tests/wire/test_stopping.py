@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,7 @@ from click.testing import CliRunner
 
 from coulombus.sim_bus.network.interrupts import InterruptsHeld
 from coulombus.verbs.main import main
-from coulombus.wire.stopping import SIGNALS, Stopped, StopSignals, as_exceptions, status_of, taken
+from coulombus.wire.stopping import SIGNALS, Signals, Stopped, StopSignals, as_exceptions, status_of, taken
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 OTHERS = SIGNALS[1:]
@@ -98,3 +99,24 @@ def test_a_full_disk_hides_no_trip():
     assert status == 7
     assert "No space left on device" in err
     assert end_of(0, open("/dev/full", "wb"))[0] != 0  # noqa: SIM115
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_a_signal_before_a_run_passes_every_broad_except(number):
+    """It was an Exception: a broad except on its way (a law that is compiled, a recording that is closed) swallowed it."""
+    with Signals() as signals, pytest.raises(Stopped, match="before the run had begun") as stopped, suppress(Exception):
+        signal.raise_signal(number)
+    assert stopped.value.number == signals.number == number
+    assert not isinstance(stopped.value, Exception)
+
+
+def test_a_signal_of_a_run_is_remembered_once_it_is_deferred():
+    with Signals() as signals:
+        signals.stop()
+        signals.defer()
+        signals.stop()
+        signal.raise_signal(signal.SIGTERM)
+        signal.raise_signal(signal.SIGINT)
+        assert signals.number == signal.SIGTERM
+        with pytest.raises(Stopped, match="SIGTERM before the run had begun"):
+            signals.stop()
