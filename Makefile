@@ -3,11 +3,16 @@
 
 VENV := .venv
 BIN := $(VENV)/bin
+FAST := $(addprefix tests/,wire eds rigs recording node host)
 NEEDED := import sys; sys.exit(sys.version_info < (3, 11))
 PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python3.14; do \
 	"$$p" -c '$(NEEDED)' 2>/dev/null && { echo "$$p"; break; }; done)
 
-.PHONY: demo test check bench clean
+.PHONY: demo test fast check bench coverage wheel clean help
+.DEFAULT_GOAL := demo
+
+help:  ## this list
+	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## */  make \1\t/' | expand -t 18
 
 demo: $(VENV)/.run  ## the paper's experiment on the built-in virtual bus
 	@$(BIN)/coulombus demo
@@ -15,6 +20,16 @@ demo: $(VENV)/.run  ## the paper's experiment on the built-in virtual bus
 test: $(VENV)/.dev  ## all tests: those in virtual time side by side, then those against the wall clock, alone
 	@$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile -m "not real_time"; others=$$?; \
 	$(BIN)/python -m pytest -m real_time && exit $$others
+
+fast: $(VENV)/.dev  ## a minute of tests in plain Python: nothing is compiled
+	@NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q -n auto --maxprocesses 4 -m "not real_time and not slow" $(FAST)
+
+coverage: $(VENV)/.dev  ## which lines those tests reach, kernels included
+	@NUMBA_DISABLE_JIT=1 $(BIN)/python -m coverage run -m pytest -q -m "not real_time and not slow" $(FAST)
+	@$(BIN)/python -m coverage report --skip-covered --format=total | sed 's/^/lines reached by the fast tests, %: /'
+
+wheel: $(VENV)/.dev  ## build the wheel, install it somewhere else, and run it there
+	@scripts/try-wheel
 
 check: $(VENV)/.dev  ## lint, format, types, import contracts
 	@scripts/check
