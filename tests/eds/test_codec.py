@@ -104,6 +104,7 @@ def test_a_field_is_written_and_its_neighbours_are_untouched(form, word, field, 
     assert FORMS[form][1](word, start, width, value) == word_of(bits)
 
 
+@pytest.mark.slow
 @forms
 @exact
 @given(layouts(), st.lists(words, min_size=64, max_size=64))
@@ -115,6 +116,7 @@ def test_pack_places_every_field(form, rows, numbers):
     assert FORMS[form][2](record_of(rows), np.array(numbers, np.int64)) == word_of(bits)
 
 
+@pytest.mark.slow
 @forms
 @exact
 @given(layouts(), words)
@@ -128,6 +130,7 @@ def test_unpack_reads_every_field_and_no_other_slot(form, rows, word):
     assert values.tolist() == expected
 
 
+@pytest.mark.slow
 @forms
 @exact
 @given(layouts(), words)

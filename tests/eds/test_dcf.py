@@ -286,6 +286,7 @@ def test_the_command_line_wins_over_the_file(tmp_path):
     assert LiveNodes(((path, 1),)).bit_rate == 0  # not said: whatever the bus has
 
 
+@pytest.mark.slow
 def test_the_command_needs_a_node_id_for_each_file_or_for_none(tmp_path):
     first, second = live(tmp_path, "", COMMISSIONED)
     command = [sys.executable, "-m", "coulombus", "node", first, second, "--bus", "coulombus:t"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
@@ -91,6 +92,7 @@ def test_random_bytes(raw):
     examine(b"[2000]\nParameterName=x\n" + raw)
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=2000, derandomize=True)
 @given(
     st.lists(
@@ -106,6 +108,7 @@ def test_lines_of_known_and_unknown_words(rows):
     examine((HEAD + record("[2000sub0]", "[2000sub1]") + text).encode("utf-8", "replace"))
 
 
+@pytest.mark.slow
 @settings(max_examples=200, deadline=2000, derandomize=True)
 @given(st.data(), st.sampled_from(["utf-8", "cp1252", "utf-16", "utf-16-le"]), st.sampled_from(["\n", "\r\n", "\r"]))
 def test_mutated_small_files(data, encoding, end):
@@ -121,6 +124,7 @@ def test_mutated_small_files(data, encoding, end):
     examine(end.join(lines).encode(encoding, "replace"))
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=4000, derandomize=True)
 @given(st.lists(st.tuples(st.integers(0, len("".join(LARGE))), st.integers(0, 255)), min_size=1, max_size=60))
 def test_a_real_file_with_bytes_overwritten(changes):

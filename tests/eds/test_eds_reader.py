@@ -531,6 +531,7 @@ def canopen_variables(dictionary):
                 yield index, found.subindex, value
 
 
+@pytest.mark.slow
 @corpus
 def test_real_files_agree_with_canopen_where_it_reads_them_right(caplog):
     """canopen reads neither hexadecimal of signed types as two's complement nor a REAL's pattern."""

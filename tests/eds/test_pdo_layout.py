@@ -312,6 +312,7 @@ corpus = pytest.mark.skipif(
 )
 
 
+@pytest.mark.slow
 @corpus
 def test_real_files_are_read_right_or_refused_with_a_line():
     read, refused = 0, []

@@ -98,6 +98,7 @@ def recorded(tmp_path):
     return long_recording(tmp_path / "long.pcapng", 8)
 
 
+@pytest.mark.slow
 def test_figures_are_those_of_the_whole(recorded):
     assert len(list(blocks(recorded))) > 40
     found, expected = vars(measure(blocks(recorded))), whole_figures(read(recorded))
@@ -109,6 +110,7 @@ def test_figures_are_those_of_the_whole(recorded):
     assert vars(measure(read(recorded))) == whole_figures(read(recorded))
 
 
+@pytest.mark.slow
 def test_identified_friction_is_that_of_the_whole(tmp_path):
     recorded = long_recording(tmp_path / "long.pcapng", 8, driven=False)
     assert identify(recorded).as_dict() == identify(read(recorded)).as_dict()
@@ -122,6 +124,7 @@ def test_joined_captures_whose_stamps_go_back_are_not_fitted(recorded):
         identify(recorded)
 
 
+@pytest.mark.slow
 def test_rows_and_remarks_are_those_of_the_whole(recorded):
     recorded.write_bytes(recorded.read_bytes()[:-60])
     assert list(rows(blocks(recorded))) == list(rows(read(recorded)))
@@ -182,6 +185,7 @@ def row_by_row(source):
         pass
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("work", "seconds", "chunk"), [(measure, (3, 9), SMALL), (row_by_row, (1, 2), SMALL // 4)])
 def test_the_memory_does_not_grow_with_the_recording(tmp_path, monkeypatch, work, seconds, chunk):
     monkeypatch.setattr(coulombus.recording.pcapng_reader, "CHUNK", chunk)

@@ -169,6 +169,7 @@ def test_errors_are_refused(text):
 # against the simulation's bus
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=60)
 @given(st.randoms(use_true_random=False), st.integers(2, 9), st.floats(0.2, 0.95))
 def test_no_simulated_response_exceeds_its_bound(rng, count, load):

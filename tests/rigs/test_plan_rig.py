@@ -182,6 +182,7 @@ def test_mistakes(arguments, status, text):
     assert text in result.output
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rig", ["bench", "two_axes"])
 def test_the_picture_names_every_frame_of_the_cycle(tmp_path, rig):
     path = tmp_path / "plan.svg"

@@ -52,6 +52,7 @@ def test_crc_of_the_oracle_is_the_published_one():
     assert remainder("".join(f"{b:08b}" for b in b"123456789")) == f"{0x059E:015b}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("extended", [False, True])
 @pytest.mark.parametrize("remote", [False, True])
 def test_20000_seeded_random_frames(extended: bool, remote: bool):

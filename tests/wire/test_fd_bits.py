@@ -35,6 +35,7 @@ def payload(rng, n):
     return rng.randbytes(n) if rng.random() < 0.6 else bytes(rng.choices([0, 0xFF, 0xF8, 0x1F, 0x83], k=n))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("extended", [False, True])
 @pytest.mark.parametrize("switch", [False, True])
 def test_20000_seeded_random_frames(extended, switch):
