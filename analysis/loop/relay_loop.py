@@ -11,6 +11,7 @@ samples. :math:`w_k` is the operator's force over the period, integrated exactly
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,34 +20,48 @@ from coulombus.analysis.loop.operators import Floats
 from coulombus.analysis.loop.parameters import Parameters
 from coulombus.compiled.decorator import kernel
 
-__all__ = ["LARGEST_START", "SteadyMotion", "forced", "random_starts", "relay_steps", "settle", "steady"]
+__all__ = [
+    "LARGEST_START",
+    "Loop",
+    "SteadyMotion",
+    "Traces",
+    "forced",
+    "random_starts",
+    "relay_steps",
+    "settle",
+    "steady",
+]
 
 LARGEST_START = (3e-3, 0.05)
 """|x0| [m] and |v0| [m/s] of random starts."""
 
 
-@kernel
-def relay_steps(
-    phi: Floats,
-    gamma_0: Floats,
-    gamma_1: Floats,
-    whole: int,
-    period: float,
-    friction: float,
-    resolution: float,
-    y: Floats,
-    x_before: float,
-    steps: int,
-    work: Floats,
-    path: Floats,
-    estimate: Floats,
-    force: Floats,
-) -> None:
-    """Step the loop `steps` times from `y` (changed in place) and `x_before` = x_{-1}.
+class Loop(NamedTuple):
+    """The loop's constants."""
 
-    `work` (steps or 0, states) is the operator's part of each step; `path` (steps or 0, states) takes y_k. The last `len(force)` samples
-    of v^ and of the force as applied from t_k + delta on are written to `estimate` and `force`.
-    """
+    phi: Floats
+    gamma_0: Floats
+    gamma_1: Floats
+    whole: int  # cycles of delay
+    period: float
+    friction: float
+    resolution: float  # 0: no encoder
+
+
+class Traces(NamedTuple):
+    """What comes in and goes out step by step."""
+
+    work: Floats  # (steps or 0, states): the operator's part of each step
+    path: Floats  # (steps or 0, states): takes y_k
+    estimate: Floats  # takes the last samples of v^ ...
+    force: Floats  # ... and of the force as applied from t_k + delta on, as many
+
+
+@kernel
+def relay_steps(loop: Loop, y: Floats, x_before: float, steps: int, traces: Traces) -> None:
+    """Step the loop `steps` times from `y` (changed in place) and `x_before` = x_{-1}."""
+    phi, gamma_0, gamma_1, whole, period, friction, resolution = loop
+    work, path, estimate, force = traces
     n = len(y)
     ring = np.zeros(whole + 2)
     after = np.empty(n)
@@ -119,27 +134,18 @@ def random_starts(parameters: Parameters, count: int, seed: int) -> Floats:
 _NONE = np.zeros((0, 0))
 
 
+def _loop(linear: SampledPlant, p: Parameters) -> Loop:
+    return Loop(
+        linear.phi, linear.gamma_0, linear.gamma_1, linear.whole_cycles, p.period_s, p.friction_N, p.resolution_m
+    )
+
+
 def steady(linear: SampledPlant, parameters: Parameters, start: Floats, steps: int, kept: int) -> SteadyMotion:
     """Run the loop without an operator's force from the state `start` and return its last `kept` samples."""
     estimate, force = np.empty(kept), np.empty(kept)
     y = start.copy()
-    p = parameters
-    relay_steps(
-        linear.phi,
-        linear.gamma_0,
-        linear.gamma_1,
-        linear.whole_cycles,
-        p.period_s,
-        p.friction_N,
-        p.resolution_m,
-        y,
-        start[0] - start[1] * p.period_s,
-        steps,
-        _NONE,
-        _NONE,
-        estimate,
-        force,
-    )
+    before = start[0] - start[1] * parameters.period_s
+    relay_steps(_loop(linear, parameters), y, before, steps, Traces(_NONE, _NONE, estimate, force))
     return SteadyMotion(estimate, force)
 
 
@@ -155,21 +161,5 @@ def forced(linear: SampledPlant, parameters: Parameters, work: Floats) -> tuple[
     """Run the loop from rest under the operator's `work` (steps, states); return the path (steps, states), v^ and the force applied."""
     steps, n = work.shape
     path, estimate, force = np.empty((steps, n)), np.empty(steps), np.empty(steps)
-    p = parameters
-    relay_steps(
-        linear.phi,
-        linear.gamma_0,
-        linear.gamma_1,
-        linear.whole_cycles,
-        p.period_s,
-        p.friction_N,
-        p.resolution_m,
-        np.zeros(n),
-        0.0,
-        steps,
-        work,
-        path,
-        estimate,
-        force,
-    )
+    relay_steps(_loop(linear, parameters), np.zeros(n), 0.0, steps, Traces(work, path, estimate, force))
     return path, estimate, force

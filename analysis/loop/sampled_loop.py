@@ -177,8 +177,9 @@ def _crossing(cv: Any, from_rest: bool, t_end: float) -> float:
 
 
 @kernel
-def _events(p: Any, y: Any, target: float, h: float, cx: Any, cv: Any, cw: Any) -> None:
+def _events(p: Any, y: Any, target: float, h: float, series: Any) -> None:
     """Advance `y` by `h` where v is zero or becomes zero: stick, break away, slip, as often as it takes."""
+    cx, cv, cw = series
     left = h
     for _ in range(16):
         if left <= 0.0:
@@ -216,7 +217,7 @@ def _events(p: Any, y: Any, target: float, h: float, cx: Any, cv: Any, cw: Any) 
 
 
 @kernel
-def _advance(p: Any, y: Any, target: float, phi: Any, h: float, steps: int, cx: Any, cv: Any, cw: Any) -> None:
+def _advance(p: Any, y: Any, target: float, phi: Any, h: float, steps: int, series: Any) -> None:
     """Advance (x, v, u - u*) by `steps` steps of `h` with the transition matrix `phi` of one."""
     for k in range(steps):
         v = y[1]
@@ -231,7 +232,7 @@ def _advance(p: Any, y: Any, target: float, phi: Any, h: float, steps: int, cx: 
             ):  # the load goes from one to the other: stuck
                 y[2] = rest if abs(rest) > NOTHING else 0.0
                 return
-            _events(p, y, target, h, cx, cv, cw)
+            _events(p, y, target, h, series)
             continue
         push = target
         if v > 0.0:
@@ -241,7 +242,7 @@ def _advance(p: Any, y: Any, target: float, phi: Any, h: float, steps: int, cx: 
         push /= p.inertia
         v1 = phi[1, 0] * y[0] + phi[1, 1] * v + phi[1, 2] * y[2] + phi[1, 3] * push
         if p.friction > 0.0 and v1 * v < 0.0:
-            _events(p, y, target, h, cx, cv, cw)
+            _events(p, y, target, h, series)
             continue
         y[0] = phi[0, 0] * y[0] + phi[0, 1] * v + phi[0, 2] * y[2] + phi[0, 3] * push
         y[2] = phi[2, 2] * y[2]
@@ -270,7 +271,7 @@ def _run(p: Any, motion: Any, law: Any, state: Any, out: Any, work: Any, trace: 
     late = T - early
     # a borrowed array costs no reference count at each of a sample's calls
     phi_early, phi_late = borrowed(work[:16].reshape(4, 4)), borrowed(work[16:32].reshape(4, 4))
-    cx, cv, cw = borrowed(work[32:48]), borrowed(work[48:64]), borrowed(work[64:80])
+    series = borrowed(work[32:48]), borrowed(work[48:64]), borrowed(work[64:80])  # of x, v, w
     y, held = borrowed(work[80:84]), borrowed(work[84:148])
     steps_early, steps_late = _steps(p, early), _steps(p, late)
     _transition(p, early / steps_early, phi_early)
@@ -331,9 +332,9 @@ def _run(p: Any, motion: Any, law: Any, state: Any, out: Any, work: Any, trace: 
         held[k & (DELAY_CYCLES - 1)] = torque
         after = held[(k - whole) & (DELAY_CYCLES - 1)] if k >= whole else 0.0
         if early > 0.0:
-            _advance(p, y, before, phi_early, early / steps_early, steps_early, cx, cv, cw)
+            _advance(p, y, before, phi_early, early / steps_early, steps_early, series)
         y[2] = y[2] + before - after if p.lag > 0.0 else 0.0
-        _advance(p, y, after, phi_late, late / steps_late, steps_late, cx, cv, cw)
+        _advance(p, y, after, phi_late, late / steps_late, steps_late, series)
         before = after
 
     out.velocity_rms = math.sqrt(square / max(samples - first, 1))

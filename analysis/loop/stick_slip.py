@@ -15,6 +15,7 @@ step are found too), and bisected to the last digit.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -64,23 +65,32 @@ def _dot(row: Floats, Y: Floats) -> float:
     return total
 
 
+class _Model(NamedTuple):
+    """The plant in its two phases, with the force's states and a constant one behind its own."""
+
+    slip: Floats
+    stick: Floats
+    slip_step: Floats  # one step's exponentials, of the plant's states
+    stick_step: Floats
+    frequencies: Floats
+    load: Floats
+    n: int  # states of the plant
+    friction: float
+
+
+class _Motion(NamedTuple):
+    """What the run fills."""
+
+    path: Floats
+    force: Floats
+    intervals: Floats
+
+
 @kernel
-def _run(
-    slip: Floats,
-    stick: Floats,
-    slip_step: Floats,
-    stick_step: Floats,
-    frequencies: Floats,
-    load: Floats,
-    n: int,
-    friction: float,
-    period: float,
-    finer: int,
-    path: Floats,
-    force: Floats,
-    intervals: Floats,
-) -> int:
+def _run(model: _Model, period: float, finer: int, motion: _Motion) -> int:
     """Run from rest; returns the number of stick intervals (the last one may still be open: its end is then the window's)."""
+    slip, stick, slip_step, stick_step, frequencies, load, n, friction = model
+    path, force, intervals = motion
     N = len(slip)
     Y, at, term, product = np.zeros(N), np.zeros(N), np.zeros(N), np.zeros(N)
     step = period / finer
@@ -230,21 +240,10 @@ def passive_motion(parameters: Parameters, force: HarmonicForce) -> StickSlip:
     samples = round(parameters.window_s / T)
     path, psi = np.empty((samples, n)), np.empty(samples)
     intervals = np.zeros((MOST_EVENTS, 2))
-    count = _run(
-        slip,
-        stick,
-        np.ascontiguousarray(exponential(slip * (T / finer))[:n]),
-        np.ascontiguousarray(exponential(stick * (T / finer))[:n]),
-        np.array([w for _, _, w in force.terms]),
-        load,
-        n,
-        parameters.friction_N,
-        T,
-        finer,
-        path,
-        psi,
-        intervals,
-    )
+    slip_step, stick_step = (np.ascontiguousarray(exponential(phase * (T / finer))[:n]) for phase in (slip, stick))
+    frequencies = np.array([w for _, _, w in force.terms])
+    model = _Model(slip, stick, slip_step, stick_step, frequencies, load, n, parameters.friction_N)
+    count = _run(model, T, finer, _Motion(path, psi, intervals))
     pairs = tuple((float(begin), float(end)) for begin, end in intervals[:count])
     t: Floats = np.arange(samples, dtype=np.float64) * T
     return StickSlip(t, path[:, 0], path[:, 1], psi, pairs)

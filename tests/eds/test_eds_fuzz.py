@@ -81,7 +81,7 @@ def examine(raw: bytes) -> Description | None:
     return description
 
 
-@settings(max_examples=300, deadline=2000, derandomize=True)
+@settings(max_examples=300, deadline=None, derandomize=True)
 @given(st.binary(max_size=400))
 @example(b"")
 @example(b"\xff\xfe")
@@ -93,7 +93,7 @@ def test_random_bytes(raw):
 
 
 @pytest.mark.slow
-@settings(max_examples=300, deadline=2000, derandomize=True)
+@settings(max_examples=300, deadline=None, derandomize=True)
 @given(
     st.lists(
         st.tuples(
@@ -109,7 +109,7 @@ def test_lines_of_known_and_unknown_words(rows):
 
 
 @pytest.mark.slow
-@settings(max_examples=200, deadline=2000, derandomize=True)
+@settings(max_examples=200, deadline=None, derandomize=True)
 @given(st.data(), st.sampled_from(["utf-8", "cp1252", "utf-16", "utf-16-le"]), st.sampled_from(["\n", "\r\n", "\r"]))
 def test_mutated_small_files(data, encoding, end):
     lines = list(SMALL)
@@ -125,7 +125,7 @@ def test_mutated_small_files(data, encoding, end):
 
 
 @pytest.mark.slow
-@settings(max_examples=40, deadline=4000, derandomize=True)
+@settings(max_examples=40, deadline=None, derandomize=True)
 @given(st.lists(st.tuples(st.integers(0, len("".join(LARGE))), st.integers(0, 255)), min_size=1, max_size=60))
 def test_a_real_file_with_bytes_overwritten(changes):
     raw = bytearray("\n".join(LARGE).encode())
