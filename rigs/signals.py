@@ -20,6 +20,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Literal, Protocol, TypeAlias
 
+from coulombus.eds.cia301 import CobId
 from coulombus.eds.pdo import PDO_BITS, Entry, PdoLayout, entry_of
 from coulombus.eds.reader import Description
 from coulombus.rigs.model import Brake, Bus, Host, Mechanics, Motor
@@ -41,7 +42,7 @@ Direction = Literal["rpdo", "tpdo"]
 UNITS = {"Nm": 0x56, "A": 0x04, "degC": 0x2D}
 """Notation indices of CiA 303-2: the numerator of a unit."""
 
-COB_ID = {("rpdo", 1): 0x200, ("tpdo", 1): 0x180, ("tpdo", 2): 0x280}
+COB_ID = {("rpdo", 1): CobId.RPDO1, ("tpdo", 1): CobId.TPDO1, ("tpdo", 2): CobId.TPDO2}
 """The predefined connection set, CiA 301 section 7.3.5, less the node id."""
 
 PDO_MAP: tuple[tuple[Node, Direction, int, tuple[tuple[int, int, str], ...]], ...] = (

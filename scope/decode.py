@@ -26,10 +26,7 @@ __all__ = ["Row", "as_json", "as_text", "rows"]
 
 NODE_ID = 0x7F
 FUNCTION = 0x780
-PDO_NAMES = {
-    0x180: "TPDO1", 0x200: "RPDO1", 0x280: "TPDO2", 0x300: "RPDO2",
-    0x380: "TPDO3", 0x400: "RPDO3", 0x480: "TPDO4", 0x500: "RPDO4",
-}  # fmt: skip
+PDO_NAMES = {int(one): one.name for one in CobId if one.name.startswith(("TPDO", "RPDO"))}
 """The predefined connection set (CiA 301, section 7.3.5)."""
 
 COMMON = ("t_s", "can_id", "node", "pdo", "extended", "remote", "service", "data", "marker", "code")

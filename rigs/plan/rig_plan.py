@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
+from coulombus.eds.cia301 import CobId
 from coulombus.rigs.model import CIA_301_BIT_RATES, to_ns
 from coulombus.rigs.plan.response_times import NO_ERRORS, Errors, Message, Response, bit_ns, response_times, utilisation
 from coulombus.rigs.plan.worst_cycle import Cycle, Timing, worst_cycle
@@ -160,11 +161,11 @@ def messages_of(
     watch = min(device.heartbeat_timeout_ns for device in devices) - host_heartbeat_ns
 
     def each() -> Iterator[Message]:
-        yield Message("NMT", 0x000, 2, sporadic_ns, sporadic_ns, emergency=True)
-        yield Message("SYNC", 0x080, 0, period, after_sync, stage="sync")
+        yield Message("NMT", CobId.NMT, 2, sporadic_ns, sporadic_ns, emergency=True)
+        yield Message("SYNC", CobId.SYNC, 0, period, after_sync, stage="sync")
         for device in devices:
             name, node = device.name, device.node_id
-            yield Message(f"{name} EMCY", 0x080 + node, 8, sporadic_ns, sporadic_ns, emergency=True)
+            yield Message(f"{name} EMCY", CobId.EMCY + node, 8, sporadic_ns, sporadic_ns, emergency=True)
             for pdo in device.pdos:
                 label = f"{name} {pdo.direction.upper()}{pdo.number}"
                 if pdo.direction == "tpdo":
@@ -174,11 +175,13 @@ def messages_of(
                     deadline, late = device.rpdo_deadline_ns, timing.window_ns + timing.host_ns
                     yield Message(label, pdo.cob_id, pdo.length, period, deadline, late, stage="rpdo", axis=device.axis)
             request = f"{name} SDO request"
-            yield Message(request, 0x600 + node, 8, sporadic_ns, sdo_timeout_ns)
-            yield Message(f"{name} SDO response", 0x580 + node, 8, sporadic_ns, sdo_timeout_ns, timing.node_ns, request)
+            yield Message(request, CobId.SDO_RX + node, 8, sporadic_ns, sdo_timeout_ns)
+            yield Message(
+                f"{name} SDO response", CobId.SDO_TX + node, 8, sporadic_ns, sdo_timeout_ns, timing.node_ns, request
+            )
             beat = device.heartbeat_ns
-            yield Message(f"{name} heartbeat", 0x700 + node, 1, beat, device.heartbeat_timeout_ns - beat)
-        yield Message("host heartbeat", 0x700 + host_id, 1, host_heartbeat_ns, watch)
+            yield Message(f"{name} heartbeat", CobId.HEARTBEAT + node, 1, beat, device.heartbeat_timeout_ns - beat)
+        yield Message("host heartbeat", CobId.HEARTBEAT + host_id, 1, host_heartbeat_ns, watch)
 
     return tuple(each())
 
