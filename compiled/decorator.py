@@ -7,8 +7,8 @@ Import this module before `numba`. ``NUMBA_CACHE_DIR`` set by the user wins (our
 ``NUMBA_DISABLE_JIT=1`` runs every kernel as plain Python.
 
 Kernels take records: a record is one pointer, and an array in a record costs nothing to pass. What has no fixed size (a log, a row of devices) comes
-as an array in a named tuple, which `Entry` hands over in half a microsecond. A law's function stands beside the tuples: in a tuple numba
-would type it as a value that the disk cache cannot keep.
+as an array in a named tuple; 23 of them take `Entry` 10 us (6 us one by one), which only Python's rare calls pay. A law's function stands beside the
+tuples: in a tuple numba would type it as a value that the disk cache cannot keep.
 
 Two ways make a call cheap for the few calls that every frame makes. A call that passes five arrays costs about 25 ns: an array is a structure of
 seven words, and its reference is counted atomically on the way in and out. `inlined` makes a kernel part of its caller; `borrowed` returns
