@@ -76,7 +76,7 @@ def cached(compiled: F) -> F:
     """Let what `numba.njit` returned be kept on disk; return it."""
     dispatcher: Any = compiled
     if not JIT_DISABLED and CACHE_DIR is not None:
-        dispatcher._cache = KernelCache(dispatcher.py_func)
+        dispatcher._cache = KernelCache(dispatcher.py_func, dispatcher.targetoptions)
     return compiled
 
 

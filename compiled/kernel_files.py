@@ -22,7 +22,7 @@ import sys
 import threading
 import time
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import cached_property
 from importlib import import_module
@@ -114,10 +114,14 @@ def _whole(raw: bytes) -> Any:
 
 
 class KernelCache:
-    """The cache of one kernel: numba's own, made when it is first needed."""
+    """The cache of one kernel: numba's own, made when it is first needed.
 
-    def __init__(self, function: Callable[..., Any]) -> None:
+    The options are in the files' names: the same function may be a law, whose address is taken, and a kernel, which has none.
+    """
+
+    def __init__(self, function: Callable[..., Any], options: Mapping[str, Any]) -> None:
         self._function = function
+        self._options = zlib.crc32(repr(sorted(options.items())).encode())
         self._lock: int | None = None  # held while it is compiled
 
     @cached_property
@@ -126,7 +130,8 @@ class KernelCache:
             cache = FunctionCache(self._function)
         except RuntimeError:  # it stands in no file
             return None
-        self._locator, self._base = cache._impl.locator, cache._impl.filename_base
+        self._locator = cache._impl.locator
+        self._base = f"{cache._impl.filename_base}.{self._options:08x}"
         cache._cache_file = _Files(cache.cache_path, self._base, self._stamp, any_stamp=ours(self._file))
         return cache
 

@@ -317,6 +317,17 @@ def test_a_kernel_that_cannot_be_compiled_keeps_nobody_waiting(own_kernels, tmp_
 
 
 @pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
+def test_a_law_that_is_a_kernel_elsewhere_keeps_its_address(tmp_path):
+    kernels = (
+        "from coulombus.compiled.decorator import kernel; from coulombus.host.laws import laws; import numpy as np"
+    )
+    records = "[np.zeros(1, kind).view(np.recarray)[0] for kind in (laws.MOTION, laws.LAW, laws.LAW_STATE)]"
+    code = f"{kernels}; print(kernel(laws.coulomb)(*{records})); law = laws.load_law('coulomb', None); print(law.__wrapper_address__() != 0)"
+    for _ in range(2):
+        assert run(code, ROOT, NUMBA_CACHE_DIR=str(tmp_path)).split() == ["0.0", "True"]
+
+
+@pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
 def test_a_kernel_that_stands_in_no_file_is_compiled_and_not_kept(tmp_path):
     code = "from coulombus.compiled.decorator import kernel\n@kernel\ndef f(x):\n    return x + 1\nprint(f(1))"
     assert run(code, ROOT, NUMBA_CACHE_DIR=str(tmp_path)) == "2"
