@@ -20,6 +20,7 @@ from coulombus.recording.trace import TRACE
 from coulombus.rigs.rig import load_rig
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
 from coulombus.wire.frame import FRAME
+from coulombus.wire.stopping import Signals
 
 MS, S = 1_000_000, 1_000_000_000
 SWITCH_ON_DISABLED, OPERATION_ENABLED = 0x0250, 0x0237
@@ -166,7 +167,7 @@ def marked(tmp_path, monkeypatch, *, slow_batch=1, trip=Trip.NONE, rig="bench", 
     run.recorder = Recorder(tmp_path / "r.pcapng", rig, "hybrid")
     run.failure = run.error = run.stopped_by = run.progress = run._waiting = None
     run.deadman, run._ended, run._seen = "none", False, (0, 0.0)
-    run.signals = SimpleNamespace(number=0, defer=lambda: None)
+    run.signals = Signals()
     run.door = SimpleNamespace(stop_wanted=lambda: False)
     run._marks = PhaseMarks(rig)
     run.course(5.0)
