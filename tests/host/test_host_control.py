@@ -201,7 +201,7 @@ def test_the_motors_limit_fits_the_set_points_object_in_both_senses(lines, most)
     rig = own_files(lambda text: text.replace(TARGET, lines, 1))
     assert TARGET in (EDS / "motor.eds").read_text()
     if most is None:
-        with pytest.raises(RigError, match=r"6071h ends at \d+ per mille"):
+        with pytest.raises(RigError, match=r"the drive's 6071h ends at \d+ per mille"):
             Controller(rig.one_axis(), "active")
     else:
         assert Controller(rig.one_axis(), "active").control[0]["motor_limit_pm"] == most
@@ -210,7 +210,15 @@ def test_the_motors_limit_fits_the_set_points_object_in_both_senses(lines, most)
 @pytest.mark.parametrize(("line", "most"), [("HighLimit=4100\n", 4100), ("HighLimit=40000\n", 32767), ("", 32767)])
 def test_the_brakes_set_point_ends_at_its_objects_limit_and_at_16_bits(line, most):
     rig = own_files(None, high_limit("7300sub1", line))
-    assert Controller(rig.one_axis(), "hybrid").control[0]["brake_limit_raw"] == most
+    control = Controller(rig.one_axis(), "hybrid").control[0]
+    assert control["brake_limit_raw"] == most
+    assert control["brake_limit_Nm"] == pytest.approx(min(4.5, most * 1e-3))
+
+
+def test_without_6072h_the_set_points_object_alone_bounds_the_limit():
+    rig = own_files(lambda text: text.replace("[6072]", "[2F72]", 1)).one_axis()
+    assert not rig.description("motor").has(0x6072, 0)
+    assert Controller(rig, "active").control[0]["motor_limit_pm"] == 869
 
 
 def test_a_set_point_without_a_sign_ends_at_its_own_limit():
