@@ -112,10 +112,10 @@ def test_the_brake_takes_what_its_file_or_its_data_type_says(data_type, limit, m
 
 def test_a_limit_of_0_that_nobody_has_set_is_none_of_the_motors_either():
     rig = with_eds("motor.eds", ("6072", "HighLimit=10000", "HighLimit=0"), ("6071", "HighLimit=10000", "HighLimit="))
-    assert Controller(rig, "active").control[0]["motor_limit_pm"] == 869
+    assert Controller(rig.one_axis(), "active").control[0]["motor_limit_pm"] == 869
     rig = with_eds("motor.eds", ("6071", "HighLimit=10000", "HighLimit=0"))  # its LowLimit is -10000
     with pytest.raises(RigError, match="6071h ends at 0 per mille"):
-        Controller(rig, "active")
+        Controller(rig.one_axis(), "active")
 
 
 @pytest.mark.parametrize(
