@@ -213,7 +213,7 @@ def test_the_bus_goes_away():
 
 def test_a_bus_that_does_not_read_blocks_nothing():
     with running("limits.missed_tpdo_cycles=1000") as plane:
-        plane.shared.control["missed_cycles"] = 20
+        plane.shared.axes["control"]["missed_cycles"] = 20
         plane.mine.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
         plane.cycle()
         plane.wait(lambda: plane.plane["tx_full"][0] > 20, read=False)
