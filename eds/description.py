@@ -80,9 +80,10 @@ class Variable:
 
         A HighLimit of 0 without a LowLimit below 0 is one that nobody has set: editors of EDS files write it.
         """
-        most = math.inf if self.whole is None else self.whole[1]
-        unset = self.high is None or (self.high == 0 and (self.low is None or self.low >= 0))
-        return most if unset or self.high is None else min(most, self.high)
+        most = math.inf if self.whole is None else max(self.whole)
+        if self.high is None or (self.high == 0 and (self.low is None or self.low >= 0)):
+            return most
+        return min(most, self.high)
 
     @property
     def bits(self) -> int:

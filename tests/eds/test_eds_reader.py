@@ -569,6 +569,7 @@ def test_real_files_agree_with_canopen_where_it_reads_them_right(caplog):
         (0x0003, None, 0, 32767),  # nobody has set it
         (0x0003, 0, 0, 32767),
         (0x0003, -1000, 0, 0),
+        (0x0003, -1, 0, 0),
         (0x0003, -1000, -5, -5),
         (0x0001, None, None, 1),
         (0x0008, None, None, math.inf),
@@ -580,3 +581,6 @@ def test_the_largest_number_is_the_types_or_the_high_limit_and_0_is_none(read, d
     assert x.largest == largest
     assert x.admits(largest)
     assert largest == math.inf or not x.admits(largest + 1)
+    if low is not None and low <= largest:
+        assert x.admits(low)
+        assert not x.admits(low - 1)

@@ -210,18 +210,6 @@ def test_torque_that_its_rate_holds_back_is_counted():
     assert bench.h.clipped_torque == 0
 
 
-def test_a_limit_of_the_drives_own_is_counted_while_the_law_is_shown():
-    bench = HostBench("hybrid")
-    bench.status_bits = INTERNAL_LIMIT
-    bench.arm()
-    assert bench.h.limited_by_drive == 0
-    bench.cycles(5)
-    assert bench.h.limited_by_drive == 5
-    bench.status_bits = 0
-    bench.cycles(5)
-    assert bench.h.limited_by_drive == 5
-
-
 def test_a_setpoint_beyond_the_devices_limit_is_clipped_and_counted():
     rig = with_eds("mr_brake.eds", ("7300sub1", "HighLimit=5000", "HighLimit=2000"), overrides=["law.gain_ramp_s=0"])
     bench = HostBench("hybrid", rig=rig)
@@ -238,16 +226,6 @@ def test_the_last_setpoints_keep_to_the_devices_limit_too():
     out = new_queue()
     safe_setpoints(k.axes, 0, out)
     assert int(k.host["image"][0, Image.BRAKE_SETPOINT]) == 200  # the safe state's 1 Nm would be 1000
-
-
-def test_the_gain_is_known_to_be_1_when_it_is():
-    bench = HostBench("hybrid", "law.gain_ramp_s=0.05")
-    bench.arm()
-    bench.cycles(49)
-    assert bench.h.full_gain_ns == -1
-    bench.cycles(2)
-    assert bench.h.gain == 1.0
-    assert bench.h.full_gain_ns - bench.h.armed_ns == pytest.approx(50e6, abs=1.1e6)
 
 
 # the paper's rig

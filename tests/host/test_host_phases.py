@@ -6,15 +6,17 @@ import math
 
 import pytest
 
-from coulombus.eds.cia402 import PowerState
+from coulombus.eds.cia402 import INTERNAL_LIMIT, PowerState
 from coulombus.host.cycle.phases import count_still, enter, safe, sign_check, split_law, still, trip_to_safe
 from coulombus.host.cycle.records import Phase, SignResult, Trip
+from coulombus.host.laws.laws import compile_law
 from host_bench import MS, HostBench
 
 BOTH = pytest.mark.parametrize("sign", [1, -1])
 POLARITIES = pytest.mark.parametrize(("motor", "encoder"), [(1, 1), (1, -1), (-1, 1), (-1, -1)])
 SWITCHED_ON = int(PowerState.SWITCHED_ON)
 T = 123 * MS
+NO_NUMBER = compile_law(lambda motion, law, state: math.nan)
 
 
 def standing(phase, counts=-640, mode="hybrid", **control):
@@ -405,3 +407,57 @@ def test_all_that_is_shown_grows_with_the_gain(sign):
         assert bench.h.gain == gain
         assert torque == sign * (0.125 - 0.5) * gain
         assert split("hybrid", 0, gain=before)[0].h.brake_Nm == gain * 0.75
+
+
+# what is counted while the law is shown
+
+
+def test_a_limit_of_the_drives_own_is_counted_while_the_law_is_shown():
+    bench = HostBench("hybrid")
+    bench.status_bits = INTERNAL_LIMIT
+    bench.arm()
+    assert bench.h.limited_by_drive == 0
+    bench.cycles(5)
+    assert bench.h.limited_by_drive == 5
+    bench.status_bits = 0
+    bench.cycles(5)
+    assert bench.h.limited_by_drive == 5
+
+
+def test_the_gain_is_known_to_be_1_when_it_is():
+    bench = HostBench("hybrid", "law.gain_ramp_s=0.05")
+    bench.arm()
+    bench.cycles(49)
+    assert bench.h.full_gain_ns == -1
+    bench.cycles(2)
+    assert bench.h.gain == 1.0
+    assert bench.h.full_gain_ns - bench.h.armed_ns == pytest.approx(50e6, abs=1.1e6)
+
+
+# a whole cycle
+
+
+@pytest.mark.parametrize("phase", [Phase.ENABLE, Phase.SIGN, Phase.SETTLE, Phase.DISABLE, Phase.DONE])
+def test_the_law_begins_with_run_only(phase):
+    bench = standing(Phase.STILL)
+    bench.h.gain, bench.h.armed_ns, bench.axis.state.brake_Nm = 0.5, 7, 1.25
+    enter(bench.axis, int(phase), T)
+    assert (bench.h.gain, bench.h.armed_ns, bench.axis.state.brake_Nm) == (0.5, 7, 1.25)
+
+
+def test_a_law_that_is_no_number_makes_brake_and_controlword_safe_in_the_same_cycle():
+    bench = HostBench("hybrid").enter(Phase.RUN, counts=40)
+    bench.c.safe_brake_Nm, bench.h.brake_Nm = 1.0, 3.0
+    bench.k.law_function = NO_NUMBER
+    bench.cycle()
+    assert (bench.phase, bench.h.trip) == (Phase.SAFE, Trip.LAW)
+    assert bench.h.brake_Nm == bench.h.safe_from_Nm == 1.0
+    assert bench.brake_Nm == pytest.approx(1.0)
+
+
+def test_the_safe_states_ramp_goes_on_by_one_step_a_cycle():
+    bench = HostBench("hybrid").enter(Phase.SAFE, counts=40)
+    bench.h.safe_from_Nm, bench.h.ramp_cycle, bench.h.stop = 1.0, 1, 1
+    for ramp_cycle in range(2, 7):
+        bench.cycle()
+        assert (bench.phase, bench.h.ramp_cycle) == (Phase.SAFE, ramp_cycle)
