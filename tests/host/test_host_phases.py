@@ -431,7 +431,13 @@ def test_the_gain_is_known_to_be_1_when_it_is():
     assert bench.h.full_gain_ns == -1
     bench.cycles(2)
     assert bench.h.gain == 1.0
-    assert bench.h.full_gain_ns - bench.h.armed_ns == pytest.approx(50e6, abs=1.1e6)
+    at = bench.h.full_gain_ns
+    assert at - bench.h.armed_ns == pytest.approx(50e6, abs=1.1e6)
+    bench.cycles(5)
+    assert bench.h.full_gain_ns == at
+    bench.h.full_gain_ns = 0
+    bench.cycle()
+    assert bench.h.full_gain_ns == 0
 
 
 # a whole cycle
