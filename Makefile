@@ -3,7 +3,7 @@
 
 VENV := .venv
 BIN := $(VENV)/bin
-FAST := $(addprefix tests/,wire eds rigs recording node host)
+FAST := $(addprefix tests/,wire eds rigs recording $(addprefix host/test_,host_cycle.py host_phases.py host_control.py host_watches.py transitions.py))
 NEEDED := import sys; sys.exit(sys.version_info < (3, 11))
 PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python3.14; do \
 	"$$p" -c '$(NEEDED)' 2>/dev/null && { echo "$$p"; break; }; done)
