@@ -175,9 +175,7 @@ def _tidy(directory: Path) -> None:
     with suppress(OSError):
         if directory.parent.is_symlink():
             return
-        names = [entry.name for entry in os.scandir(directory.parent) if entry.is_dir(follow_symlinks=False)]
-        others = [directory.parent / name for name in names if _NAME.fullmatch(name) and name != directory.name]
-        for stale in sorted(others, key=_used_ns, reverse=True)[KEPT - 1 :]:
+        for stale in others(directory)[KEPT - 1 :]:
             with suppress(OSError):
                 _remove(stale)
 

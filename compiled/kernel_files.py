@@ -162,12 +162,12 @@ class KernelCache:
                 if found is not None:
                     self.release()
                 return found
-        except Exception as error:  # a damaged pickle raises whatever its bytes say
-            if hasattr(error, "exit_status"):  # a signal's
-                self.release()
-                raise
+        except Exception:  # a damaged pickle raises whatever its bytes say
             self._forget()
             return None
+        except BaseException:  # a signal's
+            self.release()
+            raise
 
     def _adopt(self, place: Path) -> None:
         """Take over what another state of the sources has kept, where this kernel is the same in both."""
@@ -270,7 +270,7 @@ class _Interrupts(event.Listener):  # type: ignore[misc]
 
     def _hook(self, unraisable: Any) -> None:
         error = unraisable.exc_value
-        if isinstance(error, KeyboardInterrupt) or hasattr(error, "exit_status"):
+        if isinstance(error, KeyboardInterrupt):
             self._lost = error
         else:
             self._before(unraisable)

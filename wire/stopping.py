@@ -18,7 +18,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import Any, TypeAlias
+from typing import Any, Self, TypeAlias
 
 __all__ = ["SIGNALS", "Signals", "StopSignals", "Stopped", "as_exceptions", "status_of", "taken"]
 
@@ -87,8 +87,8 @@ def as_exceptions() -> Iterator[None]:
             signal.signal(number, signal.SIG_DFL)
 
 
-class Signals:
-    """The stop signals of a run: until `defer` one ends what is being done by `Stopped`; from then on they are only remembered.
+class _First:
+    """Takes the stop signals while it is entered, and remembers the first.
 
     Attributes
     ----------
@@ -98,10 +98,9 @@ class Signals:
 
     def __init__(self) -> None:
         self.number = 0
-        self._deferred = False
         self._taken = taken(self._handle)
 
-    def __enter__(self) -> Signals:
+    def __enter__(self) -> Self:
         self._taken.__enter__()
         return self
 
@@ -111,8 +110,22 @@ class Signals:
     def _handle(self, number: int, frame: FrameType | None) -> None:
         if self.number == 0:
             self.number = number
-            if not self._deferred:
-                self.stop()
+            self._came()
+
+    def _came(self) -> None:
+        raise NotImplementedError
+
+
+class Signals(_First):
+    """The stop signals of a run: until `defer` one ends what is being done by `Stopped`; from then on they are only remembered."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._deferred = False
+
+    def _came(self) -> None:
+        if not self._deferred:
+            self.stop()
 
     def stop(self) -> None:
         """Raise `Stopped` for the signal that has come, if one has."""
@@ -124,33 +137,20 @@ class Signals:
         self._deferred = True
 
 
-class StopSignals:
-    """Takes the signals while it is entered: remembered, and a descriptor that becomes readable.
+class StopSignals(_First):
+    """Remembers the signals while it is entered, and has a descriptor that becomes readable."""
 
-    Attributes
-    ----------
-    number
-        The first signal that came; 0: none.
-    """
-
-    def __init__(self) -> None:
-        self.number = 0
-        self._taken = taken(self._handle)
-
-    def __enter__(self) -> StopSignals:
+    def __enter__(self) -> Self:
         self._reading, self._writing = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
-        self._taken.__enter__()
-        return self
+        return super().__enter__()
 
     def __exit__(self, *_: object) -> None:
-        self._taken.__exit__(None, None, None)
+        super().__exit__()
         os.close(self._reading)
         os.close(self._writing)
 
-    def _handle(self, number: int, frame: FrameType | None) -> None:
-        if self.number == 0:
-            self.number = number
-            os.write(self._writing, b"x")
+    def _came(self) -> None:
+        os.write(self._writing, b"x")
 
     def fileno(self) -> int:
         """Return the descriptor that is readable from the first signal on."""

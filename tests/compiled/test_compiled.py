@@ -10,6 +10,7 @@ from pathlib import Path
 
 from coulombus.compiled.decorator import CACHE_DIR, JIT_DISABLED
 from coulombus.compiled.kernel_cache import KEPT, MARKER
+from coulombus.compiled.kernel_files import KernelCache
 from coulombus.compiled.sources import source_key
 
 import pytest  # isort: skip
@@ -314,6 +315,21 @@ def test_a_kernel_that_cannot_be_compiled_keeps_nobody_waiting(own_kernels, tmp_
     code = f"import sys; sys.path.append({str(tmp_path)!r}); import own\n{bad}\nprint(own.f(1))"
     done = python(code, ROOT, NUMBA_CACHE_DIR=str(tmp_path / "cache"))
     assert (done.stdout, done.stderr) == ("2\n", "")
+
+
+def test_a_signal_while_a_kernel_is_loaded_keeps_nobody_waiting():
+    class Interrupted:
+        def load_overload(self, sig, target_context):
+            raise KeyboardInterrupt
+
+    cache = KernelCache(test_the_key_follows_every_source, {})
+    cache._numbas, cache._lock = Interrupted(), os.open(os.devnull, os.O_RDWR)
+    held = cache._lock
+    with pytest.raises(KeyboardInterrupt):
+        cache.load_overload(None, None)
+    assert cache._lock is None
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        os.fstat(held)
 
 
 @pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
