@@ -10,7 +10,8 @@ from coulombus.compiled.decorator import kernel
 from coulombus.eds.reader import parse_eds
 from coulombus.node import core
 from coulombus.node.device import Device
-from coulombus.node.record import KIND_GENERIC, new_nodes
+from coulombus.node.kinds import GENERIC
+from coulombus.node.record import new_nodes
 from coulombus.sim_bus.copper.arbiter import end_frame, new_bus, start_frame, start_ns
 from coulombus.wire.frame import data_bytes, data_word, frames, new_queue, push
 
@@ -79,7 +80,7 @@ class NodeBus:
         self._out = new_queue()
         self._bus, self._log = new_bus(bitrate_bit_s), frames(1)
         eds = parse_eds(EDS, "benchmark.eds")
-        self.device = Device(eds, NODE_ID, KIND_GENERIC, self._node)
+        self.device = Device(eds, NODE_ID, GENERIC, self._node)
         self.device.power_on(0, self._out)
         self._t = 1_000_000
         while self._step() != _IDLE:

@@ -19,7 +19,9 @@ from coulombus.eds.codec import PDO
 from coulombus.eds.reader import parse_eds, read_eds
 from coulombus.node import core
 from coulombus.node.device import Device
-from coulombus.node.record import KIND_DRIVE, MAX_PDOS, NODE, new_nodes
+from coulombus.node.drive402 import DRIVE402
+from coulombus.node.record import NODE, new_nodes
+from coulombus.node.sizes import MAX_PDOS
 from coulombus.wire.frame import data_word, new_queue
 
 __all__ = ["expedited_us", "fuzz", "nodes"]
@@ -38,7 +40,7 @@ def expedited_us() -> tuple[float, float]:
     """Time of an expedited upload from the request to its response, in us: ours, LocalNode's. They take turns."""
     nodes = new_nodes(1)
     out = new_queue()
-    Device(read_eds(MOTOR), 1, KIND_DRIVE, nodes[0]).power_on(0, out)
+    Device(read_eds(MOTOR), 1, DRIVE402, nodes[0]).power_on(0, out)
     handle = Entry(core.handle)
     arguments = (nodes[0], 1000, 0x601, 8, data_word(REQUEST), out)
 
@@ -73,7 +75,7 @@ def fuzz(frames: int, seed: int = 0) -> dict[str, int]:
     rng = random.Random(seed)
     nodes = new_nodes(1)
     out = new_queue()
-    device = Device(parse_eds(MOTOR.read_bytes(), str(MOTOR)), 1, KIND_DRIVE, nodes[0])
+    device = Device(parse_eds(MOTOR.read_bytes(), str(MOTOR)), 1, DRIVE402, nodes[0])
     device.power_on(0, out)
     handle, on_time = Entry(core.handle), Entry(core.on_time)
     row, t, answers = nodes.view(np.ndarray)[0], 0, 0

@@ -13,16 +13,22 @@ Their status 6150h: bit 0 not valid (channel off, no number), bit 1 above 7149h,
 from __future__ import annotations
 
 import math
-from typing import Any
 
 from coulombus.compiled.decorator import kernel
-from coulombus.node import coil404, emcy, slots
+from coulombus.eds.cia301 import Abort
+from coulombus.eds.own_devices import PRODUCTS
+from coulombus.node import coil404, emcy, slots, slots404
+from coulombus.node.profile import BY_ITSELF, BY_RESET, Behaviour, Objects, Profile
+from coulombus.node.scaling404 import AUTO_ZERO, SCALED, auto_zero, scale
+from coulombus.node.sdo_abort import SdoAbort
+from coulombus.node.sizes import NodeRecord
+from coulombus.wire.frame import Queue
 
-__all__ = ["connection_lost", "cut", "new_setpoint", "next_deadline", "sample", "start", "step"]
+__all__ = ["BRAKE404", "connection_lost", "cut", "new_setpoint", "next_deadline", "sample", "start", "step"]
 
 
 @kernel
-def start(n: Any, t_ns: int) -> None:
+def start(n: NodeRecord, t_ns: int) -> None:
     """Output 0, no set-point yet: after power-on."""
     n.setpoint_armed = 0
     n.ramping = 2
@@ -34,23 +40,23 @@ def start(n: Any, t_ns: int) -> None:
 
 
 @kernel
-def _torque(n: Any, raw: int) -> float:
+def _torque(n: NodeRecord, raw: int) -> float:
     """Return the torque [Nm] that a value of 7300h stands for, full scale at most; the coil's limit is the caller's."""
     torque: float = min(max(max(raw, 0) * n.ao_gain_Nm + n.ao_bias_Nm, 0.0), n.ao_full_Nm)
     return torque
 
 
 @kernel
-def _begin_ramp(n: Any, t_ns: int) -> None:
+def _begin_ramp(n: NodeRecord, t_ns: int) -> None:
     """Begin the ramp from the present output: to the fault value, to 0 for a fault of the device itself."""
     n.ramp_from_Nm = n.out_brake_Nm
-    n.ramp_to_Nm = 0.0 if n.causes & emcy.DEVICE_MASK else _torque(n, n.values[slots.FAULT_VALUE])
+    n.ramp_to_Nm = 0.0 if n.causes & emcy.DEVICE_MASK else _torque(n, n.values[slots404.FAULT_VALUE])
     n.ramp_start_ns = t_ns
     n.ramping = 1
 
 
 @kernel
-def cut(n: Any) -> None:
+def cut(n: NodeRecord) -> None:
     """Output 0 at once."""
     n.ramping = 2
     n.ramp_to_Nm = 0.0
@@ -58,16 +64,16 @@ def cut(n: Any) -> None:
 
 
 @kernel
-def new_setpoint(n: Any, t_ns: int) -> None:
+def new_setpoint(n: NodeRecord, t_ns: int) -> None:
     """Take the set-point in 7300h:01 that was received at `t_ns`; the slot then shows what acts."""
-    raw = n.values[slots.SETPOINT]
+    raw = n.values[slots404.SETPOINT]
     if raw < 0:
         n.negative_setpoints += 1
         raw = 0
     elif raw > n.setpoint_high:
         n.clipped_setpoints += 1
         raw = n.setpoint_high
-    n.values[slots.SETPOINT] = raw
+    n.values[slots404.SETPOINT] = raw
     n.setpoint_ns = t_ns
     if n.setpoint_armed == 0:
         n.next_ns = min(n.next_ns, t_ns + 1)  # to schedule the watch of its age
@@ -77,10 +83,10 @@ def new_setpoint(n: Any, t_ns: int) -> None:
 
 
 @kernel
-def connection_lost(n: Any, t_ns: int, forced: int) -> None:
+def connection_lost(n: NodeRecord, t_ns: int, forced: int) -> None:
     """Begin the ramp to the fault value at `t_ns`, from the present output; fault mode 0 keeps it unless `forced`."""
     n.setpoint_armed = 0
-    if not forced and n.values[slots.FAULT_MODE] != 1:
+    if not forced and n.values[slots404.FAULT_MODE] != 1:
         return
     if n.ramping == 0 or (n.causes & emcy.DEVICE_MASK and n.ramp_to_Nm > 0.0):
         step(n, t_ns)
@@ -89,21 +95,21 @@ def connection_lost(n: Any, t_ns: int, forced: int) -> None:
 
 
 @kernel
-def host_lost(n: Any, t_ns: int) -> None:
+def host_lost(n: NodeRecord, t_ns: int) -> None:
     """NMT left OPERATIONAL by itself (1029h): the last set-point is still held for its time, if that is watched."""
     if n.setpoint_armed == 0 or n.values[slots.SETPOINT_AGE_US] <= 0:
         connection_lost(n, t_ns, 0)
 
 
 @kernel
-def step(n: Any, t_ns: int) -> None:
+def step(n: NodeRecord, t_ns: int) -> None:
     """Compute the output at `t_ns`."""
     values = n.values
     if n.ramping == 0:
-        n.out_brake_Nm = min(_torque(n, values[slots.SETPOINT]), n.limit_Nm)
+        n.out_brake_Nm = min(_torque(n, values[slots404.SETPOINT]), n.limit_Nm)
         hold_ns = values[slots.SETPOINT_AGE_US] * 1000
         expired = n.setpoint_armed and hold_ns > 0 and t_ns - n.setpoint_ns >= hold_ns
-        if not expired or values[slots.FAULT_MODE] != 1:
+        if not expired or values[slots404.FAULT_MODE] != 1:
             return
         _begin_ramp(n, n.setpoint_ns + hold_ns)  # the line begins where the hold ended, whenever this is called
     if n.ramping == 1:
@@ -127,17 +133,17 @@ def _to_int16(value: float) -> int:
 
 
 @kernel
-def _input(n: Any, k: int, value: float) -> None:
+def _input(n: NodeRecord, k: int, value: float) -> None:
     scaled = value * n.ai_gain[k] + n.ai_bias[k]
     if n.ai_low[k] <= scaled <= n.ai_high[k]:
-        n.values[slots.INPUT + k] = _to_int16(scaled)
-        n.values[slots.INPUT_STATUS + k] = 0
+        n.values[slots404.INPUT + k] = _to_int16(scaled)
+        n.values[slots404.INPUT_STATUS + k] = 0
     else:
         _odd_input(n, k, scaled)
 
 
 @kernel
-def _odd_input(n: Any, k: int, scaled: float) -> None:
+def _odd_input(n: NodeRecord, k: int, scaled: float) -> None:
     status = 1
     if n.ai_low[k] == math.inf:
         scaled = 0.0  # the channel is off
@@ -145,25 +151,101 @@ def _odd_input(n: Any, k: int, scaled: float) -> None:
         status = 2
     elif scaled < n.ai_low[k]:
         status = 4
-    n.values[slots.INPUT + k] = _to_int16(scaled)
-    n.values[slots.INPUT_STATUS + k] = status
+    n.values[slots404.INPUT + k] = _to_int16(scaled)
+    n.values[slots404.INPUT_STATUS + k] = status
 
 
 @kernel
-def sample(n: Any) -> None:
+def sample(n: NodeRecord) -> None:
     """Write the three input blocks, and the output's field value, to their slots."""
     _input(n, 0, n.in_handle_Nm)
     _input(n, 1, n.in_coil_A)
     _input(n, 2, n.in_coil_degC)
-    n.values[slots.OUTPUT_FV] = math.floor(n.out_brake_Nm * n.ao_FV_Nm + 0.5)
+    n.values[slots404.OUTPUT_FV] = math.floor(n.out_brake_Nm * n.ao_FV_Nm + 0.5)
 
 
 @kernel
-def next_deadline(n: Any, t_ns: int, next_ns: int) -> int:
+def next_deadline(n: NodeRecord, t_ns: int, next_ns: int) -> int:
     """Return the earlier of `next_ns` and the brake's own next deadline."""
     if n.ramping == 1:
         next_ns = min(next_ns, n.ramp_start_ns + n.values[slots.RAMP_US] * 1000)
     hold_ns = n.values[slots.SETPOINT_AGE_US] * 1000
-    if n.ramping == 0 and n.setpoint_armed and hold_ns > 0 and n.values[slots.FAULT_MODE] == 1:
+    if n.ramping == 0 and n.setpoint_armed and hold_ns > 0 and n.values[slots404.FAULT_MODE] == 1:
         next_ns = min(next_ns, n.setpoint_ns + hold_ns)
     return coil404.next_deadline(n, t_ns, next_ns)
+
+
+@kernel
+def _step(n: NodeRecord, t_ns: int) -> None:
+    step(n, t_ns)
+    if n.demag_A > 0.0:
+        coil404.demagnetise(n, t_ns)
+
+
+@kernel
+def _apply(n: NodeRecord, t_ns: int, received_ns: int, carries: int, out: Queue) -> None:
+    if carries & slots404.ACTS_SETPOINT:
+        new_setpoint(n, received_ns)
+
+
+@kernel
+def _connection_lost(n: NodeRecord, t_ns: int, why: int) -> int:
+    if why == BY_ITSELF:
+        host_lost(n, t_ns)
+    else:
+        connection_lost(n, t_ns, 1 if why == BY_RESET else 0)
+    return 0
+
+
+@kernel
+def _react(n: NodeRecord, t_ns: int, cause: int) -> None:
+    """A fault of the driver itself takes the ramp, a short circuit ends the current at once."""
+    if emcy.DEVICE_MASK >> cause & 1:
+        if cause == emcy.COIL_SHORT:
+            cut(n)
+        else:
+            connection_lost(n, t_ns, 1)
+
+
+def _started(record: NodeRecord, objects: Objects, t_ns: int) -> None:
+    record["setpoint_high"] = objects.high(0x7300, 1, 32767)
+    coil404.start(record)
+    scale(record, objects)
+
+
+def _changed(record: NodeRecord, objects: Objects, index: int, subindex: int) -> None:
+    if index == 0x6125:
+        auto_zero(record, objects, subindex)
+    if index == 0x6125 or index in SCALED:
+        scale(record, objects)
+
+
+def _check(objects: Objects, index: int, subindex: int, value: int) -> None:
+    """6125h wants its signature; the two points of the output's scale differ."""
+    if index == 0x6125 and value != AUTO_ZERO:
+        raise SdoAbort(Abort.VALUE)
+    other = {0x7320: 0x7322, 0x7322: 0x7320}.get(index)
+    if other is not None and subindex == 1 and value == objects.number(other, 1):
+        raise SdoAbort(Abort.PARAMETER_INCOMPATIBLE)
+
+
+BRAKE404 = Profile(
+    "brake",
+    objects=slots404.OBJECTS,
+    fields=slots404.FIELDS,
+    behaviour=Behaviour(
+        sample=sample,
+        step=_step,
+        apply=_apply,
+        connection_lost=_connection_lost,
+        react=_react,
+        look=coil404.look,
+        next_deadline=next_deadline,
+    ),
+    product=PRODUCTS["brake"],
+    started=_started,
+    powered_on=start,
+    changed=_changed,
+    check=_check,
+)
+"""The driver of an MR brake: CiA 404, one output, three inputs."""

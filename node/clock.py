@@ -6,17 +6,17 @@ Its `next_ns` is in its own time.
 
 from __future__ import annotations
 
-from typing import Any
-
 from coulombus.compiled.decorator import kernel
 from coulombus.node import core
+from coulombus.node.sizes import NodeRecord
 from coulombus.wire.clock import own_ns, to_bus
+from coulombus.wire.frame import Queue
 
 __all__ = ["link_changed", "on_frame", "on_time"]
 
 
 @kernel
-def on_frame(n: Any, t_ns: int, can_id: int, length: int, data: int, out: Any) -> int:
+def on_frame(n: NodeRecord, t_ns: int, can_id: int, length: int, data: int, out: Queue) -> int:
     """As `node.core.on_frame`, at `t_ns` of the bus."""
     first, own = out.count, own_ns(n, t_ns)
     wanted = core.on_frame(n, own, can_id, length, data, out)
@@ -25,7 +25,7 @@ def on_frame(n: Any, t_ns: int, can_id: int, length: int, data: int, out: Any) -
 
 
 @kernel
-def on_time(n: Any, t_ns: int, out: Any) -> None:
+def on_time(n: NodeRecord, t_ns: int, out: Queue) -> None:
     """As `node.core.on_time`, at `t_ns` of the bus."""
     first, own = out.count, own_ns(n, t_ns)
     core.on_time(n, own, out)
@@ -33,7 +33,7 @@ def on_time(n: Any, t_ns: int, out: Any) -> None:
 
 
 @kernel
-def link_changed(n: Any, t_ns: int, link: int, out: Any) -> None:
+def link_changed(n: NodeRecord, t_ns: int, link: int, out: Queue) -> None:
     """As `node.core.link_changed`, at `t_ns` of the bus."""
     first, own = out.count, own_ns(n, t_ns)
     core.link_changed(n, own, link, out)

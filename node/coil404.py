@@ -17,12 +17,12 @@ what the iron remembers. A new set-point ends it, a device fault bars it.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 from coulombus.compiled.decorator import kernel
-from coulombus.node import emcy, slots
+from coulombus.node import emcy, slots404
+from coulombus.node.sizes import NodeRecord
 
-__all__ = ["demagnetise", "next_deadline", "start", "watch"]
+__all__ = ["demagnetise", "look", "next_deadline", "start"]
 
 _OPEN_SHARE = 0.25
 _TEMPERATURE = 1 << emcy.OVER_TEMPERATURE - emcy.FIRST_DEVICE_CAUSE
@@ -32,7 +32,7 @@ _LOOK_NS = 10_000_000  # how often, without a SYNC
 
 
 @kernel
-def start(n: Any) -> None:
+def start(n: NodeRecord) -> None:
     """Nothing was found yet."""
     n.detected = 0
     n.open_since_ns = -1
@@ -41,7 +41,7 @@ def start(n: Any) -> None:
 
 
 @kernel
-def watch(n: Any, t_ns: int) -> None:
+def look(n: NodeRecord, t_ns: int) -> None:
     """Bring `detected` and `limit_Nm` up to what is measured; almost always there is nothing to do."""
     measured = abs(n.in_coil_A)
     expected = n.out_brake_Nm * n.coil_A_Nm
@@ -54,12 +54,12 @@ def watch(n: Any, t_ns: int) -> None:
         or n.derated
         or n.open_since_ns >= 0
     ):
-        _watch_temperature(n)
-        _watch_current(n, t_ns, missing, measured)
+        _judge_temperature(n)
+        _judge_current(n, t_ns, missing, measured)
 
 
 @kernel
-def _watch_temperature(n: Any) -> None:
+def _judge_temperature(n: NodeRecord) -> None:
     temperature = n.in_coil_degC
     if temperature > n.hot_degC:
         n.detected |= _TEMPERATURE
@@ -74,9 +74,9 @@ def _watch_temperature(n: Any) -> None:
 
 
 @kernel
-def _watch_current(n: Any, t_ns: int, missing: bool, measured: float) -> None:
+def _judge_current(n: NodeRecord, t_ns: int, missing: bool, measured: float) -> None:
     if n.detected & (_OPEN | _SHORT):
-        if n.ramping != 0 and n.out_brake_Nm == 0.0 and n.values[slots.SETPOINT] <= 0:
+        if n.ramping != 0 and n.out_brake_Nm == 0.0 and n.values[slots404.SETPOINT] <= 0:
             n.detected &= ~(_OPEN | _SHORT)
             n.open_since_ns = -1
         return
@@ -91,7 +91,7 @@ def _watch_current(n: Any, t_ns: int, missing: bool, measured: float) -> None:
 
 
 @kernel
-def demagnetise(n: Any, t_ns: int) -> None:
+def demagnetise(n: NodeRecord, t_ns: int) -> None:
     """Give the pulse its current, when it is its time."""
     n.out_reverse_A = 0.0
     if n.out_brake_Nm > 0.0:
@@ -110,7 +110,7 @@ def demagnetise(n: Any, t_ns: int) -> None:
 
 
 @kernel
-def next_deadline(n: Any, t_ns: int, next_ns: int) -> int:
+def next_deadline(n: NodeRecord, t_ns: int, next_ns: int) -> int:
     """Return the earlier of `next_ns` and what the coil needs: the pulse's edges; a look while nobody sends a SYNC."""
     if n.demag_A > 0.0 and n.pulse_due and n.out_brake_Nm == 0.0 and n.causes & emcy.DEVICE_MASK == 0:
         edge = n.pulse_ns if t_ns < n.pulse_ns else n.pulse_ns + n.demag_ns

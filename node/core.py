@@ -10,14 +10,12 @@ Python (`node.device`) serves NMT commands and SDO, for which `on_frame` returns
 
 from __future__ import annotations
 
-from typing import Any
-
 from coulombus.compiled.decorator import inlined, kernel
 from coulombus.eds.cia301 import NmtState
 from coulombus.node import deadlines, emcy, expedited, guarding, outbox, pdo, segments
+from coulombus.node.kinds import NO_KIND
+from coulombus.node.profile import BY_ITSELF, BY_RESET
 from coulombus.node.reactions import (
-    BY_ITSELF,
-    BY_RESET,
     alarm,
     apply,
     connection_lost,
@@ -27,8 +25,8 @@ from coulombus.node.reactions import (
     sample,
     step,
 )
-from coulombus.node.record import FAR_FUTURE_NS, KIND_GENERIC
-from coulombus.wire.frame import CAN_RTR_FLAG, push
+from coulombus.node.sizes import FAR_FUTURE_NS, NodeRecord
+from coulombus.wire.frame import CAN_RTR_FLAG, Queue, push
 from coulombus.wire.link import LINK_ACTIVE, LINK_OFF, LINK_PASSIVE, LINK_RECOVERED
 
 __all__ = [
@@ -60,12 +58,12 @@ _ALL_NODES = 0
 
 @inlined
 def on_frame(
-    n: Any,
+    n: NodeRecord,
     t_ns: int,
     can_id: int,
     length: int,
     data: int,
-    out: Any,
+    out: Queue,
 ) -> int:
     """Handle a frame whose end was at `t_ns`; return 1 when Python has to serve it (SDO, NMT, LSS), else 0."""
     if can_id <= 0x7FF and n.route[can_id] == ROUTE_NONE:
@@ -75,12 +73,12 @@ def on_frame(
 
 @kernel
 def handle(
-    n: Any,
+    n: NodeRecord,
     t_ns: int,
     can_id: int,
     length: int,
     data: int,
-    out: Any,
+    out: Queue,
 ) -> int:
     """Do what `on_frame` does; for callers that are not compiled themselves."""
     if can_id > 0x7FF:  # remote, extended or error frame
@@ -138,7 +136,7 @@ def handle(
 
 
 @kernel
-def _sync(n: Any, t_ns: int, length: int, data: int, out: Any) -> None:
+def _sync(n: NodeRecord, t_ns: int, length: int, data: int, out: Queue) -> None:
     """Act on a SYNC: RPDOs act, inputs are sampled, synchronous TPDOs go out."""
     if n.nmt != NmtState.OPERATIONAL:
         return
@@ -155,7 +153,7 @@ def _sync(n: Any, t_ns: int, length: int, data: int, out: Any) -> None:
     if n.sync_armed == 0:
         n.sync_armed = 1
         n.next_ns = min(n.next_ns, t_ns + 1)  # to schedule the watch
-    if n.kind != KIND_GENERIC:
+    if n.kind != NO_KIND:
         inputs(n, t_ns, out)
     if n.rpdo_pending:
         pdo.act_pending(n, t_ns, out)
@@ -167,12 +165,12 @@ def _sync(n: Any, t_ns: int, length: int, data: int, out: Any) -> None:
 
 
 @kernel
-def on_time(n: Any, t_ns: int, out: Any) -> None:
+def on_time(n: NodeRecord, t_ns: int, out: Queue) -> None:
     """Judge what is due at `t_ns`, and set `next_ns`."""
     if n.powered == 0:
         n.next_ns = FAR_FUTURE_NS
         return
-    if n.kind != KIND_GENERIC:
+    if n.kind != NO_KIND:
         inputs(n, t_ns, out)
     if deadlines.expire(n, t_ns, out):
         _react(n, t_ns, n.error_behaviour, out)
@@ -187,7 +185,7 @@ def on_time(n: Any, t_ns: int, out: Any) -> None:
 
 
 @kernel
-def _react(n: Any, t_ns: int, behaviour: int, out: Any) -> None:
+def _react(n: NodeRecord, t_ns: int, behaviour: int, out: Queue) -> None:
     """Let NMT follow an error as 1029h says: 0 to PRE-OPERATIONAL from OPERATIONAL, 1 nothing, 2 to STOPPED."""
     if behaviour == 0 and n.nmt == NmtState.OPERATIONAL:
         set_nmt(n, t_ns, NmtState.PRE_OPERATIONAL, BY_ITSELF, out)
@@ -196,20 +194,19 @@ def _react(n: Any, t_ns: int, behaviour: int, out: Any) -> None:
 
 
 @kernel
-def _produce_sync(n: Any, t_ns: int, out: Any) -> None:
+def _produce_sync(n: NodeRecord, t_ns: int, out: Queue) -> None:
     length = 0
     if n.sync_overflow > 0:
         length = 1
         n.sync_counter = n.sync_counter % n.sync_overflow + 1
     push(out, n.station, t_ns, n.sync_id, length, n.sync_counter if length else 0)
-    n.sync_next_ns += n.sync_producer_ns
-    if n.sync_next_ns <= t_ns:  # called too late: no burst
-        n.sync_next_ns = t_ns + n.sync_producer_ns
+    following_ns = n.sync_next_ns + n.sync_producer_ns
+    n.sync_next_ns = following_ns if following_ns > t_ns else t_ns + n.sync_producer_ns  # called too late: no burst
     _sync(n, t_ns, length, n.sync_counter, out)
 
 
 @kernel
-def _schedule(n: Any, t_ns: int, out: Any) -> None:
+def _schedule(n: NodeRecord, t_ns: int, out: Queue) -> None:
     next_ns = min(deadlines.next_deadline(n, FAR_FUTURE_NS), n.outbox_next_ns)
     if n.sync_producer_ns > 0 and n.nmt != NmtState.STOPPED:
         next_ns = min(next_ns, n.sync_next_ns)
@@ -220,8 +217,8 @@ def _schedule(n: Any, t_ns: int, out: Any) -> None:
 
 
 @kernel
-def set_nmt(n: Any, t_ns: int, state: int, why: int, out: Any) -> None:
-    """Change the NMT state; leaving OPERATIONAL, STOPPED and any reset make the output safe (`why`: node.reactions)."""
+def set_nmt(n: NodeRecord, t_ns: int, state: int, why: int, out: Queue) -> None:
+    """Change the NMT state; leaving OPERATIONAL, STOPPED and any reset make the output safe (`why`: node.profile)."""
     before = n.nmt
     n.nmt = state
     if before == NmtState.OPERATIONAL and state != NmtState.OPERATIONAL:
@@ -246,7 +243,7 @@ def set_nmt(n: Any, t_ns: int, state: int, why: int, out: Any) -> None:
 
 
 @kernel
-def written(n: Any, t_ns: int, carries: int, out: Any) -> None:
+def written(n: NodeRecord, t_ns: int, carries: int, out: Queue) -> None:
     """Let the device act on what Python wrote to `values` or to the records (an SDO download)."""
     deadlines.settle(n, t_ns, out)
     apply(n, t_ns, t_ns, carries, out)
@@ -255,7 +252,7 @@ def written(n: Any, t_ns: int, carries: int, out: Any) -> None:
 
 
 @kernel
-def forget_connections(n: Any, t_ns: int, out: Any) -> None:
+def forget_connections(n: NodeRecord, t_ns: int, out: Queue) -> None:
     """After a reset nothing is watched yet, so no loss of a connection is present."""
     deadlines.settle(n, t_ns, out)
     emcy.gone(n, t_ns, emcy.RPDO_SHORT, out)
@@ -265,7 +262,7 @@ def forget_connections(n: Any, t_ns: int, out: Any) -> None:
 
 
 @kernel
-def link_changed(n: Any, t_ns: int, link: int, out: Any) -> None:
+def link_changed(n: NodeRecord, t_ns: int, link: int, out: Queue) -> None:
     """Act on what the node's CAN controller tells (`wire.link.LINK_...`).
 
     Bus-off is a communication error: the fault reaction, and what 1029h:01 says, as without heartbeats. Its EMCY can go out
@@ -291,7 +288,7 @@ def link_changed(n: Any, t_ns: int, link: int, out: Any) -> None:
 
 
 @kernel
-def refresh_inputs(n: Any, t_ns: int) -> None:
+def refresh_inputs(n: NodeRecord, t_ns: int) -> None:
     """Bring the values that the device measures up to date (before an SDO upload)."""
     if n.powered:
         step(n, t_ns)

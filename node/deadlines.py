@@ -6,14 +6,12 @@ at `t_ns`, `next_deadline` tells when to look again.
 
 from __future__ import annotations
 
-from typing import Any
-
 from coulombus.compiled.decorator import kernel
 from coulombus.eds.cia301 import CobId, NmtState
 from coulombus.node import emcy, guarding, slots
 from coulombus.node.reactions import alarm
-from coulombus.node.record import FAR_FUTURE_NS
-from coulombus.wire.frame import push
+from coulombus.node.sizes import FAR_FUTURE_NS, NodeRecord
+from coulombus.wire.frame import Queue, push
 
 __all__ = ["expire", "heartbeat_received", "next_deadline", "settle", "stop"]
 
@@ -21,7 +19,7 @@ _WAITING, _ALIVE, _LOST = 0, 1, 2
 
 
 @kernel
-def heartbeat_received(n: Any, k: int, t_ns: int, length: int, data: int, out: Any) -> None:
+def heartbeat_received(n: NodeRecord, k: int, t_ns: int, length: int, data: int, out: Queue) -> None:
     """Take a heartbeat of consumer entry `k`; a boot-up is none: who has just started has lost its connections."""
     if length < 1:
         n.dropped_length += 1
@@ -39,7 +37,7 @@ def heartbeat_received(n: Any, k: int, t_ns: int, length: int, data: int, out: A
 
 
 @kernel
-def settle(n: Any, t_ns: int, out: Any) -> None:
+def settle(n: NodeRecord, t_ns: int, out: Queue) -> None:
     """Release the losses that are no longer present: none lost any more, or no longer watched."""
     heartbeats, rpdos = 0, 0
     for k in range(n.consumers_used):
@@ -57,7 +55,7 @@ def settle(n: Any, t_ns: int, out: Any) -> None:
 
 
 @kernel
-def stop(n: Any, t_ns: int, out: Any) -> None:
+def stop(n: NodeRecord, t_ns: int, out: Queue) -> None:
     """NMT left OPERATIONAL: SYNC and RPDOs are no longer expected, so their loss is no longer present."""
     n.sync_armed = 0
     for k in range(n.rpdo_used):
@@ -67,14 +65,15 @@ def stop(n: Any, t_ns: int, out: Any) -> None:
 
 
 @kernel
-def expire(n: Any, t_ns: int, out: Any) -> int:
+def expire(n: NodeRecord, t_ns: int, out: Queue) -> int:
     """Judge what is late at `t_ns`; return 1 when a heartbeat or the guarding was lost now (1029h decides what NMT does)."""
     lost_now = 0
     if n.heartbeat_ns > 0 and t_ns >= n.heartbeat_next_ns:
         push(out, n.station, t_ns, CobId.HEARTBEAT + n.node_id, 1, n.nmt)
-        n.heartbeat_next_ns += n.heartbeat_ns
-        if n.heartbeat_next_ns <= t_ns:  # called too late: no burst
-            n.heartbeat_next_ns = t_ns + n.heartbeat_ns
+        following_ns = n.heartbeat_next_ns + n.heartbeat_ns
+        n.heartbeat_next_ns = (
+            following_ns if following_ns > t_ns else t_ns + n.heartbeat_ns
+        )  # called too late: no burst
     if n.emcy_waiting > 0:
         emcy.drain(n, t_ns, out)
     for k in range(n.consumers_used):
@@ -106,7 +105,7 @@ def expire(n: Any, t_ns: int, out: Any) -> int:
 
 
 @kernel
-def next_deadline(n: Any, next_ns: int) -> int:
+def next_deadline(n: NodeRecord, next_ns: int) -> int:
     """Return the earlier of `next_ns` and the next of these deadlines."""
     for k in range(n.sdo_used):
         next_ns = min(next_ns, n.sdo_deadline_ns[k])

@@ -14,17 +14,17 @@ import numpy as np
 from coulombus.eds.cia301 import CobId, NmtCommand, NmtState
 from coulombus.eds.cia305 import UNCONFIGURED
 from coulombus.eds.reader import Description, Value
-from coulombus.node import brake404, coil404, core, guarding, reactions, states402
+from coulombus.node import core, guarding
 from coulombus.node.communication_checks import PRODUCER, SDO_SERVERS
 from coulombus.node.communication_objects import Communication
 from coulombus.node.dictionary import Dictionary
+from coulombus.node.kinds import number
 from coulombus.node.lss import Lss
 from coulombus.node.parameters import Parameters
-from coulombus.node.pdo_parameters import CARRIED
-from coulombus.node.record import FAR_FUTURE_NS, KIND_BRAKE, KIND_DRIVE, KIND_GENERIC, SDO_TIMEOUT_NS
-from coulombus.node.scaling import auto_zero, scale
+from coulombus.node.profile import BY_COMMAND, BY_RESET, Profile
 from coulombus.node.sdo_access import Access
 from coulombus.node.sdo_service import SdoService
+from coulombus.node.sizes import FAR_FUTURE_NS, SDO_TIMEOUT_NS
 from coulombus.node.store import Store
 from coulombus.node.time_stamp import LENGTH as TIME_LENGTH
 from coulombus.node.time_stamp import time_of_day, time_word
@@ -55,8 +55,8 @@ class Device:
         The EDS; its objects are the device's.
     node_id
         1 to 127, or `eds.cia305.UNCONFIGURED`: it waits until an LSS master gives it one.
-    kind
-        `node.record.KIND_DRIVE`, `KIND_BRAKE` or `KIND_GENERIC` (any EDS: objects, PDOs and services, no behaviour).
+    profile
+        What lives behind the objects: one of `node.kinds.PROFILES`; `node.kinds.GENERIC`: nothing.
     record
         The one of `node.record.new_nodes` that becomes this device.
     store
@@ -65,29 +65,27 @@ class Device:
     Raises
     ------
     ValueError
-        The node id or the kind is out of range.
+        The node id is out of range, or no kernel knows the profile.
     """
 
     def __init__(
         self,
         description: Description,
         node_id: int,
-        kind: int,
+        profile: Profile,
         record: Record,
         store: Store | None = None,
     ) -> None:
         if not 1 <= node_id <= 127 and node_id != UNCONFIGURED:
             raise ValueError(f"node id {node_id}; expected 1 to 127, or {UNCONFIGURED} for none")
-        if kind not in (KIND_GENERIC, KIND_DRIVE, KIND_BRAKE):
-            raise ValueError(f"kind {kind}; expected KIND_GENERIC, KIND_DRIVE or KIND_BRAKE of coulombus.node.record")
-        self.description, self.node_id, self.kind = description, node_id, kind
+        self.description, self.node_id, self.profile = description, node_id, profile
         self.record = record
-        self.record["node_id"], self.record["kind"] = node_id, kind
-        self.dictionary = Dictionary(description, node_id, kind, record["values"])
+        self.record["node_id"], self.record["kind"], self.record["held"] = node_id, number(profile), profile.held
+        self.dictionary = Dictionary(description, node_id, profile.objects, record["values"])
         self.communication = Communication(self.dictionary, record)
         self.store = Store() if store is None else store
-        self.parameters = Parameters(self.dictionary, self.store, CARRIED[kind])
-        access = Access(self.dictionary, self.communication, self.parameters, kind, self._changed)
+        self.parameters = Parameters(self.dictionary, self.store, profile.acts)
+        access = Access(self.dictionary, self.communication, self.parameters, profile, self._changed)
         self._tabulate()
         self._sdo = SdoService(access, self.communication, record)
         self.lss = Lss(self.dictionary, record, node_id, self.store, self._reset_communication)
@@ -133,8 +131,7 @@ class Device:
         record["nmt"] = NmtState.INITIALISING
         self.lss.power_on()
         self._load(0x0000, t_ns)
-        if self.kind == KIND_BRAKE:
-            brake404.start(record, t_ns)
+        self.profile.powered_on(record, t_ns)
         self._boot(t_ns, out)
 
     def power_off(self) -> None:
@@ -142,7 +139,8 @@ class Device:
         record = self.record
         record["powered"] = 0
         record["nmt"] = NmtState.INITIALISING
-        record["out_torque_pm"] = record["out_brake_Nm"] = record["out_reverse_A"] = 0.0
+        for field in self.profile.outputs:
+            record[field] = 0
         record["rpdo_pending"] = record["setpoint_armed"] = record["ramping"] = 0
         record["next_ns"] = FAR_FUTURE_NS
         self._sdo.drop()
@@ -156,22 +154,9 @@ class Device:
         self.dictionary.reset(first, last)
         self.parameters.load(first, last)
         if first == 0x0000:
-            self._start(t_ns)
+            self.profile.started(self.record, self.dictionary, t_ns)
         self.communication.refresh_all(t_ns)
         self._sdo.refresh()
-
-    def _start(self, t_ns: int) -> None:
-        """Start the kind's own part with the values that now stand in the dictionary."""
-        record, number = self.record, self.dictionary.number
-        if self.kind == KIND_DRIVE:
-            record["supply_mV"] = number(0x6079, 0, 0)
-            scale(self.kind, record, self.dictionary)
-            states402.start(record, t_ns)
-        elif self.kind == KIND_BRAKE:
-            high = self.description.variable(0x7300, 1).high if (0x7300, 1) in self.dictionary else None
-            record["setpoint_high"] = int(high) if high is not None else 32767
-            coil404.start(record)
-            scale(self.kind, record, self.dictionary)
 
     def _changed(self, index: int, subindex: int) -> None:
         """Bring the record up to an object that was written."""
@@ -182,10 +167,7 @@ class Device:
             if index in SDO_SERVERS:
                 self._sdo.refresh()
         else:
-            if self.kind == KIND_BRAKE and index == 0x6125:
-                auto_zero(self.record, self.dictionary, subindex)
-                index = 0x6124
-            scale(self.kind, self.record, self.dictionary, index)
+            self.profile.changed(self.record, self.dictionary, index, subindex)
 
     # services
 
@@ -208,9 +190,9 @@ class Device:
         if command == NmtCommand.STOP:
             self._sdo.drop()  # SDO ends with it
         if command in NMT_TARGET:
-            self._set_nmt(t_ns, NMT_TARGET[command], reactions.BY_COMMAND, out)
+            self._set_nmt(t_ns, NMT_TARGET[command], BY_COMMAND, out)
         elif command in NMT_RESET:
-            self._set_nmt(t_ns, NmtState.INITIALISING, reactions.BY_RESET, out)
+            self._set_nmt(t_ns, NmtState.INITIALISING, BY_RESET, out)
             first = NMT_RESET[command]
             if first == 0x0000:
                 self.lss.power_on()
@@ -247,10 +229,10 @@ class Device:
         ready_ns = t_ns + int(self.record["processing_ns"])
         push(out, self.record["station"], ready_ns, CobId.HEARTBEAT + self.node_id, 1, int(NmtState.INITIALISING))
         guarding.restart(self.record)
-        self._set_nmt(t_ns, NmtState.PRE_OPERATIONAL, reactions.BY_COMMAND, out)
+        self._set_nmt(t_ns, NmtState.PRE_OPERATIONAL, BY_COMMAND, out)
         if not self.dictionary.number(0x1F80, 0, STAYS_PRE_OPERATIONAL) & STAYS_PRE_OPERATIONAL:
             first = int(out["count"])
-            self._set_nmt(t_ns, NmtState.OPERATIONAL, reactions.BY_COMMAND, out)
+            self._set_nmt(t_ns, NmtState.OPERATIONAL, BY_COMMAND, out)
             sent = out.frames["t_ns"][first : int(out["count"])]
             sent[:] = np.maximum(sent, ready_ns + 1)  # a PDO comes after the boot-up, whatever its identifier
         if self.record["in_faults"]:

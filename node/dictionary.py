@@ -8,19 +8,23 @@ is a `SdoAbort` with CiA 301's code.
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 
-from coulombus.eds.cia301 import DATA_TYPES, Abort, DataType, abort_text, predefined
+from coulombus.eds.cia301 import DATA_TYPES, Abort, DataType, predefined
 from coulombus.eds.cia305 import UNCONFIGURED
 from coulombus.eds.codec import real_bits, real_value
+from coulombus.eds.own_devices import MANUFACTURER, VENDOR_ID
 from coulombus.eds.pdo import COB_ID_INVALID, unreadable
 from coulombus.eds.reader import Description, Object, Value, Variable
-from coulombus.node import slots
-from coulombus.node.record import SPARE_SLOTS
+from coulombus.node.profile import CoreObject, Key
+from coulombus.node.sdo_abort import SdoAbort
+from coulombus.node.sizes import SPARE_SLOTS
+from coulombus.node.slots import FIRST_FREE
 
-__all__ = ["Dictionary", "SdoAbort", "decode", "encode"]
+__all__ = ["Dictionary", "decode", "encode"]
 
 MAX_STRING = 4096
 MAX_DOMAIN = 4 << 20
@@ -33,30 +37,22 @@ _HISTORY = 0x1003  # its entries are there or not, and are the core's
 _OCTETS = DATA_TYPES[0x000A]
 
 
-class SdoAbort(Exception):
-    """An SDO service is aborted; `code` goes to the client."""
-
-    def __init__(self, code: int) -> None:
-        super().__init__(abort_text(code))
-        self.code = code
-
-
 class Dictionary:
-    """Objects of `description` for the node `node_id`; `values` are the slots of its record."""
+    """Objects of `description` for the node `node_id`; `values` are the slots of its record, `core` what its core uses."""
 
-    def __init__(self, description: Description, node_id: int, kind: int, values: npt.NDArray[np.int64]) -> None:
+    def __init__(
+        self, description: Description, node_id: int, core: Sequence[CoreObject], values: npt.NDArray[np.int64]
+    ) -> None:
         self.description = description
         self.node_id = node_id
         self.values = values
-        core = slots.CORE_SLOTS[kind]
-        self._fallback = slots.FALLBACK[kind]
-        self._ours = description.default(0x1018, 1, node_id) == slots.VENDOR_ID if description.has(0x1018, 1) else False
-        self._slots = {key: slot for key, slot in core.items() if self._is_meant(key)}
-        self._absent = {slot for key, slot in core.items() if key not in self._slots}
-        self._next = slots.FIRST_FREE
+        self._ours = description.default(0x1018, 1, node_id) == VENDOR_ID if description.has(0x1018, 1) else False
+        self._slots = {row.key: row.slot for row in core if self._is_meant(row.key)}
+        self._absent = {row.slot: row.absent for row in core if row.key not in self._slots}
+        self._next = FIRST_FREE
         self._read_for, self.unreadable = 0, dict[int, str]()
         """Index of a PDO's communication parameter -> why the EDS' default cannot be read right: the PDO is not valid, and maps nothing."""
-        self._store: dict[tuple[int, int], Value] = {}
+        self._store: dict[Key, Value] = {}
         self.reset(0x0000, 0xFFFF)
 
     def reset(self, first: int, last: int) -> None:
@@ -64,8 +60,8 @@ class Dictionary:
         if self._read_for != self.node_id:
             self._read_for = self.node_id
             self.unreadable = unreadable(self.description, 1 if self.node_id == UNCONFIGURED else self.node_id)
-        for slot in self._absent:
-            self.values[slot] = self._fallback.get(slot, 0)
+        for slot, value in self._absent.items():
+            self.values[slot] = value
         for index, entry in self.description.objects.items():
             if first <= index <= last:
                 for subindex in entry.variables:
@@ -96,10 +92,10 @@ class Dictionary:
             raise SdoAbort(Abort.NO_SUBINDEX)
         return variable
 
-    def __contains__(self, key: tuple[int, int]) -> bool:
+    def __contains__(self, key: Key) -> bool:
         return self.description.has(*key)
 
-    def __getitem__(self, key: tuple[int, int]) -> Value:
+    def __getitem__(self, key: Key) -> Value:
         """Return the present value; KeyError where the EDS has no such object."""
         variable = self.description.variable(*key)
         slot = self._slots.get(key)
@@ -110,7 +106,7 @@ class Dictionary:
             return real_value(raw, kind.bits)
         return raw & 0xFFFFFFFFFFFFFFFF if kind.bits == 64 and not kind.signed else raw
 
-    def __setitem__(self, key: tuple[int, int], value: Value) -> None:
+    def __setitem__(self, key: Key, value: Value) -> None:
         """Set the value as the device itself does: no access right, no limit, no side effect."""
         variable = self.description.variable(*key)
         slot = self._slots.get(key)
@@ -142,12 +138,17 @@ class Dictionary:
         value = self[index, subindex]
         return float(value) if isinstance(value, (int, float)) else fallback
 
-    def _is_meant(self, key: tuple[int, int]) -> bool:
+    def high(self, index: int, subindex: int, fallback: int) -> int:
+        """Return the largest value that the EDS allows an object; `fallback` where it sets no limit."""
+        high = self.description.variable(index, subindex).high if (index, subindex) in self else None
+        return fallback if high is None else int(high)
+
+    def _is_meant(self, key: Key) -> bool:
         """Tell whether an object is there and is the one that the core knows by this index."""
-        ours = self._ours or key[0] not in slots.MANUFACTURER
+        ours = self._ours or key[0] not in MANUFACTURER
         return ours and self.description.has(*key) and self._is_number(key)
 
-    def _is_number(self, key: tuple[int, int]) -> bool:
+    def _is_number(self, key: Key) -> bool:
         """Tell whether an object has the type of a number, whatever CiA says it should have."""
         return data_type(self.description.variable(*key)).kind in ("bool", "int", "real", "time")
 

@@ -1,22 +1,22 @@
 """Emergencies of a node, compiled: causes, their latches, the EMCY frame, 1001h and 1003h (CiA 301, section 7.2.7).
 
 A cause is one bit of the record's `causes` while it is present. When it comes, its bit in `latched` is set, the error
-register and the history follow and the EMCY frame goes out at once; it is told once, until it is released. A drive's
-fault stays latched until the fault reset of CiA 402; every other cause is released when it is gone. A release sends the
-EMCY "error reset" (0000h) with the register of what remains.
+register and the history follow and the EMCY frame goes out at once; it is told once, until it is released. A cause in the
+record's `held` stays latched until the reset of its kind (a drive's faults); every other one is released when it is gone.
+A release sends the EMCY "error reset" (0000h) with the register of what remains.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from coulombus.compiled.decorator import kernel
 from coulombus.eds.cia301 import NmtState
 from coulombus.node import slots
-from coulombus.node.record import EMCY_WAITING, KIND_DRIVE, MAX_HISTORY
-from coulombus.wire.frame import push
+from coulombus.node.sizes import EMCY_WAITING, MAX_HISTORY, NodeRecord
+from coulombus.wire.frame import Queue, push
 
 __all__ = [
     "AT_ONCE_MASK",
@@ -92,7 +92,7 @@ _REGISTER = np.array([cause.register | 0x01 for cause in CAUSES], np.int64)
 
 
 @kernel
-def update_register(n: Any) -> None:
+def update_register(n: NodeRecord) -> None:
     """Bring 1001h up to the latches."""
     register = 0
     for cause in range(_REGISTER.shape[0]):
@@ -102,12 +102,12 @@ def update_register(n: Any) -> None:
 
 
 @kernel
-def _send(n: Any, t_ns: int, code: int, info: int, out: Any) -> None:
+def _send(n: NodeRecord, t_ns: int, code: int, info: int, out: Queue) -> None:
     """Push the EMCY frame, or let it wait for the end of the inhibit time; STOPPED and INITIALISING allow none.
 
     So few wait that what is told is never old; the last of them is always the newest.
     """
-    if n.kind == KIND_DRIVE and (code or n.latched == 0):
+    if code or n.latched == 0:
         n.values[slots.ERROR_CODE] = code
     if n.emcy_id < 0 or n.nmt == NmtState.STOPPED or n.nmt == NmtState.INITIALISING:
         return
@@ -124,20 +124,21 @@ def _send(n: Any, t_ns: int, code: int, info: int, out: Any) -> None:
 
 
 @kernel
-def drain(n: Any, t_ns: int, out: Any) -> None:
+def drain(n: NodeRecord, t_ns: int, out: Queue) -> None:
     """Push what waited and is due now; an EMCY that was switched off meanwhile is forgotten."""
     if n.emcy_id < 0:
         n.emcy_waiting = 0
     while n.emcy_waiting > 0 and t_ns >= n.emcy_ready_ns:
         push(out, n.station, t_ns, n.emcy_id, 8, n.emcy_word[0])
         n.emcy_ready_ns = t_ns + n.emcy_inhibit_ns
-        n.emcy_waiting -= 1
-        for k in range(n.emcy_waiting):
+        waiting = n.emcy_waiting - 1
+        for k in range(waiting):
             n.emcy_word[k] = n.emcy_word[k + 1]
+        n.emcy_waiting = waiting
 
 
 @kernel
-def come(n: Any, t_ns: int, cause: int, info: int, out: Any) -> None:
+def come(n: NodeRecord, t_ns: int, cause: int, info: int, out: Queue) -> None:
     """Tell of a `cause` (bit number) that is present, once; `info` (16 bits) goes to bytes 3-4 and into 1003h."""
     bit = 1 << cause
     n.causes |= bit
@@ -153,17 +154,17 @@ def come(n: Any, t_ns: int, cause: int, info: int, out: Any) -> None:
 
 
 @kernel
-def gone(n: Any, t_ns: int, cause: int, out: Any) -> None:
-    """Release a `cause` that is no longer present; a drive's fault stays latched until its reset."""
+def gone(n: NodeRecord, t_ns: int, cause: int, out: Queue) -> None:
+    """Release a `cause` that is no longer present, unless the kind holds it until its reset."""
     bit = 1 << cause
     n.causes &= ~bit
-    if not n.latched & bit or (n.kind == KIND_DRIVE and FAULT_MASK & bit):
+    if not n.latched & bit or n.held & bit:
         return
     clear_latches(n, t_ns, bit, out)
 
 
 @kernel
-def clear_latches(n: Any, t_ns: int, mask: int, out: Any) -> None:
+def clear_latches(n: NodeRecord, t_ns: int, mask: int, out: Queue) -> None:
     """Reset the latches of `mask` and send "error reset" with the register of what remains."""
     n.latched &= ~mask
     update_register(n)

@@ -7,12 +7,10 @@ stands in the record's table, sorted by index and sub-index.
 
 from __future__ import annotations
 
-from typing import Any
-
 from coulombus.compiled.decorator import kernel
 from coulombus.node.reactions import sample, step
-from coulombus.node.record import FAR_FUTURE_NS
-from coulombus.wire.frame import push
+from coulombus.node.sizes import FAR_FUTURE_NS, NodeRecord
+from coulombus.wire.frame import Queue, push
 
 __all__ = ["answer"]
 
@@ -21,7 +19,7 @@ _MEASURED = 0x2000 << 8
 
 
 @kernel
-def _place(n: Any, key: int) -> int:
+def _place(n: NodeRecord, key: int) -> int:
     """Return where `key` (index and sub-index) stands in the table, or -1."""
     low, high = 0, n.fast_count
     while low < high:
@@ -34,7 +32,7 @@ def _place(n: Any, key: int) -> int:
 
 
 @kernel
-def answer(n: Any, t_ns: int, can_id: int, length: int, data: int, out: Any) -> bool:
+def answer(n: NodeRecord, t_ns: int, can_id: int, length: int, data: int, out: Queue) -> bool:
     """Answer the request if it is one of these; tell whether it was."""
     if can_id != n.sdo_rx_id or length != 8 or data & 0xFF != _UPLOAD or n.sdo_deadline_ns[0] != FAR_FUTURE_NS:
         return False

@@ -7,12 +7,11 @@ first remote frame. A node with a heartbeat (1017h) is not guarded: one of the t
 
 from __future__ import annotations
 
-from typing import Any
-
 from coulombus.compiled.decorator import kernel
 from coulombus.eds.cia301 import CobId, NmtState
 from coulombus.node import emcy
-from coulombus.wire.frame import push
+from coulombus.node.sizes import NodeRecord
+from coulombus.wire.frame import Queue, push
 
 __all__ = ["LOST", "answer", "late", "next_deadline", "restart"]
 
@@ -20,14 +19,14 @@ _WAITING, _ALIVE, LOST = 0, 1, 2
 
 
 @kernel
-def restart(n: Any) -> None:
+def restart(n: NodeRecord) -> None:
     """Begin anew (boot-up, a changed 100Ch, 100Dh or 1017h): the watch waits for a remote frame."""
     n.guard_toggle = 0
     n.guard_state = _WAITING
 
 
 @kernel
-def answer(n: Any, t_ns: int, out: Any) -> None:
+def answer(n: NodeRecord, t_ns: int, out: Queue) -> None:
     """Answer a remote frame on 700h + node id."""
     if n.guard_on == 0 or n.nmt == NmtState.INITIALISING:
         return
@@ -43,13 +42,13 @@ def answer(n: Any, t_ns: int, out: Any) -> None:
 
 
 @kernel
-def late(n: Any, t_ns: int) -> bool:
+def late(n: NodeRecord, t_ns: int) -> bool:
     """Tell whether the life time is over now."""
     return bool(n.guard_state == _ALIVE and n.guard_life_ns > 0 and t_ns - n.guard_last_ns >= n.guard_life_ns)
 
 
 @kernel
-def next_deadline(n: Any, next_ns: int) -> int:
+def next_deadline(n: NodeRecord, next_ns: int) -> int:
     """Return the earlier of `next_ns` and the end of the life time."""
     if n.guard_state == _ALIVE and n.guard_life_ns > 0:
         next_ns = min(next_ns, n.guard_last_ns + n.guard_life_ns)

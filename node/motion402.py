@@ -19,11 +19,11 @@ A way to torque 0 that takes its time (option codes 605Ah to 605Eh, a change of 
 from __future__ import annotations
 
 import math
-from typing import Any
 
 from coulombus.compiled.decorator import kernel
 from coulombus.eds import cia402
-from coulombus.node import slots
+from coulombus.node import slots402
+from coulombus.node.sizes import NodeRecord
 
 __all__ = [
     "MODES",
@@ -64,10 +64,10 @@ def is_speed_mode(mode: int) -> bool:
 
 
 @kernel
-def _beyond(n: Any) -> int:
+def _beyond(n: NodeRecord) -> int:
     """Return +1 where nothing may push upwards, -1 downwards, 2 in neither direction: 607Dh and 6080h."""
     position = ((n.in_position_counts + 0x80000000) & 0xFFFFFFFF) - 0x80000000
-    lowest, highest = n.values[slots.LOWEST_POSITION], n.values[slots.HIGHEST_POSITION]
+    lowest, highest = n.values[slots402.LOWEST_POSITION], n.values[slots402.HIGHEST_POSITION]
     speed = n.in_velocity_counts_s
     up = (position >= highest and highest != _HIGHEST) or speed >= n.speed_max_counts_s
     down = (position <= lowest and lowest != _LOWEST) or speed <= -n.speed_max_counts_s
@@ -75,35 +75,35 @@ def _beyond(n: Any) -> int:
 
 
 @kernel
-def high_limit(n: Any) -> int:
+def high_limit(n: NodeRecord) -> int:
     """Return the largest torque that is allowed now."""
     values = n.values
-    high: int = min(min(values[slots.MAX_TORQUE], values[slots.POSITIVE_LIMIT]), values[slots.MAX_CURRENT])
+    high: int = min(min(values[slots402.MAX_TORQUE], values[slots402.POSITIVE_LIMIT]), values[slots402.MAX_CURRENT])
     return 0 if n.guarded and _beyond(n) > 0 else high
 
 
 @kernel
-def low_limit(n: Any) -> int:
+def low_limit(n: NodeRecord) -> int:
     """Return the most negative torque that is allowed now."""
     values = n.values
-    low: int = -min(min(values[slots.MAX_TORQUE], values[slots.NEGATIVE_LIMIT]), values[slots.MAX_CURRENT])
+    low: int = -min(min(values[slots402.MAX_TORQUE], values[slots402.NEGATIVE_LIMIT]), values[slots402.MAX_CURRENT])
     return 0 if n.guarded and (_beyond(n) == -1 or _beyond(n) == 2) else low
 
 
 @kernel
-def stop(n: Any) -> None:
+def stop(n: NodeRecord) -> None:
     """Torque 0 at once, and nothing left of where it came from."""
     n.slowing = 0
     n.ramping = 0
     n.integral_pm = 0.0
     n.torque_demand_pm = 0.0
     n.out_torque_pm = 0.0
-    n.values[slots.TORQUE_DEMAND] = 0
-    n.values[slots.VELOCITY_DEMAND] = 0
+    n.values[slots402.TORQUE_DEMAND] = 0
+    n.values[slots402.VELOCITY_DEMAND] = 0
 
 
 @kernel
-def enter(n: Any, t_ns: int) -> None:
+def enter(n: NodeRecord, t_ns: int) -> None:
     """Operation Enabled begins: from torque 0, and from the speed that is."""
     n.slowing = 0
     n.integral_pm = 0.0
@@ -112,15 +112,15 @@ def enter(n: Any, t_ns: int) -> None:
 
 
 @kernel
-def _take_mode(n: Any) -> None:
+def _take_mode(n: NodeRecord) -> None:
     """Let the mode in 6060h act; one that is not there is none. When enabled, only the next set-point gives torque."""
-    mode = n.values[slots.MODE]
+    mode = n.values[slots402.MODE]
     if mode not in MODES:
         mode = 0
     if mode == n.mode:
         return
     n.mode = mode
-    n.values[slots.MODE_DISPLAY] = mode
+    n.values[slots402.MODE_DISPLAY] = mode
     stop(n)
     if n.power_state == _ENABLED:
         n.setpoint_stale = 1
@@ -128,7 +128,7 @@ def _take_mode(n: Any) -> None:
 
 
 @kernel
-def change_mode(n: Any, t_ns: int) -> None:
+def change_mode(n: NodeRecord, t_ns: int) -> None:
     """6060h differs from the mode that acts: change at torque 0, and go there first."""
     if n.slowing:
         return
@@ -139,7 +139,7 @@ def change_mode(n: Any, t_ns: int) -> None:
 
 
 @kernel
-def begin(n: Any, t_ns: int, ramp: int, state: int) -> None:
+def begin(n: NodeRecord, t_ns: int, ramp: int, state: int) -> None:
     """Begin a ramp to torque 0, behind which `state` follows; it may end at once."""
     n.slowing, n.slowing_to, n.slowing_ns = ramp, state, t_ns
     n.demand_ns = t_ns
@@ -152,25 +152,25 @@ def _towards(present: float, target: float, change: float) -> float:
 
 
 @kernel
-def _slow_down(n: Any, t_ns: int, elapsed_ns: int) -> None:
+def _slow_down(n: NodeRecord, t_ns: int, elapsed_ns: int) -> None:
     values = n.values
-    late = t_ns - n.slowing_ns >= values[slots.SLOW_DOWN_MS] * 1_000_000
+    late = t_ns - n.slowing_ns >= values[slots402.SLOW_DOWN_MS] * 1_000_000
     if late or n.in_supply_ok == 0:
         over = True
     elif is_speed_mode(n.mode) and n.slowing != _TO_ZERO:
-        rate = values[slots.DECELERATION] if n.slowing == SLOW else values[slots.QUICK_STOP_DECELERATION]
+        rate = values[slots402.DECELERATION] if n.slowing == SLOW else values[slots402.QUICK_STOP_DECELERATION]
         n.speed_demand = _towards(n.speed_demand, 0.0, rate * 1e-9 * elapsed_ns)
         over = n.speed_demand == 0.0
         if not over:
             _control_speed(n, elapsed_ns)
     else:
-        demand = _towards(n.torque_demand_pm, 0.0, values[slots.TORQUE_SLOPE] * 1e-9 * elapsed_ns)
+        demand = _towards(n.torque_demand_pm, 0.0, values[slots402.TORQUE_SLOPE] * 1e-9 * elapsed_ns)
         n.torque_demand_pm = min(max(demand, float(low_limit(n))), float(high_limit(n)))
         over = n.torque_demand_pm == 0.0 or n.slowing == QUICK
     if over:
         n.power_state = n.slowing_to
         stop(n)
-        if values[slots.MODE] != n.mode:
+        if values[slots402.MODE] != n.mode:
             _take_mode(n)
         return
     n.ramping = 1
@@ -178,13 +178,13 @@ def _slow_down(n: Any, t_ns: int, elapsed_ns: int) -> None:
 
 
 @kernel
-def _put_out(n: Any) -> None:
+def _put_out(n: NodeRecord) -> None:
     n.out_torque_pm = n.torque_demand_pm
-    n.values[slots.TORQUE_DEMAND] = math.floor(n.torque_demand_pm + 0.5)
+    n.values[slots402.TORQUE_DEMAND] = math.floor(n.torque_demand_pm + 0.5)
 
 
 @kernel
-def _control_speed(n: Any, elapsed_ns: int) -> None:
+def _control_speed(n: NodeRecord, elapsed_ns: int) -> None:
     """Compute the PI control of `speed_demand`."""
     high, low = float(high_limit(n)), float(low_limit(n))
     error = n.speed_demand - n.in_velocity_counts_s
@@ -199,17 +199,17 @@ def _control_speed(n: Any, elapsed_ns: int) -> None:
         n.integral_pm += change
     n.integral_pm = min(max(n.integral_pm, low), high)
     n.torque_demand_pm = min(max(demand, low), high)
-    n.values[slots.VELOCITY_DEMAND] = math.floor(n.speed_demand + 0.5)
+    n.values[slots402.VELOCITY_DEMAND] = math.floor(n.speed_demand + 0.5)
 
 
 @kernel
-def _speed_target(n: Any) -> float:
+def _speed_target(n: NodeRecord) -> float:
     """Return 60FFh (and 60B1h in CSV) within 607Fh, 6080h and 607Dh."""
     values = n.values
-    target = float(values[slots.TARGET_VELOCITY])
+    target = float(values[slots402.TARGET_VELOCITY])
     if n.mode == _CSV:
-        target += values[slots.VELOCITY_OFFSET]
-    fastest = min(float(values[slots.MAX_VELOCITY]), n.speed_max_counts_s)
+        target += values[slots402.VELOCITY_OFFSET]
+    fastest = min(float(values[slots402.MAX_VELOCITY]), n.speed_max_counts_s)
     clipped: float = min(max(target, -fastest), fastest)
     if n.guarded:
         beyond = _beyond(n)
@@ -220,7 +220,7 @@ def _speed_target(n: Any) -> float:
 
 
 @kernel
-def _speed_mode(n: Any, elapsed_ns: int) -> None:
+def _speed_mode(n: NodeRecord, elapsed_ns: int) -> None:
     values = n.values
     target = _speed_target(n)
     halted = n.mode == _VELOCITY and n.controlword & _HALT
@@ -231,9 +231,9 @@ def _speed_mode(n: Any, elapsed_ns: int) -> None:
         if halted:
             target = 0.0
         faster = present == 0.0 or (target * present > 0.0 and abs(target) > abs(present))
-        rate = values[slots.ACCELERATION] if faster else values[slots.DECELERATION]
-        if halted and values[slots.HALT_OPTION] == QUICK:
-            rate = values[slots.QUICK_STOP_DECELERATION]
+        rate = values[slots402.ACCELERATION] if faster else values[slots402.DECELERATION]
+        if halted and values[slots402.HALT_OPTION] == QUICK:
+            rate = values[slots402.QUICK_STOP_DECELERATION]
         if target * present < 0.0:
             target = 0.0  # slow down first, then the other way with the acceleration
         n.speed_demand = _towards(present, target, rate * 1e-9 * elapsed_ns)
@@ -242,16 +242,16 @@ def _speed_mode(n: Any, elapsed_ns: int) -> None:
 
 
 @kernel
-def _profile_torque(n: Any, elapsed_ns: int) -> None:
+def _profile_torque(n: NodeRecord, elapsed_ns: int) -> None:
     values = n.values
     high, low = high_limit(n), low_limit(n)
-    target = values[slots.TARGET_TORQUE]
+    target = values[slots402.TARGET_TORQUE]
     n.limited = 1 if target > high or target < low else 0
     target = min(max(target, low), high)
-    change = values[slots.TORQUE_SLOPE] * 1e-9 * elapsed_ns
+    change = values[slots402.TORQUE_SLOPE] * 1e-9 * elapsed_ns
     if n.controlword & _HALT:
         target = 0
-        if values[slots.HALT_OPTION] == QUICK:
+        if values[slots402.HALT_OPTION] == QUICK:
             change = abs(n.torque_demand_pm)
     demand = _towards(n.torque_demand_pm, float(target), change)
     n.ramping = 1 if demand != target else 0
@@ -260,7 +260,7 @@ def _profile_torque(n: Any, elapsed_ns: int) -> None:
 
 
 @kernel
-def other_mode(n: Any, t_ns: int, elapsed_ns: int) -> None:
+def other_mode(n: NodeRecord, t_ns: int, elapsed_ns: int) -> None:
     """Compute the torque that acts at `t_ns` on a ramp, and in every mode but CST."""
     if n.slowing:
         _slow_down(n, t_ns, elapsed_ns)
@@ -278,40 +278,40 @@ def other_mode(n: Any, t_ns: int, elapsed_ns: int) -> None:
 
 
 @kernel
-def target_bits(n: Any) -> int:
+def target_bits(n: NodeRecord) -> int:
     """Return bits 10, 12 and 13 of the statusword in Operation Enabled, in every mode but CST."""
     values = n.values
     if n.mode == _TORQUE:
-        target = 0 if n.controlword & _HALT else values[slots.TARGET_TORQUE]
+        target = 0 if n.controlword & _HALT else values[slots402.TARGET_TORQUE]
         return _TARGET_REACHED if n.torque_demand_pm == target and not n.slowing else 0
     if n.mode == _CSV:
         return _SPEED_ZERO if not n.slowing and not n.controlword & _HALT else 0  # here it is "follows the command"
     if n.mode != _VELOCITY:
         return 0
     bits, t_ns, speed = 0, n.demand_ns, n.in_velocity_counts_s
-    target = 0 if n.controlword & _HALT else values[slots.TARGET_VELOCITY]
-    if abs(speed - target) > values[slots.VELOCITY_WINDOW]:
+    target = 0 if n.controlword & _HALT else values[slots402.TARGET_VELOCITY]
+    if abs(speed - target) > values[slots402.VELOCITY_WINDOW]:
         n.off_target_ns = t_ns
-    elif t_ns - n.off_target_ns >= values[slots.VELOCITY_WINDOW_MS] * 1_000_000:
+    elif t_ns - n.off_target_ns >= values[slots402.VELOCITY_WINDOW_MS] * 1_000_000:
         bits |= _TARGET_REACHED
-    if abs(speed) > values[slots.VELOCITY_THRESHOLD]:
+    if abs(speed) > values[slots402.VELOCITY_THRESHOLD]:
         n.moving_ns = t_ns
-    elif t_ns - n.moving_ns >= values[slots.VELOCITY_THRESHOLD_MS] * 1_000_000:
+    elif t_ns - n.moving_ns >= values[slots402.VELOCITY_THRESHOLD_MS] * 1_000_000:
         bits |= _SPEED_ZERO
-    if abs(n.speed_demand - speed) > values[slots.MAX_SLIPPAGE]:
+    if abs(n.speed_demand - speed) > values[slots402.MAX_SLIPPAGE]:
         bits |= _SLIPPAGE
     return bits
 
 
 @kernel
-def next_deadline(n: Any, next_ns: int) -> int:
+def next_deadline(n: NodeRecord, next_ns: int) -> int:
     """Return the earlier of `next_ns` and the end of the ramp."""
     values = n.values
-    end = n.slowing_ns + values[slots.SLOW_DOWN_MS] * 1_000_000
+    end = n.slowing_ns + values[slots402.SLOW_DOWN_MS] * 1_000_000
     speeds = is_speed_mode(n.mode) and n.slowing != _TO_ZERO
-    rate = values[slots.DECELERATION if n.slowing == SLOW else slots.QUICK_STOP_DECELERATION]
+    rate = values[slots402.DECELERATION if n.slowing == SLOW else slots402.QUICK_STOP_DECELERATION]
     if not speeds:
-        rate = values[slots.TORQUE_SLOPE]
+        rate = values[slots402.TORQUE_SLOPE]
     if rate > 0:
         left = abs(n.speed_demand if speeds else n.torque_demand_pm)
         end = min(end, n.demand_ns + math.ceil(min(left / rate, 100.0) * 1e9) + 1)

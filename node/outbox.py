@@ -7,11 +7,12 @@ node's own ring, and leave it a few at a time: every `POLL_NS`, while fewer than
 
 from __future__ import annotations
 
-from typing import Any
+import numpy as np
+import numpy.typing as npt
 
 from coulombus.compiled.decorator import kernel
-from coulombus.node.record import FAR_FUTURE_NS, OUTBOX, SDO_TIMEOUT_NS
-from coulombus.wire.frame import push
+from coulombus.node.sizes import FAR_FUTURE_NS, OUTBOX, SDO_TIMEOUT_NS, NodeRecord
+from coulombus.wire.frame import Queue, push
 
 __all__ = ["AHEAD", "POLL_NS", "drain", "forget", "put"]
 
@@ -20,7 +21,7 @@ POLL_NS = 100_000
 
 
 @kernel
-def put(n: Any, t_ns: int, channel: int, can_id: int, words: Any) -> int:
+def put(n: NodeRecord, t_ns: int, channel: int, can_id: int, words: npt.NDArray[np.int64]) -> int:
     """Let the segments `words` of the SDO server `channel` wait; return 0 when there is no room for them all."""
     if n.outbox_count + words.shape[0] > OUTBOX:
         return 0
@@ -37,7 +38,7 @@ def put(n: Any, t_ns: int, channel: int, can_id: int, words: Any) -> int:
 
 
 @kernel
-def forget(n: Any, channel: int) -> None:
+def forget(n: NodeRecord, channel: int) -> None:
     """Take back what waits of the SDO server `channel` (-1: of all)."""
     kept = 0
     for j in range(n.outbox_count):
@@ -54,7 +55,7 @@ def forget(n: Any, channel: int) -> None:
 
 
 @kernel
-def drain(n: Any, t_ns: int, out: Any) -> None:
+def drain(n: NodeRecord, t_ns: int, out: Queue) -> None:
     """Move segments to the frame queue as far as there is room; a transfer that moves is not late."""
     room = min(AHEAD - out.count - out.waiting, n.outbox_count)
     for _ in range(room):

@@ -7,13 +7,12 @@ sampled on SYNC, sent on RTR; 253 sent on RTR; 254 and 255 on an event: the even
 
 from __future__ import annotations
 
-from typing import Any
-
 from coulombus.compiled.decorator import kernel
 from coulombus.eds.codec import pack, unpack
 from coulombus.node import deadlines, emcy
 from coulombus.node.reactions import alarm, apply, sample, step
-from coulombus.wire.frame import push
+from coulombus.node.sizes import NodeRecord
+from coulombus.wire.frame import Queue, Record, push
 
 __all__ = ["act_pending", "answer_rtr", "forget_pending", "receive", "start", "transmit_events", "transmit_sync"]
 
@@ -21,7 +20,7 @@ _SYNC_MAX, _SYNC_RTR, _RTR, _EVENT = 240, 252, 253, 254
 
 
 @kernel
-def start(n: Any, t_ns: int) -> None:
+def start(n: NodeRecord, t_ns: int) -> None:
     """NMT enters OPERATIONAL: nothing received, nothing sent yet; every event TPDO is due once."""
     forget_pending(n)
     for k in range(n.rpdo_used):
@@ -35,7 +34,7 @@ def start(n: Any, t_ns: int) -> None:
 
 
 @kernel
-def forget_pending(n: Any) -> None:
+def forget_pending(n: NodeRecord) -> None:
     """Let no RPDO act that waits for a SYNC."""
     n.rpdo_pending = 0
     for k in range(n.rpdo_used):
@@ -43,7 +42,7 @@ def forget_pending(n: Any) -> None:
 
 
 @kernel
-def receive(n: Any, k: int, t_ns: int, length: int, data: int, out: Any) -> int:
+def receive(n: NodeRecord, k: int, t_ns: int, length: int, data: int, out: Queue) -> int:
     """Take the frame of RPDO `k`; return 1 when it acted at once."""
     p = n.rpdo[k]
     if length < p.length:
@@ -79,7 +78,7 @@ def receive(n: Any, k: int, t_ns: int, length: int, data: int, out: Any) -> int:
 
 
 @kernel
-def _act(n: Any, t_ns: int, k: int, out: Any) -> None:
+def _act(n: NodeRecord, t_ns: int, k: int, out: Queue) -> None:
     carries = n.rpdo_carries[k]
     if carries == 0:
         return
@@ -87,7 +86,7 @@ def _act(n: Any, t_ns: int, k: int, out: Any) -> None:
 
 
 @kernel
-def act_pending(n: Any, t_ns: int, out: Any) -> None:
+def act_pending(n: NodeRecord, t_ns: int, out: Queue) -> None:
     """Let the RPDOs act that waited for this SYNC, in their order."""
     for k in range(n.rpdo_used):
         if n.rpdo_waits[k]:
@@ -98,7 +97,7 @@ def act_pending(n: Any, t_ns: int, out: Any) -> None:
 
 
 @kernel
-def _send(n: Any, p: Any, k: int, t_ns: int, word: int, out: Any) -> None:
+def _send(n: NodeRecord, p: Record, k: int, t_ns: int, word: int, out: Queue) -> None:
     n.tpdo_word[k] = word
     n.tpdo_ns[k] = t_ns
     n.tpdo_due[k] = 0
@@ -106,7 +105,7 @@ def _send(n: Any, p: Any, k: int, t_ns: int, word: int, out: Any) -> None:
 
 
 @kernel
-def transmit_sync(n: Any, t_ns: int, counter: int, out: Any) -> None:
+def transmit_sync(n: NodeRecord, t_ns: int, counter: int, out: Queue) -> None:
     """Send the synchronous TPDOs; `counter` is the SYNC's, or -1."""
     if n.sync_window_ns > 0 and n.processing_ns > n.sync_window_ns:
         return  # they would come after the window
@@ -136,7 +135,7 @@ def transmit_sync(n: Any, t_ns: int, counter: int, out: Any) -> None:
 
 
 @kernel
-def transmit_events(n: Any, t_ns: int, next_ns: int, out: Any) -> int:
+def transmit_events(n: NodeRecord, t_ns: int, next_ns: int, out: Queue) -> int:
     """Send the event-driven TPDOs that are due; return the earlier of `next_ns` and their next deadline."""
     sample(n)
     for k in range(n.tpdo_used):
@@ -157,7 +156,7 @@ def transmit_events(n: Any, t_ns: int, next_ns: int, out: Any) -> int:
 
 
 @kernel
-def answer_rtr(n: Any, k: int, t_ns: int, out: Any) -> None:
+def answer_rtr(n: NodeRecord, k: int, t_ns: int, out: Queue) -> None:
     """Answer a remote frame for TPDO `k`, where its COB-ID allows that; a synchronous one repeats its last sample."""
     p = n.tpdo[k]
     if p.rtr_allowed == 0:

@@ -2,12 +2,10 @@
 
 The procedure to change a map: destroy the PDO (bit 31 of its COB-ID), set the count to 0, write the entries, set the
 count, create the PDO again. A write that leaves the procedure is aborted, one that changes nothing is accepted. PDOs
-beyond `node.record.MAX_PDOS` of a direction have their objects but cannot be made valid.
+beyond `node.sizes.MAX_PDOS` of a direction have their objects but cannot be made valid.
 """
 
 from __future__ import annotations
-
-from collections.abc import Mapping
 
 import numpy as np
 
@@ -27,21 +25,15 @@ from coulombus.eds.pdo import (
     entry_of,
     fill,
 )
-from coulombus.node.dictionary import Dictionary, SdoAbort
-from coulombus.node.reactions import CARRIES_CONTROLWORD, CARRIES_SETPOINT, CARRIES_SPEED
-from coulombus.node.record import KIND_BRAKE, KIND_DRIVE, KIND_GENERIC, MAX_PDOS
+from coulombus.node.dictionary import Dictionary
+from coulombus.node.kinds import PROFILES
+from coulombus.node.sdo_abort import SdoAbort
+from coulombus.node.sizes import MAX_PDOS
 from coulombus.wire.frame import Record
 
 __all__ = ["Pdos", "restricted"]
 
-CARRIED: Mapping[int, Mapping[tuple[int, int], int]] = {
-    KIND_GENERIC: {},
-    KIND_DRIVE: {(0x6040, 0): CARRIES_CONTROLWORD, (0x6071, 0): CARRIES_SETPOINT, (0x60FF, 0): CARRIES_SPEED},
-    KIND_BRAKE: {(0x7300, 1): CARRIES_SETPOINT},
-}
-"""Objects by kind on which the core acts when they are written."""
-
-CONTINUOUS = frozenset((0x6064, 0x606B, 0x606C, 0x6074, 0x6077, 0x6078, 0x6079, 0x7130))
+CHANGING = frozenset(row.index for profile in PROFILES for row in profile.objects if row.changing)
 """Objects that change all the time: beside an event timer, their change is no event."""
 
 _READABLE, _WRITABLE = ("ro", "rw", "rwr", "const"), ("wo", "rw", "rww")
@@ -182,8 +174,8 @@ class Pdos:
         valid = np.flatnonzero(self._node[direction]["cob_id"] >= 0)
         used = int(valid[-1]) + 1 if len(valid) else 0
         if direction == "rpdo":
-            carried = CARRIED[int(node["kind"])]
-            node["rpdo_carries"][k] = sum(carried.get((e.index, e.subindex), 0) for e in layout.entries)
+            acts = PROFILES[int(node["kind"])].acts
+            node["rpdo_carries"][k] = sum(acts.get((e.index, e.subindex), 0) for e in layout.entries)
             node["rpdo_armed"][k] = node["rpdo_lost"][k] = 0
             node["rpdo_pending"] -= node["rpdo_waits"][k]
             node["rpdo_waits"][k] = 0
@@ -191,7 +183,7 @@ class Pdos:
             return
         mask = 0
         for entry, start in zip(layout.entries, layout.starts, strict=True):
-            if layout.event_ns == 0 or entry.index not in CONTINUOUS:
+            if layout.event_ns == 0 or entry.index not in CHANGING:
                 mask |= ((1 << entry.bits) - 1) << start
         node["tpdo_mask"][k] = mask - (1 << 64) if mask >> 63 else mask
         if not counted:

@@ -1,7 +1,8 @@
 """The one record of a node, which its compiled core and its Python services share.
 
 `new_nodes` makes the records of several nodes at once; a kernel takes one of them, by reference. A node's PDOs nest in its record.
-Everything is int64 or float64; times are int64 nanoseconds; a time that never comes is `FAR_FUTURE_NS`.
+Everything is int64 or float64; times are int64 nanoseconds; a time that never comes is `node.sizes.FAR_FUTURE_NS`. What a kind of device keeps
+stands in its profile (`node.kinds`), and in every record.
 """
 
 from __future__ import annotations
@@ -9,70 +10,40 @@ from __future__ import annotations
 import numpy as np
 
 from coulombus.eds.codec import PDO
-from coulombus.wire.clock import CLOCK_FIELDS, NEVER_NS
+from coulombus.node.kinds import PROFILES
+from coulombus.node.sizes import (
+    BLOCK_SEGMENTS,
+    EMCY_WAITING,
+    FAR_FUTURE_NS,
+    MAX_CONSUMERS,
+    MAX_HISTORY,
+    MAX_PDOS,
+    MAX_SDO_SERVERS,
+    OUTBOX,
+    SLOTS,
+)
+from coulombus.wire.clock import CLOCK_FIELDS
 from coulombus.wire.frame import Records
 
-__all__ = [
-    "BLOCK_SEGMENTS",
-    "EMCY_WAITING",
-    "FAR_FUTURE_NS",
-    "KIND_BRAKE",
-    "KIND_DRIVE",
-    "KIND_GENERIC",
-    "MAX_CONSUMERS",
-    "MAX_HISTORY",
-    "MAX_PDOS",
-    "MAX_SDO_SERVERS",
-    "NODE",
-    "OUTBOX",
-    "SDO_TIMEOUT_NS",
-    "SLOTS",
-    "SPARE_SLOTS",
-    "new_nodes",
-]
+__all__ = ["NODE", "new_nodes"]
 
-SLOTS = 1024
-SPARE_SLOTS = 256  # for objects that a PDO maps later, however many the EDS describes
-MAX_PDOS = 64  # of each direction
-MAX_CONSUMERS = 127  # entries of 1016h that are watched
-MAX_SDO_SERVERS = 128  # 1200h to 127Fh
-BLOCK_SEGMENTS = 127  # most segments of a block of an SDO block transfer
-OUTBOX = 1024  # segments of block uploads that wait to be sent
-MAX_HISTORY = 8  # entries of 1003h
-EMCY_WAITING = 8  # EMCY messages that wait for the end of the inhibit time
-FAR_FUTURE_NS = NEVER_NS
-SDO_TIMEOUT_NS = 1_000_000_000
-"""An SDO transfer that stands still for so long is aborted (0504 0000h)."""
-
-KIND_GENERIC, KIND_DRIVE, KIND_BRAKE = 0, 1, 2
-
-_I, _F = np.int64, np.float64
+_I = np.int64
 
 NODE = np.dtype(
     [
         # who and when
         ("station", _I),  # number of its station on the bus: its row
         ("node_id", _I),
-        ("kind", _I),  # 0 generic, 1 drive, 2 brake
+        ("kind", _I),  # number of its profile in node.kinds; 0: generic
         ("nmt", _I),  # NmtState
         ("powered", _I),
         ("next_ns", _I),  # when on_time wants to be called; FAR_FUTURE_NS: never
         *CLOCK_FIELDS,
         ("processing_ns", _I),  # from a frame or an event to the answer that is ready to be sent
-        # simulated inputs, in the device's own units (written by sim_bus). After a change of in_supply_ok or in_faults
-        # set next_ns to the present: both are looked at on SYNC, on an RPDO and on time
-        ("in_position_counts", _I),
-        ("in_velocity_counts_s", _F),
-        ("in_torque_pm", _F),  # per mille of rated
+        # simulated inputs that every kind has (written by sim_bus). After a change of one of them set next_ns to the
+        # present: both are looked at on SYNC, on an RPDO and on time
         ("in_supply_ok", _I),
         ("in_faults", _I),  # device faults that are present, bits of node.emcy's causes
-        ("in_handle_Nm", _F),
-        ("in_coil_A", _F),
-        ("in_coil_degC", _F),
-        # simulated outputs (read by sim_bus)
-        ("out_torque_pm", _F),  # 0 unless Operation Enabled
-        ("out_brake_Nm", _F),  # >= 0 always
-        ("out_reverse_A", _F),  # current of the demagnetisation pulse, only while out_brake_Nm is 0
         # counters
         ("dropped_length", _I),  # RPDOs or SYNCs of a wrong length, NMT or heartbeat frames too short
         ("dropped_unknown", _I),  # frames of this node that do not fit its state (a PDO while not OPERATIONAL ...)
@@ -119,7 +90,7 @@ NODE = np.dtype(
         ("rpdo_pending", _I),  # how many RPDOs wait for the next SYNC
         ("rpdo_waits", _I, (MAX_PDOS,)),  # this one does
         ("rpdo_word", _I, (MAX_PDOS,)),
-        ("rpdo_carries", _I, (MAX_PDOS,)),  # bit 0: a controlword, bit 1: a set-point
+        ("rpdo_carries", _I, (MAX_PDOS,)),  # bits `acts` of the objects that it maps (node.profile)
         ("rpdo_next", _I, (MAX_PDOS,)),  # next RPDO with the same COB-ID, or -1
         ("rpdo_used", _I),  # 1 + the last valid RPDO
         ("tpdo_used", _I),  # 1 + the last valid TPDO
@@ -131,6 +102,8 @@ NODE = np.dtype(
         ("tpdo_mask", _I, (MAX_PDOS,)),  # bits whose change is an event
         # EMCY
         ("causes", _I),  # present now
+        ("detected", _I),  # device faults that the device found itself, as in_faults
+        ("held", _I),  # causes that stay latched until the reset of the kind
         ("latched", _I),  # told by an EMCY and not yet reset
         ("emcy_id", _I),  # -1: none
         ("emcy_inhibit_ns", _I),
@@ -166,61 +139,12 @@ NODE = np.dtype(
         ("outbox_channel", _I, (OUTBOX,)),
         ("outbox_id", _I, (OUTBOX,)),
         ("outbox_word", _I, (OUTBOX,)),
-        # set-point of a drive or a brake
+        # set-point of a kind that has one
         ("setpoint_ns", _I),  # reception of the one that acts
         ("setpoint_armed", _I),  # its age is watched (since the first RPDO that carries one)
         ("setpoint_stale", _I),
-        # drive (CiA 402)
-        ("power_state", _I),
-        ("torque_demand_pm", _F),
-        ("demand_ns", _I),  # when torque_demand_pm was computed
-        ("controlword", _I),  # the last one that was acted upon: for the edge of bit 7
-        ("limited", _I),  # the set-point is above 6072h now
-        ("mode", _I),  # the mode that acts: 6061h; 0 for one that is not there
-        ("slowing", _I),  # node.motion402's ramp on the way to torque 0, or 0
-        ("slowing_to", _I),  # the power state that follows it
-        ("slowing_ns", _I),  # when it began
-        ("guarded", _I),  # 607Dh or 6080h may limit
-        ("speed_max_counts_s", _F),  # 6080h
-        ("speed_demand", _F),  # counts/s
-        ("speed_kp", _F),  # per mille per count/s
-        ("speed_ki", _F),  # per mille per count
-        ("integral_pm", _F),
-        ("off_target_ns", _I),  # when the speed was last outside its window 606Dh ...
-        ("moving_ns", _I),  # ... and last above its threshold 606Fh
-        ("supply_mV", _I),  # what 6079h shows while the supply is there
-        # brake (CiA 404)
-        ("setpoint_high", _I),  # high limit of 7300h:01 in the EDS, raw
-        ("ao_gain_Nm", _F),  # torque = 7300h:01 * gain + bias (6302h, 7320h to 7323h)
-        ("ao_bias_Nm", _F),
-        ("ao_full_Nm", _F),  # full scale, no output is above it
-        ("ao_FV_Nm", _F),  # 7330h:01 for one Nm
-        ("ai_gain", _F, (3,)),  # 6126h * 10 ** 6132h
-        ("ai_bias", _F, (3,)),  # (6127h + 6124h) * 10 ** 6132h
-        ("ai_low", _F, (3,)),  # 7148h and 7149h; the other way round for a channel that is off
-        ("ai_high", _F, (3,)),
-        ("coil_A_Nm", _F),  # what the coil draws for one Nm, told by the rig; 0: no coil is known
-        ("max_A", _F),  # 2010h
-        ("short_A", _F),
-        ("least_A", _F),
-        ("open_ns", _I),
-        ("open_since_ns", _I),  # command without current since then; -1: no
-        ("warm_degC", _F),  # 2011h
-        ("hot_degC", _F),
-        ("cooled_degC", _F),  # below it the over-temperature is over
-        ("share_left", _F),  # of max_A, at hot_degC
-        ("derated", _I),
-        ("limit_Nm", _F),  # what max_A allows now
-        ("detected", _I),  # device faults that the driver found itself, as in_faults
-        ("demag_A", _F),  # 2012h
-        ("demag_ns", _I),
-        ("demag_delay_ns", _I),
-        ("pulse_due", _I),  # 1: the output was above 0 since the last pulse
-        ("pulse_ns", _I),  # when the pulse begins
-        ("ramp_to_Nm", _F),
-        ("ramp_from_Nm", _F),
-        ("ramp_start_ns", _I),
         ("ramping", _I),  # brake: 0 the set-point acts, 1 on the way to the fault value, 2 there; drive: 1 on a slope
+        *(field for profile in PROFILES for field in profile.fields),
         # tables
         ("values", _I, (SLOTS,)),  # raw values of the objects, REAL as bit patterns
         ("rerouted", _I),  # 1: `route` was written; who keeps an index of it (sim_bus.network.agenda) clears this

@@ -6,19 +6,16 @@ import math
 from collections.abc import Callable, Mapping
 
 from coulombus.eds.cia301 import ARRAY, RECORD, Abort
-from coulombus.node import states402
 from coulombus.node.communication_objects import Communication
-from coulombus.node.dictionary import Dictionary, SdoAbort, decode, encode
+from coulombus.node.dictionary import Dictionary, decode, encode
 from coulombus.node.parameters import RESTORE, STORE, Parameters
-from coulombus.node.pdo_parameters import CARRIED
-from coulombus.node.record import KIND_BRAKE, KIND_DRIVE
-from coulombus.node.scaling import AUTO_ZERO
+from coulombus.node.profile import Profile
+from coulombus.node.sdo_abort import SdoAbort
 
 __all__ = ["Access"]
 
 _COMMUNICATION = range(0x1000, 0x2000)
 _HISTORY, _STORE_EDS = 0x1003, 0x1021
-_MODE, _SUPPORTED_MODES = 0x6060, 0x6502
 _STRUCTURE = 0xFF
 
 _LIMIT_PAIRS: Mapping[int, tuple[int, int]] = {0x607B: (1, 2), 0x607D: (1, 2)}
@@ -36,20 +33,20 @@ _RECORDS: tuple[tuple[range, int], ...] = (
 
 
 class Access:
-    """The backend of a device's SDO servers; `written` and `carries` tell the core what was written (`node.reactions`)."""
+    """The backend of a device's SDO servers; `written` and `carries` tell the core what was written (`Profile.acts`)."""
 
     def __init__(
         self,
         dictionary: Dictionary,
         communication: Communication,
         parameters: Parameters,
-        kind: int,
+        profile: Profile,
         changed: Callable[[int, int], None],
     ) -> None:
         self._dictionary = dictionary
         self._communication = communication
         self._parameters = parameters
-        self._kind = kind
+        self._profile = profile
         self._changed = changed
         self.written = False
         self.carries = 0
@@ -89,20 +86,16 @@ class Access:
                 return
             if index in _COMMUNICATION:
                 self._communication.check(index, subindex, value)
-            elif self._kind == KIND_DRIVE and index == _MODE:
-                self._check_mode(value)
             elif index in _LIMIT_PAIRS:
                 self._check_pair(index, subindex, value)
-            elif self._kind == KIND_BRAKE:
-                self._check_brake(index, subindex, value)
-            elif self._kind == KIND_DRIVE and value not in states402.OPTION_CODES.get(index, (value,)):
-                raise SdoAbort(Abort.VALUE)
+            else:
+                self._profile.check(self._dictionary, index, subindex, value)
         elif isinstance(value, float) and not math.isfinite(value):
             raise SdoAbort(Abort.VALUE)
         before = self._dictionary[index, subindex]
         self._dictionary[index, subindex] = value
         self.written = True
-        self.carries |= CARRIED[self._kind].get((index, subindex), 0)
+        self.carries |= self._profile.acts.get((index, subindex), 0)
         if value != before:
             self._parameters.changed(index, subindex)
         self._changed(index, subindex)
@@ -117,20 +110,6 @@ class Access:
         if entry.object_type == RECORD:
             code = next((code for indices, code in _RECORDS if index in indices), 0)
         return (entry.object_type | (code & 0xFFFF) << 8).to_bytes(4, "little")
-
-    def _check_brake(self, index: int, subindex: int, value: int) -> None:
-        """6125h wants its signature; the two points of the output's scale differ."""
-        if index == 0x6125 and value != AUTO_ZERO:
-            raise SdoAbort(Abort.VALUE)
-        other = {0x7320: 0x7322, 0x7322: 0x7320}.get(index)
-        if other is not None and subindex == 1 and value == self._dictionary.number(other, 1):
-            raise SdoAbort(Abort.PARAMETER_INCOMPATIBLE)
-
-    def _check_mode(self, mode: int) -> None:
-        """6502h tells the modes: bit n - 1 for mode n; mode 0 is "none"."""
-        supported = self._dictionary.number(_SUPPORTED_MODES, 0, states402.ALL_MODES)
-        if mode not in states402.MODES or (mode > 0 and not supported >> (mode - 1) & 1):
-            raise SdoAbort(Abort.VALUE)
 
     def _check_pair(self, index: int, subindex: int, value: int) -> None:
         pair = _LIMIT_PAIRS[index]

@@ -11,8 +11,8 @@ import binascii
 from collections.abc import Sequence
 
 from coulombus.eds.cia301 import Abort
-from coulombus.node.dictionary import SdoAbort
-from coulombus.node.record import BLOCK_SEGMENTS
+from coulombus.node.sdo_abort import SdoAbort
+from coulombus.node.sizes import BLOCK_SEGMENTS
 
 __all__ = ["BLOCK_SEGMENTS", "BlockDownload", "BlockUpload", "crc16"]
 

@@ -15,9 +15,9 @@ from coulombus.compiled.decorator import Entry
 from coulombus.eds.cia301 import Abort
 from coulombus.node import core, outbox
 from coulombus.node.communication_objects import Communication
-from coulombus.node.record import FAR_FUTURE_NS, SDO_TIMEOUT_NS
 from coulombus.node.sdo_access import Access
 from coulombus.node.sdo_server import SdoServer, abort_frame
+from coulombus.node.sizes import FAR_FUTURE_NS, SDO_TIMEOUT_NS
 from coulombus.wire.frame import Queue, Record, data_bytes, data_word, push
 
 __all__ = ["SdoService"]

@@ -7,10 +7,8 @@ are Python's. It takes what was collected first, so its answers are the same as 
 
 from __future__ import annotations
 
-from typing import Any
-
 from coulombus.compiled.decorator import kernel
-from coulombus.node.record import FAR_FUTURE_NS, SDO_TIMEOUT_NS
+from coulombus.node.sizes import FAR_FUTURE_NS, SDO_TIMEOUT_NS, NodeRecord
 
 __all__ = ["collect"]
 
@@ -18,7 +16,7 @@ _LAST_OR_ABORT = 0x80
 
 
 @kernel
-def collect(n: Any, t_ns: int, can_id: int, length: int, data: int) -> bool:
+def collect(n: NodeRecord, t_ns: int, can_id: int, length: int, data: int) -> bool:
     """Keep the frame if it is the next segment of a block that is open, and not its last; tell whether it was."""
     if length != 8 or data & _LAST_OR_ABORT:
         return False

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
@@ -26,8 +25,10 @@ from coulombus.eds import cia402
 from coulombus.eds.cia301 import NmtState
 from coulombus.eds.cia402 import COMMAND_OF_CONTROLWORD, NEXT_STATE, Command, PowerState
 from coulombus.eds.cia402 import STATUSWORD as STATUSWORD_OF_STATE
-from coulombus.node import emcy, motion402, slots
+from coulombus.node import emcy, motion402, slots, slots402
 from coulombus.node.motion402 import MODES
+from coulombus.node.sizes import NodeRecord
+from coulombus.wire.frame import Queue
 
 __all__ = [
     "ALL_MODES",
@@ -72,7 +73,7 @@ _RAMP = np.array([0, motion402.SLOW, motion402.QUICK, 0, 0, motion402.SLOW, moti
 
 
 @kernel
-def start(n: Any, t_ns: int) -> None:
+def start(n: NodeRecord, t_ns: int) -> None:
     """Enter Switch On Disabled (transitions 0 and 1): after power-on and reset node."""
     n.power_state = PowerState.SWITCH_ON_DISABLED
     n.controlword = 0
@@ -81,12 +82,12 @@ def start(n: Any, t_ns: int) -> None:
     n.demand_ns = t_ns
     n.limited = 0
     motion402.stop(n)
-    n.mode = n.values[slots.MODE_DISPLAY] = 0
+    n.mode = n.values[slots402.MODE_DISPLAY] = 0
     motion402.change_mode(n, t_ns)
 
 
 @kernel
-def _leave_enabled(n: Any, state: int) -> None:
+def _leave_enabled(n: NodeRecord, state: int) -> None:
     n.power_state = state
     motion402.stop(n)
 
@@ -98,7 +99,7 @@ def _ramp(option: int) -> int:
 
 
 @kernel
-def _driven(n: Any) -> bool:
+def _driven(n: NodeRecord) -> bool:
     """Whether there may be torque."""
     return bool(
         n.power_state == PowerState.OPERATION_ENABLED
@@ -108,10 +109,10 @@ def _driven(n: Any) -> bool:
 
 
 @kernel
-def fault(n: Any, t_ns: int, at_once: bool) -> None:
+def fault(n: NodeRecord, t_ns: int, at_once: bool) -> None:
     """Transitions 13 and 14: the fault reaction and FAULT; what was commanded before acts no more."""
     n.setpoint_stale = 1
-    ramp = _ramp(n.values[slots.FAULT_OPTION])
+    ramp = _ramp(n.values[slots402.FAULT_OPTION])
     if at_once or ramp == 0 or not _driven(n):
         _leave_enabled(n, PowerState.FAULT)
     elif n.power_state != PowerState.FAULT_REACTION_ACTIVE:
@@ -120,15 +121,15 @@ def fault(n: Any, t_ns: int, at_once: bool) -> None:
 
 
 @kernel
-def needs_supply(n: Any) -> bool:
+def needs_supply(n: NodeRecord) -> bool:
     """Whether the high-level power is switched on, so that its loss is a fault."""
     return bool(PowerState.SWITCHED_ON <= n.power_state <= PowerState.FAULT_REACTION_ACTIVE)
 
 
 @kernel
-def _quick_stop(n: Any, t_ns: int) -> None:
+def _quick_stop(n: NodeRecord, t_ns: int) -> None:
     """Transition 11, and 12 behind the ramp unless 605Ah lets the drive stay."""
-    option = n.values[slots.QUICK_STOP_OPTION]
+    option = n.values[slots402.QUICK_STOP_OPTION]
     n.power_state = PowerState.QUICK_STOP_ACTIVE
     following = PowerState.QUICK_STOP_ACTIVE if option >= _STAYS else PowerState.SWITCH_ON_DISABLED
     if _ramp(option):
@@ -138,12 +139,12 @@ def _quick_stop(n: Any, t_ns: int) -> None:
 
 
 @kernel
-def connection_lost(n: Any, t_ns: int, forced: int) -> int:
+def connection_lost(n: NodeRecord, t_ns: int, forced: int) -> int:
     """NMT leaves OPERATIONAL: 6007h decides unless `forced`; return 1 when it is to be a fault.
 
     A drive that is not enabled stays where it is.
     """
-    option = n.values[slots.ABORT_OPTION]
+    option = n.values[slots402.ABORT_OPTION]
     n.setpoint_armed = 0
     if forced or option != _NO_ACTION:
         n.setpoint_stale = 1
@@ -163,9 +164,9 @@ def connection_lost(n: Any, t_ns: int, forced: int) -> int:
 
 
 @kernel
-def new_controlword(n: Any, t_ns: int, out: Any) -> None:
+def new_controlword(n: NodeRecord, t_ns: int, out: Queue) -> None:
     """Act on the controlword that was written: one row of the table at most."""
-    word = n.values[slots.CONTROLWORD]
+    word = n.values[slots402.CONTROLWORD]
     rising = word & 0x80 and not n.controlword & 0x80
     n.controlword = word
     state = n.power_state
@@ -192,7 +193,7 @@ def new_controlword(n: Any, t_ns: int, out: Any) -> None:
     if state == PowerState.OPERATION_ENABLED:
         _leave(n, t_ns, following)
     elif state == PowerState.QUICK_STOP_ACTIVE:
-        if following == PowerState.OPERATION_ENABLED and n.values[slots.QUICK_STOP_OPTION] < _STAYS:
+        if following == PowerState.OPERATION_ENABLED and n.values[slots402.QUICK_STOP_OPTION] < _STAYS:
             return  # transition 16 is for a drive that stays
         _leave_enabled(n, following)
     else:
@@ -202,16 +203,16 @@ def new_controlword(n: Any, t_ns: int, out: Any) -> None:
 
 
 @kernel
-def _leave(n: Any, t_ns: int, following: int) -> None:
+def _leave(n: NodeRecord, t_ns: int, following: int) -> None:
     """Leave Operation Enabled by command (transitions 5, 8, 9, 11), as the option codes say."""
     if following == PowerState.QUICK_STOP_ACTIVE:
         _quick_stop(n, t_ns)
         return
     option = 0
     if following == PowerState.SWITCHED_ON:
-        option = n.values[slots.DISABLE_OPTION]
+        option = n.values[slots402.DISABLE_OPTION]
     elif following != PowerState.SWITCH_ON_DISABLED:
-        option = n.values[slots.SHUTDOWN_OPTION]
+        option = n.values[slots402.SHUTDOWN_OPTION]
     if option != 1:
         _leave_enabled(n, following)
     elif n.slowing == 0 or n.slowing_to == PowerState.OPERATION_ENABLED:
@@ -221,7 +222,7 @@ def _leave(n: Any, t_ns: int, following: int) -> None:
 
 
 @kernel
-def new_setpoint(n: Any, t_ns: int, speed: bool) -> None:
+def new_setpoint(n: NodeRecord, t_ns: int, speed: bool) -> None:
     """Take the set-point in 6071h, or in 60FFh (`speed`), that was received at `t_ns`, when the mode is for it."""
     if speed != motion402.is_speed_mode(n.mode):
         return
@@ -233,16 +234,16 @@ def new_setpoint(n: Any, t_ns: int, speed: bool) -> None:
     n.setpoint_armed = 1
     n.setpoint_stale = 0
     if not speed:
-        target = n.values[slots.TARGET_TORQUE]
+        target = n.values[slots402.TARGET_TORQUE]
         if target > motion402.high_limit(n) or target < motion402.low_limit(n):
             n.clipped_setpoints += 1
 
 
 @kernel
-def step(n: Any, t_ns: int) -> None:
+def step(n: NodeRecord, t_ns: int) -> None:
     """Compute the torque that acts at `t_ns`."""
     values = n.values
-    if values[slots.MODE] != n.mode:
+    if values[slots402.MODE] != n.mode:
         motion402.change_mode(n, t_ns)
     age_ns = values[slots.SETPOINT_AGE_US] * 1000
     if n.setpoint_armed and age_ns > 0 and t_ns - n.setpoint_ns >= age_ns:
@@ -254,7 +255,7 @@ def step(n: Any, t_ns: int) -> None:
         motion402.other_mode(n, t_ns, elapsed_ns)
         return
     high, low = motion402.high_limit(n), motion402.low_limit(n)
-    target = values[slots.TARGET_TORQUE] + values[slots.TORQUE_OFFSET]
+    target = values[slots402.TARGET_TORQUE] + values[slots402.TORQUE_OFFSET]
     n.limited = 1 if target > high or target < low else 0
     target = min(max(target, low), high)
     if (
@@ -265,7 +266,7 @@ def step(n: Any, t_ns: int) -> None:
     ):
         target = 0
     n.torque_demand_pm = n.out_torque_pm = float(target)
-    values[slots.TORQUE_DEMAND] = target
+    values[slots402.TORQUE_DEMAND] = target
 
 
 @kernel
@@ -278,16 +279,16 @@ def _to_int32(value: float) -> int:
 
 
 @kernel
-def sample(n: Any) -> None:
+def sample(n: NodeRecord) -> None:
     """Write actual position, velocity, torque and the statusword to their slots."""
     values = n.values
-    values[slots.POSITION] = (
+    values[slots402.POSITION] = (
         (n.in_position_counts + 0x80000000) & 0xFFFFFFFF
     ) - 0x80000000  # wraps as the counter does
-    values[slots.VELOCITY] = _to_int32(n.in_velocity_counts_s)
-    values[slots.DC_LINK_MV] = n.supply_mV if n.in_supply_ok else 0
-    values[slots.TORQUE_ACTUAL] = min(max(_to_int32(n.in_torque_pm), -32768), 32767)
-    values[slots.CURRENT_ACTUAL] = values[slots.TORQUE_ACTUAL]  # per mille of rated current: a DC motor's torque
+    values[slots402.VELOCITY] = _to_int32(n.in_velocity_counts_s)
+    values[slots402.DC_LINK_MV] = n.supply_mV if n.in_supply_ok else 0
+    values[slots402.TORQUE_ACTUAL] = min(max(_to_int32(n.in_torque_pm), -32768), 32767)
+    values[slots402.CURRENT_ACTUAL] = values[slots402.TORQUE_ACTUAL]  # per mille of rated current: a DC motor's torque
     word = STATUSWORD_OF_STATE[n.power_state]
     if n.in_supply_ok:
         word |= cia402.VOLTAGE_ENABLED
@@ -304,11 +305,11 @@ def sample(n: Any) -> None:
             word |= _FOLLOWS
     elif n.power_state == PowerState.QUICK_STOP_ACTIVE and not n.slowing:
         word |= _TARGET_REACHED  # the quick stop is complete, and the drive stays
-    values[slots.STATUSWORD] = word
+    values[slots402.STATUSWORD] = word
 
 
 @kernel
-def next_deadline(n: Any, next_ns: int) -> int:
+def next_deadline(n: NodeRecord, next_ns: int) -> int:
     """Return the earlier of `next_ns` and the drive's own next deadline."""
     age_ns = n.values[slots.SETPOINT_AGE_US] * 1000
     if n.setpoint_armed and age_ns > 0 and not n.setpoint_stale:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -28,6 +28,7 @@ from coulombus.verbs.common import (
 from coulombus.wire.verdict import abandon_stdout
 
 if TYPE_CHECKING:
+    from coulombus.node.profile import Profile
     from coulombus.wire.address import BusAddress
 
 __all__ = ["node_command", "sim"]
@@ -156,6 +157,21 @@ def _pass_on(line: str) -> None:
         abandon_stdout()
 
 
+class Kind(click.ParamType):  # type: ignore[type-arg]  # generic to some versions' types only
+    """A kind of device by its name in `node.kinds`, which is imported when one is given: the help starts without numba."""
+
+    name = "kind"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Profile:
+        """Return the profile."""
+        from coulombus.node.kinds import named
+
+        try:
+            return named(value)
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
+
+
 @click.command("node", epilog=EXIT_STATUS)
 @click.argument("eds", nargs=-1, required=True, metavar="EDS...", type=click.Path(path_type=Path))
 @click.option(
@@ -168,10 +184,10 @@ def _pass_on(line: str) -> None:
 @click.option("--bus", metavar="B", required=True, help="coulombus:NAME (built in) or socketcan:IF.")
 @click.option(
     "--kind",
-    type=click.Choice(("generic", "drive", "brake")),
+    type=Kind(),
     default=None,
-    help="What lives behind the objects: nothing, a CiA 402 drive, a CiA 404 brake.  [default: what our own devices' files describe, "
-    "else generic]",
+    help="What lives behind the objects: generic (nothing), drive (CiA 402), brake (CiA 404).  [default: what our own devices' files "
+    "describe, else generic]",
 )
 @click.option(
     "--store",
@@ -198,7 +214,7 @@ def node_command(
     eds: tuple[Path, ...],
     node_ids: tuple[int, ...],
     bus: str,
-    kind: str | None,
+    kind: Profile | None,
     store: Path | None,
     processing_us: float,
     bitrate: int | None,
@@ -218,13 +234,12 @@ def node_command(
       coulombus node configured.dcf --bus coulombus:desk
     """
     with errors():
-        from coulombus.sim_bus.server.live_nodes import KINDS, LiveNodes, NodeError, run_nodes
+        from coulombus.sim_bus.server.live_nodes import LiveNodes, NodeError, run_nodes
         from coulombus.wire.address import parse_address
 
         if node_ids and len(node_ids) != len(eds):
             raise NodeError(f"{len(eds)} EDS files and {len(node_ids)} --node-id; give one --node-id for each file")
         address = parse_address(bus)
         ids = node_ids or (None,) * len(eds)
-        behaviour = None if kind is None else KINDS[kind]
-        nodes = LiveNodes(tuple(zip(eds, ids, strict=True)), behaviour, store, processing_us, as_json, bitrate or 0)
+        nodes = LiveNodes(tuple(zip(eds, ids, strict=True)), kind, store, processing_us, as_json, bitrate or 0)
         run_nodes(nodes, address, seconds)

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from coulombus.compiled.decorator import inlined, kernel
 from coulombus.node.core import ROUTE_NONE
-from coulombus.node.record import FAR_FUTURE_NS
+from coulombus.node.sizes import FAR_FUTURE_NS
 from coulombus.wire.clock import bus_ns
 
 __all__ = ["IDENTIFIERS", "keep_deadline", "look_again", "new_deadlines", "new_wants", "next_device"]

@@ -6,7 +6,7 @@ For tests, conformance runs and fuzzers. Nothing sleeps, no thread runs, and the
     from coulombus.sim_bus.network.network import VirtualNetwork
 
     network = VirtualNetwork(bitrate_bit_s=500_000)
-    device = network.add("eds/motor.eds", 5)              # any EDS; kind=KIND_DRIVE or KIND_BRAKE for ours
+    device = network.add("eds/motor.eds", 5)              # any EDS; profile=DRIVE402 or BRAKE404 for ours
     tester = network.station()                            # hears every frame; station({0x585}): that one only
     network.power_on()                                    # all devices; boot-ups go out
     network.wait_ns(10_000_000)
@@ -44,7 +44,9 @@ from coulombus.host.cycle.controller import AXIS as HOST_AXIS
 from coulombus.host.cycle.controllers import unused_law
 from coulombus.host.cycle.step import SOURCE_HOST
 from coulombus.node.device import Device
-from coulombus.node.record import KIND_GENERIC, new_nodes
+from coulombus.node.kinds import GENERIC
+from coulombus.node.profile import Profile
+from coulombus.node.record import new_nodes
 from coulombus.sim_bus.copper.arbiter import FAR_NS, new_bus
 from coulombus.sim_bus.copper.attempt import attach, detach
 from coulombus.sim_bus.copper.cut import divide, wire_of
@@ -183,7 +185,7 @@ class VirtualNetwork:
 
     # what is on the bus
 
-    def add(self, eds: Description | str | Path, node_id: int, kind: int = KIND_GENERIC, **options: Any) -> Device:
+    def add(self, eds: Description | str | Path, node_id: int, profile: Profile = GENERIC, **options: Any) -> Device:
         """Put a device on the bus, switched off, and return it; `options` are those of `node.device.Device`.
 
         Raises
@@ -199,7 +201,7 @@ class VirtualNetwork:
         if node_id != UNCONFIGURED and any(device.node_id == node_id for device in self.devices):
             raise ValueError(f"node id {node_id} is taken")
         description = eds if isinstance(eds, Description) else read_eds(Path(eds))
-        self.devices.append(Device(description, node_id, kind, self.nodes[row], **options))
+        self.devices.append(Device(description, node_id, profile, self.nodes[row], **options))
         return self.devices[row]
 
     def station(

@@ -13,8 +13,9 @@ import numpy as np
 
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.records import Trip
+from coulombus.node.brake404 import BRAKE404
+from coulombus.node.drive402 import DRIVE402
 from coulombus.node.emcy import DEVICE_FAULTS, FIRST_DEVICE_CAUSE
-from coulombus.node.record import KIND_BRAKE, KIND_DRIVE
 from coulombus.recording.trace import EVENT, Event
 from coulombus.rigs.rig import Rig
 from coulombus.sim_bus.network.kernel import AXIS, BRAKE, MOTOR, Exit, Host
@@ -112,8 +113,8 @@ class VirtualRig(VirtualNetwork):
         )
         self.nodes["coil_A_Nm"][BRAKE::2] = [one.brake.coil_A_Nm for one in rig.axes]
         for one in rig.axes:
-            self.add(one.description("motor"), one.motor.node_id, KIND_DRIVE)
-            self.add(one.description("brake"), one.brake.node_id, KIND_BRAKE)
+            self.add(one.description("motor"), one.motor.node_id, DRIVE402)
+            self.add(one.description("brake"), one.brake.node_id, BRAKE404)
         self.motor, self.brake = self.devices[MOTOR], self.devices[BRAKE]
         for a in range(n):
             self._new_force_block(a)

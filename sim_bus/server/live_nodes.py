@@ -14,21 +14,19 @@ from functools import partial
 from pathlib import Path
 
 from coulombus.eds.cia301 import CobId
-from coulombus.eds.own_devices import PRODUCTS, VENDOR_ID, told_identity
+from coulombus.eds.own_devices import told_identity
 from coulombus.eds.reader import Description, read_eds
 from coulombus.node.device import Device
-from coulombus.node.record import KIND_BRAKE, KIND_DRIVE, KIND_GENERIC
+from coulombus.node.kinds import of_identity
+from coulombus.node.profile import Profile
 from coulombus.node.store import FileStore, Store
 from coulombus.sim_bus.network.network import Heard, VirtualNetwork
 from coulombus.sim_bus.server.server import BusServer
 from coulombus.sim_bus.server.serving import run_sim
 from coulombus.wire.address import BusAddress
 
-__all__ = ["KINDS", "LiveNodes", "NodeError", "run_nodes"]
+__all__ = ["LiveNodes", "NodeError", "run_nodes"]
 
-KINDS = {"generic": KIND_GENERIC, "drive": KIND_DRIVE, "brake": KIND_BRAKE}
-OWN_DEVICES = {(VENDOR_ID, PRODUCTS["motor"]): KIND_DRIVE, (VENDOR_ID, PRODUCTS["brake"]): KIND_BRAKE}
-"""1018h:01 and 1018h:02 of our own devices' files, and what lives behind their objects."""
 BIT_RATE = 1_000_000
 
 
@@ -51,7 +49,7 @@ class LiveNodes:
     """
 
     eds: Sequence[tuple[Path, int | None]]
-    kind: int | None = None
+    kind: Profile | None = None
     store: Path | None = None
     processing_us: float = 20.0
     as_json: bool = False
@@ -121,8 +119,9 @@ class LiveNodes:
         devices = []
         for node_id, description in zip(self.node_ids, self.descriptions, strict=True):
             kept = store()
-            kind = _kind(description) if self.kind is None else self.kind
-            devices.append(network.add(description, node_id, kind, store=kept))
+            profile = of_identity(told_identity(description)) if self.kind is None else self.kind
+            devices.append(network.add(description, node_id, profile, store=kept))
+            self._check_kind(devices[-1])
             devices[-1].record["processing_ns"] = round(self.processing_us * 1e3)
             if isinstance(kept, FileStore) and kept.foreign:
                 raise NodeError(f"--store {kept.diagnosis}; such a file is not replaced: name another one")
@@ -137,6 +136,14 @@ class LiveNodes:
                 self._tell("ready", device, row, frame)
         else:
             self._tell("duplicate", device, row, frame)
+
+    def _check_kind(self, device: Device) -> None:
+        """Refuse a kind that was asked for where the file has not what it acts on."""
+        missing = device.profile.missing(device.dictionary) if self.kind is not None else ()
+        if missing:
+            objects = ", ".join(f"{index:04X}h:{subindex:02X}" for index, subindex in missing)
+            where, name = device.description.path, device.profile.name
+            raise NodeError(f"{where}: got no {objects}, which kind {name} acts on; take --kind generic")
 
     def _tell(self, event: str, device: Device, row: int, frame: Heard) -> None:
         if (event, row) in self.told or self.server is None:
@@ -155,11 +162,6 @@ class LiveNodes:
         if event == "duplicate":
             text = f"another node on bus {server.address} has the node id {node_id}: it sent {frame.can_id:03X}h"
             print(f"coulombus: {text} {frame.data.hex(' ')}; give one of them another id", file=sys.stderr, flush=True)
-
-
-def _kind(description: Description) -> int:
-    """Return what lives behind a file's objects, as its identity object says."""
-    return OWN_DEVICES.get(told_identity(description), KIND_GENERIC)
 
 
 def serves(server: BusServer) -> bool:

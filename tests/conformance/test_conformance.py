@@ -14,7 +14,7 @@ from coulombus.conformance.catalogue import catalogue
 from coulombus.conformance.tester.registry import FUNCTIONS
 from coulombus.conformance.tester.unit import Timing, Unit
 from coulombus.eds.reader import parse_eds
-from coulombus.node.record import KIND_BRAKE
+from coulombus.node.brake404 import BRAKE404
 
 LIST = Path(__file__).resolve().parent.parent.parent.parent / "shared" / "conformance" / "cases.csv"
 
@@ -58,7 +58,7 @@ def test_a_device_that_produces_sync_from_the_start_may_refuse_1019():
         (head + "[1006]\n" + period.replace("DefaultValue=0\n", "DefaultValue=100000\n", 1)).encode(), "brake.eds"
     )
     assert (eds.default(0x1005, 0, 1), eds.default(0x1006, 0, 1)) == (0x40000080, 100000)
-    report = run_cases(Unit(VirtualLink(eds, 1, KIND_BRAKE), eds, 1, Timing()))
+    report = run_cases(Unit(VirtualLink(eds, 1, BRAKE404), eds, 1, Timing()))
     assert {one.case.id: one.reason for one in report.outcomes if one.result == "fail"} == {}
 
 

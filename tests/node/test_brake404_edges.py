@@ -6,8 +6,13 @@ import math
 
 import pytest
 
-from coulombus.node import brake404, coil404, emcy, slots
-from coulombus.node.record import FAR_FUTURE_NS, KIND_BRAKE, new_nodes
+from coulombus.node import brake404, coil404, emcy, slots, slots404
+from coulombus.node.brake404 import BRAKE404
+from coulombus.node.kinds import number
+from coulombus.node.record import new_nodes
+from coulombus.node.sizes import FAR_FUTURE_NS
+
+KIND_BRAKE = number(BRAKE404)
 
 T = 5_000_000_000
 HOLD_US, RAMP_US = 1000, 4000
@@ -23,7 +28,7 @@ def brake():
     n.kind, n.nmt, n.powered, n.next_ns = KIND_BRAKE, 5, 1, T + 10**9
     n.ao_gain_Nm, n.ao_full_Nm, n.setpoint_high, n.ao_FV_Nm = 2.0**-9, 8.0, 4000, 100.0
     n.limit_Nm, n.setpoint_armed, n.setpoint_ns, n.out_brake_Nm = math.inf, 1, T, 2.0
-    n.values[slots.SETPOINT], n.values[slots.FAULT_VALUE], n.values[slots.FAULT_MODE] = 1024, 256, 1
+    n.values[slots404.SETPOINT], n.values[slots404.FAULT_VALUE], n.values[slots404.FAULT_MODE] = 1024, 256, 1
     n.values[slots.SETPOINT_AGE_US], n.values[slots.RAMP_US] = HOLD_US, RAMP_US
     n.ai_gain[:], n.ai_low[:], n.ai_high[:], n.open_since_ns = 1.0, -1e9, 1e9, -1
     return n
@@ -60,7 +65,7 @@ def test_a_brake_begins_without_torque_and_without_a_setpoint():
 )
 def test_the_setpoints_line_ends_at_0_at_full_scale_and_at_the_coils_limit(raw, bias, limit, torque):
     n = brake()
-    n.values[slots.SETPOINT], n.ao_bias_Nm, n.limit_Nm = raw, bias, limit
+    n.values[slots404.SETPOINT], n.ao_bias_Nm, n.limit_Nm = raw, bias, limit
     assert output(n, T) == torque
 
 
@@ -73,10 +78,10 @@ def test_a_new_setpoint_is_clipped_counted_and_ends_the_ramp_unless_the_device_h
     raw, kept, negative, clipped, causes
 ):
     n = brake()
-    n.values[slots.SETPOINT], n.ramping, n.causes = raw, ON_THE_WAY, causes
+    n.values[slots404.SETPOINT], n.ramping, n.causes = raw, ON_THE_WAY, causes
     n.negative_setpoints = n.clipped_setpoints = 6
     brake404.new_setpoint(n, T + 9)
-    assert n.values[slots.SETPOINT] == kept
+    assert n.values[slots404.SETPOINT] == kept
     assert (n.negative_setpoints, n.clipped_setpoints) == (6 + negative, 6 + clipped)
     assert (n.setpoint_ns, n.setpoint_armed, n.next_ns) == (T + 9, 1, T + 10**9)
     assert n.ramping == (ON_THE_WAY if causes == DEVICE else ACTS)
@@ -115,7 +120,7 @@ def test_a_setpoint_whose_age_is_not_watched_stays(name):
     elif name == "no age":
         n.values[slots.SETPOINT_AGE_US] = 0
     else:
-        n.values[slots.FAULT_MODE] = int(name[-1])
+        n.values[slots404.FAULT_MODE] = int(name[-1])
     assert output(n, T + 10**12) == 2.0
     assert n.ramping == ACTS
     assert brake404.next_deadline(n, T, FAR_FUTURE_NS) == FAR_FUTURE_NS
@@ -132,7 +137,7 @@ def test_an_age_of_a_microsecond_is_watched():
 @pytest.mark.parametrize(("fault_value", "causes", "end"), [(256, 0, 0.5), (256, DEVICE, 0.0), (2048, 0, 4.0)])
 def test_the_ramp_leads_to_the_fault_value_and_for_a_device_fault_to_0(fault_value, causes, end):
     n = brake()
-    n.values[slots.FAULT_VALUE], n.causes = fault_value, causes
+    n.values[slots404.FAULT_VALUE], n.causes = fault_value, causes
     output(n, T + HOLD)
     assert (n.ramp_from_Nm, n.ramp_to_Nm) == (2.0, end)
     assert output(n, T + HOLD + RAMP // 2) == (2.0 + end) / 2
@@ -165,7 +170,7 @@ def test_a_cut_is_0_at_once_and_stays():
 @pytest.mark.parametrize("ramp_to", [0.0, 0.5])
 def test_a_lost_connection_begins_the_ramp_from_the_present_output(forced, mode, ramping, causes, ramp_to):
     n = brake()
-    n.values[slots.FAULT_MODE], n.ramping, n.causes = mode, ramping, causes
+    n.values[slots404.FAULT_MODE], n.ramping, n.causes = mode, ramping, causes
     n.ramp_from_Nm, n.ramp_to_Nm, n.ramp_start_ns, n.out_brake_Nm = 4.0, ramp_to, T - RAMP // 2, 9.0
     present = {ACTS: 2.0, ON_THE_WAY: (4.0 + ramp_to) / 2, THERE: ramp_to}[ramping]
     brake404.connection_lost(n, T, forced)
@@ -196,7 +201,7 @@ def test_where_the_age_is_watched_a_lost_host_changes_nothing_yet(armed, age_us,
     brake404.host_lost(n, T)
     assert (n.ramping == ON_THE_WAY) == begins
     n = brake()
-    n.setpoint_armed, n.values[slots.FAULT_MODE] = 0, 0
+    n.setpoint_armed, n.values[slots404.FAULT_MODE] = 0, 0
     brake404.host_lost(n, T)
     assert n.ramping == ACTS  # it is not forced
 
@@ -214,15 +219,15 @@ def test_where_the_age_is_watched_a_lost_host_changes_nothing_yet(armed, age_us,
 def test_an_input_is_scaled_rounded_saturated_and_judged(value, raw, status, k):
     n = brake()
     n.ai_gain[k], n.ai_bias[k], n.ai_low[k], n.ai_high[k] = 2.0, 8.0, -50000.0, 50000.0
-    n.values[slots.INPUT_STATUS + k] = 7
+    n.values[slots404.INPUT_STATUS + k] = 7
     given = [0.0, 0.0, 0.0]
     given[k] = (value - 8.0) / 2.0
     n.in_handle_Nm, n.in_coil_A, n.in_coil_degC = given
     n.out_brake_Nm = 1.006
     brake404.sample(n)
-    assert [n.values[slots.INPUT + j] for j in range(3)] == [raw if j == k else 0 for j in range(3)]
-    assert [n.values[slots.INPUT_STATUS + j] for j in range(3)] == [status if j == k else 0 for j in range(3)]
-    assert n.values[slots.OUTPUT_FV] == 101
+    assert [n.values[slots404.INPUT + j] for j in range(3)] == [raw if j == k else 0 for j in range(3)]
+    assert [n.values[slots404.INPUT_STATUS + j] for j in range(3)] == [status if j == k else 0 for j in range(3)]
+    assert n.values[slots404.OUTPUT_FV] == 101
 
 
 @pytest.mark.parametrize(("low", "high", "value", "raw", "status"), [
@@ -238,7 +243,7 @@ def test_a_channel_that_is_off_shows_0_and_is_not_valid(low, high, value, raw, s
     n = brake()
     n.ai_low[0], n.ai_high[0], n.in_handle_Nm = low, high, value
     brake404.sample(n)
-    assert (n.values[slots.INPUT], n.values[slots.INPUT_STATUS]) == (raw, status)
+    assert (n.values[slots404.INPUT], n.values[slots404.INPUT_STATUS]) == (raw, status)
 
 
 @pytest.mark.parametrize("before", [T - 3, T + 10**12])
@@ -276,32 +281,32 @@ def test_a_coil_that_draws_less_than_a_quarter_is_suspected(sign, measured, torq
     """Not below the least current."""
     n = coil(sign * measured)
     n.out_brake_Nm = torque
-    coil404.watch(n, T)
+    coil404.look(n, T)
     assert (n.open_since_ns, n.detected) == (since, 0)
 
 
 def test_an_open_coil_is_found_after_its_time_and_not_before():
     n = coil(0.0)
     for elapsed, found in ((0, 0), (1, 0), (99, 0), (100, OPEN)):
-        coil404.watch(n, T + elapsed)
+        coil404.look(n, T + elapsed)
         assert (n.detected, n.open_since_ns) == (found, T)
     n = coil(0.0)
-    coil404.watch(n, T)
+    coil404.look(n, T)
     n.in_coil_A = 0.5
-    coil404.watch(n, T + 99)
+    coil404.look(n, T + 99)
     assert n.open_since_ns == -1
     n.in_coil_A = 0.0
-    coil404.watch(n, T + 150)
+    coil404.look(n, T + 150)
     assert (n.detected, n.open_since_ns) == (0, T + 150)
 
 
 def test_a_coil_that_is_suspected_since_time_0_is_found_too():
     n = coil(0.0)
-    coil404.watch(n, 0)
+    coil404.look(n, 0)
     assert n.open_since_ns == 0
-    coil404.watch(n, 50)
+    coil404.look(n, 50)
     assert n.open_since_ns == 0
-    coil404.watch(n, 100)
+    coil404.look(n, 100)
     assert n.detected == OPEN
 
 
@@ -309,10 +314,10 @@ def test_a_coil_that_is_suspected_since_time_0_is_found_too():
 def test_more_than_the_short_circuits_current_is_one(sign):
     n = coil(sign * 3.0)
     n.derated = 1  # so that it is looked into
-    coil404.watch(n, T)
+    coil404.look(n, T)
     assert n.detected == 0
     n.in_coil_A = sign * 3.0078125
-    coil404.watch(n, T)
+    coil404.look(n, T)
     assert n.detected == SHORT
 
 
@@ -322,9 +327,9 @@ def test_more_than_the_short_circuits_current_is_one(sign):
 @pytest.mark.parametrize("raw", [0, 1, -1])
 def test_a_coils_fault_stays_until_a_setpoint_of_0_at_output_0(fault, ramping, torque, raw):
     n = coil(0.0)
-    n.detected, n.ramping, n.out_brake_Nm, n.values[slots.SETPOINT] = fault | TEMPERATURE, ramping, torque, raw
+    n.detected, n.ramping, n.out_brake_Nm, n.values[slots404.SETPOINT] = fault | TEMPERATURE, ramping, torque, raw
     n.open_since_ns, n.in_coil_degC = T - 1000, 90.0
-    coil404.watch(n, T)
+    coil404.look(n, T)
     over = ramping != ACTS and torque == 0.0 and raw <= 0
     assert n.detected == (TEMPERATURE if over else fault | TEMPERATURE)
     assert n.open_since_ns == (-1 if over else T - 1000)
@@ -340,7 +345,7 @@ def test_a_coils_fault_stays_until_a_setpoint_of_0_at_output_0(fault, ramping, t
 def test_over_temperature_has_a_hysteresis(degC, before, detected):
     n = coil(0.5, degC)
     n.detected = before | 1
-    coil404.watch(n, T)
+    coil404.look(n, T)
     assert n.detected == detected | 1
 
 
@@ -350,17 +355,17 @@ def test_over_temperature_has_a_hysteresis(degC, before, detected):
 def test_above_the_warning_temperature_the_limit_falls_in_a_line(degC, share, derated):
     n = coil(0.5, degC)
     n.derated = 1
-    coil404.watch(n, T)
+    coil404.look(n, T)
     assert (n.limit_Nm, n.derated) == (share * 2.0 / A_NM, derated)
 
 
 def test_a_line_of_no_length_falls_at_once_and_an_unknown_coil_has_no_limit():
     n = coil(0.5, 96.0)
     n.warm_degC, n.hot_degC, n.derated = 95.9, 95.95, 1
-    coil404.watch(n, T)
+    coil404.look(n, T)
     assert n.limit_Nm == pytest.approx((1.0 - 0.5 * 0.5) * 2.0 / A_NM)
     n.coil_A_Nm = 0.0
-    coil404.watch(n, T)
+    coil404.look(n, T)
     assert n.limit_Nm == math.inf
 
 
@@ -369,9 +374,9 @@ def test_a_coil_in_order_is_not_looked_into(odd):
     """The limit is computed when there is a reason to."""
     n = coil()
     n.limit_Nm = -1.0
-    coil404.watch(n, T)
+    coil404.look(n, T)
     n.in_coil_A, n.in_coil_degC = 3.0, 80.0  # at both limits
-    coil404.watch(n, T)
+    coil404.look(n, T)
     assert n.limit_Nm == -1.0
     if odd == "missing":
         n.in_coil_A = 0.0
@@ -385,7 +390,7 @@ def test_a_coil_in_order_is_not_looked_into(odd):
         n.derated = 1
     else:
         n.open_since_ns = 0
-    coil404.watch(n, T)
+    coil404.look(n, T)
     assert n.limit_Nm > 0.0
 
 

@@ -7,9 +7,15 @@ import math
 import pytest
 
 from coulombus.eds.cia402 import COMMAND_OF_CONTROLWORD, NEXT_STATE, STATUSWORD
-from coulombus.node import emcy, motion402, slots, states402
-from coulombus.node.record import FAR_FUTURE_NS, KIND_DRIVE, new_nodes
+from coulombus.node import emcy, motion402, slots, slots402, states402
+from coulombus.node.drive402 import DRIVE402
+from coulombus.node.kinds import number
+from coulombus.node.record import new_nodes
+from coulombus.node.sizes import FAR_FUTURE_NS
 from coulombus.wire.frame import new_queue
+
+KIND_DRIVE = number(DRIVE402)
+SLOTS = vars(slots) | vars(slots402)
 
 T = 5_000_000_000
 NR, SOD, RTSO, SO, OE, QSA, FRA, FAULT = range(8)
@@ -30,17 +36,27 @@ def drive(state=OE, torque=300, **values):
     n.speed_max_counts_s = math.inf
     n.torque_demand_pm = n.out_torque_pm = float(torque)
     v = n.values
-    v[slots.MODE], v[slots.TARGET_TORQUE], v[slots.TORQUE_SLOPE], v[slots.SLOW_DOWN_MS] = 10, torque, 1000, 1000
-    v[slots.MAX_TORQUE], v[slots.POSITIVE_LIMIT], v[slots.NEGATIVE_LIMIT], v[slots.MAX_CURRENT] = 1000, 900, 800, 2000
-    v[slots.LOWEST_POSITION], v[slots.HIGHEST_POSITION] = -(2**31), 2**31 - 1
+    v[slots402.MODE], v[slots402.TARGET_TORQUE], v[slots402.TORQUE_SLOPE], v[slots402.SLOW_DOWN_MS] = (
+        10,
+        torque,
+        1000,
+        1000,
+    )
+    v[slots402.MAX_TORQUE], v[slots402.POSITIVE_LIMIT], v[slots402.NEGATIVE_LIMIT], v[slots402.MAX_CURRENT] = (
+        1000,
+        900,
+        800,
+        2000,
+    )
+    v[slots402.LOWEST_POSITION], v[slots402.HIGHEST_POSITION] = -(2**31), 2**31 - 1
     for name, value in values.items():
-        v[getattr(slots, name)] = value
+        v[SLOTS[name]] = value
     return n
 
 
 def is_at_once(n, state):
     """Whether the drive is in `state` without torque."""
-    return (n.power_state, n.slowing, n.out_torque_pm, n.torque_demand_pm, n.values[slots.TORQUE_DEMAND]) == (
+    return (n.power_state, n.slowing, n.out_torque_pm, n.torque_demand_pm, n.values[slots402.TORQUE_DEMAND]) == (
         state, 0, 0.0, 0.0, 0,
     )  # fmt: skip
 
@@ -59,10 +75,10 @@ def test_a_drive_begins_switched_on_disabled_without_anything_of_before():
     states402.start(n, T + 5)
     assert is_at_once(n, SOD)
     assert (n.controlword, n.setpoint_armed, n.setpoint_stale, n.demand_ns, n.limited) == (0, 0, 0, T + 5, 0)
-    assert (n.mode, n.values[slots.MODE_DISPLAY]) == (10, 10)
-    n.values[slots.MODE], n.values[slots.MODE_DISPLAY] = 0, 7
+    assert (n.mode, n.values[slots402.MODE_DISPLAY]) == (10, 10)
+    n.values[slots402.MODE], n.values[slots402.MODE_DISPLAY] = 0, 7
     states402.start(n, T)
-    assert (n.mode, n.values[slots.MODE_DISPLAY]) == (0, 0)
+    assert (n.mode, n.values[slots402.MODE_DISPLAY]) == (0, 0)
 
 
 # faults and lost connections
@@ -130,7 +146,7 @@ def lose_connection(state, forced, option, stop):
 
 def commanded(n, word):
     out = new_queue()
-    n.values[slots.CONTROLWORD] = word
+    n.values[slots402.CONTROLWORD] = word
     states402.new_controlword(n, T, out)
     return [int(row["word"]) & 0xFFFF for row in out.frames[: int(out["count"])]]
 
@@ -283,7 +299,7 @@ def test_the_torque_is_the_target_and_the_offset_within_the_limits(target, offse
     n = drive(OE, target, TORQUE_OFFSET=offset)
     n.limited, n.ramping = 1 - limited, 1
     assert torque(n, T + 7) == out
-    assert (n.torque_demand_pm, n.values[slots.TORQUE_DEMAND], n.limited, n.ramping) == (out, out, limited, 0)
+    assert (n.torque_demand_pm, n.values[slots402.TORQUE_DEMAND], n.limited, n.ramping) == (out, out, limited, 0)
     assert n.demand_ns == T + 7
 
 
@@ -300,7 +316,7 @@ def test_there_is_no_torque_without_supply_with_an_old_setpoint_nor_halted(sign,
     assert torque(n) == sign * 300
     setattr(n, name, value)
     assert torque(n) == 0
-    assert n.values[slots.TORQUE_DEMAND] == 0
+    assert n.values[slots402.TORQUE_DEMAND] == 0
 
 
 @BOTH
@@ -325,7 +341,7 @@ def test_an_age_that_is_not_watched_changes_nothing(armed, age_us):
 
 def test_other_modes_and_ramps_take_the_time_since_they_were_looked_at():
     n = drive(OE, 300)
-    n.mode = n.values[slots.MODE] = 4
+    n.mode = n.values[slots402.MODE] = 4
     n.torque_demand_pm = 0.0
     assert torque(n, T + 10**6) == pytest.approx(1.0)
     assert n.demand_ns == T + 10**6
@@ -337,7 +353,7 @@ def test_other_modes_and_ramps_take_the_time_since_they_were_looked_at():
 
 def test_a_new_mode_is_entered_by_a_ramp_to_torque_0():
     n = drive(OE, 300)
-    n.values[slots.MODE] = 4
+    n.values[slots402.MODE] = 4
     torque(n)
     assert (n.mode, n.slowing, n.slowing_to) == (10, 3, OE)
 
@@ -354,8 +370,8 @@ def test_position_and_supply_as_they_are_told(counts, position, supply):
     n = drive()
     n.in_position_counts, n.in_supply_ok, n.supply_mV = counts, supply, 48_000
     states402.sample(n)
-    assert n.values[slots.POSITION] == position
-    assert n.values[slots.DC_LINK_MV] == 48_000 * supply
+    assert n.values[slots402.POSITION] == position
+    assert n.values[slots402.DC_LINK_MV] == 48_000 * supply
 
 
 @pytest.mark.parametrize(
@@ -371,8 +387,8 @@ def test_speed_and_torque_are_rounded_and_saturate(value, speed, torque):
     n = drive()
     n.in_velocity_counts_s = n.in_torque_pm = value
     states402.sample(n)
-    assert n.values[slots.VELOCITY] == speed
-    assert n.values[slots.TORQUE_ACTUAL] == n.values[slots.CURRENT_ACTUAL] == torque
+    assert n.values[slots402.VELOCITY] == speed
+    assert n.values[slots402.TORQUE_ACTUAL] == n.values[slots402.CURRENT_ACTUAL] == torque
 
 
 VOLTAGE, WARNING, REMOTE, REACHED, LIMITED, FOLLOWS = 0x10, 0x80, 0x200, 0x400, 0x800, 0x1000
@@ -380,7 +396,7 @@ VOLTAGE, WARNING, REMOTE, REACHED, LIMITED, FOLLOWS = 0x10, 0x80, 0x200, 0x400, 
 
 def statusword(n):
     states402.sample(n)
-    return int(n.values[slots.STATUSWORD])
+    return int(n.values[slots402.STATUSWORD])
 
 
 @pytest.mark.parametrize("state", STATES)

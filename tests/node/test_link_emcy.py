@@ -6,7 +6,8 @@ import pytest
 
 from coulombus.eds.cia301 import NmtCommand
 from coulombus.eds.cia402 import PowerState
-from coulombus.node.record import KIND_BRAKE, KIND_DRIVE
+from coulombus.node.brake404 import BRAKE404
+from coulombus.node.drive402 import DRIVE402
 from coulombus.sim_bus.copper.attempt import refresh
 from coulombus.sim_bus.network.network import VirtualNetwork
 from node_bench import EDS
@@ -16,7 +17,7 @@ NODE_ID = 5
 STOPPED, OPERATIONAL, PRE_OPERATIONAL = 4, 5, 127
 
 
-def network(name="motor.eds", kind=KIND_DRIVE, behaviour=0):
+def network(name="motor.eds", kind=DRIVE402, behaviour=0):
     """A device that is OPERATIONAL with 1029h:01 as told, and who hears its EMCYs."""
     world = VirtualNetwork()
     device = world.add(EDS / name, NODE_ID, kind)
@@ -72,7 +73,7 @@ def test_bus_off_does_what_1029_01_says(behaviour, state):
 
 
 def test_a_brake_tells_and_releases():
-    world, device, tester = network("mr_brake.eds", KIND_BRAKE)
+    world, device, tester = network("mr_brake.eds", BRAKE404)
     world.bus[0].stations["restart_ns"] = 20 * MS
     count(world, tec=248)
     _break(world)

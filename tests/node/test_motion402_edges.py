@@ -6,8 +6,14 @@ import math
 
 import pytest
 
-from coulombus.node import motion402, slots
-from coulombus.node.record import FAR_FUTURE_NS, KIND_DRIVE, new_nodes
+from coulombus.node import motion402, slots, slots402
+from coulombus.node.drive402 import DRIVE402
+from coulombus.node.kinds import number
+from coulombus.node.record import new_nodes
+from coulombus.node.sizes import FAR_FUTURE_NS
+
+KIND_DRIVE = number(DRIVE402)
+SLOTS = vars(slots) | vars(slots402)
 
 T = 5_000_000_000
 MS = 1_000_000
@@ -27,13 +33,18 @@ def drive(mode=TORQUE, torque=0.0, speed=0.0, **values):
     n.in_velocity_counts_s = n.speed_demand = speed
     n.speed_kp, n.speed_ki, n.speed_max_counts_s = 0.25, 64.0, 1e6
     v = n.values
-    v[slots.MODE] = v[slots.MODE_DISPLAY] = mode
-    v[slots.MAX_TORQUE], v[slots.POSITIVE_LIMIT], v[slots.NEGATIVE_LIMIT], v[slots.MAX_CURRENT] = 1000, 800, 700, 900
-    v[slots.LOWEST_POSITION], v[slots.HIGHEST_POSITION] = LOWEST, HIGHEST
-    v[slots.TORQUE_SLOPE], v[slots.SLOW_DOWN_MS], v[slots.MAX_VELOCITY] = 1000, 1000, 10**6
-    v[slots.ACCELERATION], v[slots.DECELERATION], v[slots.QUICK_STOP_DECELERATION] = 1000, 2000, 4000
+    v[slots402.MODE] = v[slots402.MODE_DISPLAY] = mode
+    v[slots402.MAX_TORQUE], v[slots402.POSITIVE_LIMIT], v[slots402.NEGATIVE_LIMIT], v[slots402.MAX_CURRENT] = (
+        1000,
+        800,
+        700,
+        900,
+    )
+    v[slots402.LOWEST_POSITION], v[slots402.HIGHEST_POSITION] = LOWEST, HIGHEST
+    v[slots402.TORQUE_SLOPE], v[slots402.SLOW_DOWN_MS], v[slots402.MAX_VELOCITY] = 1000, 1000, 10**6
+    v[slots402.ACCELERATION], v[slots402.DECELERATION], v[slots402.QUICK_STOP_DECELERATION] = 1000, 2000, 4000
     for name, value in values.items():
-        v[getattr(slots, name)] = value
+        v[SLOTS[name]] = value
     return n
 
 
@@ -106,7 +117,7 @@ def test_a_stop_leaves_nothing():
     n.slowing, n.ramping, n.integral_pm = SLOW, 1, 5.0
     motion402.stop(n)
     assert (n.slowing, n.ramping, n.integral_pm, n.torque_demand_pm, n.out_torque_pm) == (0, 0, 0.0, 0.0, 0.0)
-    assert (n.values[slots.TORQUE_DEMAND], n.values[slots.VELOCITY_DEMAND]) == (0, 0)
+    assert (n.values[slots402.TORQUE_DEMAND], n.values[slots402.VELOCITY_DEMAND]) == (0, 0)
 
 
 def test_operation_begins_from_the_speed_that_is():
@@ -125,7 +136,7 @@ def test_a_mode_is_taken_at_torque_0_and_one_that_is_not_there_is_none(mode, tak
     n = drive(4, speed=77.0, MODE=mode)
     n.power_state, n.speed_demand, n.integral_pm = state, 5.0, 5.0
     motion402.change_mode(n, T)
-    assert (n.mode, n.values[slots.MODE_DISPLAY]) == (taken, taken)
+    assert (n.mode, n.values[slots402.MODE_DISPLAY]) == (taken, taken)
     changed = taken != 4
     assert n.integral_pm == (0.0 if changed else 5.0)
     waits = changed and state == OE
@@ -188,7 +199,7 @@ def test_torque_goes_to_0_by_its_slope_and_the_state_follows(sign, mode, ramp):
     assert slowed(n, ramp, 16, 63) == pytest.approx([sign * 64.0, sign * 48.0, sign * 1.0])
     assert (n.power_state, n.slowing, n.slowing_to, n.slowing_ns, n.ramping) == (OE, ramp, FAULT, T, 1)
     assert n.demand_ns == T
-    assert n.values[slots.TORQUE_DEMAND] == sign * 1
+    assert n.values[slots402.TORQUE_DEMAND] == sign * 1
     assert moved(n, 64 * MS) == 0.0
     assert (n.power_state, n.slowing, n.torque_demand_pm, n.ramping) == (FAULT, 0, 0.0, 0)
 
@@ -288,7 +299,7 @@ def test_profile_torque_goes_to_its_target_by_its_slope(sign, target, present, e
     n.limited = 1
     assert moved(n, elapsed_ms * MS) == pytest.approx(sign * demand)
     assert (n.ramping, n.limited) == (ramping, limited)
-    assert n.values[slots.TORQUE_DEMAND] == sign * demand
+    assert n.values[slots402.TORQUE_DEMAND] == sign * demand
 
 
 @pytest.mark.parametrize(
@@ -354,7 +365,7 @@ def test_profile_velocity_accelerates_and_decelerates(sign, target, present, hal
     n.controlword |= 0x100 * halted
     moved(n, 16 * MS)
     assert n.speed_demand == pytest.approx(sign * demand)
-    assert n.values[slots.VELOCITY_DEMAND] == sign * demand
+    assert n.values[slots402.VELOCITY_DEMAND] == sign * demand
     assert n.ramping == 1
 
 
@@ -500,7 +511,7 @@ def test_csv_tells_that_it_follows_and_other_modes_nothing(mode, controlword, sl
 def told(speed, target=0, elapsed_ms=0, controlword=15, demand=None, sign=1):
     n = drive(VELOCITY, 0.0, sign * speed, TARGET_VELOCITY=sign * target, VELOCITY_WINDOW=10, VELOCITY_WINDOW_MS=20)
     v = n.values
-    v[slots.VELOCITY_THRESHOLD], v[slots.VELOCITY_THRESHOLD_MS], v[slots.MAX_SLIPPAGE] = 5, 30, 40
+    v[slots402.VELOCITY_THRESHOLD], v[slots402.VELOCITY_THRESHOLD_MS], v[slots402.MAX_SLIPPAGE] = 5, 30, 40
     n.controlword, n.off_target_ns, n.moving_ns = controlword, T - round(elapsed_ms * MS), T - round(elapsed_ms * MS)
     n.speed_demand = sign * (speed if demand is None else demand)
     return n, motion402.target_bits(n)

@@ -6,10 +6,18 @@ import math
 
 import pytest
 
-from coulombus.node import emcy, reactions, slots
-from coulombus.node.reactions import BY_COMMAND, BY_ITSELF, BY_RESET
-from coulombus.node.record import FAR_FUTURE_NS, KIND_BRAKE, KIND_DRIVE, KIND_GENERIC, new_nodes
+from coulombus.node import emcy, reactions, slots, slots402, slots404
+from coulombus.node.brake404 import BRAKE404
+from coulombus.node.drive402 import DRIVE402
+from coulombus.node.kinds import GENERIC, PROFILES, number
+from coulombus.node.profile import BY_COMMAND, BY_ITSELF, BY_RESET
+from coulombus.node.record import new_nodes
+from coulombus.node.sizes import FAR_FUTURE_NS
 from coulombus.wire.frame import new_queue
+
+KIND_BRAKE = number(BRAKE404)
+KIND_DRIVE = number(DRIVE402)
+KIND_GENERIC = number(GENERIC)
 
 T = 5_000_000_000
 MS = 1_000_000
@@ -28,17 +36,25 @@ class Node:
         n = self.n = self.nodes[0]
         n.kind, n.nmt, n.powered, n.node_id, n.emcy_id, n.next_ns = kind, 5, 1, 9, 0x89, T + 10**9
         n.setpoint_armed, n.setpoint_ns, n.demand_ns = 1, T, T
+        n.held = PROFILES[kind].held
         v = n.values
         if kind == KIND_DRIVE:
             n.power_state, n.mode, n.torque_demand_pm, n.out_torque_pm = state, 10, 300.0, 300.0
             n.speed_max_counts_s, n.in_velocity_counts_s = math.inf, 77.0
-            v[slots.MODE], v[slots.TARGET_TORQUE], v[slots.TORQUE_SLOPE], v[slots.SLOW_DOWN_MS] = 10, 300, 1000, 1000
-            v[slots.MAX_TORQUE] = v[slots.POSITIVE_LIMIT] = v[slots.NEGATIVE_LIMIT] = v[slots.MAX_CURRENT] = 1000
+            v[slots402.MODE], v[slots402.TARGET_TORQUE], v[slots402.TORQUE_SLOPE], v[slots402.SLOW_DOWN_MS] = (
+                10,
+                300,
+                1000,
+                1000,
+            )
+            v[slots402.MAX_TORQUE] = v[slots402.POSITIVE_LIMIT] = v[slots402.NEGATIVE_LIMIT] = v[
+                slots402.MAX_CURRENT
+            ] = 1000
         if kind == KIND_BRAKE:
             n.ao_gain_Nm, n.ao_full_Nm, n.setpoint_high, n.out_brake_Nm, n.open_since_ns = 2.0**-9, 8.0, 4000, 2.0, -1
             n.limit_Nm = n.short_A = n.least_A = n.warm_degC = n.hot_degC = math.inf
             n.ai_gain[:], n.ai_low[:], n.ai_high[:], n.in_handle_Nm = 1.0, -1e9, 1e9, 55.0
-            v[slots.SETPOINT], v[slots.FAULT_MODE], v[slots.RAMP_US] = 1024, 1, 4000
+            v[slots404.SETPOINT], v[slots404.FAULT_MODE], v[slots.RAMP_US] = 1024, 1, 4000
 
     def codes(self):
         count = int(self.out["count"])
@@ -74,8 +90,8 @@ def test_each_kind_samples_what_it_measures(kind):
     changed = {slot for slot in range(len(before)) if n.values[slot] != before[slot]}
     expected = {
         KIND_GENERIC: set(),
-        KIND_DRIVE: {slots.VELOCITY, slots.STATUSWORD},
-        KIND_BRAKE: {slots.INPUT, slots.INPUT + 1},
+        KIND_DRIVE: {slots402.VELOCITY, slots402.STATUSWORD},
+        KIND_BRAKE: {slots404.INPUT, slots404.INPUT + 1},
     }
     assert changed == expected[kind]
 
@@ -128,7 +144,7 @@ def test_what_was_received_acts_by_kind_and_by_what_it_carries(kind, carries, mo
     n = node.n
     n.setpoint_ns, n.mode = 3, mode
     if kind == KIND_DRIVE:
-        n.values[slots.CONTROLWORD] = 0x0F
+        n.values[slots402.CONTROLWORD] = 0x0F
     node.call(reactions.apply, T + 9, carries, *())
     taken = {
         KIND_DRIVE: bool(carries & (SETPOINT if mode == 10 else SPEED)),
@@ -151,9 +167,9 @@ def test_leaving_operational_makes_the_output_safe(kind, why, abort, mode, age_u
     v = n.values
     v[slots.SETPOINT_AGE_US] = age_us
     if kind == KIND_DRIVE:
-        v[slots.ABORT_OPTION] = abort
+        v[slots402.ABORT_OPTION] = abort
     if kind == KIND_BRAKE:
-        v[slots.FAULT_MODE] = mode
+        v[slots404.FAULT_MODE] = mode
     node.call(reactions.connection_lost, why)
     told = node.codes()
     if kind == KIND_DRIVE:
@@ -174,7 +190,7 @@ def test_leaving_operational_makes_the_output_safe(kind, why, abort, mode, age_u
 
 def test_another_cause_outlives_the_fault_of_an_aborted_connection():
     node = Node(KIND_DRIVE)
-    node.n.values[slots.ABORT_OPTION] = 1
+    node.n.values[slots402.ABORT_OPTION] = 1
     node.n.causes = 1 << emcy.RPDO_SHORT | 1 << emcy.ERROR_PASSIVE
     node.call(reactions.connection_lost, BY_COMMAND)
     assert node.n.causes == 1 << emcy.RPDO_SHORT | 1 << emcy.ERROR_PASSIVE
@@ -187,7 +203,7 @@ def test_an_alarm_is_told_and_reacted_to_by_kind(kind, cause, fault_option):
     node = Node(kind)
     n = node.n
     if kind == KIND_DRIVE:
-        n.values[slots.FAULT_OPTION] = fault_option
+        n.values[slots402.FAULT_OPTION] = fault_option
     node.call(reactions.alarm, cause, 0)
     assert node.codes() == [emcy.CAUSES[cause].code]
     assert n.causes == 1 << cause
@@ -207,7 +223,7 @@ def test_an_alarm_is_told_and_reacted_to_by_kind(kind, cause, fault_option):
 
 def test_a_fault_of_the_brake_itself_ramps_whatever_the_fault_mode_says():
     node = Node(KIND_BRAKE)
-    node.n.values[slots.FAULT_MODE] = 0
+    node.n.values[slots404.FAULT_MODE] = 0
     node.call(reactions.alarm, emcy.COIL_OPEN, 0)
     assert node.n.ramping == 1
 
@@ -303,6 +319,7 @@ def test_only_a_brake_watches_its_coil(kind):
 
 
 def test_the_names_of_the_bits_and_of_the_reasons():
-    assert (reactions.CARRIES_CONTROLWORD, reactions.CARRIES_SETPOINT, reactions.CARRIES_SPEED) == (1, 2, 4)
+    assert (slots402.ACTS_CONTROLWORD, slots402.ACTS_TORQUE, slots402.ACTS_SPEED) == (1, 2, 4)
+    assert slots404.ACTS_SETPOINT == slots402.ACTS_TORQUE
     assert (BY_COMMAND, BY_RESET, BY_ITSELF) == (0, 1, 2)
     assert reactions.RAMP_STEP_NS == MS

@@ -10,9 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from coulombus.eds.reader import read_eds
-from coulombus.node import core, emcy, slots
+from coulombus.node import core, emcy, slots402
 from coulombus.node.device import Device
-from coulombus.node.record import FAR_FUTURE_NS, KIND_GENERIC, new_nodes
+from coulombus.node.drive402 import DRIVE402
+from coulombus.node.kinds import GENERIC
+from coulombus.node.profile import Profile
+from coulombus.node.record import new_nodes
+from coulombus.node.sizes import FAR_FUTURE_NS
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_RTR_FLAG
 from node_bench import MS, US, Bench, SdoAborted, cycle, description, motor, setpoint
 
@@ -302,7 +306,11 @@ def test_counter_overflow_stands_while_a_period_is_set():
 
 def test_a_device_refuses_what_it_cannot_be():
     nodes = new_nodes(1)
-    for node_id, kind, text in ((0, 1, "node id 0"), (128, 1, "expected 1 to 127"), (1, 3, "kind 3")):
+    for node_id, kind, text in (
+        (0, DRIVE402, "node id 0"),
+        (128, DRIVE402, "expected 1 to 127"),
+        (1, Profile("3"), "kind 3"),
+    ):
         with pytest.raises(ValueError, match=text):
             Device(description("motor"), node_id, kind, nodes[0])
     with pytest.raises(KeyError, match="no object 5555h"):
@@ -316,7 +324,7 @@ CORPUS = Path(__file__).resolve().parent.parent.parent.parent / "shared" / "eds-
 def test_any_readable_eds_becomes_a_live_node():
     lived = 0
     for path in sorted(CORPUS.glob("**/*.[ed][dc][sf]")):
-        bench = Bench("", 5, KIND_GENERIC, read_eds(path))
+        bench = Bench("", 5, GENERIC, read_eds(path))
         bench.power_on()
         assert [(s.can_id, s.data) for s in bench.take()] == [(0x705, b"\0")]
         if bench.device.dictionary.number(0x1200, 1, 0x605) != 0x605:
@@ -352,7 +360,7 @@ def test_no_sequence_of_frames_breaks_a_node(sequence, name):
         bench.frame(can_id, data)
         assert bench.node.nmt in (4, 5, 127)
         assert bench.node.out_torque_pm == 0 or bench.node.power_state == 4
-        assert abs(bench.node.out_torque_pm) <= bench.node.values[slots.MAX_TORQUE]
+        assert abs(bench.node.out_torque_pm) <= bench.node.values[slots402.MAX_TORQUE]
         assert 0 <= bench.node.out_brake_Nm <= 32.767
         assert bench.out["dropped"] == 0
         remapped = {int(p["cob_id"]) for p in bench.node.tpdo} | {int(bench.node.emcy_id), int(bench.node.sync_id)}

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from coulombus.eds.reader import parse_eds
-from coulombus.node.record import MAX_PDOS
+from coulombus.node.kinds import GENERIC
+from coulombus.node.sizes import MAX_PDOS
 from coulombus.wire.frame import data_word
 from node_bench import Bench, description
 
@@ -60,7 +61,7 @@ def many_pdos() -> bytes:
 
 
 def test_as_many_pdos_as_there_is_room_for_act_on_one_sync():
-    bench = Bench("many", 3, kind=0, eds=parse_eds(many_pdos(), "many.eds"))
+    bench = Bench("many", 3, kind=GENERIC, eds=parse_eds(many_pdos(), "many.eds"))
     bench.power_on()
     bench.nmt(1)
     bench.take()

@@ -10,8 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from coulombus.eds.reader import parse_eds
-from coulombus.node import slots
-from coulombus.node.record import KIND_BRAKE, KIND_DRIVE, KIND_GENERIC
+from coulombus.node import slots402
+from coulombus.node.brake404 import BRAKE404
+from coulombus.node.drive402 import DRIVE402
+from coulombus.node.kinds import GENERIC
 from coulombus.wire.frame import CAN_RTR_FLAG
 from eds_text import HEAD, variable
 from node_bench import MS, US, Bench, SdoAborted, motor, setpoint
@@ -259,7 +261,7 @@ def events(*, start_up=None):
 EVENT_IDS = [0x185, 0x285, 0x385, 0x485]
 
 
-@pytest.mark.parametrize("kind", [KIND_GENERIC, KIND_DRIVE, KIND_BRAKE])
+@pytest.mark.parametrize("kind", [GENERIC, DRIVE402, BRAKE404])
 @pytest.mark.parametrize("start_up", [None, "4", ""])
 @pytest.mark.parametrize("waited_ns", [0, 1, 3 * MS, 700 * MS])
 def test_event_driven_tpdos_are_sent_once_at_every_start_the_first_one_too(kind, start_up, waited_ns):
@@ -281,7 +283,7 @@ def test_event_driven_tpdos_are_sent_once_at_every_start_the_first_one_too(kind,
 
 def test_a_device_that_starts_by_itself_sends_its_event_driven_tpdos_behind_the_boot_up():
     """1F80h with bit 2 clear: the first NMT start finds it OPERATIONAL and is no start any more; the next one is."""
-    bench = Bench("", 5, KIND_GENERIC, events(start_up="0"))
+    bench = Bench("", 5, GENERIC, events(start_up="0"))
     bench.power_on()
     assert [s.can_id for s in sorted(bench.take(), key=lambda s: s.t_ns)] == [0x705, *EVENT_IDS]
     bench.nmt(1)
@@ -398,7 +400,7 @@ def test_objects_that_a_pdo_maps_move_into_slots_with_their_value():
     bench = booted()
     bench.write(0x6060, 0, 4, 1)
     slot = bench.device.slot(0x6060)
-    assert slot == slots.MODE
+    assert slot == slots402.MODE
     assert bench.node["values"][slot] == 4
 
 

@@ -5,8 +5,15 @@ from __future__ import annotations
 import pytest
 
 from coulombus.node import deadlines, emcy, guarding, slots
-from coulombus.node.record import FAR_FUTURE_NS, KIND_BRAKE, KIND_DRIVE, new_nodes
+from coulombus.node.brake404 import BRAKE404
+from coulombus.node.drive402 import DRIVE402
+from coulombus.node.kinds import number
+from coulombus.node.record import new_nodes
+from coulombus.node.sizes import FAR_FUTURE_NS
 from coulombus.wire.frame import new_queue
+
+KIND_BRAKE = number(BRAKE404)
+KIND_DRIVE = number(DRIVE402)
 
 T = 5_000_000_000
 WAITING, ALIVE, LOST = 0, 1, 2

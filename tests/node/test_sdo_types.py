@@ -7,8 +7,10 @@ import struct
 import pytest
 
 from coulombus.eds.reader import parse_eds
+from coulombus.node.brake404 import BRAKE404
 from coulombus.node.device import SDO_TIMEOUT_NS
-from coulombus.node.record import KIND_BRAKE, KIND_DRIVE
+from coulombus.node.drive402 import DRIVE402
+from coulombus.node.kinds import GENERIC
 from node_bench import MS, Bench, SdoAborted
 
 INTEGERS = {8: 0x02, 16: 0x03, 24: 0x10, 32: 0x04, 40: 0x12, 48: 0x13, 56: 0x14, 64: 0x15}
@@ -56,7 +58,7 @@ def eds() -> bytes:
 
 
 def powered(node_id: int = 3) -> Bench:
-    bench = Bench("types", node_id, kind=0, eds=parse_eds(eds(), "types.eds"))
+    bench = Bench("types", node_id, kind=GENERIC, eds=parse_eds(eds(), "types.eds"))
     bench.power_on()
     bench.take()
     return bench
@@ -215,7 +217,7 @@ def test_two_clients_at_once_do_not_disturb_each_other():
     assert late == [(0x580, "8006220000000405"), (0x583, "8006220000000405")]
 
 
-@pytest.mark.parametrize("kind", [KIND_DRIVE, KIND_BRAKE])
+@pytest.mark.parametrize("kind", [DRIVE402, BRAKE404])
 def test_the_core_leaves_alone_what_another_maker_defines(kind):
     """2001h, 2002h and 2005h of another maker are no set-point age, no SYNC time-out and no ramp."""
     text = section("1000", 7, "ro", DefaultValue=0) + section("1001", 5, "ro", DefaultValue=0)
@@ -237,7 +239,7 @@ def test_a_core_object_of_a_type_that_is_no_number_is_served_as_it_is(code):
     text = section("1000", 7, "ro", DefaultValue=0)
     for index in ("1001", "6040", "6071", "6072"):
         text += section(index, code)
-    bench = Bench("odd", 3, kind=KIND_DRIVE, eds=parse_eds(text.encode(), "odd.eds"))
+    bench = Bench("odd", 3, kind=DRIVE402, eds=parse_eds(text.encode(), "odd.eds"))
     bench.power_on()
     bench.nmt(1)
     content = bytes(range(1, 7))
@@ -256,7 +258,7 @@ def test_decimals_beyond_a_float_and_a_scale_without_length(digits):
             f"{index}sub0", 5, DefaultValue=1
         )
         text += section(f"{index}sub1", 4, DefaultValue=default)
-    bench = Bench("odd", 3, kind=KIND_BRAKE, eds=parse_eds(text.encode(), "odd.eds"))
+    bench = Bench("odd", 3, kind=BRAKE404, eds=parse_eds(text.encode(), "odd.eds"))
     bench.power_on()
     bench.nmt(1)
     bench.sync()
@@ -271,7 +273,7 @@ def test_a_time_of_day_travels_in_a_pdo():
         text += section(f"{index}sub0", 5, DefaultValue=len(subs))
         for k, word in enumerate(subs, 1):
             text += section(f"{index}sub{k}", 5 if word == "255" else 7, DefaultValue=word)
-    bench = Bench("time", 1, kind=0, eds=parse_eds(text.encode(), "time.eds"))
+    bench = Bench("time", 1, kind=GENERIC, eds=parse_eds(text.encode(), "time.eds"))
     bench.power_on()
     bench.nmt(1)
     bench.frame(0x201, bytes(range(1, 7)))

@@ -9,7 +9,9 @@ import canopen
 import numpy as np
 import pytest
 
-from coulombus.node.record import FAR_FUTURE_NS, KIND_DRIVE, new_nodes
+from coulombus.node.drive402 import DRIVE402
+from coulombus.node.record import new_nodes
+from coulombus.node.sizes import FAR_FUTURE_NS
 from coulombus.sim_bus.network.agenda import keep_deadline, look_again, new_deadlines, new_wants, next_device
 from coulombus.sim_bus.network.network import VirtualNetwork
 from coulombus.wire.bits import frame_bits
@@ -33,7 +35,7 @@ def upload(index, subindex=0):
 
 def test_the_docstrings_example():
     network = VirtualNetwork(bitrate_bit_s=500_000)
-    device = network.add(EDS / "motor.eds", 5, KIND_DRIVE)
+    device = network.add(EDS / "motor.eds", 5, DRIVE402)
     tester = network.station()
     network.power_on()
     network.wait_ns(10 * MS)

@@ -12,12 +12,15 @@ from coulombus.conformance.tester.link import RTR, Frame
 from coulombus.conformance.tester.unit import Timing, Unit
 from coulombus.eds.reader import Description, read_eds
 from coulombus.node import core
+from coulombus.node.brake404 import BRAKE404
 from coulombus.node.device import Device
-from coulombus.node.record import KIND_BRAKE, KIND_DRIVE, new_nodes
+from coulombus.node.drive402 import DRIVE402
+from coulombus.node.profile import Profile
+from coulombus.node.record import new_nodes
 from coulombus.wire.frame import data_bytes, data_word, new_queue
 
 EDS = Path(__file__).resolve().parent.parent.parent / "eds"
-KIND_OF = {"motor": KIND_DRIVE, "mr_brake": KIND_BRAKE}
+KIND_OF = {"motor": DRIVE402, "mr_brake": BRAKE404}
 DELAY_NS = 100_000
 
 
@@ -29,7 +32,7 @@ def description(name: str) -> Description:
 class VirtualLink:
     """A device that is alone with the tester; each frame takes `DELAY_NS`. `tamper` may change what the device sends."""
 
-    def __init__(self, eds: Description, node_id: int, kind: int, device_type=Device) -> None:
+    def __init__(self, eds: Description, node_id: int, kind: Profile, device_type=Device) -> None:
         self.nodes = new_nodes(1)
         self.out = new_queue()
         self.device = device_type(eds, node_id, kind, self.nodes[0])

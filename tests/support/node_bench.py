@@ -7,14 +7,18 @@ from pathlib import Path
 
 from coulombus.eds.reader import Description, read_eds
 from coulombus.node import core
+from coulombus.node.brake404 import BRAKE404
 from coulombus.node.device import Device
-from coulombus.node.record import KIND_BRAKE, KIND_DRIVE, new_nodes
+from coulombus.node.drive402 import DRIVE402
+from coulombus.node.kinds import GENERIC
+from coulombus.node.profile import Profile
+from coulombus.node.record import new_nodes
 from coulombus.node.store import Store
 from coulombus.wire.frame import data_bytes, data_word, new_queue
 
 EDS = Path(__file__).resolve().parent.parent.parent / "eds"
 MS, US = 1_000_000, 1_000
-KIND_OF = {"motor": KIND_DRIVE, "mr_brake": KIND_BRAKE}
+KIND_OF = {"motor": DRIVE402, "mr_brake": BRAKE404}
 
 _descriptions: dict[str, Description] = {}
 
@@ -45,13 +49,13 @@ class Bench:
         self,
         name: str = "motor",
         node_id: int = 1,
-        kind: int | None = None,
+        kind: Profile | None = None,
         eds: Description | None = None,
         store: Store | None = None,
     ):
         self.nodes = new_nodes(1)
         self.out = new_queue()
-        kind = KIND_OF.get(name, 0) if kind is None else kind
+        kind = KIND_OF.get(name, GENERIC) if kind is None else kind
         self.device = Device(eds or description(name), node_id, kind, self.nodes[0], store)
         self.node = self.nodes[0]
         self.node_id = node_id

@@ -16,7 +16,9 @@ import pytest
 
 import eds_text
 from coulombus.eds.reader import EdsError, read_eds
-from coulombus.node.record import KIND_BRAKE, KIND_DRIVE, KIND_GENERIC
+from coulombus.node.brake404 import BRAKE404
+from coulombus.node.drive402 import DRIVE402
+from coulombus.node.kinds import GENERIC, PROFILES
 from coulombus.sim_bus.network.network import VirtualNetwork
 from coulombus.sim_bus.server.live_nodes import LiveNodes, NodeError
 from coulombus.sim_bus.server.server import BusServer
@@ -127,10 +129,10 @@ def test_our_own_files_have_their_behaviour_and_others_none(tmp_path):
 
     def kinds(kind):
         nodes = LiveNodes(((MOTOR, 1), (BRAKE, 2), (other, 3)), kind)
-        return [device.record["kind"] for device in nodes.make_world(1_000_000, True).devices]
+        return [PROFILES[device.record["kind"]] for device in nodes.make_world(1_000_000, True).devices]
 
-    assert kinds(None) == [KIND_DRIVE, KIND_BRAKE, KIND_GENERIC]
-    assert kinds(KIND_GENERIC) == [KIND_GENERIC] * 3
+    assert kinds(None) == [DRIVE402, BRAKE404, GENERIC]
+    assert kinds(GENERIC) == [GENERIC] * 3
 
 
 def test_one_diagnosis_is_one(tmp_path, capsys):

@@ -1,21 +1,20 @@
-"""What the cores use of an object's value in a form of their own: computed when the object is written, not in the cycle."""
+"""What the brake's core uses of its objects in a form of its own: computed when an object is written, not in the cycle."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from typing import Any
 
-from coulombus.node.dictionary import Dictionary
-from coulombus.node.record import KIND_BRAKE, KIND_DRIVE, KIND_GENERIC
+from coulombus.node.profile import Objects
+from coulombus.node.sizes import NodeRecord
 
-__all__ = ["AUTO_ZERO", "SCALES", "auto_zero", "scale"]
+__all__ = ["AUTO_ZERO", "SCALED", "auto_zero", "scale"]
 
 AUTO_ZERO = 0x6F72657A
 """What 6125h takes: "zero", little endian."""
 
-NO_SPEED_LIMIT = 0xFFFFFFFF
-_LOWEST, _HIGHEST = -0x80000000, 0x7FFFFFFF
+_OUTPUT, _INPUTS = range(0x7320, 0x7324), (0x6112, 0x6124, 0x6126, 0x6127, 0x6132, 0x7148, 0x7149)
+SCALED = frozenset((0x2010, 0x2011, 0x2012, 0x6302, *_OUTPUT, *_INPUTS))
+"""The objects of which something is computed."""
 
 
 def _decimals(digits: int) -> float:
@@ -23,19 +22,7 @@ def _decimals(digits: int) -> float:
     return 10.0 ** min(max(digits, -30), 30)
 
 
-def _scale_drive(record: Any, objects: Dictionary) -> None:
-    """Largest speed (6080h in rpm by 608Fh), whether 607Dh or 6080h may limit at all, and the gains 2010h."""
-    number, own = objects.number, objects.own
-    rpm = number(0x6080, 0, NO_SPEED_LIMIT)
-    counts_rev = number(0x608F, 1, 8192) / max(number(0x608F, 2, 1), 1)
-    record["speed_max_counts_s"] = 1e18 if rpm == NO_SPEED_LIMIT else rpm * counts_rev / 60
-    positions = number(0x607D, 1, _LOWEST), number(0x607D, 2, _HIGHEST)
-    record["guarded"] = int(rpm != NO_SPEED_LIMIT or positions != (_LOWEST, _HIGHEST))
-    record["speed_kp"] = own(0x2010, 1, 15_000) * 1e-6
-    record["speed_ki"] = own(0x2010, 2, 300_000) * 1e-6
-
-
-def _scale_output(record: Any, objects: Dictionary) -> None:
+def _scale_output(record: NodeRecord, objects: Objects) -> None:
     """Scale the output block: field value by the line through (7320h, 7321h) and (7322h, 7323h), of which 1000 is full scale."""
     number = objects.number
     unit_Nm = _decimals(-number(0x6302, 1))
@@ -53,7 +40,7 @@ def _scale_output(record: Any, objects: Dictionary) -> None:
     record["ao_FV_Nm"] = 1000 / (full * unit_Nm)
 
 
-def _scale_inputs(record: Any, objects: Dictionary) -> None:
+def _scale_inputs(record: NodeRecord, objects: Objects) -> None:
     """Scale the input blocks (6124h, 6126h, 6127h, 6132h, 7148h, 7149h); one that 6112h switches off accepts nothing."""
     for k in range(3):
         unit = _decimals(objects.number(0x6132, k + 1))
@@ -65,7 +52,7 @@ def _scale_inputs(record: Any, objects: Dictionary) -> None:
         record["ai_high"][k] = objects.number(0x7149, k + 1, 32767) if on else -math.inf
 
 
-def _scale_brake(record: Any, objects: Dictionary) -> None:
+def scale(record: NodeRecord, objects: Objects) -> None:
     """Scale the blocks, and bring the driver's watches up to 2010h, 2011h and 2012h."""
     own = objects.own
     _scale_output(record, objects)
@@ -82,31 +69,8 @@ def _scale_brake(record: Any, objects: Dictionary) -> None:
     record["demag_delay_ns"] = own(0x2012, 3, 20_000) * 1000
 
 
-def auto_zero(record: Any, objects: Dictionary, channel: int) -> None:
+def auto_zero(record: NodeRecord, objects: Objects, channel: int) -> None:
     """Set 6124h so that the input `channel` (from 1) shows 0 now (6125h)."""
     value = (record["in_handle_Nm"], record["in_coil_A"], record["in_coil_degC"])[channel - 1]
     gain, offset = objects.real(0x6126, channel, 1.0), objects.real(0x6127, channel, 0.0)
     objects[0x6124, channel] = -(float(value) * gain + offset)
-
-
-def _nothing(record: Any, objects: Dictionary) -> None:
-    pass
-
-
-SCALES: Mapping[int, tuple[frozenset[int], Callable[[Any, Dictionary], None]]] = {
-    KIND_GENERIC: (frozenset(), _nothing),
-    KIND_DRIVE: (frozenset((0x2010, 0x607D, 0x6080, 0x608F)), _scale_drive),
-    KIND_BRAKE: (
-        frozenset((0x2010, 0x2011, 0x2012, 0x6112, 0x6124, 0x6126, 0x6127, 0x6132, 0x6302, *range(0x7320, 0x7324)))
-        | frozenset((0x7148, 0x7149)),
-        _scale_brake,
-    ),
-}
-"""By kind: the objects that are looked at, and the function that brings the record up to them."""
-
-
-def scale(kind: int, record: Any, objects: Dictionary, index: int | None = None) -> None:
-    """Bring the record up to the object `index`, None: to all of them."""
-    indices, bring_up = SCALES[kind]
-    if index is None or index in indices:
-        bring_up(record, objects)

@@ -1,0 +1,118 @@
+"""The motor drive of CiA 402 as a kind of device: what is computed of its objects, what they may hold, and its part of the core.
+
+The power states are `node.states402`'s, the torque is `node.motion402`'s, its objects stand in `node.slots402`.
+"""
+
+from __future__ import annotations
+
+from coulombus.compiled.decorator import kernel
+from coulombus.eds.cia301 import Abort
+from coulombus.eds.own_devices import PRODUCTS
+from coulombus.node import emcy, slots402, states402
+from coulombus.node.profile import (
+    BY_RESET,
+    SUPPLY_LOST,
+    SUPPLY_MISSING,
+    SUPPLY_THERE,
+    Behaviour,
+    Objects,
+    Profile,
+)
+from coulombus.node.sdo_abort import SdoAbort
+from coulombus.node.sizes import NodeRecord
+from coulombus.wire.frame import Queue
+
+__all__ = ["DRIVE402"]
+
+_MODE, _SUPPORTED_MODES = 0x6060, 0x6502
+_NO_SPEED_LIMIT = 0xFFFFFFFF
+_LOWEST, _HIGHEST = -0x80000000, 0x7FFFFFFF
+_SCALED = frozenset((0x2010, 0x607D, 0x6080, 0x608F))
+
+
+@kernel
+def _apply(n: NodeRecord, t_ns: int, received_ns: int, carries: int, out: Queue) -> None:
+    if carries & slots402.ACTS_TORQUE:
+        states402.new_setpoint(n, received_ns, False)
+    if carries & slots402.ACTS_SPEED:
+        states402.new_setpoint(n, received_ns, True)
+    if carries & slots402.ACTS_CONTROLWORD:
+        states402.new_controlword(n, t_ns, out)
+
+
+@kernel
+def _connection_lost(n: NodeRecord, t_ns: int, why: int) -> int:
+    return states402.connection_lost(n, t_ns, 1 if why == BY_RESET else 0)
+
+
+@kernel
+def _react(n: NodeRecord, t_ns: int, cause: int) -> None:
+    if emcy.FAULT_MASK >> cause & 1:
+        states402.fault(n, t_ns, bool(emcy.AT_ONCE_MASK >> cause & 1))
+
+
+@kernel
+def _supply(n: NodeRecord) -> int:
+    if n.in_supply_ok:
+        return SUPPLY_THERE
+    return SUPPLY_LOST if states402.needs_supply(n) else SUPPLY_MISSING
+
+
+@kernel
+def _next_deadline(n: NodeRecord, t_ns: int, next_ns: int) -> int:
+    return states402.next_deadline(n, next_ns)
+
+
+def _scale(record: NodeRecord, objects: Objects) -> None:
+    """Largest speed (6080h in rpm by 608Fh), whether 607Dh or 6080h may limit at all, and the gains 2010h."""
+    number, own = objects.number, objects.own
+    rpm = number(0x6080, 0, _NO_SPEED_LIMIT)
+    counts_rev = number(0x608F, 1, 8192) / max(number(0x608F, 2, 1), 1)
+    record["speed_max_counts_s"] = 1e18 if rpm == _NO_SPEED_LIMIT else rpm * counts_rev / 60
+    positions = number(0x607D, 1, _LOWEST), number(0x607D, 2, _HIGHEST)
+    record["guarded"] = int(rpm != _NO_SPEED_LIMIT or positions != (_LOWEST, _HIGHEST))
+    record["speed_kp"] = own(0x2010, 1, 15_000) * 1e-6
+    record["speed_ki"] = own(0x2010, 2, 300_000) * 1e-6
+
+
+def _started(record: NodeRecord, objects: Objects, t_ns: int) -> None:
+    record["supply_mV"] = objects.number(0x6079, 0, 0)
+    _scale(record, objects)
+    states402.start(record, t_ns)
+
+
+def _changed(record: NodeRecord, objects: Objects, index: int, subindex: int) -> None:
+    if index in _SCALED:
+        _scale(record, objects)
+
+
+def _check(objects: Objects, index: int, subindex: int, value: int) -> None:
+    """Let a client choose a mode that 6502h tells (bit n - 1 for mode n; mode 0 is "none"), and option codes that the drive has."""
+    if index == _MODE:
+        supported = objects.number(_SUPPORTED_MODES, 0, states402.ALL_MODES)
+        if value not in states402.MODES or (value > 0 and not supported >> (value - 1) & 1):
+            raise SdoAbort(Abort.VALUE)
+    elif value not in states402.OPTION_CODES.get(index, (value,)):
+        raise SdoAbort(Abort.VALUE)
+
+
+DRIVE402 = Profile(
+    "drive",
+    objects=slots402.OBJECTS,
+    fields=slots402.FIELDS,
+    behaviour=Behaviour(
+        sample=states402.sample,
+        step=states402.step,
+        apply=_apply,
+        connection_lost=_connection_lost,
+        react=_react,
+        supply=_supply,
+        next_deadline=_next_deadline,
+    ),
+    product=PRODUCTS["motor"],
+    held=emcy.FAULT_MASK,
+    started=_started,
+    changed=_changed,
+    check=_check,
+)
+"""A CiA 402 drive."""

@@ -1,0 +1,215 @@
+"""What makes a kind of device: the objects that it acts on, what it keeps in its record, and what it does.
+
+A device's communication (NMT, PDO, SDO, EMCY ...) is the same for all kinds. A kind adds a `Profile`, which stands in the file of
+the behaviour that it describes; `node.kinds` lists them. A file that lacks an object leaves the object's slot at `CoreObject.absent`,
+so that a kind can stand behind any vendor's file as far as the file's objects allow; `Profile.missing` tells which ones it lacks
+that the kind cannot do without.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple, Protocol, TypeAlias
+
+from coulombus.compiled.decorator import kernel
+from coulombus.node.sizes import NodeRecord
+from coulombus.wire.frame import Queue
+
+__all__ = [
+    "BY_COMMAND",
+    "BY_ITSELF",
+    "BY_RESET",
+    "SUPPLY_LOST",
+    "SUPPLY_MISSING",
+    "SUPPLY_THERE",
+    "Behaviour",
+    "CoreObject",
+    "Fields",
+    "Key",
+    "Objects",
+    "Profile",
+]
+
+Key: TypeAlias = tuple[int, int]
+"""Index and sub-index of an object."""
+
+Fields: TypeAlias = list[Any]
+"""Fields of a structured dtype."""
+
+BY_COMMAND, BY_RESET, BY_ITSELF = 0, 1, 2
+"""Why NMT left OPERATIONAL: a command, a reset (safe output whatever the option codes say), 1029h."""
+
+SUPPLY_THERE, SUPPLY_MISSING, SUPPLY_LOST = 0, 1, 2
+"""What `Behaviour.supply` tells: there (or of no matter), missing, missing where it is needed, which is a fault."""
+
+
+@dataclass(frozen=True)
+class CoreObject:
+    """An object that a kind's core reads or writes.
+
+    Attributes
+    ----------
+    index, subindex : the object
+    slot : where it stands in the record's `values`
+    absent : what stands there where the file has no such object
+    acts : bit of the record's `rpdo_carries`: the core acts when the object is written; 0: it does not
+    changing : whether it changes all the time, so that its change is no event for a TPDO that has an event timer
+    needed : whether the kind has nothing to act on without it
+    """
+
+    index: int
+    subindex: int
+    slot: int
+    absent: int = 0
+    acts: int = 0
+    changing: bool = False
+    needed: bool = False
+
+    @property
+    def key(self) -> Key:
+        """The object's index and sub-index."""
+        return self.index, self.subindex
+
+
+class Objects(Protocol):
+    """What a kind sees of the object dictionary (`node.dictionary`)."""
+
+    def number(self, index: int, subindex: int = 0, fallback: int = 0) -> int:
+        """Return an integer object, or `fallback` where the file has none."""
+
+    def own(self, index: int, subindex: int, fallback: int) -> int:
+        """Return an integer object of 2000h to 5FFFh of our own devices; `fallback` in a file of another maker."""
+
+    def real(self, index: int, subindex: int, fallback: float) -> float:
+        """Return a numeric object, or `fallback` where the file has none."""
+
+    def high(self, index: int, subindex: int, fallback: int) -> int:
+        """Return the largest value that the file allows an object, `fallback` where it sets no limit."""
+
+    def __contains__(self, key: Key) -> bool: ...
+
+    def __setitem__(self, key: Key, value: float) -> None: ...
+
+
+@kernel
+def _nothing(n: NodeRecord) -> None:
+    pass
+
+
+@kernel
+def _nothing_at(n: NodeRecord, t_ns: int) -> None:
+    pass
+
+
+@kernel
+def _no_action(n: NodeRecord, t_ns: int, received_ns: int, carries: int, out: Queue) -> None:
+    pass
+
+
+@kernel
+def _no_reaction(n: NodeRecord, t_ns: int, cause: int) -> None:
+    pass
+
+
+@kernel
+def _no_loss(n: NodeRecord, t_ns: int, why: int) -> int:
+    return 0
+
+
+@kernel
+def _no_supply(n: NodeRecord) -> int:
+    return SUPPLY_THERE
+
+
+@kernel
+def _no_deadline(n: NodeRecord, t_ns: int, next_ns: int) -> int:
+    return next_ns
+
+
+class Behaviour(NamedTuple):
+    """The compiled part of a kind: kernels, which `node.reactions` calls. By default each does nothing.
+
+    Attributes
+    ----------
+    sample : (n) bring what the device measures to the slots
+    step : (n, t_ns) compute the output that acts at `t_ns`
+    apply : (n, t_ns, received_ns, carries, out) act on what was written to the slots; `carries`: the bits `acts` of its objects
+    connection_lost : (n, t_ns, why) -> 1 where it is to be told as a fault; NMT left OPERATIONAL: make the output safe
+    react : (n, t_ns, cause) make the output safe where a cause of `node.emcy` asks for it
+    look : (n, t_ns) bring `detected`, the faults that the device finds by itself, up to its inputs
+    supply : (n) -> SUPPLY_...
+    next_deadline : (n, t_ns, next_ns) -> the earlier of `next_ns` and the kind's own next deadline
+    number : the kind's, as in the record's `kind`; `node.kinds` gives it
+    """
+
+    sample: Callable[[NodeRecord], None] = _nothing
+    step: Callable[[NodeRecord, int], None] = _nothing_at
+    apply: Callable[[NodeRecord, int, int, int, Queue], None] = _no_action
+    connection_lost: Callable[[NodeRecord, int, int], int] = _no_loss
+    react: Callable[[NodeRecord, int, int], None] = _no_reaction
+    look: Callable[[NodeRecord, int], None] = _nothing_at
+    supply: Callable[[NodeRecord], int] = _no_supply
+    next_deadline: Callable[[NodeRecord, int, int], int] = _no_deadline
+    number: int = 0
+
+
+_NO_BEHAVIOUR = Behaviour()
+
+
+def _not_started(record: NodeRecord, objects: Objects, t_ns: int) -> None:
+    pass
+
+
+def _not_changed(record: NodeRecord, objects: Objects, index: int, subindex: int) -> None:
+    pass
+
+
+def _allowed(objects: Objects, index: int, subindex: int, value: int) -> None:
+    pass
+
+
+@dataclass(frozen=True)
+class Profile:
+    """A kind of device.
+
+    Attributes
+    ----------
+    name : what the command line and messages call it
+    objects : those that its core uses
+    behaviour : its kernels
+    fields : what its kernels keep in the record, beside what every node has. Inputs begin with ``in_``, outputs, which are 0 while the
+        device is off, with ``out_``
+    product : 1018h:02 of this project's own device of that kind
+    held : causes of `node.emcy` (bits) that stay told until the kind's own fault reset
+    started : (record, objects, t_ns) begin with the values that now stand in the objects: at power-on and after "reset node"
+    powered_on : (record, t_ns) after `started`, at power-on alone
+    changed : (record, objects, index, subindex) an object from 2000h on was written: bring up what is computed of it
+    check : (objects, index, subindex, value) raise `SdoAbort` unless a client may write an integer
+    """
+
+    name: str
+    objects: tuple[CoreObject, ...] = ()
+    behaviour: Behaviour = _NO_BEHAVIOUR
+    fields: Fields | tuple[()] = ()
+    product: int | None = None
+    held: int = 0
+    started: Callable[[NodeRecord, Objects, int], None] = _not_started
+    powered_on: Callable[[NodeRecord, int], None] = _nothing_at
+    changed: Callable[[NodeRecord, Objects, int, int], None] = _not_changed
+    check: Callable[[Objects, int, int, int], None] = _allowed
+
+    @cached_property
+    def acts(self) -> Mapping[Key, int]:
+        """The objects on which the core acts when they are written, with their bits of `rpdo_carries`."""
+        return {row.key: row.acts for row in self.objects if row.acts}
+
+    @cached_property
+    def outputs(self) -> tuple[str, ...]:
+        """The fields that are 0 while the device is off."""
+        return tuple(field[0] for field in self.fields if field[0].startswith("out_"))
+
+    def missing(self, objects: Objects) -> tuple[Key, ...]:
+        """Return the objects that the kind cannot do without and a file does not have."""
+        return tuple(row.key for row in self.objects if row.needed and row.key not in objects)
