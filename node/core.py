@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from coulombus.compiled.decorator import inlined, kernel
 from coulombus.eds.cia301 import NmtState
+from coulombus.eds.nmt import AFTER_ERROR, ALLOWED, Service
 from coulombus.node import deadlines, emcy, expedited, guarding, outbox, pdo, segments
 from coulombus.node.kinds import NO_KIND
 from coulombus.node.profile import BY_ITSELF, BY_RESET
@@ -86,7 +87,7 @@ def handle(
             route = int(n.rtr_route[can_id & 0x7FF])
             if route == ROUTE_GUARD:
                 guarding.answer(n, t_ns, out)
-            elif route >= ROUTE_PDO and n.nmt == NmtState.OPERATIONAL:
+            elif route >= ROUTE_PDO and ALLOWED[n.nmt] & Service.PDO:
                 pdo.answer_rtr(n, route - ROUTE_PDO, t_ns, out)
         return 0
     route = int(n.route[can_id])
@@ -99,7 +100,7 @@ def handle(
         deadlines.heartbeat_received(n, route - ROUTE_CONSUMER, t_ns, length, data, out)
         return 0
     if route >= ROUTE_PDO:
-        if n.nmt != NmtState.OPERATIONAL:
+        if not ALLOWED[n.nmt] & Service.PDO:
             n.dropped_unknown += 1
             return 0
         acted = 0
@@ -119,7 +120,7 @@ def handle(
     if route == ROUTE_LSS:
         return 1
     if route == ROUTE_TIME:
-        if n.nmt == NmtState.STOPPED:
+        if not ALLOWED[n.nmt] & Service.TIME:
             n.dropped_unknown += 1
         elif length == 6:
             n.time_set_ns = t_ns
@@ -127,7 +128,7 @@ def handle(
         else:
             n.dropped_length += 1
         return 0
-    if n.nmt == NmtState.STOPPED:
+    if not ALLOWED[n.nmt] & Service.SDO:
         n.dropped_unknown += 1
         return 0
     if n.segments_open > 0 and segments.collect(n, t_ns, can_id, length, data):
@@ -138,8 +139,8 @@ def handle(
 @kernel
 def _sync(n: NodeRecord, t_ns: int, length: int, data: int, out: Queue) -> None:
     """Act on a SYNC: RPDOs act, inputs are sampled, synchronous TPDOs go out."""
-    if n.nmt != NmtState.OPERATIONAL:
-        return
+    if not ALLOWED[n.nmt] & Service.PDO:
+        return  # it has PDOs to do with, and nothing else
     if length != (1 if n.sync_overflow > 0 else 0):
         n.dropped_length += 1
         emcy.come(n, t_ns, emcy.SYNC_LENGTH, length, out)
@@ -178,7 +179,7 @@ def on_time(n: NodeRecord, t_ns: int, out: Queue) -> None:
         _react(n, t_ns, n.device_error_behaviour, out)
     if n.outbox_count > 0 and t_ns >= n.outbox_next_ns:
         outbox.drain(n, t_ns, out)
-    if n.sync_producer_ns > 0 and n.nmt != NmtState.STOPPED and t_ns >= n.sync_next_ns:
+    if n.sync_producer_ns > 0 and ALLOWED[n.nmt] & Service.SYNC and t_ns >= n.sync_next_ns:
         _produce_sync(n, t_ns, out)
     step(n, t_ns)
     _schedule(n, t_ns, out)
@@ -186,11 +187,10 @@ def on_time(n: NodeRecord, t_ns: int, out: Queue) -> None:
 
 @kernel
 def _react(n: NodeRecord, t_ns: int, behaviour: int, out: Queue) -> None:
-    """Let NMT follow an error as 1029h says: 0 to PRE-OPERATIONAL from OPERATIONAL, 1 nothing, 2 to STOPPED."""
-    if behaviour == 0 and n.nmt == NmtState.OPERATIONAL:
-        set_nmt(n, t_ns, NmtState.PRE_OPERATIONAL, BY_ITSELF, out)
-    elif behaviour == 2 and n.nmt != NmtState.STOPPED:
-        set_nmt(n, t_ns, NmtState.STOPPED, BY_ITSELF, out)
+    """Let NMT follow an error as 1029h says (`eds.nmt.AUTOMATIC`); a value that CiA 301 does not know changes nothing."""
+    following = AFTER_ERROR[behaviour, n.nmt] if 0 <= behaviour < AFTER_ERROR.shape[0] else n.nmt
+    if following != n.nmt:
+        set_nmt(n, t_ns, following, BY_ITSELF, out)
 
 
 @kernel
@@ -208,10 +208,10 @@ def _produce_sync(n: NodeRecord, t_ns: int, out: Queue) -> None:
 @kernel
 def _schedule(n: NodeRecord, t_ns: int, out: Queue) -> None:
     next_ns = min(deadlines.next_deadline(n, FAR_FUTURE_NS), n.outbox_next_ns)
-    if n.sync_producer_ns > 0 and n.nmt != NmtState.STOPPED:
+    if n.sync_producer_ns > 0 and ALLOWED[n.nmt] & Service.SYNC:
         next_ns = min(next_ns, n.sync_next_ns)
     next_ns = next_deadline(n, t_ns, next_ns)
-    if n.nmt == NmtState.OPERATIONAL and n.tpdo_events > 0:
+    if ALLOWED[n.nmt] & Service.PDO and n.tpdo_events > 0:
         next_ns = pdo.transmit_events(n, t_ns, next_ns, out)
     n.next_ns = max(next_ns, t_ns + 1)
 
@@ -229,13 +229,11 @@ def set_nmt(n: NodeRecord, t_ns: int, state: int, why: int, out: Queue) -> None:
     if before != NmtState.OPERATIONAL and state == NmtState.OPERATIONAL:
         n.sync_armed = 0
         pdo.start(n, t_ns)
-    if state in (NmtState.STOPPED, NmtState.INITIALISING):
+    if not ALLOWED[state] & Service.EMCY:
         n.emcy_waiting = 0
     if state == NmtState.INITIALISING:
         n.emcy_ready_ns = t_ns
-    if (
-        before in (NmtState.STOPPED, NmtState.INITIALISING) and state != before and n.sync_producer_ns > 0
-    ):  # the producer begins anew
+    if n.sync_producer_ns > 0 and ALLOWED[state] & ~ALLOWED[before] & Service.SYNC:  # the producer begins anew
         n.sync_counter = 0
         n.sync_next_ns = t_ns + n.sync_producer_ns
     step(n, t_ns)

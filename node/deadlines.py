@@ -7,7 +7,8 @@ at `t_ns`, `next_deadline` tells when to look again.
 from __future__ import annotations
 
 from coulombus.compiled.decorator import kernel
-from coulombus.eds.cia301 import CobId, NmtState
+from coulombus.eds.cia301 import CobId
+from coulombus.eds.nmt import ALLOWED, Service
 from coulombus.node import emcy, guarding, slots
 from coulombus.node.reactions import alarm
 from coulombus.node.sizes import FAR_FUTURE_NS, NodeRecord
@@ -86,7 +87,7 @@ def expire(n: NodeRecord, t_ns: int, out: Queue) -> int:
         n.guard_state = guarding.LOST
         alarm(n, t_ns, emcy.LIFE_GUARDING, 0, out)
         lost_now = 1
-    if n.nmt == NmtState.OPERATIONAL:
+    if ALLOWED[n.nmt] & Service.PDO:
         for k in range(n.rpdo_used):
             p = n.rpdo[k]
             late = p.cob_id >= 0 and p.event_ns > 0 and t_ns - n.rpdo_ns[k] >= p.event_ns
@@ -98,7 +99,7 @@ def expire(n: NodeRecord, t_ns: int, out: Queue) -> int:
             alarm(n, t_ns, emcy.SYNC_LOST, 0, out)
     for k in range(n.sdo_used):
         if t_ns >= n.sdo_deadline_ns[k]:
-            if n.nmt != NmtState.STOPPED:
+            if ALLOWED[n.nmt] & Service.SDO:
                 push(out, n.station, t_ns + n.processing_ns, n.sdo_abort_id[k], 8, n.sdo_abort_word[k])
             n.sdo_deadline_ns[k] = FAR_FUTURE_NS
     return lost_now
@@ -117,7 +118,7 @@ def next_deadline(n: NodeRecord, next_ns: int) -> int:
     for k in range(n.consumers_used):
         if n.consumer_state[k] == _ALIVE:
             next_ns = min(next_ns, n.consumer_last_ns[k] + n.consumer_ns[k])
-    if n.nmt == NmtState.OPERATIONAL:
+    if ALLOWED[n.nmt] & Service.PDO:
         for k in range(n.rpdo_used):
             p = n.rpdo[k]
             if p.cob_id >= 0 and p.event_ns > 0 and n.rpdo_armed[k] and n.rpdo_lost[k] == 0:

@@ -13,6 +13,7 @@ import numpy as np
 
 from coulombus.eds.cia301 import CobId, NmtCommand, NmtState
 from coulombus.eds.cia305 import UNCONFIGURED
+from coulombus.eds.nmt import ALLOWED, NEXT_STATE, Service
 from coulombus.eds.reader import Description, Value
 from coulombus.node import core, guarding
 from coulombus.node.communication_checks import PRODUCER, SDO_SERVERS
@@ -32,17 +33,10 @@ from coulombus.wire.frame import Queue, Record, push
 
 __all__ = ["SDO_TIMEOUT_NS", "Device"]
 
-NMT_TARGET: Mapping[int, NmtState] = {
-    NmtCommand.START: NmtState.OPERATIONAL,
-    NmtCommand.STOP: NmtState.STOPPED,
-    NmtCommand.ENTER_PRE_OPERATIONAL: NmtState.PRE_OPERATIONAL,
-}
-"""NMT command -> state that follows, from any state after the boot-up (CiA 301, figure 48); a reset boots again."""
-
 STAYS_PRE_OPERATIONAL = 0x04
 """Bit of 1F80h (CiA 302-2): the device does not start by itself. Without 1F80h it does not either."""
 
-NMT_RESET: Mapping[int, int] = {NmtCommand.RESET_NODE: 0x0000, NmtCommand.RESET_COMMUNICATION: 0x1000}
+_RESET: Mapping[int, int] = {NmtCommand.RESET_NODE: 0x0000, NmtCommand.RESET_COMMUNICATION: 0x1000}
 """NMT command -> first index of the objects that take their defaults again (0x1000: to 0x1FFF)."""
 
 
@@ -185,23 +179,24 @@ class Device:
         """Carry out an NMT command (its specifier); an unknown one is counted."""
         self._now = t_ns
         record = self.record
-        if self.node_id == UNCONFIGURED and command not in NMT_RESET:
+        if self.node_id == UNCONFIGURED and command not in _RESET:
             return
-        if command == NmtCommand.STOP:
-            self._sdo.drop()  # SDO ends with it
-        if command in NMT_TARGET:
-            self._set_nmt(t_ns, NMT_TARGET[command], BY_COMMAND, out)
-        elif command in NMT_RESET:
+        if command not in list(NmtCommand):
+            record["dropped_unknown"] += 1
+        elif command not in _RESET:
+            following = NEXT_STATE.get((int(record["nmt"]), command), int(record["nmt"]))
+            if not ALLOWED[following] & Service.SDO:
+                self._sdo.drop()  # SDO ends with it
+            self._set_nmt(t_ns, following, BY_COMMAND, out)
+        else:
             self._set_nmt(t_ns, NmtState.INITIALISING, BY_RESET, out)
-            first = NMT_RESET[command]
+            first = _RESET[command]
             if first == 0x0000:
                 self.lss.power_on()
                 record["causes"] = record["latched"] = record["history_count"] = 0
             self._load(first, t_ns)
             core.forget_connections(self.record, t_ns, out)
             self._boot(t_ns, out)
-        else:
-            record["dropped_unknown"] += 1
 
     def _reset_communication(self, t_ns: int, out: Queue) -> None:
         self.nmt_command(t_ns, NmtCommand.RESET_COMMUNICATION, out)
@@ -217,7 +212,7 @@ class Device:
         """Send TIME where 1012h's bit 30 is set and NMT allows it; tell whether it was sent."""
         if not self.dictionary.number(0x1012) & PRODUCER or not (self.record["powered"] and self.record["time_id"]):
             return False
-        if self.record["nmt"] not in (NmtState.OPERATIONAL, NmtState.PRE_OPERATIONAL):
+        if not ALLOWED[self.record["nmt"]] & Service.TIME:
             return False
         push(out, self.record["station"], t_ns, int(self.record["time_id"]), TIME_LENGTH, time_word(time))
         return True

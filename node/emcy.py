@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from coulombus.compiled.decorator import kernel
-from coulombus.eds.cia301 import NmtState
+from coulombus.eds.nmt import ALLOWED, Service
 from coulombus.node import slots
 from coulombus.node.sizes import EMCY_WAITING, MAX_HISTORY, NodeRecord
 from coulombus.wire.frame import Queue, push
@@ -109,7 +109,7 @@ def _send(n: NodeRecord, t_ns: int, code: int, info: int, out: Queue) -> None:
     """
     if code or n.latched == 0:
         n.values[slots.ERROR_CODE] = code
-    if n.emcy_id < 0 or n.nmt == NmtState.STOPPED or n.nmt == NmtState.INITIALISING:
+    if n.emcy_id < 0 or not ALLOWED[n.nmt] & Service.EMCY:
         return
     word, ready = code | n.values[slots.ERROR_REGISTER] << 16 | info << 24, t_ns + n.processing_ns
     n.emcy_count += 1

@@ -8,7 +8,8 @@ first remote frame. A node with a heartbeat (1017h) is not guarded: one of the t
 from __future__ import annotations
 
 from coulombus.compiled.decorator import kernel
-from coulombus.eds.cia301 import CobId, NmtState
+from coulombus.eds.cia301 import CobId
+from coulombus.eds.nmt import ALLOWED, Service
 from coulombus.node import emcy
 from coulombus.node.sizes import NodeRecord
 from coulombus.wire.frame import Queue, push
@@ -28,7 +29,7 @@ def restart(n: NodeRecord) -> None:
 @kernel
 def answer(n: NodeRecord, t_ns: int, out: Queue) -> None:
     """Answer a remote frame on 700h + node id."""
-    if n.guard_on == 0 or n.nmt == NmtState.INITIALISING:
+    if n.guard_on == 0 or not ALLOWED[n.nmt] & Service.ERROR_CONTROL:
         return
     push(out, n.station, t_ns + n.processing_ns, CobId.HEARTBEAT + n.node_id, 1, n.guard_toggle << 7 | n.nmt)
     n.guard_toggle ^= 1

@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 import pytest
 
+from coulombus.eds import nmt
 from coulombus.eds.cia402 import TRANSITIONS
 from coulombus.eds.cia402 import diagram as power_states
 from coulombus.host.cycle.records import Phase, Trip
@@ -135,6 +136,14 @@ def test_the_power_state_machine_is_the_table():
     table = [(state.name, following.name, str(n), command.name) for n, state, command, following in TRANSITIONS]
     assert drawn == table
     assert power_states() in text_of("docs/devices.md")
+
+
+def test_the_nmt_states_and_their_services_are_the_table():
+    text = text_of("docs/devices.md")
+    assert nmt.diagram() in text
+    assert nmt.services() in text
+    drawn = re.findall(r"^ +([A-Z_]+) --> ([A-Z_]+): ([A-Z_]+) \((\d+)\)$", text, re.M)
+    assert drawn == [(state.name, end.name, command.name, str(n)) for n, state, command, end in nmt.TRANSITIONS]
 
 
 def test_the_phases_are_the_table():
