@@ -16,11 +16,12 @@ Values are the objects' raw bits held in int64: signed types are sign-extended, 
 from __future__ import annotations
 
 import struct
-from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from coulombus.compiled.decorator import kernel
+from coulombus.compiled.records import Record
 
 __all__ = ["MAX_FIELDS", "PDO", "get_field", "pack", "put_field", "real_bits", "real_value", "unpack"]
 
@@ -74,7 +75,7 @@ def put_field(word: int, start: int, bits: int, value: int) -> int:
 
 
 @kernel
-def unpack(pdo: Any, word: int, values: Any) -> None:
+def unpack(pdo: Record, word: int, values: npt.NDArray[np.int64]) -> None:
     """Write every field of the PDO `word` to its slot of `values` (int64)."""
     for i in range(pdo.count):
         slot = pdo.slot[i]
@@ -83,7 +84,7 @@ def unpack(pdo: Any, word: int, values: Any) -> None:
 
 
 @kernel
-def pack(pdo: Any, values: Any) -> int:
+def pack(pdo: Record, values: npt.NDArray[np.int64]) -> int:
     """Return the PDO's word made of the slots of `values` (int64); dummy fields are 0."""
     word = 0
     for i in range(pdo.count):

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
+from coulombus.compiled.records import Record
 from coulombus.eds.cia301 import DATA_TYPES, DUMMY_TYPES, predefined
 from coulombus.eds.codec import MAX_FIELDS
 from coulombus.eds.reader import Description, EdsError, Variable
@@ -145,7 +146,7 @@ def read_layout(description: Description, node_id: int, direction: Direction, nu
     )
 
 
-def fill(record: Any, layout: PdoLayout, slot_of: Callable[[int, int], int]) -> None:
+def fill(record: Record, layout: PdoLayout, slot_of: Callable[[int, int], int]) -> None:
     """Write a layout into one record of `eds.codec.PDO`.
 
     `slot_of` gives the slot of (index, sub-index) and is not asked about dummy entries, which get slot -1.

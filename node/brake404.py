@@ -8,6 +8,8 @@ it. A fault of the device itself takes the same line to 0, a short circuit is 0 
 
 Inputs: 7130h = saturate_int16((in * 6126h + 6127h + 6124h) * 10 ** 6132h): handle torque, coil current, coil temperature.
 Their status 6150h: bit 0 not valid (channel off, no number), bit 1 above 7149h, bit 2 below 7148h.
+
+In the kernels: `n` the node's record (`node.record`), `k` a number from 0, `out` the queue of frames to send.
 """
 
 from __future__ import annotations

@@ -12,6 +12,8 @@ An open coil shows only while there is a command, so both coil faults stay until
 
 The demagnetisation pulse: 2012h:03 after the output has gone to 0, 2012h:01 of the opposite sign for 2012h:02 takes away
 what the iron remembers. A new set-point ends it, a device fault bars it.
+
+In the kernels: `n` the node's record (`node.record`).
 """
 
 from __future__ import annotations

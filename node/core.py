@@ -6,6 +6,8 @@ its time, and `on_time`, when it is called at `next_ns`, finds out whether somet
 deadline. A frame that has the same time as a deadline is handled first, so it is in time.
 
 Python (`node.device`) serves NMT commands and SDO, for which `on_frame` returns 1, and edits the same record.
+
+In the kernels: `n` the node's record (`node.record`), `k` a number from 0, `out` the queue of frames to send.
 """
 
 from __future__ import annotations
@@ -13,7 +15,7 @@ from __future__ import annotations
 from coulombus.compiled.decorator import inlined, kernel
 from coulombus.eds.cia301 import NmtState
 from coulombus.eds.nmt import AFTER_ERROR, ALLOWED, Service
-from coulombus.node import deadlines, emcy, expedited, guarding, outbox, pdo, segments
+from coulombus.node import deadlines, emcy, expedited, guarding, outbox, pdo_traffic, segments
 from coulombus.node.kinds import NO_KIND
 from coulombus.node.profile import BY_ITSELF, BY_RESET
 from coulombus.node.reactions import (
@@ -88,7 +90,7 @@ def handle(
             if route == ROUTE_GUARD:
                 guarding.answer(n, t_ns, out)
             elif route >= ROUTE_PDO and ALLOWED[n.nmt] & Service.PDO:
-                pdo.answer_rtr(n, route - ROUTE_PDO, t_ns, out)
+                pdo_traffic.answer_rtr(n, route - ROUTE_PDO, t_ns, out)
         return 0
     route = int(n.route[can_id])
     if route == ROUTE_NONE or n.powered == 0 or t_ns < n.silent_ns:
@@ -106,10 +108,10 @@ def handle(
         acted = 0
         k = route - ROUTE_PDO
         while k >= 0:
-            acted |= pdo.receive(n, k, t_ns, length, data, out)
+            acted |= pdo_traffic.receive(n, k, t_ns, length, data, out)
             k = n.rpdo_next[k]
         if acted and n.tpdo_events > 0:
-            n.next_ns = min(n.next_ns, pdo.transmit_events(n, t_ns, n.next_ns, out))
+            n.next_ns = min(n.next_ns, pdo_traffic.transmit_events(n, t_ns, n.next_ns, out))
         return 0
     if route == ROUTE_NMT:
         if length < 2:
@@ -157,12 +159,12 @@ def _sync(n: NodeRecord, t_ns: int, length: int, data: int, out: Queue) -> None:
     if n.kind != NO_KIND:
         inputs(n, t_ns, out)
     if n.rpdo_pending:
-        pdo.act_pending(n, t_ns, out)
+        pdo_traffic.act_pending(n, t_ns, out)
     step(n, t_ns)
     sample(n)
-    pdo.transmit_sync(n, t_ns, data & 0xFF if length else -1, out)
+    pdo_traffic.transmit_sync(n, t_ns, data & 0xFF if length else -1, out)
     if n.tpdo_events > 0:
-        n.next_ns = min(n.next_ns, pdo.transmit_events(n, t_ns, n.next_ns, out))
+        n.next_ns = min(n.next_ns, pdo_traffic.transmit_events(n, t_ns, n.next_ns, out))
 
 
 @kernel
@@ -212,7 +214,7 @@ def _schedule(n: NodeRecord, t_ns: int, out: Queue) -> None:
         next_ns = min(next_ns, n.sync_next_ns)
     next_ns = next_deadline(n, t_ns, next_ns)
     if ALLOWED[n.nmt] & Service.PDO and n.tpdo_events > 0:
-        next_ns = pdo.transmit_events(n, t_ns, next_ns, out)
+        next_ns = pdo_traffic.transmit_events(n, t_ns, next_ns, out)
     n.next_ns = max(next_ns, t_ns + 1)
 
 
@@ -222,13 +224,13 @@ def set_nmt(n: NodeRecord, t_ns: int, state: int, why: int, out: Queue) -> None:
     before = n.nmt
     n.nmt = state
     if before == NmtState.OPERATIONAL and state != NmtState.OPERATIONAL:
-        pdo.forget_pending(n)
+        pdo_traffic.forget_pending(n)
         deadlines.stop(n, t_ns, out)
     if why == BY_RESET or (before != state and (before == NmtState.OPERATIONAL or state == NmtState.STOPPED)):
         connection_lost(n, t_ns, why, out)
     if before != NmtState.OPERATIONAL and state == NmtState.OPERATIONAL:
         n.sync_armed = 0
-        pdo.start(n, t_ns)
+        pdo_traffic.start(n, t_ns)
     if not ALLOWED[state] & Service.EMCY:
         n.emcy_waiting = 0
     if state == NmtState.INITIALISING:

@@ -2,6 +2,8 @@
 
 Each watch begins with the first reception (heartbeat, RPDO, SYNC) and is judged lazily: `expire` looks at what is late
 at `t_ns`, `next_deadline` tells when to look again.
+
+In the kernels: `n` the node's record (`node.record`), `p` one of its PDOs, `k` a number from 0, `out` the queue of frames to send.
 """
 
 from __future__ import annotations

@@ -4,6 +4,8 @@ A cause is one bit of the record's `causes` while it is present. When it comes, 
 register and the history follow and the EMCY frame goes out at once; it is told once, until it is released. A cause in the
 record's `held` stays latched until the reset of its kind (a drive's faults); every other one is released when it is gone.
 A release sends the EMCY "error reset" (0000h) with the register of what remains.
+
+In the kernels: `n` the node's record (`node.record`), `k` a number from 0, `out` the queue of frames to send.
 """
 
 from __future__ import annotations

@@ -3,6 +3,8 @@
 The core answers a request to the first server for a readable number of one to four bytes that stands in a slot of `values`, while no
 transfer is open; every other request is Python's (`node.sdo_service`), with the same answer. What may be read this way
 stands in the record's table, sorted by index and sub-index.
+
+In the kernels: `n` the node's record (`node.record`), `out` the queue of frames to send.
 """
 
 from __future__ import annotations

@@ -14,6 +14,8 @@ The integral stands still while the demand is at a limit and the error pushes fu
 A way to torque 0 that takes its time (option codes 605Ah to 605Eh, a change of the mode) is a *ramp*: `begin` starts it,
 `step` goes along it, and behind it the torque is 0 and the power state `slowing_to` follows. No ramp lasts longer than
 2006h, none outlives the supply. In the torque modes the quick stop ramp is "at once": a hand is on the handle.
+
+In the kernels: `n` the node's record (`node.record`).
 """
 
 from __future__ import annotations

@@ -3,6 +3,8 @@
 A block is up to 127 frames at once, more than its share of the room where frames wait for the bus. So they wait in the
 node's own ring, and leave it a few at a time: every `POLL_NS`, while fewer than `AHEAD` frames of anybody wait for the bus. At
 1 Mbit/s a frame of eight bytes lasts 110 to 135 us, so the bus never waits for them, and other stations keep their places.
+
+In the kernels: `n` the node's record (`node.record`), `k` a number from 0, `out` the queue of frames to send.
 """
 
 from __future__ import annotations

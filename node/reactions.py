@@ -1,6 +1,8 @@
 """What a device does when its communication side calls it, compiled: the call goes on to the device's kind (`node.kinds`).
 
 Each of these loops is unrolled: the machine code has one branch for each kind, as if the kinds were written out here.
+
+In the kernels: `n` the node's record (`node.record`), `out` the queue of frames to send.
 """
 
 from __future__ import annotations

@@ -3,6 +3,8 @@
 Python (`node.sdo_service`) opens a server's row of the record while the server receives a block in order. `collect` then takes the
 segments that come in their order. The block's last segment, a gap, a repetition, an abort and a frame after the transfer's deadline
 are Python's. It takes what was collected first, so its answers are the same as if it had seen every frame.
+
+In the kernels: `n` the node's record (`node.record`), `k` a number from 0.
 """
 
 from __future__ import annotations

@@ -11,6 +11,8 @@ Ways out of Operation Enabled, and what decides how (0: torque 0 at once; a ramp
 
 1 and 5 are the slow-down ramp, 2 and 6 the quick stop ramp; from 5 on the drive stays in Quick Stop Active. A fault that
 takes away what a ramp needs (supply, encoder, power stage) is torque 0 at once whatever 605Eh says.
+
+In the kernels: `n` the node's record (`node.record`), `out` the queue of frames to send.
 """
 
 from __future__ import annotations

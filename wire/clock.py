@@ -9,11 +9,11 @@ in int64 without loss. `bus_ns` is the first instant of the bus at which an own 
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from coulombus.compiled.decorator import inlined, kernel
+from coulombus.compiled.records import Record
+from coulombus.wire.frame import Queue
 
 __all__ = ["CLOCK_FIELDS", "NEVER_NS", "bus_ns", "own_ns", "set_clock", "to_bus"]
 
@@ -30,31 +30,31 @@ CLOCK_FIELDS = [
 
 
 @inlined
-def own_ns(c: Any, t_ns: int) -> int:
+def own_ns(clock: Record, t_ns: int) -> int:
     """Return the own time at `t_ns` of the bus."""
-    if c.clock_on == 0:
+    if clock.clock_on == 0:
         return t_ns
-    since, rate = t_ns - c.clock_from_ns, NS + c.clock_ppb
-    return int(c.clock_at_ns + since // NS * rate + since % NS * rate // NS)
+    since, rate = t_ns - clock.clock_from_ns, NS + clock.clock_ppb
+    return int(clock.clock_at_ns + since // NS * rate + since % NS * rate // NS)
 
 
 @inlined
-def bus_ns(c: Any, own: int) -> int:
+def bus_ns(clock: Record, own: int) -> int:
     """Return the first time of the bus at which the own time is `own` or later."""
-    if c.clock_on == 0 or own >= NEVER_NS:
+    if clock.clock_on == 0 or own >= NEVER_NS:
         return own
-    ahead, rate = own - c.clock_at_ns, NS + c.clock_ppb
-    return int(c.clock_from_ns + ahead // rate * NS - -(ahead % rate) * NS // rate)
+    ahead, rate = own - clock.clock_at_ns, NS + clock.clock_ppb
+    return int(clock.clock_from_ns + ahead // rate * NS - -(ahead % rate) * NS // rate)
 
 
 @kernel
-def to_bus(c: Any, out: Any, first: int) -> None:
+def to_bus(clock: Record, out: Queue, first: int) -> None:
     """Turn the times of what was pushed from place `first` on into the bus's."""
     for k in range(first, out.count):
-        out.frames[k].t_ns = bus_ns(c, out.frames[k].t_ns)
+        out.frames[k].t_ns = bus_ns(clock, out.frames[k].t_ns)
 
 
-def set_clock(c: Any, t_ns: int, ppb: int) -> None:
+def set_clock(clock: Record, t_ns: int, ppb: int) -> None:
     """Let the clock run fast by `ppb` (1e-9; negative: slow) from `t_ns` of the bus on, without a jump."""
-    now = int(own_ns(c, t_ns))
-    c["clock_on"], c["clock_ppb"], c["clock_from_ns"], c["clock_at_ns"] = 1, ppb, t_ns, now
+    now = int(own_ns(clock, t_ns))
+    clock["clock_on"], clock["clock_ppb"], clock["clock_from_ns"], clock["clock_at_ns"] = 1, ppb, t_ns, now

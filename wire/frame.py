@@ -7,13 +7,14 @@ the second half of Linux's 16-byte ``struct can_frame`` read on a little-endian 
 
 from __future__ import annotations
 
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from coulombus.compiled.decorator import inlined, kernel
+from coulombus.compiled.records import Record, Records, new_records
 from coulombus.wire.can_id import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
+from coulombus.wire.words import data_bytes, data_word
 
 __all__ = [
     "CAN_EFF_FLAG",
@@ -34,10 +35,6 @@ __all__ = [
     "push",
 ]
 
-Records: TypeAlias = npt.NDArray[Any]
-"""An array of records (a structured dtype)."""
-Record: TypeAlias = np.record
-"""One record: an element of such an array, a view of it."""
 Queue: TypeAlias = Record
 """A record of `QUEUE`: the frames that stations ask the bus to send."""
 
@@ -62,11 +59,6 @@ QUEUE = np.dtype(
     ],
     align=True,
 )
-
-
-def new_records(dtype: np.dtype[Any], count: int = 1) -> Records:
-    """Return `count` records of `dtype`, all zero, whose fields are attributes in compiled and in plain Python."""
-    return np.zeros(count, dtype).view(np.recarray)
 
 
 def frames(capacity: int) -> Records:
@@ -95,26 +87,16 @@ def arbitration_key(can_id: int) -> int:
 
 
 @kernel
-def push(out: Any, source: int, t_ns: int, can_id: int, length: int, data: int) -> None:
+def push(out: Queue, source: int, t_ns: int, can_id: int, length: int, data: int) -> None:
     """Append a frame that is ready at `t_ns`; when the queue is full the frame is dropped and counted."""
-    n = out.count
-    if n >= QUEUE_CAPACITY:
+    count = out.count
+    if count >= QUEUE_CAPACITY:
         out.dropped += 1
         return
-    f = out.frames[n]
-    f.t_ns = t_ns
-    f.can_id = can_id
-    f.length = length
-    f.word = data
-    f.source = source
-    out.count = n + 1
-
-
-def data_word(data: bytes) -> int:
-    """Return up to eight data bytes as the signed 64-bit little-endian word of `FRAME`."""
-    return int.from_bytes(data.ljust(8, b"\0"), "little", signed=True)
-
-
-def data_bytes(word: int, length: int) -> bytes:
-    """Return the first `length` data bytes of the word `word`."""
-    return int(word).to_bytes(8, "little", signed=True)[:length]
+    frame = out.frames[count]
+    frame.t_ns = t_ns
+    frame.can_id = can_id
+    frame.length = length
+    frame.word = data
+    frame.source = source
+    out.count = count + 1

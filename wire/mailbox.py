@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import ctypes
 import socket
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -77,24 +76,24 @@ def ask_for_stamps(target: socket.socket) -> None:
 
 
 @kernel
-def receive(fd: int, box: Any, flags: int) -> int:
+def receive(fd: int, box: Records, flags: int) -> int:
     """Receive one message; return its bytes, 0 when the other side has closed, -1: see `errno`."""
-    m = box[0]
-    m.control_length = 8 * _CONTROL_WORDS
-    m.stamp_ns = 0
-    n = recvmsg(fd, box.ctypes.data, flags)
-    if n < 0:
-        return n
-    m.truncated = 1 if m.message_flags & MSG_TRUNC else 0
-    words = min(m.control_length // 8, _CONTROL_WORDS)
+    message = box[0]
+    message.control_length = 8 * _CONTROL_WORDS
+    message.stamp_ns = 0
+    count: int = recvmsg(fd, box.ctypes.data, flags)
+    if count < 0:
+        return count
+    message.truncated = 1 if message.message_flags & MSG_TRUNC else 0
+    words = min(message.control_length // 8, _CONTROL_WORDS)
     at = 0
     while at + 2 < words:  # a struct cmsghdr is a length, level and type; then the data, padded to whole words
-        length, kind = m.room[at], m.room[at + 1]
+        length, kind = message.room[at], message.room[at + 1]
         if kind in (_STAMP, _STAMP_NEW):
-            m.stamp_ns = m.room[at + 2] * _SECOND_NS + m.room[at + 3]
+            message.stamp_ns = message.room[at + 2] * _SECOND_NS + message.room[at + 3]
         elif kind == _OVERFLOW:
-            m.overflow = m.room[at + 2] & 0xFFFFFFFF
+            message.overflow = message.room[at + 2] & 0xFFFFFFFF
         if length < 16:
             break
         at += (length + 7) // 8
-    return n
+    return count

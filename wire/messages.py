@@ -7,6 +7,7 @@ from __future__ import annotations
 import can
 
 from coulombus.wire.can_id import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
+from coulombus.wire.words import data_word
 
 __all__ = ["can_id_of", "data_of", "is_classical", "message_of", "word_of"]
 
@@ -57,4 +58,4 @@ def data_of(message: can.Message) -> bytes:
 
 def word_of(message: can.Message) -> int:
     """Return a message's data as a frame record's `word`: a little-endian INTEGER64, 0 beyond its length."""
-    return int.from_bytes(data_of(message).ljust(8, b"\0"), "little", signed=True)
+    return data_word(data_of(message))

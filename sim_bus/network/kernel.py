@@ -21,7 +21,7 @@ from coulombus.eds.cia301 import CobId
 from coulombus.eds.cia402 import PowerState
 from coulombus.host.cycle import axes as host_axes
 from coulombus.host.cycle import step
-from coulombus.node import clock, core, emcy
+from coulombus.node import core, emcy, own_time
 from coulombus.sim_bus.copper.arbiter import FAR_NS, end_frame, receives, start_frame, start_ns
 from coulombus.sim_bus.copper.attempt import MOST_ROWS
 from coulombus.sim_bus.copper.cut import choose
@@ -298,7 +298,7 @@ def run(world: World, host: Host, law_function: Any) -> int:
             if nodes[i].clock_on == 0:
                 core.on_time(nodes[i], t, out)
             else:
-                clock.on_time(nodes[i], t, out)
+                own_time.on_time(nodes[i], t, out)
             keep_deadline(deadlines, i, nodes[i])
             if a >= 0:
                 _actuate(world, a, t)
@@ -309,7 +309,7 @@ def run(world: World, host: Host, law_function: Any) -> int:
                 for i in range(nodes.shape[0]):
                     link, b.stations[i].link = b.stations[i].link, 0
                     if link != 0:
-                        clock.link_changed(nodes[i], t, link, out)
+                        own_time.link_changed(nodes[i], t, link, out)
                         keep_deadline(deadlines, i, nodes[i])
                         if axis_of[i] >= 0:
                             _actuate(world, axis_of[i], t)
@@ -326,7 +326,7 @@ def run(world: World, host: Host, law_function: Any) -> int:
                     if nodes[i].clock_on == 0:
                         wanted = core.on_frame(nodes[i], t, b.can_id, b.length, b.word, out)
                     else:
-                        wanted = clock.on_frame(nodes[i], t, b.can_id, b.length, b.word, out)
+                        wanted = own_time.on_frame(nodes[i], t, b.can_id, b.length, b.word, out)
                     if wanted != 0:
                         w.service[w.services] = i
                         w.services += 1

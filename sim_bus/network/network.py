@@ -341,7 +341,7 @@ class VirtualNetwork:
         self._by_its_clock(device, self.devices[device].nmt_command, self.t_ns, command)
 
     def _by_its_clock(self, row: int, act: Callable[..., None], t_ns: int, *arguments: Any) -> None:
-        """Call a device's `act` at its own time (`node.clock`)."""
+        """Call a device's `act` at its own time (`node.own_time`)."""
         node, first = self.devices[row].record, int(self._out["count"])
         if not node["clock_on"]:
             act(t_ns, *arguments, self._out)

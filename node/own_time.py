@@ -2,6 +2,8 @@
 
 `on_frame`, `on_time` and `link_changed` are those of `node.core` for such a device: it is told its own time, and what it sends is ready at the bus's.
 Its `next_ns` is in its own time.
+
+In the kernels: `n` the node's record (`node.record`), `out` the queue of frames to send.
 """
 
 from __future__ import annotations

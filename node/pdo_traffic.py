@@ -3,6 +3,8 @@
 Transmission types of a TPDO: 0 on the SYNC after a change; 1-240 every nth SYNC, from the SYNC start value on; 252
 sampled on SYNC, sent on RTR; 253 sent on RTR; 254 and 255 on an event: the event timer, or a change of the bits in
 `tpdo_mask`, not before the inhibit time is over. RPDOs: 0-240 act on the next SYNC, 254 and 255 at once.
+
+In the kernels: `n` the node's record (`node.record`), `p` one of its PDOs, `k` a number from 0, `out` the queue of frames to send.
 """
 
 from __future__ import annotations
