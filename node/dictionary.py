@@ -49,7 +49,7 @@ class Dictionary:
         self._ours = description.default(0x1018, 1, node_id) == VENDOR_ID if description.has(0x1018, 1) else False
         self._slots = {row.key: row.slot for row in core if self._is_meant(row.key)}
         self._absent = {row.slot: row.absent for row in core if row.key not in self._slots}
-        self._next = FIRST_FREE
+        self._next = max(FIRST_FREE, *(row.slot + 1 for row in core), 0)
         self._read_for, self.unreadable = 0, dict[int, str]()
         """Index of a PDO's communication parameter -> why the EDS' default cannot be read right: the PDO is not valid, and maps nothing."""
         self._store: dict[Key, Value] = {}

@@ -7,17 +7,20 @@ from collections.abc import Mapping
 from coulombus.eds.own_devices import VENDOR_ID
 from coulombus.node.brake404 import BRAKE404
 from coulombus.node.drive402 import DRIVE402
+from coulombus.node.io401 import IO401
 from coulombus.node.profile import Behaviour, Profile
+from coulombus.node.slots import REGISTER
 
 __all__ = ["BEHAVIOURS", "GENERIC", "NO_KIND", "PROFILES", "named", "number", "of_identity"]
 
-GENERIC = Profile("generic")
+GENERIC = Profile("generic", objects=(REGISTER,))
 """Any file: objects, PDOs and services. Nothing acts behind the objects, a value stays what was written to it last."""
 
 PROFILES: tuple[Profile, ...] = (
     GENERIC,
     DRIVE402,
     BRAKE404,
+    IO401,
 )
 """Every kind, by the number that the record's `kind` has."""
 

@@ -1,7 +1,7 @@
 """Where the objects that every kind's core may use stand in a node's `values`.
 
-A kind's own objects have the slots from `FIRST_OF_KIND` on, as its table says (`node.profile.CoreObject`). Slots from `FIRST_FREE` on
-are given to the other numeric objects of the EDS in their order.
+A kind's own objects have the slots from `FIRST_OF_KIND` on, as its table says (`node.profile.CoreObject`). Slots from `FIRST_FREE` on,
+and behind the kind's last, are given to the other numeric objects of the EDS in their order.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ __all__ = [
     "FIRST_FREE",
     "FIRST_OF_KIND",
     "RAMP_US",
+    "REGISTER",
     "SETPOINT_AGE_US",
     "SYNC_TIMEOUT_US",
 ]
@@ -28,6 +29,7 @@ FIRST_OF_KIND = 8
 FIRST_FREE = 64
 
 REGISTER = CoreObject(0x1001, 0, ERROR_REGISTER)
+"""The error register, which every device has."""
 
 COMMON: tuple[CoreObject, ...] = (
     REGISTER,

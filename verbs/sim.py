@@ -186,7 +186,7 @@ class Kind(click.ParamType):  # type: ignore[type-arg]  # generic to some versio
     "--kind",
     type=Kind(),
     default=None,
-    help="What lives behind the objects: generic (nothing), drive (CiA 402), brake (CiA 404).  [default: what our own devices' files "
+    help="What lives behind the objects: generic (nothing), drive (CiA 402), brake (CiA 404), io (CiA 401).  [default: what our own devices' files "
     "describe, else generic]",
 )
 @click.option(

@@ -1,0 +1,167 @@
+"""An input and output module of CiA 401, compiled: digital ports of 8 bits, analogue channels of 16 bits.
+
+    digital in   6000h = in_digital xor 6002h
+    digital out  out_digital = chosen xor 6202h,  chosen = 6200h, after a failure (6207h and 6206h) or (chosen and not 6206h)
+    analogue in  6401h = in_analogue, within INTEGER16
+    analogue out out_analogue = 6411h, after a failure 6444h where 6443h is 1, else what it was
+
+A failure is a fault of the device itself, a lost connection (heartbeat, guarding, RPDO deadline, SYNC, bus-off), what 1029h makes of it, and
+the NMT command "stop"; from power-on and from a reset on every output is 0. An output leaves it when it is written and the device has no
+fault; one that was never written stays 0.
+PRE-OPERATIONAL by command leaves the outputs as they are. A file has as many ports and channels as it has sub-indices. The
+triggers of analogue inputs (6421h to 6428h) and the filters (6003h, 6208h) are not there.
+
+In the kernels: `n` the node's record (`node.record`), `k` the number of a port or channel from 0, `out` the queue of frames to send.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from coulombus.compiled.decorator import kernel
+from coulombus.eds.cia301 import Abort, NmtState
+from coulombus.node import emcy
+from coulombus.node.profile import BY_COMMAND, BY_RESET, Behaviour, CoreObject, Objects, Profile
+from coulombus.node.sdo_abort import SdoAbort
+from coulombus.node.sizes import NodeRecord
+from coulombus.node.slots import FIRST_OF_KIND, REGISTER
+from coulombus.wire.frame import Queue
+
+__all__ = ["IO401"]
+
+PORTS, INPUTS, OUTPUTS = 8, 16, 8
+"""Most digital ports of each direction, analogue inputs and analogue outputs."""
+
+DIGITAL_IN = FIRST_OF_KIND
+DIGITAL_IN_POLARITY = DIGITAL_IN + PORTS
+DIGITAL_OUT = DIGITAL_IN_POLARITY + PORTS
+DIGITAL_OUT_POLARITY = DIGITAL_OUT + PORTS
+DIGITAL_ERROR_MODE = DIGITAL_OUT_POLARITY + PORTS
+DIGITAL_ERROR_VALUE = DIGITAL_ERROR_MODE + PORTS
+ANALOGUE_IN = DIGITAL_ERROR_VALUE + PORTS
+ANALOGUE_OUT = ANALOGUE_IN + INPUTS
+ANALOGUE_ERROR_MODE = ANALOGUE_OUT + OUTPUTS
+ANALOGUE_ERROR_VALUE = ANALOGUE_ERROR_MODE + OUTPUTS
+
+_ACTS_ANALOGUE = PORTS  # bits of the analogue outputs begin behind those of the ports
+_ALL = (1 << PORTS + OUTPUTS) - 1
+_LOWEST, _HIGHEST = -0x8000, 0x7FFF
+
+
+@kernel
+def _within(value: int) -> int:
+    return min(max(value, _LOWEST), _HIGHEST)
+
+
+@kernel
+def _sample(n: NodeRecord) -> None:
+    values = n.values
+    for k in range(PORTS):
+        values[DIGITAL_IN + k] = (n.in_digital[k] ^ values[DIGITAL_IN_POLARITY + k]) & 0xFF
+    for k in range(INPUTS):
+        values[ANALOGUE_IN + k] = _within(n.in_analogue[k])
+
+
+@kernel
+def _step(n: NodeRecord, t_ns: int) -> None:
+    """Put out what was written, where nothing failed."""
+    values = n.values
+    for k in range(PORTS):
+        if n.failed >> k & 1 == 0:
+            n.chosen[k] = values[DIGITAL_OUT + k] & 0xFF
+            n.out_digital[k] = n.chosen[k] ^ values[DIGITAL_OUT_POLARITY + k]
+    for k in range(OUTPUTS):
+        if n.failed >> (_ACTS_ANALOGUE + k) & 1 == 0:
+            n.out_analogue[k] = values[ANALOGUE_OUT + k]
+
+
+@kernel
+def _fail(n: NodeRecord, t_ns: int) -> None:
+    """Take the error values, as the error modes say; an output that has failed already keeps its own."""
+    _step(n, t_ns)
+    values = n.values
+    for k in range(PORTS):
+        if n.failed >> k & 1 == 0:
+            mode = values[DIGITAL_ERROR_MODE + k]
+            n.chosen[k] = (values[DIGITAL_ERROR_VALUE + k] & mode | n.chosen[k] & ~mode) & 0xFF
+            n.out_digital[k] = n.chosen[k] ^ values[DIGITAL_OUT_POLARITY + k]
+    for k in range(OUTPUTS):
+        if n.failed >> (_ACTS_ANALOGUE + k) & 1 == 0 and values[ANALOGUE_ERROR_MODE + k] == 1:
+            n.out_analogue[k] = _within(values[ANALOGUE_ERROR_VALUE + k])
+    n.failed = _ALL
+
+
+@kernel
+def _apply(n: NodeRecord, t_ns: int, received_ns: int, carries: int, out: Queue) -> None:
+    if n.causes & emcy.DEVICE_MASK == 0:
+        n.failed &= ~carries
+
+
+@kernel
+def _connection_lost(n: NodeRecord, t_ns: int, why: int) -> int:
+    if why == BY_RESET:
+        n.failed = _ALL
+        n.chosen[:] = 0
+        n.out_digital[:] = 0
+        n.out_analogue[:] = 0
+    elif why != BY_COMMAND or n.nmt == NmtState.STOPPED:
+        _fail(n, t_ns)
+    return 0
+
+
+@kernel
+def _react(n: NodeRecord, t_ns: int, cause: int) -> None:
+    if emcy.FAULT_MASK >> cause & 1:
+        _fail(n, t_ns)
+
+
+def _started(record: NodeRecord, objects: Objects, t_ns: int) -> None:
+    record["failed"] = _ALL
+    for name in ("chosen", "out_digital", "out_analogue"):
+        record[name] = 0
+
+
+def _check(objects: Objects, index: int, subindex: int, value: int) -> None:
+    """6443h is 0 or 1."""
+    if index == 0x6443 and subindex and value not in (0, 1):
+        raise SdoAbort(Abort.VALUE)
+
+
+def _rows(
+    index: int, slot: int, count: int, absent: int = 0, *, acts: int = -1, changing: bool = False
+) -> list[CoreObject]:
+    """Return the rows of sub-indices 1 to `count`; `acts`: number of the first one's bit, -1: none."""
+    return [
+        CoreObject(index, k + 1, slot + k, absent, acts=1 << acts + k if acts >= 0 else 0, changing=changing)
+        for k in range(count)
+    ]
+
+
+IO401 = Profile(
+    "io",
+    objects=(
+        REGISTER,
+        *_rows(0x6000, DIGITAL_IN, PORTS),
+        *_rows(0x6002, DIGITAL_IN_POLARITY, PORTS),
+        *_rows(0x6200, DIGITAL_OUT, PORTS, acts=0),
+        *_rows(0x6202, DIGITAL_OUT_POLARITY, PORTS),
+        *_rows(0x6206, DIGITAL_ERROR_MODE, PORTS, 0xFF),
+        *_rows(0x6207, DIGITAL_ERROR_VALUE, PORTS),
+        *_rows(0x6401, ANALOGUE_IN, INPUTS, changing=True),
+        *_rows(0x6411, ANALOGUE_OUT, OUTPUTS, acts=_ACTS_ANALOGUE),
+        *_rows(0x6443, ANALOGUE_ERROR_MODE, OUTPUTS, 1),
+        *_rows(0x6444, ANALOGUE_ERROR_VALUE, OUTPUTS),
+    ),
+    fields=[
+        ("in_digital", np.int64, (PORTS,)),
+        ("in_analogue", np.int64, (INPUTS,)),  # raw, as 6401h
+        ("out_digital", np.int64, (PORTS,)),
+        ("out_analogue", np.int64, (OUTPUTS,)),  # raw, as 6411h
+        ("chosen", np.int64, (PORTS,)),  # of the written value and the error value, before the polarity
+        ("failed", np.int64),  # bits of the outputs, as in `carries`, that wait for a new value
+    ],
+    behaviour=Behaviour(sample=_sample, step=_step, apply=_apply, connection_lost=_connection_lost, react=_react),
+    started=_started,
+    check=_check,
+)
+"""A CiA 401 module."""

@@ -1,0 +1,241 @@
+"""A CiA 401 module: digital and analogue channels, error modes and error values, what a failure is and how it ends."""
+
+from __future__ import annotations
+
+import pytest
+
+from coulombus.eds.reader import parse_eds
+from coulombus.node import emcy
+from coulombus.node.io401 import IO401
+from coulombus.node.kinds import GENERIC, PROFILES, named, number
+from node_bench import MS, Bench, SdoAborted
+
+U8, I16, I32, U16, U32 = 5, 3, 4, 6, 7
+RPDO, TPDO = 0x205, 0x185
+OVER_TEMPERATURE = 1 << emcy.OVER_TEMPERATURE - emcy.FIRST_DEVICE_CAUSE
+
+
+def variable(name, data_type, default=0, access="rw"):
+    head = f"[{name}]\nParameterName=X\nObjectType=7\nDataType={data_type}\nAccessType={access}\n"
+    return head + f"DefaultValue={default}\nPDOMapping={int(name[0] == '6')}\n\n"
+
+
+def structure(name, *rows, kind=8):
+    text = f"[{name}]\nParameterName=X\nObjectType={kind}\nSubNumber={len(rows) + 1}\n\n"
+    text += variable(f"{name}sub0", U8, len(rows), "const")
+    return text + "".join(variable(f"{name}sub{k}", *row) for k, row in enumerate(rows, 1))
+
+
+def module(*, without=(), transmission=255, deadline_ms=0, **defaults):
+    """An EDS with two ports and two channels of each kind; RPDO1 6200h:1 and 6411h:1, TPDO1 6000h:1 and 6401h:1."""
+    text = "[DeviceInfo]\nVendorName=test\n\n" + variable("1000", U32, 0xF0191, "ro") + variable("1001", U8, 0, "ro")
+    text += variable("1014", U32, "$NODEID+0x80") + variable("1017", U16)
+    text += structure("1016", (U32,)) + structure("1029", (U8, defaults.get("behaviour", 0)), (U8, 1))
+    for index, row in {
+        "6000": (U8, 0, "ro"),
+        "6002": (U8,),
+        "6200": (U8,),
+        "6202": (U8,),
+        "6206": (U8, 0xFF),
+        "6207": (U8,),
+        "6401": (I16, 0, "ro"),
+        "6411": (I16,),
+        "6443": (U8, 1),
+        "6444": (I32,),
+    }.items():
+        if index not in without:
+            text += structure(index, row, row)
+    text += structure("1400", (U32, RPDO), (U8, transmission), (U16,), (U8,), (U16, deadline_ms), kind=9)
+    text += structure("1600", (U32, 0x62000108), (U32, 0x64110110), kind=9)
+    text += structure("1800", (U32, TPDO), (U8, 255), kind=9)
+    text += structure("1A00", (U32, 0x60000108), (U32, 0x64010110), kind=9)
+    bench = Bench("io", 5, IO401, parse_eds(text.encode(), "io.eds"))
+    bench.power_on()
+    bench.nmt(1)
+    bench.take()
+    return bench
+
+
+def put(bench, port, channel):
+    bench.frame(RPDO, bytes((port,)) + channel.to_bytes(2, "little", signed=True))
+
+
+def outputs(bench):
+    return int(bench.node.out_digital[0]), int(bench.node.out_analogue[0])
+
+
+def error_values(bench, port=0x0F, port_mode=0x3C, channel=-700, channel_mode=1):
+    bench.write(0x6206, 1, port_mode, 1)
+    bench.write(0x6207, 1, port, 1)
+    bench.write(0x6443, 1, channel_mode, 1)
+    bench.write(0x6444, 1, channel & 0xFFFFFFFF, 4)
+
+
+def test_what_is_written_is_put_out():
+    bench = module()
+    assert outputs(bench) == (0, 0)
+    put(bench, 0xA5, -1234)
+    assert outputs(bench) == (0xA5, -1234)
+    bench.write(0x6411, 2, 321, 2)
+    assert int(bench.node.out_analogue[1]) == 321
+    assert outputs(bench) == (0xA5, -1234)
+
+
+def test_a_synchronous_output_waits_for_the_sync():
+    bench = module(transmission=1)
+    put(bench, 0x81, 77)
+    assert outputs(bench) == (0, 0)
+    bench.sync()
+    assert outputs(bench) == (0x81, 77)
+
+
+def test_the_polarity_inverts_inputs_and_outputs():
+    bench = module()
+    bench.write(0x6002, 1, 0xF0, 1)
+    bench.write(0x6202, 1, 0x0F, 1)
+    bench.node.in_digital[0] = 0x3C
+    put(bench, 0x55, 0)
+    assert bench.number(0x6000, 1) == 0xCC
+    assert outputs(bench) == (0x5A, 0)
+
+
+def test_a_changed_input_is_sent_and_an_analogue_one_is_within_16_bits():
+    bench = module()
+    bench.node.in_digital[0], bench.node.in_analogue[0], bench.node.in_analogue[1] = 3, -40_000, 40_000
+    bench.node.next_ns = bench.t + 1
+    bench.run(MS)
+    assert [frame.data for frame in bench.take(TPDO)] == [b"\x03\x00\x80"]
+    assert bench.number(0x6401, 2, signed=True) == 32767
+
+
+def test_stop_gives_the_error_values_where_the_modes_say_so():
+    bench = module()
+    error_values(bench)
+    put(bench, 0xA5, 1000)
+    bench.nmt(2)
+    assert outputs(bench) == (0xA5 & 0xC3 | 0x0F & 0x3C, -700)
+    bench.nmt(1)
+    assert outputs(bench) == (0xA5 & 0xC3 | 0x0F & 0x3C, -700)  # until it is written anew
+    put(bench, 0x81, 5)
+    assert outputs(bench) == (0x81, 5)
+
+
+def test_an_error_mode_of_0_keeps_the_output_and_another_output_is_not_touched():
+    bench = module()
+    error_values(bench, channel_mode=0, port_mode=0)
+    bench.write(0x6411, 2, 99, 2)
+    put(bench, 0xA5, 1000)
+    bench.nmt(2)
+    assert outputs(bench) == (0xA5, 1000)
+    assert int(bench.node.out_analogue[1]) == 0  # its own mode is 1, its value 0
+
+
+def test_pre_operational_by_command_keeps_the_outputs():
+    bench = module()
+    error_values(bench)
+    put(bench, 0xA5, 1000)
+    bench.nmt(128)
+    assert outputs(bench) == (0xA5, 1000)
+
+
+@pytest.mark.parametrize("behaviour", [0, 1, 2])
+def test_a_lost_heartbeat_is_a_failure_whatever_1029h_says(behaviour):
+    bench = module(behaviour=behaviour)
+    error_values(bench)
+    bench.write(0x1016, 1, 9 << 16 | 10, 4)
+    put(bench, 0xA5, 1000)
+    bench.frame(0x709, b"\x05")
+    bench.run(9 * MS)
+    assert outputs(bench) == (0xA5, 1000)
+    bench.run(2 * MS)
+    assert outputs(bench)[1] == -700
+    assert [code for code, _, _ in bench.emcy()] == [0x8130]
+
+
+def test_an_rpdo_that_stays_out_is_a_failure_and_the_next_one_ends_it():
+    bench = module(deadline_ms=5)
+    error_values(bench)
+    put(bench, 0xA5, 1000)
+    bench.run(6 * MS)
+    assert outputs(bench) == (0xA5 & 0xC3 | 0x0F & 0x3C, -700)
+    put(bench, 0x01, -2)
+    assert outputs(bench) == (0x01, -2)
+
+
+def test_a_fault_of_the_module_holds_the_error_values():
+    bench = module()
+    error_values(bench)
+    put(bench, 0xA5, 1000)
+    bench.node.in_faults = OVER_TEMPERATURE
+    bench.node.next_ns = bench.t + 1
+    bench.run(MS)
+    put(bench, 0x01, 3)
+    assert outputs(bench)[1] == -700
+    bench.node.in_faults = 0
+    bench.node.next_ns = bench.t + 1
+    bench.run(MS)
+    assert outputs(bench)[1] == -700
+    put(bench, 0x01, 4)
+    assert outputs(bench) == (0x01, 4)
+    assert [code for code, _, _ in bench.emcy()] == [0x4210, 0x0000]
+
+
+@pytest.mark.parametrize("command", [129, 130])
+def test_a_reset_and_power_off_leave_nothing_on(command):
+    bench = module()
+    error_values(bench)
+    put(bench, 0xA5, 1000)
+    bench.nmt(command)
+    assert outputs(bench) == (0, 0)
+    bench.nmt(1)
+    bench.run(MS)
+    assert outputs(bench) == (0, 0)
+    put(bench, 0x11, 12)
+    assert outputs(bench) == (0x11, 12)
+    bench.device.power_off()
+    assert outputs(bench) == (0, 0)
+
+
+def test_a_file_without_error_objects_fails_to_0():
+    bench = module(without=("6206", "6207", "6443", "6444", "6202", "6002"))
+    put(bench, 0xFF, 1000)
+    bench.nmt(2)
+    assert outputs(bench) == (0, 0)
+
+
+def test_an_error_value_beyond_16_bits_is_the_nearest_one():
+    bench = module()
+    error_values(bench, channel=-100_000)
+    put(bench, 0, 1)
+    bench.nmt(2)
+    assert outputs(bench)[1] == -32768
+
+
+def test_an_error_mode_is_0_or_1():
+    bench = module()
+    with pytest.raises(SdoAborted, match="06090030"):
+        bench.write(0x6443, 1, 2, 1)
+    assert bench.number(0x6443, 1) == 1
+
+
+def test_set_points_are_not_stored():
+    bench = module()
+    assert not bench.device.parameters.is_parameter(0x6411, 1)
+    assert bench.device.parameters.is_parameter(0x6444, 1)
+
+
+def test_the_kinds_have_names_and_numbers():
+    assert [profile.name for profile in PROFILES] == ["generic", "drive", "brake", "io"]
+    assert [number(profile) for profile in PROFILES] == [0, 1, 2, 3]
+    assert named("io") is IO401
+    with pytest.raises(ValueError, match="got kind 'pump', expected generic, drive, brake, io"):
+        named("pump")
+
+
+def test_the_slots_of_a_kind_are_its_own():
+    for profile in PROFILES:
+        slots = [row.slot for row in profile.objects]
+        assert len(set(slots)) == len(slots), profile.name
+        bits = [row.acts for row in profile.objects if row.acts]
+        assert len(set(bits)) == len(bits), profile.name
+    assert [row.key for row in GENERIC.objects] == [(0x1001, 0)]
