@@ -62,7 +62,9 @@ TARGETS = {
     "node/reactions.py": Target(("test_node_behaviour",)),
     "node/states402.py": Target(("test_drive402_edges",)),
     "node/motion402.py": Target(("test_motion402_edges",)),
-    "node/brake404.py": Target(("test_brake404_edges",)),
+    "node/drive402.py": Target(("test_node_behaviour",), ("_apply", "_connection_lost", "_react", "_supply")),
+    "node/brake404.py": Target(("test_brake404_edges", "test_node_behaviour")),
+    "node/io401.py": Target(("test_io401",), ("_sample", "_step", "_fail", "_apply", "_connection_lost", "_react")),
     "node/coil404.py": Target(("test_brake404_edges",)),
 }
 """What decides about torque, brake or arming, and the tests that hold it."""

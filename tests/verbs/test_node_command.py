@@ -13,6 +13,7 @@ from pathlib import Path
 
 import canopen
 import pytest
+from click.testing import CliRunner
 
 import eds_text
 from coulombus.eds.reader import EdsError, read_eds
@@ -22,6 +23,7 @@ from coulombus.node.kinds import GENERIC, PROFILES
 from coulombus.sim_bus.network.network import VirtualNetwork
 from coulombus.sim_bus.server.live_nodes import LiveNodes, NodeError
 from coulombus.sim_bus.server.server import BusServer
+from coulombus.verbs.sim import node_command
 from coulombus.wire.address import BusAddress
 from coulombus.wire.hello import Flags, connect
 
@@ -133,6 +135,18 @@ def test_our_own_files_have_their_behaviour_and_others_none(tmp_path):
 
     assert kinds(None) == [DRIVE402, BRAKE404, GENERIC]
     assert kinds(GENERIC) == [GENERIC] * 3
+
+
+def test_a_kind_whose_objects_a_file_lacks_is_refused():
+    nodes = LiveNodes(((BRAKE, 1),), DRIVE402)
+    with pytest.raises(NodeError, match=r"mr_brake.eds: got no 6040h:00, 6041h:00, which kind drive acts on"):
+        nodes.make_world(1_000_000, True)
+
+
+def test_a_kind_that_is_none_names_those_that_are():
+    result = CliRunner().invoke(node_command, [str(MOTOR), "--bus", "coulombus:desk", "--kind", "pump"])
+    assert result.exit_code == 2
+    assert "got kind 'pump', expected generic, drive, brake, io" in result.output
 
 
 def test_one_diagnosis_is_one(tmp_path, capsys):
