@@ -16,5 +16,7 @@ Record: TypeAlias = np.record
 
 
 def new_records(dtype: np.dtype[Any], count: int = 1) -> Records:
-    """Return `count` records of `dtype`, all zero, whose fields are attributes in compiled and in plain Python."""
+    """Return `count` records of `dtype`, all zero, whose fields are
+    attributes in compiled and in plain Python.
+    """
     return np.zeros(count, dtype).view(np.recarray)

@@ -1,7 +1,9 @@
-"""Everything that can be said about an EDS file: the reader's diagnoses, and whether its PDOs can be read right.
+"""Everything that can be said about an EDS file: the reader's
+diagnoses, and whether its PDOs can be read right.
 
-The reader looks at one object at a time. Here the PDO parameters are held against each other and against the objects
-that they map (CiA 301, sections 7.5.2.35 to 7.5.2.38). A PDO that cannot be read right is a refusal, with the reason: it is not valid at start.
+The reader looks at one object at a time. Here the PDO parameters are held against each other and
+against the objects that they map (CiA 301, sections 7.5.2.35 to 7.5.2.38). A PDO that cannot be
+read right is a refusal, with the reason: it is not valid at start.
 """
 
 from __future__ import annotations
@@ -30,7 +32,8 @@ SERVICES = {
 
 @dataclass(frozen=True)
 class Report:
-    """What is wrong with a file. `refusals` tells of PDOs that cannot be read right, each as ``file:line: what; what to do``.
+    """What is wrong with a file. `refusals` tells of PDOs that cannot
+    be read right, each as ``file:line: what; what to do``.
 
     Such a PDO is not valid when the device starts; everything else of the file can be used.
     """

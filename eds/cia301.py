@@ -1,4 +1,5 @@
-"""CiA 301 (application layer) as tables: data types, NMT, SDO abort codes, EMCY codes, default identifiers.
+"""CiA 301 (application layer) as tables: data types, NMT, SDO abort
+codes, EMCY codes, default identifiers.
 
 One copy for the device, the host and the tools. Section numbers are those of CiA 301 version 4.2.0.
 """
@@ -78,7 +79,9 @@ DATA_TYPES = _types()
 """Data types by code."""
 
 DUMMY_TYPES = range(0x0001, 0x0008)
-"""Static data types that may be mapped into an RPDO as a gap (section 7.4.8.1 and [DummyUsage] of CiA 306)."""
+"""Static data types that may be mapped into an RPDO as a gap (section
+7.4.8.1 and [DummyUsage] of CiA 306).
+"""
 
 
 class NmtState(IntEnum):
@@ -101,7 +104,9 @@ class NmtCommand(IntEnum):
 
 
 class CobId(IntEnum):
-    """Function codes of the pre-defined connection set (section 7.3.5); add the node id from EMCY on."""
+    """Function codes of the pre-defined connection set (section
+    7.3.5); add the node id from EMCY on.
+    """
 
     NMT = 0x000
     SYNC = 0x080
@@ -135,10 +140,12 @@ _INVALID = 1 << 31
 
 
 def predefined(index: int, subindex: int, node_id: int) -> int | None:
-    """Return the default that CiA 301 gives a communication object of the node; None where it leaves it to the device.
+    """Return the default that CiA 301 gives a communication object of
+    the node; None where it leaves it to the device.
 
-    Identifiers are those of the pre-defined connection set (section 7.3.5), with four PDOs of each direction; further PDOs are not
-    valid. A PDO's transmission type is 255. 1F80h (CiA 302-2) says, as a device without it does, that an NMT master starts the device.
+    Identifiers are those of the pre-defined connection set (section 7.3.5), with four PDOs of each
+    direction; further PDOs are not valid. A PDO's transmission type is 255. 1F80h (CiA 302-2) says,
+    as a device without it does, that an NMT master starts the device.
     """
     fixed = {
         (0x1F80, 0): 0x04,
@@ -305,6 +312,8 @@ _EMCY_CLASSES = {
 
 
 def emcy_text(code: int) -> str:
-    """Return ``0x8250: RPDO time-out`` for an EMCY code; an unlisted one is named by its class (table 25)."""
+    """Return ``0x8250: RPDO time-out`` for an EMCY code; an unlisted
+    one is named by its class (table 25).
+    """
     text = EMCY_TEXT.get(code) or _EMCY_CLASSES.get(code >> 8) or "unknown emergency code"
     return f"0x{code:04X}: {text}"

@@ -1,7 +1,8 @@
 """CiA 305 (layer setting services, LSS) as tables, for the device, the host and the tools.
 
-A request goes from the master to all slaves on 7E5h, an answer comes back on 7E4h, eight bytes each, the command
-specifier first. Multi-byte numbers are little endian; bytes that are not used are 0.
+A request goes from the master to all slaves on 7E5h, an answer comes back on 7E4h, eight bytes
+each, the command specifier first. Multi-byte numbers are little endian; bytes that are not used are
+0.
 """
 
 from __future__ import annotations
@@ -65,4 +66,5 @@ BIT_RATES: Mapping[int, int] = {
     7: 20_000,
     8: 10_000,
 }
-"""Bit rate [bit/s] by index of the table 0; 5 is reserved, and so is 9 (automatic detection) here."""
+"""Bit rate [bit/s] by index of the table 0; 5 is reserved, and so is 9 (automatic detection) here.
+"""

@@ -1,12 +1,13 @@
-"""CiA 402's power drive state machine as one table, shared by the device and the host (IEC 61800-7-201, figure 2).
+"""CiA 402's power drive state machine as one table, shared by the
+device and the host (IEC 61800-7-201, figure 2).
 
-The table does not know which role it plays. The drive asks "this state, this controlword: which state next?"
-(`NEXT_STATE`), the host asks "this statusword: which state?" (`STATE_OF_STATUSWORD`) and "which controlword leads on to
-Operation Enabled from here?" (`CONTROLWORD_TO_ENABLE`). All tables are plain int64 arrays, so kernels read them as they
-stand.
+The table does not know which role it plays. The drive asks "this state, this controlword: which
+state next?" (`NEXT_STATE`), the host asks "this statusword: which state?" (`STATE_OF_STATUSWORD`)
+and "which controlword leads on to Operation Enabled from here?" (`CONTROLWORD_TO_ENABLE`). All
+tables are plain int64 arrays, so kernels read them as they stand.
 
-`STATES` has each state's statusword, `TRANSITIONS` what a controlword commands, `AUTOMATIC` what a drive does by itself; every array, and the
-diagram of docs/devices.md, is made of these three.
+`STATES` has each state's statusword, `TRANSITIONS` what a controlword commands, `AUTOMATIC` what
+a drive does by itself; every array, and the diagram of docs/devices.md, is made of these three.
 """
 
 from __future__ import annotations
@@ -85,7 +86,9 @@ CONTROLWORD = {
 
 
 class State(NamedTuple):
-    """A state, how the statusword (6041h) tells it, and the controlword that leads one step on towards Operation Enabled."""
+    """A state, how the statusword (6041h) tells it, and the
+    controlword that leads one step on towards Operation Enabled.
+    """
 
     state: PowerState
     mask: int
@@ -104,7 +107,9 @@ STATES = (
     State(_S.FAULT_REACTION_ACTIVE, 0x4F, 0x0F, CONTROLWORD[_C.DISABLE_VOLTAGE]),
     State(_S.FAULT, 0x4F, 0x08, CONTROLWORD[_C.FAULT_RESET]),
 )
-"""CiA 402 table 30, in the order of `PowerState`. Bit 4 (voltage enabled) is in no mask; bit 5 is set in the fault states by some drives."""
+"""CiA 402 table 30, in the order of `PowerState`. Bit 4 (voltage
+enabled) is in no mask; bit 5 is set in the fault states by some drives.
+"""
 
 STATUSWORD: npt.NDArray[np.int64] = np.array([row.value for row in STATES], np.int64)
 """Bits 0-3, 5 and 6 of the statusword (6041h) by `PowerState`."""
@@ -125,7 +130,9 @@ STATE_OF_STATUSWORD = _state_of_statusword()
 
 
 def _command_of_controlword() -> npt.NDArray[np.int64]:
-    """Command by the low 4 bits of the controlword (CiA 402 table 24); the edge of bit 7 is the caller's."""
+    """Command by the low 4 bits of the controlword (CiA 402 table
+    24); the edge of bit 7 is the caller's.
+    """
     table = np.full(16, Command.NONE, np.int64)
     for word in range(16):
         if not word & 0b0010:
@@ -170,7 +177,9 @@ AUTOMATIC: tuple[tuple[int, PowerState | None, str, PowerState], ...] = (
     (13, _S.OPERATION_ENABLED, "fault, in every state", _S.FAULT_REACTION_ACTIVE),
     (14, _S.FAULT_REACTION_ACTIVE, "fault reaction complete", _S.FAULT),
 )
-"""(number, state, when, next state) of every transition that a drive makes by itself; None is the switched-off drive."""
+"""(number, state, when, next state) of every transition that a drive
+makes by itself; None is the switched-off drive.
+"""
 
 
 def _next_state() -> npt.NDArray[np.int64]:
@@ -181,7 +190,9 @@ def _next_state() -> npt.NDArray[np.int64]:
 
 
 NEXT_STATE = _next_state()
-"""``NEXT_STATE[state, command]``: the state that follows; the same state where the table has no transition."""
+"""``NEXT_STATE[state, command]``: the state that follows; the same
+state where the table has no transition.
+"""
 
 
 def diagram() -> str:

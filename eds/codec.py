@@ -1,7 +1,8 @@
 """The compiled PDO codec: up to 64 fields of 1-64 bits, at any bit offset, in one 8-byte word.
 
-CiA 301 numbers bits from the least significant bit of byte 0 upwards (little endian, section 7.1.4), so a PDO is one
-64-bit word and a field is a shift and a mask. A motor's TPDO1, as an example::
+CiA 301 numbers bits from the least significant bit of byte 0 upwards (little endian, section
+7.1.4), so a PDO is one 64-bit word and a field is a shift and a mask. A motor's TPDO1, as an
+example::
 
     bit   63            48 47                            16 15             0
          +----------------+--------------------------------+----------------+
@@ -9,8 +10,9 @@ CiA 301 numbers bits from the least significant bit of byte 0 upwards (little en
          +----------------+--------------------------------+----------------+
     byte  7      6          5      4      3      2           1      0
 
-Values are the objects' raw bits held in int64: signed types are sign-extended, unsigned types are zero-extended
-(UNSIGNED64 keeps its bit pattern), REAL32 and REAL64 keep their IEEE 754 bit pattern (`real_bits`, `real_value`).
+Values are the objects' raw bits held in int64: signed types are sign-extended, unsigned types are
+zero-extended (UNSIGNED64 keeps its bit pattern), REAL32 and REAL64 keep their IEEE 754 bit pattern
+(`real_bits`, `real_value`).
 """
 
 from __future__ import annotations
@@ -48,7 +50,9 @@ PDO = np.dtype(
 
 @kernel
 def get_field(word: int, start: int, bits: int, signed: int) -> int:
-    """Return the field of `bits` bits that begins at bit `start` of `word`, sign-extended when `signed`."""
+    """Return the field of `bits` bits that begins at bit `start` of
+    `word`, sign-extended when `signed`.
+    """
     if bits >= 64:
         return word
     half = 1 << (bits - 1)  # masks are made of halves: 1 << 63 would leave int64

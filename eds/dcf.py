@@ -1,4 +1,6 @@
-"""What a DCF adds to an EDS (CiA 306-1): configured values, ParameterValue and [1003Value], and [DeviceComissioning]."""
+"""What a DCF adds to an EDS (CiA 306-1): configured values,
+ParameterValue and [1003Value], and [DeviceComissioning].
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ BIT_RATES = (10, 20, 50, 100, 125, 250, 500, 800, 1000)
 
 
 class DcfReader(ValueReader):
-    """Puts configured values in the place of defaults; `node_id` is that of [DeviceComissioning], 0 where there is none."""
+    """Puts configured values in the place of defaults; `node_id` is
+    that of [DeviceComissioning], 0 where there is none.
+    """
 
     node_id = 0
 
@@ -32,7 +36,9 @@ class DcfReader(ValueReader):
         """Lines of the values that go with the node id, as their defaults do."""
 
     def commissioning(self) -> tuple[int, int]:
-        """Return node id and bit rate [bit/s] of a DCF's [DeviceComissioning] (CiA's spelling); 0 where there is none."""
+        """Return node id and bit rate [bit/s] of a DCF's
+        [DeviceComissioning] (CiA's spelling); 0 where there is none.
+        """
         known = [self.sections[name] for name in COMMISSIONING if name in self.sections]
         if not known:
             return 0, 0
@@ -63,7 +69,8 @@ class DcfReader(ValueReader):
                 variables[subindex] = self.configured(variables[subindex], section, key)
 
     def configured(self, variable: Variable, section: Section, key: str) -> Variable:
-        """Return the variable with a DCF's value, held against type and limits as an SDO would be, for its default.
+        """Return the variable with a DCF's value, held against type
+        and limits as an SDO would be, for its default.
 
         What cannot be taken leaves the default as it is, and a PDO parameter unreadable.
         """
@@ -85,8 +92,9 @@ class DcfReader(ValueReader):
     def related(self, variable: Variable, section: Section, key: str, value: int) -> Variable:
         """Return the variable with a constant where the default goes with the node id.
 
-        What is the default for the DCF's own node id goes with another one, too: a file that is used with another node id moves all its
-        identifiers or none. Bits 30 and 31 of a COB-ID (no RTR, not valid) are settings of their own and no part of the identifier.
+        What is the default for the DCF's own node id goes with another one, too: a file that is
+        used with another node id moves all its identifiers or none. Bits 30 and 31 of a COB-ID (no
+        RTR, not valid) are settings of their own and no part of the identifier.
         """
         assert isinstance(variable.default, int)
         usual, said = variable.default + self.node_id, f"{section.what(key)}={section.get(key)}"

@@ -25,7 +25,8 @@ class EdsError(Exception):
 class Diagnosis:
     """One defect of a file, and what the reader assumed instead.
 
-    A "warning" has one sensible reading; after an "error" something is missing that a user should look up.
+    A "warning" has one sensible reading; after an "error" something
+    is missing that a user should look up.
     """
 
     path: str
@@ -42,10 +43,11 @@ class Diagnosis:
 class Variable:
     """One sub-index of the object dictionary.
 
-    `default` is what the device starts with: the ParameterValue of a DCF, else the DefaultValue.
-    It is None where the file gives none, and where it gives one that cannot be read: `unreadable` then says why.
-    With `node_relative` the default is the constant that the node id is added to. `data_type` 0 means not known.
-    Numbers are Python numbers: a hexadecimal default of a signed type is read as two's complement.
+    `default` is what the device starts with: the ParameterValue of a DCF, else the DefaultValue. It
+    is None where the file gives none, and where it gives one that cannot be read: `unreadable` then
+    says why. With `node_relative` the default is the constant that the node id is added to.
+    `data_type` 0 means not known. Numbers are Python numbers: a hexadecimal default of a signed
+    type is read as two's complement.
     """
 
     index: int
@@ -67,7 +69,9 @@ class Variable:
 
     @property
     def whole(self) -> tuple[int, int] | None:
-        """Least and largest number that the data type holds; None where it is no integer, or not known."""
+        """Least and largest number that the data type holds; None
+        where it is no integer, or not known.
+        """
         data_type = DATA_TYPES.get(self.data_type)
         if data_type is None or data_type.kind not in ("int", "bool"):
             return None
@@ -76,9 +80,11 @@ class Variable:
 
     @property
     def largest(self) -> float:
-        """Largest number that the object takes, by its type and its HighLimit; infinite where neither tells.
+        """Largest number that the object takes, by its type and its
+        HighLimit; infinite where neither tells.
 
-        A HighLimit of 0 without a LowLimit below 0 is one that nobody has set: editors of EDS files write it.
+        A HighLimit of 0 without a LowLimit below 0 is one that nobody
+        has set: editors of EDS files write it.
         """
         most = math.inf if self.whole is None else max(self.whole)
         if self.high is None or (self.high == 0 and (self.low is None or self.low >= 0)):
@@ -104,9 +110,11 @@ class Object:
 
 @dataclass(frozen=True)
 class Description:
-    """What an EDS file says of a device; `info` is [DeviceInfo], `dummies` the types that may fill a PDO's gaps.
+    """What an EDS file says of a device; `info` is [DeviceInfo],
+    `dummies` the types that may fill a PDO's gaps.
 
-    `node_id` and `bit_rate` [bit/s] are those of a DCF's [DeviceComissioning], 0 where there are none.
+    `node_id` and `bit_rate` [bit/s] are those of a DCF's
+    [DeviceComissioning], 0 where there are none.
     """
 
     path: str

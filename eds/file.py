@@ -1,4 +1,6 @@
-"""What an EDS file says besides its objects: device, lists of objects, and all that belongs to no object."""
+"""What an EDS file says besides its objects: device, lists of
+objects, and all that belongs to no object.
+"""
 
 from __future__ import annotations
 
@@ -53,7 +55,9 @@ PDO_COUNT = 512
 
 
 class FileReader(DcfReader):
-    """Reads [DeviceInfo], [DummyUsage] and the lists, and says what no other part of the reader looks at."""
+    """Reads [DeviceInfo], [DummyUsage] and the lists, and says what
+    no other part of the reader looks at.
+    """
 
     def device_info(self, objects: Mapping[int, Object]) -> dict[str, str]:
         """Return [DeviceInfo] as written; its numbers are held against the objects."""
@@ -119,7 +123,9 @@ class FileReader(DcfReader):
                 self.say(head.line, f"[{head.name}] stands in no list of objects", "an object like the others")
 
     def check_rest(self, objects: Mapping[int, Object]) -> None:
-        """Say what stands in the file besides objects: values of a DCF, modules, unknown sections and keys."""
+        """Say what stands in the file besides objects: values of a
+        DCF, modules, unknown sections and keys.
+        """
         self.check_values()
         for name, key, what in (
             ("supportedmodules", "nrofentries", "modules"),

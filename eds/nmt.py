@@ -1,8 +1,10 @@
-"""CiA 301's NMT state machine as one table, shared by the device, the host and the tools (section 7.3.2.2, figure 48).
+"""CiA 301's NMT state machine as one table, shared by the device, the
+host and the tools (section 7.3.2.2, figure 48).
 
-`STATES` has what may be sent and received in each state, `TRANSITIONS` what an NMT command leads to, `AUTOMATIC` what a device does by itself; every
-array and mapping, and the diagram and the table of docs/devices.md, are made of these three. The arrays are plain int64, so kernels
-read them as they stand: ``ALLOWED[state] & Service.PDO``.
+`STATES` has what may be sent and received in each state, `TRANSITIONS` what an NMT command leads
+to, `AUTOMATIC` what a device does by itself; every array and mapping, and the diagram and the table
+of docs/devices.md, are made of these three. The arrays are plain int64, so kernels read them as
+they stand: ``ALLOWED[state] & Service.PDO``.
 """
 
 from __future__ import annotations
@@ -85,7 +87,8 @@ AUTOMATIC: tuple[tuple[NmtState | None, str, int | None, NmtState], ...] = (
     (_S.OPERATIONAL, "error, 1029h is 2", 2, _S.STOPPED),
     (_S.PRE_OPERATIONAL, "error, 1029h is 2", 2, _S.STOPPED),
 )
-"""(state, when, value of 1029h if it decides, next state) of what a device does by itself; None is the switched-off device.
+"""(state, when, value of 1029h if it decides, next state) of what a
+device does by itself; None is the switched-off device.
 
 A device that starts by itself (1F80h bit 2 clear) makes transition 3 behind its boot-up.
 """
@@ -116,7 +119,9 @@ def _after_error() -> npt.NDArray[np.int64]:
 
 
 AFTER_ERROR = _after_error()
-"""``AFTER_ERROR[behaviour, state]``: the state that follows an error, by 1029h (0 to 2); the same state where it changes nothing."""
+"""``AFTER_ERROR[behaviour, state]``: the state that follows an error,
+by 1029h (0 to 2); the same state where it changes nothing.
+"""
 
 
 def diagram() -> str:

@@ -1,6 +1,7 @@
 """Which devices are this project's own: 1018h of `motor.eds` and `mr_brake.eds`.
 
-The objects 2000h to 5FFFh mean what these files say in these devices only; each maker has objects of its own there.
+The objects 2000h to 5FFFh mean what these files say in these devices
+only; each maker has objects of its own there.
 """
 
 from __future__ import annotations

@@ -1,7 +1,9 @@
-"""PDO layouts from an EDS's communication and mapping parameters (CiA 301, sections 7.5.2.35 to 7.5.2.38).
+"""PDO layouts from an EDS's communication and mapping parameters (CiA
+301, sections 7.5.2.35 to 7.5.2.38).
 
-A map is read right or refused: an entry that is dropped or misread would shift every field behind it, and a shifted
-torque is a wrong torque. Times are nanoseconds inside; 1800h:3 counts 100 us and 1800h:5 counts 1 ms.
+A map is read right or refused: an entry that is dropped or misread would shift every field behind
+it, and a shifted torque is a wrong torque. Times are nanoseconds inside; 1800h:3 counts 100 us and
+1800h:5 counts 1 ms.
 """
 
 from __future__ import annotations
@@ -35,7 +37,9 @@ NAME_COLUMNS = 34
 
 @dataclass(frozen=True)
 class Entry:
-    """One mapped field; `kind` "real" means an IEEE 754 pattern. Dummy entries have index 0001h to 0007h."""
+    """One mapped field; `kind` "real" means an IEEE 754 pattern.
+    Dummy entries have index 0001h to 0007h.
+    """
 
     index: int
     subindex: int
@@ -52,7 +56,9 @@ class Entry:
 
 @dataclass(frozen=True)
 class PdoLayout:
-    """One PDO, as the device sees it (an RPDO is what it receives); `cob_id` is -1 where the PDO is not valid."""
+    """One PDO, as the device sees it (an RPDO is what it receives);
+    `cob_id` is -1 where the PDO is not valid.
+    """
 
     number: int
     direction: Direction
@@ -100,7 +106,9 @@ def layouts(description: Description, node_id: int) -> tuple[PdoLayout, ...]:
 
 
 def unreadable(description: Description, node_id: int) -> dict[int, str]:
-    """Return why a PDO cannot be read right, by the index of its communication parameter; such a PDO is not valid at start."""
+    """Return why a PDO cannot be read right, by the index of its
+    communication parameter; such a PDO is not valid at start.
+    """
     found = {}
     for direction, number in _described(description):
         try:
@@ -149,7 +157,8 @@ def read_layout(description: Description, node_id: int, direction: Direction, nu
 def fill(record: Record, layout: PdoLayout, slot_of: Callable[[int, int], int]) -> None:
     """Write a layout into one record of `eds.codec.PDO`.
 
-    `slot_of` gives the slot of (index, sub-index) and is not asked about dummy entries, which get slot -1.
+    `slot_of` gives the slot of (index, sub-index) and is not asked
+    about dummy entries, which get slot -1.
     """
     for name in ("cob_id", "transmission", "inhibit_ns", "event_ns", "sync_start", "rtr_allowed", "length"):
         record[name] = getattr(layout, name)
@@ -167,7 +176,9 @@ def fill(record: Record, layout: PdoLayout, slot_of: Callable[[int, int], int]) 
 
 
 def entry_of(variable: Variable, bits: int = 0) -> Entry:
-    """Return the entry that maps `variable`, in `bits` bits where its data type has no fixed width (0: the type's)."""
+    """Return the entry that maps `variable`, in `bits` bits where its
+    data type has no fixed width (0: the type's).
+    """
     data_type = DATA_TYPES.get(variable.data_type)
     real = data_type is not None and data_type.kind == "real"
     signed = data_type is not None and data_type.signed and not real

@@ -1,12 +1,14 @@
-"""A tolerant reader of EDS and DCF files (CiA 306-1), with a diagnosis for everything that it had to assume.
+"""A tolerant reader of EDS and DCF files (CiA 306-1), with a
+diagnosis for everything that it had to assume.
 
-Real files are written by hand and by a dozen tools: Windows code pages, missing keys, doubled sections, zero-padded
-numbers. All of that is read, and each defect is told with its line and with what was assumed instead. One thing is
-never assumed: what a PDO parameter (1400h to 1BFFh) means. Where the file can be read in two ways there, the variable
-has no default, `Variable.unreadable` says why, and `eds.pdo` refuses the map.
+Real files are written by hand and by a dozen tools: Windows code pages, missing keys, doubled
+sections, zero-padded numbers. All of that is read, and each defect is told with its line and with
+what was assumed instead. One thing is never assumed: what a PDO parameter (1400h to 1BFFh) means.
+Where the file can be read in two ways there, the variable has no default, `Variable.unreadable`
+says why, and `eds.pdo` refuses the map.
 
-The file is read in two steps: lines to sections (`eds.sections`), sections to objects (here; values by `eds.values`,
-a DCF's by `eds.dcf`, the file's other parts by `eds.file`).
+The file is read in two steps: lines to sections (`eds.sections`), sections to objects
+(here; values by `eds.values`, a DCF's by `eds.dcf`, the file's other parts by `eds.file`).
 """
 
 from __future__ import annotations
@@ -42,7 +44,8 @@ ACCESS_WORDS = {
 
 MOST_SUBINDICES = 0xFE
 MOST_BYTES = 1 << 26
-"""More than this is no device description, and may have no end, as a device of the system has none."""
+"""More than this is no device description, and may have no end, as a device of the system has none.
+"""
 
 
 def read_eds(path: str | Path) -> Description:
@@ -51,7 +54,8 @@ def read_eds(path: str | Path) -> Description:
     Raises
     ------
     EdsError
-        The path is no regular file (a FIFO, a device: told at once), cannot be opened, is too large, or describes no object at all.
+        The path is no regular file (a FIFO, a device: told at once),
+        cannot be opened, is too large, or describes no object at all.
     """
     try:
         raw = read_regular(path, MOST_BYTES)
@@ -64,7 +68,8 @@ def read_eds(path: str | Path) -> Description:
 
 @lru_cache(maxsize=16)
 def parse_eds(raw: bytes, path: str) -> Description:
-    """Read the bytes of an EDS or DCF file; `path` names it in diagnoses. The same bytes are read once.
+    """Read the bytes of an EDS or DCF file; `path` names it in
+    diagnoses. The same bytes are read once.
 
     Raises
     ------
@@ -187,7 +192,9 @@ class _Reader(FileReader):
         return kind
 
     def compact(self, index: int, head: Section, name: str, count: int) -> dict[int, Variable]:
-        """Expand CompactSubObj: sub-index 0 is implied, the others share the head's type, access and default."""
+        """Expand CompactSubObj: sub-index 0 is implied, the others
+        share the head's type, access and default.
+        """
         number = Variable(index, 0, "Highest sub-index", 5, "ro", count, False, None, None, False, head.line)
         section = self.sections.get(f"{index:04x}name", Section("", head.line))
         names = {subindex: section.get(key) for subindex, key in section.numbered().items()}

@@ -1,6 +1,7 @@
 """Reading a file that a user names: a regular file of a bounded size, or a reason at once.
 
-A FIFO or a terminal has no end until somebody writes to it, a device may have none at all, and opening some devices does something.
+A FIFO or a terminal has no end until somebody writes to it, a device
+may have none at all, and opening some devices does something.
 """
 
 from __future__ import annotations
@@ -30,7 +31,9 @@ class NoRegularFile(OSError):
 
 @contextmanager
 def naming(path: str | Path) -> Iterator[None]:
-    """Let an error of a file that is read inside tell which one; reading names none, only opening does."""
+    """Let an error of a file that is read inside tell which one;
+    reading names none, only opening does.
+    """
     try:
         yield
     except OSError as error:

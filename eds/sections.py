@@ -1,6 +1,8 @@
-"""The first step of reading an EDS file: bytes to text, text to sections with the line of every key.
+"""The first step of reading an EDS file: bytes to text, text to
+sections with the line of every key.
 
-Whatever is tolerated here - code pages, doubled sections and keys, comments behind values, heads without a bracket - is said.
+Whatever is tolerated here - code pages, doubled sections and keys,
+comments behind values, heads without a bracket - is said.
 """
 
 from __future__ import annotations
@@ -19,7 +21,9 @@ MOST_DIGITS = 40
 
 @dataclass(frozen=True)
 class Number:
-    """A number as written: its value, a complaint about the notation, and whether it could mean another value."""
+    """A number as written: its value, a complaint about the notation,
+    and whether it could mean another value.
+    """
 
     value: int
     complaint: str = ""
@@ -57,7 +61,9 @@ def _same(first: str, second: str) -> bool:
 
 @dataclass
 class Section:
-    """Keys in lower case with value and line; `conflicts` are keys that stand twice with different values."""
+    """Keys in lower case with value and line; `conflicts` are keys
+    that stand twice with different values.
+    """
 
     name: str
     line: int
@@ -212,7 +218,9 @@ class SectionReader:
         return bare
 
     def integer(self, section: Section, key: str, assumed: int) -> int:
-        """Return a key's number; `assumed` where it is absent or empty (not said) or no number (said)."""
+        """Return a key's number; `assumed` where it is absent or
+        empty (not said) or no number (said).
+        """
         text = self.bare(section, key)
         if not text:
             return assumed

@@ -1,4 +1,6 @@
-"""Values of an EDS file by CiA 301's data types: two's complement, REAL, strings, limits; what does not fit is said."""
+"""Values of an EDS file by CiA 301's data types: two's complement,
+REAL, strings, limits; what does not fit is said.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +49,9 @@ class ValueReader(SectionReader):
     # Values by data type.
 
     def value(self, section: Section, key: str, code: int, otherwise: str = "no value") -> tuple[Value, bool, str]:
-        """Return a value, whether the node id is to be added, and why it could not be read; `otherwise` is assumed then."""
+        """Return a value, whether the node id is to be added, and why
+        it could not be read; `otherwise` is assumed then.
+        """
         kind = DATA_TYPES[code].kind if code in DATA_TYPES else "unknown"
         if kind in ("text", "unicode"):
             text = section.get(key)
@@ -140,7 +144,9 @@ class ValueReader(SectionReader):
         return value, relative, why
 
     def fit(self, section: Section, key: str, number: int, code: int, hexadecimal: bool) -> tuple[int | None, str]:
-        """Bring a number into its type's range: two's complement, which only hexadecimal may mean without a word."""
+        """Bring a number into its type's range: two's complement,
+        which only hexadecimal may mean without a word.
+        """
         data_type = DATA_TYPES.get(code)
         if data_type is None or not data_type.bits:
             return number, ""

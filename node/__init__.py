@@ -1,1 +1,3 @@
-"""A CANopen device: frames and time in, frames and the next deadline out; a compiled core and Python services."""
+"""A CANopen device: frames and time in, frames and the next deadline
+out; a compiled core and Python services.
+"""

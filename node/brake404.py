@@ -1,15 +1,19 @@
-"""The driver of the MR brake as a CiA 404 device, compiled: one analogue output block, three analogue input blocks.
+"""The driver of the MR brake as a CiA 404 device, compiled: one
+analogue output block, three analogue input blocks.
 
-Output: the set-point 7300h:01 * 10 ** -6302h:01 in Nm, through the scale 7320h to 7323h (by default 1), and not above what
-the coil's current allows (`node.coil404`). The channel is unsigned: a negative set-point is 0 and counted, one
-above the EDS' high limit is clipped and counted. Without a new set-point for 2001h microseconds the output goes in a
-straight line of 2005h microseconds to the fault value 7341h:01, when the fault mode 6340h:01 is 1; a new set-point ends
-it. A fault of the device itself takes the same line to 0, a short circuit is 0 at once.
+Output: the set-point 7300h:01 * 10 ** -6302h:01 in Nm, through the scale 7320h to 7323h (by default
+1), and not above what the coil's current allows (`node.coil404`). The channel is unsigned: a
+negative set-point is 0 and counted, one above the EDS' high limit is clipped and counted. Without a
+new set-point for 2001h microseconds the output goes in a straight line of 2005h microseconds to the
+fault value 7341h:01, when the fault mode 6340h:01 is 1; a new set-point ends it. A fault of the
+device itself takes the same line to 0, a short circuit is 0 at once.
 
-Inputs: 7130h = saturate_int16((in * 6126h + 6127h + 6124h) * 10 ** 6132h): handle torque, coil current, coil temperature.
-Their status 6150h: bit 0 not valid (channel off, no number), bit 1 above 7149h, bit 2 below 7148h.
+Inputs: 7130h = saturate_int16((in * 6126h + 6127h + 6124h) * 10 ** 6132h): handle torque, coil
+current, coil temperature. Their status 6150h: bit 0 not valid (channel off, no number), bit 1 above
+7149h, bit 2 below 7148h.
 
-In the kernels: `n` the node's record (`node.record`), `k` a number from 0, `out` the queue of frames to send.
+In the kernels: `n` the node's record (`node.record`), `k` a number
+from 0, `out` the queue of frames to send.
 """
 
 from __future__ import annotations
@@ -43,14 +47,18 @@ def start(n: NodeRecord, t_ns: int) -> None:
 
 @kernel
 def _torque(n: NodeRecord, raw: int) -> float:
-    """Return the torque [Nm] that a value of 7300h stands for, full scale at most; the coil's limit is the caller's."""
+    """Return the torque [Nm] that a value of 7300h stands for, full
+    scale at most; the coil's limit is the caller's.
+    """
     torque: float = min(max(max(raw, 0) * n.ao_gain_Nm + n.ao_bias_Nm, 0.0), n.ao_full_Nm)
     return torque
 
 
 @kernel
 def _begin_ramp(n: NodeRecord, t_ns: int) -> None:
-    """Begin the ramp from the present output: to the fault value, to 0 for a fault of the device itself."""
+    """Begin the ramp from the present output: to the fault value, to
+    0 for a fault of the device itself.
+    """
     n.ramp_from_Nm = n.out_brake_Nm
     n.ramp_to_Nm = 0.0 if n.causes & emcy.DEVICE_MASK else _torque(n, n.values[slots404.FAULT_VALUE])
     n.ramp_start_ns = t_ns
@@ -86,7 +94,9 @@ def new_setpoint(n: NodeRecord, t_ns: int) -> None:
 
 @kernel
 def connection_lost(n: NodeRecord, t_ns: int, forced: int) -> None:
-    """Begin the ramp to the fault value at `t_ns`, from the present output; fault mode 0 keeps it unless `forced`."""
+    """Begin the ramp to the fault value at `t_ns`, from the present
+    output; fault mode 0 keeps it unless `forced`.
+    """
     n.setpoint_armed = 0
     if not forced and n.values[slots404.FAULT_MODE] != 1:
         return
@@ -98,7 +108,9 @@ def connection_lost(n: NodeRecord, t_ns: int, forced: int) -> None:
 
 @kernel
 def host_lost(n: NodeRecord, t_ns: int) -> None:
-    """NMT left OPERATIONAL by itself (1029h): the last set-point is still held for its time, if that is watched."""
+    """NMT left OPERATIONAL by itself (1029h): the last set-point is
+    still held for its time, if that is watched.
+    """
     if n.setpoint_armed == 0 or n.values[slots.SETPOINT_AGE_US] <= 0:
         connection_lost(n, t_ns, 0)
 

@@ -1,17 +1,21 @@
-"""What the brake's driver looks after in its coil, compiled: current limit, temperature, open and short circuit, remanence.
+"""What the brake's driver looks after in its coil, compiled: current
+limit, temperature, open and short circuit, remanence.
 
 Everything is judged by what the driver measures (current, temperature) and by what it commands.
 
-- The current is limited to 2010h:01; between the warning temperature 2011h:01 and the limit 2011h:02 the share that is left
-  falls in a straight line to 2011h:04. As the brake's torque goes with its current, `limit_Nm` bounds the torque.
+- The current is limited to 2010h:01; between the warning temperature 2011h:01 and the limit
+  2011h:02 the share that is left falls in a straight line to 2011h:04. As the brake's torque goes
+  with its current, `limit_Nm` bounds the torque.
 - Above 2011h:02: over-temperature, until the coil is colder by 2011h:03.
-- Less than a quarter of the commanded current for 2010h:04, when that is above 2010h:03: the coil is open.
+- Less than a quarter of the commanded current for 2010h:04, when that
+  is above 2010h:03: the coil is open.
 - More current than 2010h:02: it is short.
 
-An open coil shows only while there is a command, so both coil faults stay until a set-point of 0 is sent, with the output at 0.
+An open coil shows only while there is a command, so both coil faults
+stay until a set-point of 0 is sent, with the output at 0.
 
-The demagnetisation pulse: 2012h:03 after the output has gone to 0, 2012h:01 of the opposite sign for 2012h:02 takes away
-what the iron remembers. A new set-point ends it, a device fault bars it.
+The demagnetisation pulse: 2012h:03 after the output has gone to 0, 2012h:01 of the opposite sign
+for 2012h:02 takes away what the iron remembers. A new set-point ends it, a device fault bars it.
 
 In the kernels: `n` the node's record (`node.record`).
 """
@@ -113,7 +117,9 @@ def demagnetise(n: NodeRecord, t_ns: int) -> None:
 
 @kernel
 def next_deadline(n: NodeRecord, t_ns: int, next_ns: int) -> int:
-    """Return the earlier of `next_ns` and what the coil needs: the pulse's edges; a look while nobody sends a SYNC."""
+    """Return the earlier of `next_ns` and what the coil needs: the
+    pulse's edges; a look while nobody sends a SYNC.
+    """
     if n.demag_A > 0.0 and n.pulse_due and n.out_brake_Nm == 0.0 and n.causes & emcy.DEVICE_MASK == 0:
         edge = n.pulse_ns if t_ns < n.pulse_ns else n.pulse_ns + n.demag_ns
         next_ns = min(next_ns, max(edge, t_ns + 1))  # the pulse is over with the step at its end

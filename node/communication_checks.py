@@ -1,4 +1,5 @@
-"""What a client may write to the communication objects 1000h-13FFh and 1F80h, and when (CiA 301, section 7.5.2).
+"""What a client may write to the communication objects 1000h-13FFh
+and 1F80h, and when (CiA 301, section 7.5.2).
 
 Each object is a row of `CHECKS`. PDO parameters have their own rules in `node.pdo_parameters`.
 """

@@ -1,7 +1,8 @@
 """Communication objects of a node, 1000h-1FFFh: what may be written, and the record that follows.
 
-They stand in the Python dictionary; after a valid write `refresh` brings the record, the PDO records and the routes of
-the identifiers up to them. Each object is a row of `_REFRESHES`, and of `node.communication_checks.CHECKS`.
+They stand in the Python dictionary; after a valid write `refresh` brings the record, the PDO
+records and the routes of the identifiers up to them. Each object is a row of `_REFRESHES`, and of
+`node.communication_checks.CHECKS`.
 """
 
 from __future__ import annotations
@@ -32,7 +33,9 @@ class Communication:
         self.pdos = Pdos(dictionary, node)
 
     def sdo_servers(self) -> list[tuple[int, int, int]]:
-        """Return the SDO servers that are valid: (number from 0, identifier of the requests, of the responses)."""
+        """Return the SDO servers that are valid: (number from 0,
+        identifier of the requests, of the responses).
+        """
         number, node_id = self._dictionary.number, self._dictionary.node_id
         servers = []
         for k, index in enumerate(SDO_SERVERS):
@@ -62,7 +65,9 @@ class Communication:
         self._check_receiver(index, subindex, value)
 
     def _check_receiver(self, index: int, subindex: int, value: int) -> None:
-        """Abort where two services would hear one identifier, which `_route` gives to one of them; RPDOs may share theirs."""
+        """Abort where two services would hear one identifier, which
+        `_route` gives to one of them; RPDOs may share theirs.
+        """
         own = _RECEIVERS.get(index)
         if own is None or subindex != (own in (core.ROUTE_SDO, core.ROUTE_PDO)):
             return

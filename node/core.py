@@ -1,13 +1,16 @@
 """The compiled half of a CANopen device: what happens on a frame and what happens at a time.
 
-`on_frame` and `on_time` are functions of their arguments: the node's record, the time, a frame. They push what the
-node answers to the queue and keep the node's next deadline in `next_ns`. Deadlines are lazy: a reception only stores
-its time, and `on_time`, when it is called at `next_ns`, finds out whether something is late and computes the next
-deadline. A frame that has the same time as a deadline is handled first, so it is in time.
+`on_frame` and `on_time` are functions of their arguments: the node's record, the time, a frame.
+They push what the node answers to the queue and keep the node's next deadline in `next_ns`.
+Deadlines are lazy: a reception only stores its time, and `on_time`, when it is called at `next_ns`,
+finds out whether something is late and computes the next deadline. A frame that has the same time
+as a deadline is handled first, so it is in time.
 
-Python (`node.device`) serves NMT commands and SDO, for which `on_frame` returns 1, and edits the same record.
+Python (`node.device`) serves NMT commands and SDO, for which
+`on_frame` returns 1, and edits the same record.
 
-In the kernels: `n` the node's record (`node.record`), `k` a number from 0, `out` the queue of frames to send.
+In the kernels: `n` the node's record (`node.record`), `k` a number
+from 0, `out` the queue of frames to send.
 """
 
 from __future__ import annotations
@@ -68,7 +71,9 @@ def on_frame(
     data: int,
     out: Queue,
 ) -> int:
-    """Handle a frame whose end was at `t_ns`; return 1 when Python has to serve it (SDO, NMT, LSS), else 0."""
+    """Handle a frame whose end was at `t_ns`; return 1 when Python
+    has to serve it (SDO, NMT, LSS), else 0.
+    """
     if can_id <= 0x7FF and n.route[can_id] == ROUTE_NONE:
         return 0
     return handle(n, t_ns, can_id, length, data, out)
@@ -189,7 +194,9 @@ def on_time(n: NodeRecord, t_ns: int, out: Queue) -> None:
 
 @kernel
 def _react(n: NodeRecord, t_ns: int, behaviour: int, out: Queue) -> None:
-    """Let NMT follow an error as 1029h says (`eds.nmt.AUTOMATIC`); a value that CiA 301 does not know changes nothing."""
+    """Let NMT follow an error as 1029h says (`eds.nmt.AUTOMATIC`); a
+    value that CiA 301 does not know changes nothing.
+    """
     following = AFTER_ERROR[behaviour, n.nmt] if 0 <= behaviour < AFTER_ERROR.shape[0] else n.nmt
     if following != n.nmt:
         set_nmt(n, t_ns, following, BY_ITSELF, out)
@@ -220,7 +227,9 @@ def _schedule(n: NodeRecord, t_ns: int, out: Queue) -> None:
 
 @kernel
 def set_nmt(n: NodeRecord, t_ns: int, state: int, why: int, out: Queue) -> None:
-    """Change the NMT state; leaving OPERATIONAL, STOPPED and any reset make the output safe (`why`: node.profile)."""
+    """Change the NMT state; leaving OPERATIONAL, STOPPED and any
+    reset make the output safe (`why`: node.profile).
+    """
     before = n.nmt
     n.nmt = state
     if before == NmtState.OPERATIONAL and state != NmtState.OPERATIONAL:
@@ -265,8 +274,9 @@ def forget_connections(n: NodeRecord, t_ns: int, out: Queue) -> None:
 def link_changed(n: NodeRecord, t_ns: int, link: int, out: Queue) -> None:
     """Act on what the node's CAN controller tells (`wire.link.LINK_...`).
 
-    Bus-off is a communication error: the fault reaction, and what 1029h:01 says, as without heartbeats. Its EMCY can go out
-    when the controller is back only (8140h), and as the error is gone then, "error reset" follows unless a drive holds its fault.
+    Bus-off is a communication error: the fault reaction, and what 1029h:01 says, as without
+    heartbeats. Its EMCY can go out when the controller is back only (8140h), and as the error is
+    gone then, "error reset" follows unless a drive holds its fault.
     """
     if n.powered == 0:
         return

@@ -1,9 +1,11 @@
-"""Deadlines of a node, compiled: heartbeats both ways, RPDO deadline, SYNC time-out, a stale SDO transfer.
+"""Deadlines of a node, compiled: heartbeats both ways, RPDO deadline,
+SYNC time-out, a stale SDO transfer.
 
-Each watch begins with the first reception (heartbeat, RPDO, SYNC) and is judged lazily: `expire` looks at what is late
-at `t_ns`, `next_deadline` tells when to look again.
+Each watch begins with the first reception (heartbeat, RPDO, SYNC) and is judged lazily:
+`expire` looks at what is late at `t_ns`, `next_deadline` tells when to look again.
 
-In the kernels: `n` the node's record (`node.record`), `p` one of its PDOs, `k` a number from 0, `out` the queue of frames to send.
+In the kernels: `n` the node's record (`node.record`), `p` one of its
+PDOs, `k` a number from 0, `out` the queue of frames to send.
 """
 
 from __future__ import annotations
@@ -23,7 +25,9 @@ _WAITING, _ALIVE, _LOST = 0, 1, 2
 
 @kernel
 def heartbeat_received(n: NodeRecord, k: int, t_ns: int, length: int, data: int, out: Queue) -> None:
-    """Take a heartbeat of consumer entry `k`; a boot-up is none: who has just started has lost its connections."""
+    """Take a heartbeat of consumer entry `k`; a boot-up is none: who
+    has just started has lost its connections.
+    """
     if length < 1:
         n.dropped_length += 1
         return
@@ -59,7 +63,9 @@ def settle(n: NodeRecord, t_ns: int, out: Queue) -> None:
 
 @kernel
 def stop(n: NodeRecord, t_ns: int, out: Queue) -> None:
-    """NMT left OPERATIONAL: SYNC and RPDOs are no longer expected, so their loss is no longer present."""
+    """NMT left OPERATIONAL: SYNC and RPDOs are no longer expected, so
+    their loss is no longer present.
+    """
     n.sync_armed = 0
     for k in range(n.rpdo_used):
         n.rpdo_armed[k] = 0
@@ -69,7 +75,9 @@ def stop(n: NodeRecord, t_ns: int, out: Queue) -> None:
 
 @kernel
 def expire(n: NodeRecord, t_ns: int, out: Queue) -> int:
-    """Judge what is late at `t_ns`; return 1 when a heartbeat or the guarding was lost now (1029h decides what NMT does)."""
+    """Judge what is late at `t_ns`; return 1 when a heartbeat or the
+    guarding was lost now (1029h decides what NMT does).
+    """
     lost_now = 0
     if n.heartbeat_ns > 0 and t_ns >= n.heartbeat_next_ns:
         push(out, n.station, t_ns, CobId.HEARTBEAT + n.node_id, 1, n.nmt)

@@ -1,7 +1,9 @@
-"""A CANopen device: its description, its dictionary and its services, on the record that the core runs on.
+"""A CANopen device: its description, its dictionary and its services,
+on the record that the core runs on.
 
-The owner of the records calls `core.on_frame` with every frame and `core.on_time` at ``record.next_ns``; when
-`on_frame` returns 1 it calls `Device.service` with the same arguments. Nothing here knows a socket, a thread or a clock.
+The owner of the records calls `core.on_frame` with every frame and `core.on_time` at
+``record.next_ns``; when `on_frame` returns 1 it calls `Device.service` with the same arguments.
+Nothing here knows a socket, a thread or a clock.
 """
 
 from __future__ import annotations
@@ -34,7 +36,8 @@ from coulombus.wire.frame import Queue, Record, push
 __all__ = ["SDO_TIMEOUT_NS", "Device"]
 
 STAYS_PRE_OPERATIONAL = 0x04
-"""Bit of 1F80h (CiA 302-2): the device does not start by itself. Without 1F80h it does not either."""
+"""Bit of 1F80h (CiA 302-2): the device does not start by itself. Without 1F80h it does not either.
+"""
 
 _RESET: Mapping[int, int] = {NmtCommand.RESET_NODE: 0x0000, NmtCommand.RESET_COMMUNICATION: 0x1000}
 """NMT command -> first index of the objects that take their defaults again (0x1000: to 0x1FFF)."""
@@ -54,7 +57,8 @@ class Device:
     record
         The one of `node.record.new_nodes` that becomes this device.
     store
-        Where it keeps what 1010h and LSS store; by default a memory of its own, which resets and power cycles do not clear.
+        Where it keeps what 1010h and LSS store; by default a memory
+        of its own, which resets and power cycles do not clear.
 
     Raises
     ------
@@ -88,7 +92,9 @@ class Device:
 
     @property
     def unreadable(self) -> tuple[str, ...]:
-        """Why a PDO of the EDS cannot be read right, each with file:line; it is not valid at start, everything else is served."""
+        """Why a PDO of the EDS cannot be read right, each with
+        file:line; it is not valid at start, everything else is served.
+        """
         return tuple(self.dictionary.unreadable.values())
 
     # values
@@ -140,7 +146,9 @@ class Device:
         self._sdo.drop()
 
     def _load(self, first: int, t_ns: int) -> None:
-        """Give the objects their stored values, or their defaults, from index `first` on (0x1000: communication only)."""
+        """Give the objects their stored values, or their defaults,
+        from index `first` on (0x1000: communication only).
+        """
         self._sdo.drop()
         self.lss.reset()
         self.node_id = self.dictionary.node_id = self.record["node_id"] = self.lss.node_id
@@ -166,7 +174,9 @@ class Device:
     # services
 
     def service(self, t_ns: int, can_id: int, length: int, data: int, out: Queue) -> None:
-        """Serve the frame for which `core.on_frame` returned 1: an NMT command, an SDO or an LSS request."""
+        """Serve the frame for which `core.on_frame` returned 1: an
+        NMT command, an SDO or an LSS request.
+        """
         self._now = t_ns
         if can_id == CobId.NMT:
             self.nmt_command(t_ns, data & 0xFF, out)

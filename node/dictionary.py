@@ -1,8 +1,9 @@
-"""The object dictionary of a node: the EDS' objects with their values, as bytes for SDO and as numbers for Python.
+"""The object dictionary of a node: the EDS' objects with their
+values, as bytes for SDO and as numbers for Python.
 
-An object that the core uses, or that a PDO maps, stands in a slot of the record's `values`; every other one stands here.
-`slot` moves an object into a slot when a PDO maps it. Access rights, lengths and limits are those of the EDS; a breach
-is a `SdoAbort` with CiA 301's code.
+An object that the core uses, or that a PDO maps, stands in a slot of the record's `values`; every
+other one stands here. `slot` moves an object into a slot when a PDO maps it. Access rights, lengths
+and limits are those of the EDS; a breach is a `SdoAbort` with CiA 301's code.
 """
 
 from __future__ import annotations
@@ -38,7 +39,9 @@ _OCTETS = DATA_TYPES[0x000A]
 
 
 class Dictionary:
-    """Objects of `description` for the node `node_id`; `values` are the slots of its record, `core` what its core uses."""
+    """Objects of `description` for the node `node_id`; `values` are
+    the slots of its record, `core` what its core uses.
+    """
 
     def __init__(
         self, description: Description, node_id: int, core: Sequence[CoreObject], values: npt.NDArray[np.int64]
@@ -51,7 +54,9 @@ class Dictionary:
         self._absent = {row.slot: row.absent for row in core if row.key not in self._slots}
         self._next = max(FIRST_FREE, *(row.slot + 1 for row in core), 0)
         self._read_for, self.unreadable = 0, dict[int, str]()
-        """Index of a PDO's communication parameter -> why the EDS' default cannot be read right: the PDO is not valid, and maps nothing."""
+        """Index of a PDO's communication parameter -> why the EDS' default
+        cannot be read right: the PDO is not valid, and maps nothing.
+        """
         self._store: dict[Key, Value] = {}
         self.reset(0x0000, 0xFFFF)
 
@@ -128,7 +133,9 @@ class Dictionary:
         return value if isinstance(value, int) else fallback
 
     def own(self, index: int, subindex: int, fallback: int) -> int:
-        """Return an integer object of 2000h to 5FFFh as our files define it; `fallback` in a file of another maker."""
+        """Return an integer object of 2000h to 5FFFh as our files
+        define it; `fallback` in a file of another maker.
+        """
         return self.number(index, subindex, fallback) if self._ours else fallback
 
     def real(self, index: int, subindex: int, fallback: float) -> float:
@@ -139,7 +146,9 @@ class Dictionary:
         return float(value) if isinstance(value, (int, float)) else fallback
 
     def high(self, index: int, subindex: int, fallback: int) -> int:
-        """Return the largest value that the EDS allows an object; `fallback` where it sets no limit."""
+        """Return the largest value that the EDS allows an object;
+        `fallback` where it sets no limit.
+        """
         high = self.description.variable(index, subindex).high if (index, subindex) in self else None
         return fallback if high is None else int(high)
 
@@ -168,7 +177,8 @@ class Dictionary:
         return self._slots[key]
 
     def expedited(self) -> list[tuple[int, int, int]]:
-        """Return what may be uploaded in four bytes and has a slot, sorted: (index x 256 + sub-index, slot, bytes).
+        """Return what may be uploaded in four bytes and has a slot,
+        sorted: (index x 256 + sub-index, slot, bytes).
 
         Objects are moved into slots for that as long as there are more than `SPARE_SLOTS` left.
         """
@@ -191,7 +201,9 @@ class Dictionary:
         return variable
 
     def check_write(self, index: int, subindex: int, size: int | None) -> int:
-        """Abort unless a client may write `size` bytes (None: not known) to the object; return how many at most."""
+        """Abort unless a client may write `size` bytes (None: not
+        known) to the object; return how many at most.
+        """
         variable = self.find(index, subindex)
         if variable.access in ("ro", "const"):
             raise SdoAbort(Abort.READ_ONLY)

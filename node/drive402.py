@@ -1,6 +1,8 @@
-"""The motor drive of CiA 402 as a kind of device: what is computed of its objects, what they may hold, and its part of the core.
+"""The motor drive of CiA 402 as a kind of device: what is computed of
+its objects, what they may hold, and its part of the core.
 
-The power states are `node.states402`'s, the torque is `node.motion402`'s, its objects stand in `node.slots402`.
+The power states are `node.states402`'s, the torque is
+`node.motion402`'s, its objects stand in `node.slots402`.
 """
 
 from __future__ import annotations
@@ -64,7 +66,9 @@ def _next_deadline(n: NodeRecord, t_ns: int, next_ns: int) -> int:
 
 
 def _scale(record: NodeRecord, objects: Objects) -> None:
-    """Largest speed (6080h in rpm by 608Fh), whether 607Dh or 6080h may limit at all, and the gains 2010h."""
+    """Largest speed (6080h in rpm by 608Fh), whether 607Dh or 6080h
+    may limit at all, and the gains 2010h.
+    """
     number, own = objects.number, objects.own
     rpm = number(0x6080, 0, _NO_SPEED_LIMIT)
     counts_rev = number(0x608F, 1, 8192) / max(number(0x608F, 2, 1), 1)
@@ -87,7 +91,9 @@ def _changed(record: NodeRecord, objects: Objects, index: int, subindex: int) ->
 
 
 def _check(objects: Objects, index: int, subindex: int, value: int) -> None:
-    """Let a client choose a mode that 6502h tells (bit n - 1 for mode n; mode 0 is "none"), and option codes that the drive has."""
+    """Let a client choose a mode that 6502h tells (bit n - 1 for mode
+    n; mode 0 is "none"), and option codes that the drive has.
+    """
     if index == _MODE:
         supported = objects.number(_SUPPORTED_MODES, 0, states402.ALL_MODES)
         if value not in states402.MODES or (value > 0 and not supported >> (value - 1) & 1):

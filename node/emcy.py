@@ -1,11 +1,14 @@
-"""Emergencies of a node, compiled: causes, their latches, the EMCY frame, 1001h and 1003h (CiA 301, section 7.2.7).
+"""Emergencies of a node, compiled: causes, their latches, the EMCY
+frame, 1001h and 1003h (CiA 301, section 7.2.7).
 
-A cause is one bit of the record's `causes` while it is present. When it comes, its bit in `latched` is set, the error
-register and the history follow and the EMCY frame goes out at once; it is told once, until it is released. A cause in the
-record's `held` stays latched until the reset of its kind (a drive's faults); every other one is released when it is gone.
-A release sends the EMCY "error reset" (0000h) with the register of what remains.
+A cause is one bit of the record's `causes` while it is present. When it comes, its bit in `latched`
+is set, the error register and the history follow and the EMCY frame goes out at once; it is told
+once, until it is released. A cause in the record's `held` stays latched until the reset of its kind
+(a drive's faults); every other one is released when it is gone. A release sends the EMCY "error
+reset" (0000h) with the register of what remains.
 
-In the kernels: `n` the node's record (`node.record`), `k` a number from 0, `out` the queue of frames to send.
+In the kernels: `n` the node's record (`node.record`), `k` a number
+from 0, `out` the queue of frames to send.
 """
 
 from __future__ import annotations
@@ -72,7 +75,9 @@ CAUSES: tuple[Cause, ...] = (
     Cause("CAN in error passive mode", 0x8120, _COMMUNICATION, False),
     Cause("recovered from bus-off", 0x8140, _COMMUNICATION, True),
 )
-"""The causes by bit; bits 8 to 15 are the device's own faults, bits 0-7 of the record's `in_faults`."""
+"""The causes by bit; bits 8 to 15 are the device's own faults, bits
+0-7 of the record's `in_faults`.
+"""
 
 DEVICE_FAULTS = {
     "over_current": OVER_CURRENT,
@@ -105,7 +110,8 @@ def update_register(n: NodeRecord) -> None:
 
 @kernel
 def _send(n: NodeRecord, t_ns: int, code: int, info: int, out: Queue) -> None:
-    """Push the EMCY frame, or let it wait for the end of the inhibit time; STOPPED and INITIALISING allow none.
+    """Push the EMCY frame, or let it wait for the end of the inhibit
+    time; STOPPED and INITIALISING allow none.
 
     So few wait that what is told is never old; the last of them is always the newest.
     """
@@ -141,7 +147,9 @@ def drain(n: NodeRecord, t_ns: int, out: Queue) -> None:
 
 @kernel
 def come(n: NodeRecord, t_ns: int, cause: int, info: int, out: Queue) -> None:
-    """Tell of a `cause` (bit number) that is present, once; `info` (16 bits) goes to bytes 3-4 and into 1003h."""
+    """Tell of a `cause` (bit number) that is present, once; `info`
+    (16 bits) goes to bytes 3-4 and into 1003h.
+    """
     bit = 1 << cause
     n.causes |= bit
     if n.latched & bit:

@@ -1,8 +1,10 @@
-"""Expedited SDO uploads, compiled: the requests that are nearly all of a running network's, answered without Python.
+"""Expedited SDO uploads, compiled: the requests that are nearly all
+of a running network's, answered without Python.
 
-The core answers a request to the first server for a readable number of one to four bytes that stands in a slot of `values`, while no
-transfer is open; every other request is Python's (`node.sdo_service`), with the same answer. What may be read this way
-stands in the record's table, sorted by index and sub-index.
+The core answers a request to the first server for a readable number of one to four bytes that
+stands in a slot of `values`, while no transfer is open; every other request is Python's
+(`node.sdo_service`), with the same answer. What may be read this way stands in the record's table,
+sorted by index and sub-index.
 
 In the kernels: `n` the node's record (`node.record`), `out` the queue of frames to send.
 """

@@ -1,8 +1,10 @@
-"""Node guarding of a node, compiled (CiA 301, section 7.2.8.3.2.1): the answer to the master's remote frame, and the life time.
+"""Node guarding of a node, compiled (CiA 301, section 7.2.8.3.2.1):
+the answer to the master's remote frame, and the life time.
 
-The answer carries the NMT state and a bit that alternates, 0 in the first answer after a boot-up. When guard time (100Ch)
-times life time factor (100Dh) passes without a remote frame, the master is lost: a life guarding event. The watch begins with the
-first remote frame. A node with a heartbeat (1017h) is not guarded: one of the two at a time, and the heartbeat wins.
+The answer carries the NMT state and a bit that alternates, 0 in the first answer after a boot-up.
+When guard time (100Ch) times life time factor (100Dh) passes without a remote frame, the master is
+lost: a life guarding event. The watch begins with the first remote frame. A node with a heartbeat
+(1017h) is not guarded: one of the two at a time, and the heartbeat wins.
 
 In the kernels: `n` the node's record (`node.record`), `out` the queue of frames to send.
 """

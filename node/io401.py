@@ -1,17 +1,20 @@
-"""An input and output module of CiA 401, compiled: digital ports of 8 bits, analogue channels of 16 bits.
+"""An input and output module of CiA 401, compiled: digital ports of 8
+bits, analogue channels of 16 bits.
 
     digital in   6000h = in_digital xor 6002h
-    digital out  out_digital = chosen xor 6202h,  chosen = 6200h, after a failure (6207h and 6206h) or (chosen and not 6206h)
-    analogue in  6401h = in_analogue, within INTEGER16
-    analogue out out_analogue = 6411h, after a failure 6444h where 6443h is 1, else what it was
+    digital out  out_digital = chosen xor 6202h,  chosen = 6200h, after a failure (6207h and 6206h)
+    or (chosen and not 6206h) analogue in  6401h = in_analogue, within INTEGER16 analogue out
+    out_analogue = 6411h, after a failure 6444h where 6443h is 1, else what it was
 
-A failure is a fault of the device itself, a lost connection (heartbeat, guarding, RPDO deadline, SYNC, bus-off), what 1029h makes of it, and
-the NMT command "stop"; from power-on and from a reset on every output is 0. An output leaves it when it is written and the device has no
-fault; one that was never written stays 0.
-PRE-OPERATIONAL by command leaves the outputs as they are. A file has as many ports and channels as it has sub-indices. The
-triggers of analogue inputs (6421h to 6428h) and the filters (6003h, 6208h) are not there.
+A failure is a fault of the device itself, a lost connection (heartbeat, guarding, RPDO deadline,
+SYNC, bus-off), what 1029h makes of it, and the NMT command "stop"; from power-on and from a reset
+on every output is 0. An output leaves it when it is written and the device has no fault; one that
+was never written stays 0. PRE-OPERATIONAL by command leaves the outputs as they are. A file has as
+many ports and channels as it has sub-indices. The triggers of analogue inputs (6421h to 6428h) and
+the filters (6003h, 6208h) are not there.
 
-In the kernels: `n` the node's record (`node.record`), `k` the number of a port or channel from 0, `out` the queue of frames to send.
+In the kernels: `n` the node's record (`node.record`), `k` the number
+of a port or channel from 0, `out` the queue of frames to send.
 """
 
 from __future__ import annotations
@@ -77,7 +80,9 @@ def _step(n: NodeRecord, t_ns: int) -> None:
 
 @kernel
 def _fail(n: NodeRecord, t_ns: int) -> None:
-    """Take the error values, as the error modes say; an output that has failed already keeps its own."""
+    """Take the error values, as the error modes say; an output that
+    has failed already keeps its own.
+    """
     _step(n, t_ns)
     values = n.values
     for k in range(PORTS):

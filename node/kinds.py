@@ -14,7 +14,9 @@ from coulombus.node.slots import REGISTER
 __all__ = ["BEHAVIOURS", "GENERIC", "NO_KIND", "PROFILES", "named", "number", "of_identity"]
 
 GENERIC = Profile("generic", objects=(REGISTER,))
-"""Any file: objects, PDOs and services. Nothing acts behind the objects, a value stays what was written to it last."""
+"""Any file: objects, PDOs and services. Nothing acts behind the
+objects, a value stays what was written to it last.
+"""
 
 PROFILES: tuple[Profile, ...] = (
     GENERIC,
@@ -28,7 +30,9 @@ NO_KIND = 0
 """The number of `GENERIC`."""
 
 BEHAVIOURS: tuple[Behaviour, ...] = tuple(one.behaviour._replace(number=k) for k, one in enumerate(PROFILES))
-"""The kernels of every kind: `node.reactions` goes through it with `numba.literal_unroll`, which gives one branch for each."""
+"""The kernels of every kind: `node.reactions` goes through it with
+`numba.literal_unroll`, which gives one branch for each.
+"""
 
 _OWN: Mapping[tuple[int, int], Profile] = {
     (VENDOR_ID, profile.product): profile for profile in PROFILES if profile.product is not None
@@ -59,5 +63,7 @@ def named(name: str) -> Profile:
 
 
 def of_identity(identity: tuple[int, int]) -> Profile:
-    """Return what lives behind our own devices' objects by (1018h:01, 1018h:02); behind others' `GENERIC`."""
+    """Return what lives behind our own devices' objects by (1018h:01,
+    1018h:02); behind others' `GENERIC`.
+    """
     return _OWN.get(identity, GENERIC)

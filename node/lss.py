@@ -1,11 +1,14 @@
-"""The LSS slave of a device (CiA 305): a master finds it by its identity and gives it a node id and a bit rate.
+"""The LSS slave of a device (CiA 305): a master finds it by its
+identity and gives it a node id and a bit rate.
 
-Both settings exist three times. The *pending* one is what a master configures; it becomes the *active* one with the
-next reset communication (node id) or with activate bit timing (bit rate), so that nothing that a master configures
-disturbs a device at work. Store configuration makes it the *persistent* one, with which power-on and reset node begin.
+Both settings exist three times. The *pending* one is what a master configures; it becomes the
+*active* one with the next reset communication (node id) or with activate bit timing (bit rate), so
+that nothing that a master configures disturbs a device at work. Store configuration makes it the
+*persistent* one, with which power-on and reset node begin.
 
-The state machine runs beside that of NMT, in all of its states. A device without a node id is in no NMT state yet: it
-sends no boot-up, waits in LSS waiting, and boots when it is sent back to waiting with a valid node id.
+The state machine runs beside that of NMT, in all of its states. A device without a node id is in no
+NMT state yet: it sends no boot-up, waits in LSS waiting, and boots when it is sent back to waiting
+with a valid node id.
 """
 
 from __future__ import annotations
@@ -44,7 +47,8 @@ class Lss:
     store
         Keeps what store configuration makes persistent; what it has already goes before `node_id`.
     restart
-        Does what NMT's reset communication does; called when a device without a node id is given one.
+        Does what NMT's reset communication does; called when a device
+        without a node id is given one.
     """
 
     def __init__(
@@ -190,7 +194,9 @@ class Lss:
         return bytes((data[0], OK if valid else OUT_OF_RANGE))
 
     def _activate_bit_timing(self, data: bytes, t_ns: int) -> None:
-        """Be silent for twice the delay: once at the old bit rate, then at the new one; refused in OPERATIONAL."""
+        """Be silent for twice the delay: once at the old bit rate,
+        then at the new one; refused in OPERATIONAL.
+        """
         record = self._record
         if record["nmt"] == NmtState.OPERATIONAL:
             raise ValueError("a device at work does not leave its bus")

@@ -1,4 +1,5 @@
-"""The torque of a CiA 402 drive, compiled: limits, modes of operation, slopes, velocity loop (IEC 61800-7-201).
+"""The torque of a CiA 402 drive, compiled: limits, modes of
+operation, slopes, velocity loop (IEC 61800-7-201).
 
 Torques in per mille of rated, speeds in counts/s, as everywhere in the drive:
 
@@ -9,11 +10,13 @@ Torques in per mille of rated, speeds in counts/s, as everywhere in the drive:
     speeds      d speed / dt = +- 6083h or 6084h until speed = 60FFh (profile velocity, 3); speed = 60FFh + 60B1h (CSV, 9)
                 demand = clip(Kp (speed - 606Ch) + integral, low, high),   d integral / dt = Ki (speed - 606Ch)
 
-The integral stands still while the demand is at a limit and the error pushes further (anti-windup). Kp, Ki: 2010h.
+The integral stands still while the demand is at a limit and the error
+pushes further (anti-windup). Kp, Ki: 2010h.
 
-A way to torque 0 that takes its time (option codes 605Ah to 605Eh, a change of the mode) is a *ramp*: `begin` starts it,
-`step` goes along it, and behind it the torque is 0 and the power state `slowing_to` follows. No ramp lasts longer than
-2006h, none outlives the supply. In the torque modes the quick stop ramp is "at once": a hand is on the handle.
+A way to torque 0 that takes its time (option codes 605Ah to 605Eh, a change of the mode) is a
+*ramp*: `begin` starts it, `step` goes along it, and behind it the torque is 0 and the power state
+`slowing_to` follows. No ramp lasts longer than 2006h, none outlives the supply. In the torque modes
+the quick stop ramp is "at once": a hand is on the handle.
 
 In the kernels: `n` the node's record (`node.record`).
 """
@@ -50,7 +53,9 @@ MODES = (0, _VELOCITY, _TORQUE, _CSV, _CST)
 """What 6060h may hold."""
 
 SLOW, QUICK, _TO_ZERO = 1, 2, 3
-"""Ramps: the slow-down ramp (6087h, 6084h), the quick stop ramp (at once, 6085h), and torque by 6087h in every mode."""
+"""Ramps: the slow-down ramp (6087h, 6084h), the quick stop ramp (at
+once, 6085h), and torque by 6087h in every mode.
+"""
 
 _ENABLED = int(cia402.PowerState.OPERATION_ENABLED)
 _HALT = 0x0100
@@ -67,7 +72,9 @@ def is_speed_mode(mode: int) -> bool:
 
 @kernel
 def _beyond(n: NodeRecord) -> int:
-    """Return +1 where nothing may push upwards, -1 downwards, 2 in neither direction: 607Dh and 6080h."""
+    """Return +1 where nothing may push upwards, -1 downwards, 2 in
+    neither direction: 607Dh and 6080h.
+    """
     position = ((n.in_position_counts + 0x80000000) & 0xFFFFFFFF) - 0x80000000
     lowest, highest = n.values[slots402.LOWEST_POSITION], n.values[slots402.HIGHEST_POSITION]
     speed = n.in_velocity_counts_s
@@ -115,7 +122,9 @@ def enter(n: NodeRecord, t_ns: int) -> None:
 
 @kernel
 def _take_mode(n: NodeRecord) -> None:
-    """Let the mode in 6060h act; one that is not there is none. When enabled, only the next set-point gives torque."""
+    """Let the mode in 6060h act; one that is not there is none. When
+    enabled, only the next set-point gives torque.
+    """
     mode = n.values[slots402.MODE]
     if mode not in MODES:
         mode = 0

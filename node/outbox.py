@@ -1,10 +1,12 @@
 """Segments of SDO block uploads on their way to the bus, compiled.
 
-A block is up to 127 frames at once, more than its share of the room where frames wait for the bus. So they wait in the
-node's own ring, and leave it a few at a time: every `POLL_NS`, while fewer than `AHEAD` frames of anybody wait for the bus. At
-1 Mbit/s a frame of eight bytes lasts 110 to 135 us, so the bus never waits for them, and other stations keep their places.
+A block is up to 127 frames at once, more than its share of the room where frames wait for the bus.
+So they wait in the node's own ring, and leave it a few at a time: every `POLL_NS`, while fewer than
+`AHEAD` frames of anybody wait for the bus. At 1 Mbit/s a frame of eight bytes lasts 110 to 135 us,
+so the bus never waits for them, and other stations keep their places.
 
-In the kernels: `n` the node's record (`node.record`), `k` a number from 0, `out` the queue of frames to send.
+In the kernels: `n` the node's record (`node.record`), `k` a number
+from 0, `out` the queue of frames to send.
 """
 
 from __future__ import annotations
@@ -24,7 +26,9 @@ POLL_NS = 100_000
 
 @kernel
 def put(n: NodeRecord, t_ns: int, channel: int, can_id: int, words: npt.NDArray[np.int64]) -> int:
-    """Let the segments `words` of the SDO server `channel` wait; return 0 when there is no room for them all."""
+    """Let the segments `words` of the SDO server `channel` wait;
+    return 0 when there is no room for them all.
+    """
     if n.outbox_count + words.shape[0] > OUTBOX:
         return 0
     if n.outbox_count == 0:

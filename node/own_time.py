@@ -1,7 +1,7 @@
 """A device whose clock runs fast or slow (`wire.clock`), compiled.
 
-`on_frame`, `on_time` and `link_changed` are those of `node.core` for such a device: it is told its own time, and what it sends is ready at the bus's.
-Its `next_ns` is in its own time.
+`on_frame`, `on_time` and `link_changed` are those of `node.core` for such a device: it is
+told its own time, and what it sends is ready at the bus's. Its `next_ns` is in its own time.
 
 In the kernels: `n` the node's record (`node.record`), `out` the queue of frames to send.
 """

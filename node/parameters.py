@@ -1,8 +1,10 @@
-"""Parameters that survive: 1010h store, 1011h restore, 1020h verify configuration (CiA 301, sections 7.5.2.13 and 14, 24).
+"""Parameters that survive: 1010h store, 1011h restore, 1020h verify
+configuration (CiA 301, sections 7.5.2.13 and 14, 24).
 
-A group is a range of objects. Store keeps the present values of the group's writable objects; they are loaded with every reset that
-gives these objects their defaults. Restore forgets the group's stored values, so the defaults return with the next such
-reset and not before. Set-points and controlwords are never stored: a device that is switched on must not move.
+A group is a range of objects. Store keeps the present values of the group's writable objects; they
+are loaded with every reset that gives these objects their defaults. Restore forgets the group's
+stored values, so the defaults return with the next such reset and not before. Set-points and
+controlwords are never stored: a device that is switched on must not move.
 """
 
 from __future__ import annotations
@@ -37,7 +39,9 @@ _NO_PARAMETERS = frozenset((0x1003, STORE, RESTORE))
 
 
 class Parameters:
-    """The stored parameters of a device; `commands` are objects that make it act (controlword, set-points)."""
+    """The stored parameters of a device; `commands` are objects that
+    make it act (controlword, set-points).
+    """
 
     def __init__(self, dictionary: Dictionary, store: Store, commands: Mapping[tuple[int, int], int]) -> None:
         self._dictionary, self._store, self._commands = dictionary, store, commands
@@ -54,7 +58,9 @@ class Parameters:
         return self._dictionary.description.variable(index, subindex).access in _WRITABLE
 
     def load(self, first: int, last: int) -> None:
-        """Give the objects from `first` to `last` their stored values; one that does not fit keeps its default."""
+        """Give the objects from `first` to `last` their stored
+        values; one that does not fit keeps its default.
+        """
         for name in _RANGES:
             for key, data in self._store.section(name).items():
                 try:

@@ -1,8 +1,10 @@
-"""PDO parameters of a node, 1400h-1BFFh: what may be written when, and the records that follow (CiA 301, 7.5.2.35-38).
+"""PDO parameters of a node, 1400h-1BFFh: what may be written when,
+and the records that follow (CiA 301, 7.5.2.35-38).
 
-The procedure to change a map: destroy the PDO (bit 31 of its COB-ID), set the count to 0, write the entries, set the
-count, create the PDO again. A write that leaves the procedure is aborted, one that changes nothing is accepted. PDOs
-beyond `node.sizes.MAX_PDOS` of a direction have their objects but cannot be made valid.
+The procedure to change a map: destroy the PDO (bit 31 of its COB-ID), set the count to 0, write the
+entries, set the count, create the PDO again. A write that leaves the procedure is aborted, one that
+changes nothing is accepted. PDOs beyond `node.sizes.MAX_PDOS` of a direction have their objects but
+cannot be made valid.
 """
 
 from __future__ import annotations
@@ -57,7 +59,9 @@ class Pdos:
         return None
 
     def _cob_id(self, direction: Direction, k: int) -> int:
-        """Return what a PDO's sub-index 1 says, or would say if the EDS had it; not valid where there is no such PDO."""
+        """Return what a PDO's sub-index 1 says, or would say if the
+        EDS had it; not valid where there is no such PDO.
+        """
         index, objects = COMMUNICATION[direction] + k, self._dictionary
         usual = predefined(index, 1, objects.node_id) if objects.description.has(index) else None
         return objects.number(index, 1, COB_ID_INVALID if usual is None else usual)
@@ -162,7 +166,8 @@ class Pdos:
     def refresh(self, direction: Direction, k: int, t_ns: int) -> None:
         """Bring the record of one PDO up to its parameters.
 
-        An RPDO is new then, and has received nothing; a TPDO is when it did not exist, else its inhibit time goes on.
+        An RPDO is new then, and has received nothing; a TPDO is when
+        it did not exist, else its inhibit time goes on.
         """
         if k >= MAX_PDOS:
             return
@@ -195,7 +200,9 @@ class Pdos:
         node["tpdo_events"] = int(np.sum(node["tpdo"]["transmission"][valid] >= _EVENT_MIN))
 
     def refresh_all(self, t_ns: int) -> None:
-        """Bring every PDO record up to its parameters; a valid PDO that the core has no room for is made invalid."""
+        """Bring every PDO record up to its parameters; a valid PDO
+        that the core has no room for is made invalid.
+        """
         directions: tuple[Direction, ...] = ("rpdo", "tpdo")
         for direction in directions:
             self._node[direction]["cob_id"] = -1

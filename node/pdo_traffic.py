@@ -1,10 +1,13 @@
-"""PDOs of a node, compiled (CiA 301, section 7.2.2): reception, action on SYNC or at once, transmission.
+"""PDOs of a node, compiled (CiA 301, section 7.2.2): reception,
+action on SYNC or at once, transmission.
 
-Transmission types of a TPDO: 0 on the SYNC after a change; 1-240 every nth SYNC, from the SYNC start value on; 252
-sampled on SYNC, sent on RTR; 253 sent on RTR; 254 and 255 on an event: the event timer, or a change of the bits in
-`tpdo_mask`, not before the inhibit time is over. RPDOs: 0-240 act on the next SYNC, 254 and 255 at once.
+Transmission types of a TPDO: 0 on the SYNC after a change; 1-240 every nth SYNC, from the SYNC
+start value on; 252 sampled on SYNC, sent on RTR; 253 sent on RTR; 254 and 255 on an event: the
+event timer, or a change of the bits in `tpdo_mask`, not before the inhibit time is over. RPDOs:
+0-240 act on the next SYNC, 254 and 255 at once.
 
-In the kernels: `n` the node's record (`node.record`), `p` one of its PDOs, `k` a number from 0, `out` the queue of frames to send.
+In the kernels: `n` the node's record (`node.record`), `p` one of its
+PDOs, `k` a number from 0, `out` the queue of frames to send.
 """
 
 from __future__ import annotations
@@ -138,7 +141,9 @@ def transmit_sync(n: NodeRecord, t_ns: int, counter: int, out: Queue) -> None:
 
 @kernel
 def transmit_events(n: NodeRecord, t_ns: int, next_ns: int, out: Queue) -> int:
-    """Send the event-driven TPDOs that are due; return the earlier of `next_ns` and their next deadline."""
+    """Send the event-driven TPDOs that are due; return the earlier of
+    `next_ns` and their next deadline.
+    """
     sample(n)
     for k in range(n.tpdo_used):
         p = n.tpdo[k]
@@ -159,7 +164,9 @@ def transmit_events(n: NodeRecord, t_ns: int, next_ns: int, out: Queue) -> int:
 
 @kernel
 def answer_rtr(n: NodeRecord, k: int, t_ns: int, out: Queue) -> None:
-    """Answer a remote frame for TPDO `k`, where its COB-ID allows that; a synchronous one repeats its last sample."""
+    """Answer a remote frame for TPDO `k`, where its COB-ID allows
+    that; a synchronous one repeats its last sample.
+    """
     p = n.tpdo[k]
     if p.rtr_allowed == 0:
         return

@@ -1,9 +1,11 @@
-"""What makes a kind of device: the objects that it acts on, what it keeps in its record, and what it does.
+"""What makes a kind of device: the objects that it acts on, what it
+keeps in its record, and what it does.
 
-A device's communication (NMT, PDO, SDO, EMCY ...) is the same for all kinds. A kind adds a `Profile`, which stands in the file of
-the behaviour that it describes; `node.kinds` lists them. A file that lacks an object leaves the object's slot at `CoreObject.absent`,
-so that a kind can stand behind any vendor's file as far as the file's objects allow; `Profile.missing` tells which ones it lacks
-that the kind cannot do without.
+A device's communication (NMT, PDO, SDO, EMCY ...) is the same for all kinds. A kind adds a
+`Profile`, which stands in the file of the behaviour that it describes; `node.kinds` lists them. A
+file that lacks an object leaves the object's slot at `CoreObject.absent`, so that a kind can stand
+behind any vendor's file as far as the file's objects allow; `Profile.missing` tells which ones it
+lacks that the kind cannot do without.
 """
 
 from __future__ import annotations
@@ -39,10 +41,13 @@ Fields: TypeAlias = list[Any]
 """Fields of a structured dtype."""
 
 BY_COMMAND, BY_RESET, BY_ITSELF = 0, 1, 2
-"""Why NMT left OPERATIONAL: a command, a reset (safe output whatever the option codes say), 1029h."""
+"""Why NMT left OPERATIONAL: a command, a reset (safe output whatever the option codes say), 1029h.
+"""
 
 SUPPLY_THERE, SUPPLY_MISSING, SUPPLY_LOST = 0, 1, 2
-"""What `Behaviour.supply` tells: there (or of no matter), missing, missing where it is needed, which is a fault."""
+"""What `Behaviour.supply` tells: there (or of no matter), missing,
+missing where it is needed, which is a fault.
+"""
 
 
 @dataclass(frozen=True)
@@ -54,8 +59,10 @@ class CoreObject:
     index, subindex : the object
     slot : where it stands in the record's `values`
     absent : what stands there where the file has no such object
-    acts : bit of the record's `rpdo_carries`: the core acts when the object is written; 0: it does not
-    changing : whether it changes all the time, so that its change is no event for a TPDO that has an event timer
+    acts : bit of the record's `rpdo_carries`: the core acts when the
+        object is written; 0: it does not
+    changing : whether it changes all the time, so that its change is
+        no event for a TPDO that has an event timer
     needed : whether the kind has nothing to act on without it
     """
 
@@ -80,13 +87,17 @@ class Objects(Protocol):
         """Return an integer object, or `fallback` where the file has none."""
 
     def own(self, index: int, subindex: int, fallback: int) -> int:
-        """Return an integer object of 2000h to 5FFFh of our own devices; `fallback` in a file of another maker."""
+        """Return an integer object of 2000h to 5FFFh of our own
+        devices; `fallback` in a file of another maker.
+        """
 
     def real(self, index: int, subindex: int, fallback: float) -> float:
         """Return a numeric object, or `fallback` where the file has none."""
 
     def high(self, index: int, subindex: int, fallback: int) -> int:
-        """Return the largest value that the file allows an object, `fallback` where it sets no limit."""
+        """Return the largest value that the file allows an object,
+        `fallback` where it sets no limit.
+        """
 
     def __contains__(self, key: Key) -> bool: ...
 
@@ -129,14 +140,17 @@ def _no_deadline(n: NodeRecord, t_ns: int, next_ns: int) -> int:
 
 
 class Behaviour(NamedTuple):
-    """The compiled part of a kind: kernels, which `node.reactions` calls. By default each does nothing.
+    """The compiled part of a kind: kernels, which `node.reactions`
+    calls. By default each does nothing.
 
     Attributes
     ----------
     sample : (n) bring what the device measures to the slots
     step : (n, t_ns) compute the output that acts at `t_ns`
-    apply : (n, t_ns, received_ns, carries, out) act on what was written to the slots; `carries`: the bits `acts` of its objects
-    connection_lost : (n, t_ns, why) -> 1 where it is to be told as a fault; NMT left OPERATIONAL: make the output safe
+    apply : (n, t_ns, received_ns, carries, out) act on what was
+        written to the slots; `carries`: the bits `acts` of its objects
+    connection_lost : (n, t_ns, why) -> 1 where it is to be told as a
+        fault; NMT left OPERATIONAL: make the output safe
     react : (n, t_ns, cause) make the output safe where a cause of `node.emcy` asks for it
     look : (n, t_ns) bring `detected`, the faults that the device finds by itself, up to its inputs
     supply : (n) -> SUPPLY_...
@@ -179,13 +193,15 @@ class Profile:
     name : what the command line and messages call it
     objects : those that its core uses
     behaviour : its kernels
-    fields : what its kernels keep in the record, beside what every node has. Inputs begin with ``in_``, outputs, which are 0 while the
-        device is off, with ``out_``
+    fields : what its kernels keep in the record, beside what every node has. Inputs
+        begin with ``in_``, outputs, which are 0 while the device is off, with ``out_``
     product : 1018h:02 of this project's own device of that kind
     held : causes of `node.emcy` (bits) that stay told until the kind's own fault reset
-    started : (record, objects, t_ns) begin with the values that now stand in the objects: at power-on and after "reset node"
+    started : (record, objects, t_ns) begin with the values that now
+        stand in the objects: at power-on and after "reset node"
     powered_on : (record, t_ns) after `started`, at power-on alone
-    changed : (record, objects, index, subindex) an object from 2000h on was written: bring up what is computed of it
+    changed : (record, objects, index, subindex) an object from 2000h
+        on was written: bring up what is computed of it
     check : (objects, index, subindex, value) raise `SdoAbort` unless a client may write an integer
     """
 
@@ -202,7 +218,9 @@ class Profile:
 
     @cached_property
     def acts(self) -> Mapping[Key, int]:
-        """The objects on which the core acts when they are written, with their bits of `rpdo_carries`."""
+        """The objects on which the core acts when they are written,
+        with their bits of `rpdo_carries`.
+        """
         return {row.key: row.acts for row in self.objects if row.acts}
 
     @cached_property

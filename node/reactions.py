@@ -1,6 +1,8 @@
-"""What a device does when its communication side calls it, compiled: the call goes on to the device's kind (`node.kinds`).
+"""What a device does when its communication side calls it, compiled:
+the call goes on to the device's kind (`node.kinds`).
 
-Each of these loops is unrolled: the machine code has one branch for each kind, as if the kinds were written out here.
+Each of these loops is unrolled: the machine code has one branch for
+each kind, as if the kinds were written out here.
 
 In the kernels: `n` the node's record (`node.record`), `out` the queue of frames to send.
 """
@@ -54,7 +56,9 @@ def step(n: NodeRecord, t_ns: int) -> None:
 
 @kernel
 def apply(n: NodeRecord, t_ns: int, received_ns: int, carries: int, out: Queue) -> None:
-    """Act on what now stands in the slots, as `carries` tells (`Profile.acts`); it was received at `received_ns`."""
+    """Act on what now stands in the slots, as `carries` tells
+    (`Profile.acts`); it was received at `received_ns`.
+    """
     for kind in literal_unroll(BEHAVIOURS):
         if n.kind == kind.number:
             kind.apply(n, t_ns, received_ns, carries, out)
@@ -74,7 +78,9 @@ def connection_lost(n: NodeRecord, t_ns: int, why: int, out: Queue) -> None:
 
 @kernel
 def alarm(n: NodeRecord, t_ns: int, cause: int, info: int, out: Queue) -> None:
-    """Tell of a cause by EMCY, and react: a drive's fault gives torque 0, a brake's own fault the ramp."""
+    """Tell of a cause by EMCY, and react: a drive's fault gives
+    torque 0, a brake's own fault the ramp.
+    """
     emcy.come(n, t_ns, cause, info, out)
     react(n, t_ns, cause)
 

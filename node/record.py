@@ -1,8 +1,9 @@
 """The one record of a node, which its compiled core and its Python services share.
 
-`new_nodes` makes the records of several nodes at once; a kernel takes one of them, by reference. A node's PDOs nest in its record.
-Everything is int64 or float64; times are int64 nanoseconds; a time that never comes is `node.sizes.FAR_FUTURE_NS`. What a kind of device keeps
-stands in its profile (`node.kinds`), and in every record.
+`new_nodes` makes the records of several nodes at once; a kernel takes one of them, by reference. A
+node's PDOs nest in its record. Everything is int64 or float64; times are int64 nanoseconds; a time
+that never comes is `node.sizes.FAR_FUTURE_NS`. What a kind of device keeps stands in its profile
+(`node.kinds`), and in every record.
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""What the brake's core uses of its objects in a form of its own: computed when an object is written, not in the cycle."""
+"""What the brake's core uses of its objects in a form of its own:
+computed when an object is written, not in the cycle.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,9 @@ def _decimals(digits: int) -> float:
 
 
 def _scale_output(record: NodeRecord, objects: Objects) -> None:
-    """Scale the output block: field value by the line through (7320h, 7321h) and (7322h, 7323h), of which 1000 is full scale."""
+    """Scale the output block: field value by the line through (7320h,
+    7321h) and (7322h, 7323h), of which 1000 is full scale.
+    """
     number = objects.number
     unit_Nm = _decimals(-number(0x6302, 1))
     full = max(int(record["setpoint_high"]), 1)
@@ -41,7 +45,9 @@ def _scale_output(record: NodeRecord, objects: Objects) -> None:
 
 
 def _scale_inputs(record: NodeRecord, objects: Objects) -> None:
-    """Scale the input blocks (6124h, 6126h, 6127h, 6132h, 7148h, 7149h); one that 6112h switches off accepts nothing."""
+    """Scale the input blocks (6124h, 6126h, 6127h, 6132h, 7148h,
+    7149h); one that 6112h switches off accepts nothing.
+    """
     for k in range(3):
         unit = _decimals(objects.number(0x6132, k + 1))
         offset = objects.real(0x6127, k + 1, 0.0) + objects.real(0x6124, k + 1, 0.0)

@@ -1,4 +1,6 @@
-"""What an SDO client reads and writes: the dictionary behind CiA's rules, and what a write leads to."""
+"""What an SDO client reads and writes: the dictionary behind CiA's
+rules, and what a write leads to.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ _HISTORY, _STORE_EDS = 0x1003, 0x1021
 _STRUCTURE = 0xFF
 
 _LIMIT_PAIRS: Mapping[int, tuple[int, int]] = {0x607B: (1, 2), 0x607D: (1, 2)}
-"""Objects whose two sub-indices are a minimum and its maximum (CiA 402: position range limit, software position limit)."""
+"""Objects whose two sub-indices are a minimum and its maximum (CiA
+402: position range limit, software position limit).
+"""
 
 _RECORDS: tuple[tuple[range, int], ...] = (
     (range(0x1018, 0x1019), 0x0023),
@@ -33,7 +37,9 @@ _RECORDS: tuple[tuple[range, int], ...] = (
 
 
 class Access:
-    """The backend of a device's SDO servers; `written` and `carries` tell the core what was written (`Profile.acts`)."""
+    """The backend of a device's SDO servers; `written` and `carries`
+    tell the core what was written (`Profile.acts`).
+    """
 
     def __init__(
         self,
@@ -101,7 +107,9 @@ class Access:
         self._changed(index, subindex)
 
     def _structure(self, index: int) -> bytes:
-        """Return sub-index FFh: object code in bits 0-7, data type in bits 8-23 (CiA 301, 7.4.6.2); an array has its elements'."""
+        """Return sub-index FFh: object code in bits 0-7, data type in
+        bits 8-23 (CiA 301, 7.4.6.2); an array has its elements'.
+        """
         entry = self._dictionary.description.objects.get(index)
         if entry is None:
             raise SdoAbort(Abort.NO_OBJECT)

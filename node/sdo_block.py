@@ -1,8 +1,9 @@
 """State of an SDO block transfer at the server (CiA 301, sections 7.2.4.3.9 to 7.2.4.3.15).
 
-A block is up to 127 segments of seven bytes, numbered from 1; its receiver acknowledges it with the number of the last segment
-that came in order, and the sender goes on behind that one, so a lost segment costs the rest of its block and no more.
-The CRC is CCITT's, polynomial x^16 + x^12 + x^5 + 1, start value 0, over the object's bytes, without the padding.
+A block is up to 127 segments of seven bytes, numbered from 1; its receiver acknowledges it with the
+number of the last segment that came in order, and the sender goes on behind that one, so a lost
+segment costs the rest of its block and no more. The CRC is CCITT's, polynomial x^16 + x^12 + x^5 +
+1, start value 0, over the object's bytes, without the padding.
 """
 
 from __future__ import annotations
@@ -39,11 +40,15 @@ class BlockDownload:
 
     @property
     def expected(self) -> tuple[int, int]:
-        """Number of the segment that comes next, and of the block's last; (0, 0) behind a gap or the last of all."""
+        """Number of the segment that comes next, and of the block's
+        last; (0, 0) behind a gap or the last of all.
+        """
         return (self._received + 1, self._block_size) if self.receiving and self._in_order else (0, 0)
 
     def take(self, content: bytes) -> None:
-        """Take segments that came in their order, from `expected` on, none of them the block's last."""
+        """Take segments that came in their order, from `expected` on,
+        none of them the block's last.
+        """
         self._received += len(content) // _SEGMENT
         self._keep(content)
 
@@ -54,8 +59,8 @@ class BlockDownload:
     def segment(self, data: bytes, next_block_size: int) -> bytes | None:
         """Take a segment; return the acknowledgement when it was the last of its block, else None.
 
-        What comes behind a gap is ignored, and an object that becomes too long is refused, at the end of the block: a client
-        that is in the middle of one does not listen.
+        What comes behind a gap is ignored, and an object that becomes too long is refused,
+        at the end of the block: a client that is in the middle of one does not listen.
         """
         number = data[0] & _NUMBER
         last = bool(data[0] & _LAST)
@@ -118,7 +123,9 @@ class BlockUpload:
         return segments
 
     def acknowledge(self, number: int, block_size: int) -> bytes | None:
-        """Take the client's acknowledgement of segment `number`; return the end command when that was the last of all."""
+        """Take the client's acknowledgement of segment `number`;
+        return the end command when that was the last of all.
+        """
         if not self._started or self._ended:
             raise SdoAbort(Abort.COMMAND)
         if number > self._sent:

@@ -1,9 +1,11 @@
-"""One SDO server channel: expedited, segmented and block transfers both ways (CiA 301, section 7.2.4).
+"""One SDO server channel: expedited, segmented and block transfers
+both ways (CiA 301, section 7.2.4).
 
-The server is a function of the requests: one 8-byte request in, at most one response out (None: no answer), and in a block
-upload a `burst` of segments. What is read and written is behind `Backend`, so that the protocol is tested without a device.
-One transfer is open at most; a new initiation replaces it, as section 7.2.4.3 wants it, and an abort in either
-direction ends it. Block transfers have their state in `node.sdo_block`.
+The server is a function of the requests: one 8-byte request in, at most one response out (None: no
+answer), and in a block upload a `burst` of segments. What is read and written is behind `Backend`,
+so that the protocol is tested without a device. One transfer is open at most; a new initiation
+replaces it, as section 7.2.4.3 wants it, and an abort in either direction ends it. Block transfers
+have their state in `node.sdo_block`.
 """
 
 from __future__ import annotations
@@ -30,7 +32,9 @@ class Backend(Protocol):
         """Return the object's bytes or raise `SdoAbort`."""
 
     def check_download(self, index: int, subindex: int, size: int | None) -> int:
-        """Raise `SdoAbort` unless `size` bytes (None: not said) may be written; return how many at most."""
+        """Raise `SdoAbort` unless `size` bytes (None: not said) may
+        be written; return how many at most.
+        """
 
     def download(self, index: int, subindex: int, data: bytes) -> None:
         """Write the object or raise `SdoAbort`."""
@@ -56,7 +60,9 @@ def abort_frame(index: int, subindex: int, code: int) -> bytes:
 
 
 class SdoServer:
-    """One SDO server channel; it asks for `block_size` segments a block in downloads (1 to 127, may change at any time)."""
+    """One SDO server channel; it asks for `block_size` segments a
+    block in downloads (1 to 127, may change at any time).
+    """
 
     def __init__(self, backend: Backend, block_size: int = BLOCK_SEGMENTS) -> None:
         self._backend = backend
@@ -73,11 +79,15 @@ class SdoServer:
 
     @property
     def expected(self) -> tuple[int, int]:
-        """Number of the segment of a block download that comes next, and of the block's last; (0, 0): none is expected."""
+        """Number of the segment of a block download that comes next,
+        and of the block's last; (0, 0): none is expected.
+        """
         return self._open.expected if isinstance(self._open, BlockDownload) else (0, 0)
 
     def take(self, content: bytes) -> None:
-        """Take the data of segments of a block download that came as `expected` says, before its last."""
+        """Take the data of segments of a block download that came as
+        `expected` says, before its last.
+        """
         if isinstance(self._open, BlockDownload):
             self._open.take(content)
 

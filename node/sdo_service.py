@@ -1,8 +1,10 @@
-"""The SDO servers of a device: which identifiers they listen to, and their responses on the way to the bus.
+"""The SDO servers of a device: which identifiers they listen to, and
+their responses on the way to the bus.
 
-1200h is there always, 1201h to 127Fh where the EDS has them and their identifiers are valid (bit 31 clear). Each has its own
-state, so several clients are served at once. A transfer that stands still is aborted by the core (`node.deadlines`), which finds
-its deadline and the abort frame in the node's record.
+1200h is there always, 1201h to 127Fh where the EDS has them and their identifiers are valid (bit 31
+clear). Each has its own state, so several clients are served at once. A transfer that stands still
+is aborted by the core (`node.deadlines`), which finds its deadline and the abort frame in the
+node's record.
 """
 
 from __future__ import annotations
@@ -23,7 +25,9 @@ from coulombus.wire.frame import Queue, Record, data_bytes, data_word, push
 __all__ = ["SdoService"]
 
 _MEASURED = 0x2000
-"""From this index on there are objects that the device measures, to be brought up to date before they are read."""
+"""From this index on there are objects that the device measures, to
+be brought up to date before they are read.
+"""
 
 
 @dataclass

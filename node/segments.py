@@ -1,8 +1,10 @@
-"""Segments of SDO block downloads on their way in, compiled: Python enters for a block's beginning and end, not for each segment.
+"""Segments of SDO block downloads on their way in, compiled: Python
+enters for a block's beginning and end, not for each segment.
 
-Python (`node.sdo_service`) opens a server's row of the record while the server receives a block in order. `collect` then takes the
-segments that come in their order. The block's last segment, a gap, a repetition, an abort and a frame after the transfer's deadline
-are Python's. It takes what was collected first, so its answers are the same as if it had seen every frame.
+Python (`node.sdo_service`) opens a server's row of the record while the server receives a block in
+order. `collect` then takes the segments that come in their order. The block's last segment, a gap,
+a repetition, an abort and a frame after the transfer's deadline are Python's. It takes what was
+collected first, so its answers are the same as if it had seen every frame.
 
 In the kernels: `n` the node's record (`node.record`), `k` a number from 0.
 """
@@ -19,7 +21,9 @@ _LAST_OR_ABORT = 0x80
 
 @kernel
 def collect(n: NodeRecord, t_ns: int, can_id: int, length: int, data: int) -> bool:
-    """Keep the frame if it is the next segment of a block that is open, and not its last; tell whether it was."""
+    """Keep the frame if it is the next segment of a block that is
+    open, and not its last; tell whether it was.
+    """
     if length != 8 or data & _LAST_OR_ABORT:
         return False
     for k in range(n.sdo_used):

@@ -1,7 +1,8 @@
 """Where the objects that every kind's core may use stand in a node's `values`.
 
-A kind's own objects have the slots from `FIRST_OF_KIND` on, as its table says (`node.profile.CoreObject`). Slots from `FIRST_FREE` on,
-and behind the kind's last, are given to the other numeric objects of the EDS in their order.
+A kind's own objects have the slots from `FIRST_OF_KIND` on, as its table says
+(`node.profile.CoreObject`). Slots from `FIRST_FREE` on, and behind the kind's last, are given to
+the other numeric objects of the EDS in their order.
 """
 
 from __future__ import annotations

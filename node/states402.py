@@ -1,16 +1,19 @@
-"""The motor drive of CiA 402 (IEC 61800-7-201/301), compiled: power state machine, option codes, statusword.
+"""The motor drive of CiA 402 (IEC 61800-7-201/301), compiled: power
+state machine, option codes, statusword.
 
-The torque itself is `node.motion402`'s. It is 0 in every state but Operation Enabled and on a ramp that leaves it, without
-supply, and while the set-point is older than 2001h.
+The torque itself is `node.motion402`'s. It is 0 in every state but Operation Enabled and
+on a ramp that leaves it, without supply, and while the set-point is older than 2001h.
 
-Ways out of Operation Enabled, and what decides how (0: torque 0 at once; a ramp, and then the state):
+Ways out of Operation Enabled, and what decides how (0: torque 0 at
+once; a ramp, and then the state):
 
     transition          5 (605Ch)   8 (605Bh)   9         11, 12 (605Ah)       13, 14 (605Eh)   NMT (6007h)
     to                  Switched On Ready       Disabled  Quick Stop, Disabled  Reaction, Fault  as 13, 9 or 11
     option codes        0, 1        0, 1        at once   0, 1, 2, 5, 6         0, 1, 2          0, 1, 2, 3
 
-1 and 5 are the slow-down ramp, 2 and 6 the quick stop ramp; from 5 on the drive stays in Quick Stop Active. A fault that
-takes away what a ramp needs (supply, encoder, power stage) is torque 0 at once whatever 605Eh says.
+1 and 5 are the slow-down ramp, 2 and 6 the quick stop ramp; from 5 on the drive stays in Quick Stop
+Active. A fault that takes away what a ramp needs (supply, encoder, power stage) is torque 0 at once
+whatever 605Eh says.
 
 In the kernels: `n` the node's record (`node.record`), `out` the queue of frames to send.
 """
@@ -54,7 +57,9 @@ OPTION_CODES: Mapping[int, tuple[int, ...]] = {
     0x605D: (1, 2),
     0x605E: (0, 1, 2),
 }
-"""What the option codes may hold: the drive has no ramp at the current or the voltage limit (3, 4, 7, 8)."""
+"""What the option codes may hold: the drive has no ramp at the
+current or the voltage limit (3, 4, 7, 8).
+"""
 
 ALL_MODES = sum(1 << (mode - 1) for mode in MODES if mode)
 """6502h: what the drive can do."""
@@ -225,7 +230,9 @@ def _leave(n: NodeRecord, t_ns: int, following: int) -> None:
 
 @kernel
 def new_setpoint(n: NodeRecord, t_ns: int, speed: bool) -> None:
-    """Take the set-point in 6071h, or in 60FFh (`speed`), that was received at `t_ns`, when the mode is for it."""
+    """Take the set-point in 6071h, or in 60FFh (`speed`), that was
+    received at `t_ns`, when the mode is for it.
+    """
     if speed != motion402.is_speed_mode(n.mode):
         return
     if n.setpoint_armed == 0:

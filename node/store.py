@@ -1,10 +1,13 @@
-"""Where a device keeps what survives a reset: in memory, or in a file that survives a power cut at any instant.
+"""Where a device keeps what survives a reset: in memory, or in a file
+that survives a power cut at any instant.
 
-What is kept are sections of named byte strings: the parameter groups of 1010h (`node.parameters`) and LSS's settings.
+What is kept are sections of named byte strings: the parameter groups
+of 1010h (`node.parameters`) and LSS's settings.
 
-The file is JSON behind one line that holds its length and its CRC-32. It is replaced as a whole: written beside the old one, synced,
-renamed over it, and the directory synced, so that after a power cut the file is the old one or the new one. A file that is
-torn, or of another device, is not used: `FileStore.diagnosis` says why, and the device starts with its defaults.
+The file is JSON behind one line that holds its length and its CRC-32. It is replaced as a whole:
+written beside the old one, synced, renamed over it, and the directory synced, so that after a power
+cut the file is the old one or the new one. A file that is torn, or of another device, is not used:
+`FileStore.diagnosis` says why, and the device starts with its defaults.
 """
 
 from __future__ import annotations
@@ -66,7 +69,8 @@ class FileStore(Store):
     diagnosis
         Why the file was not used, else None.
     foreign
-        Whether something else than a device's store stands there, or what cannot be read: it is not replaced.
+        Whether something else than a device's store stands there, or
+        what cannot be read: it is not replaced.
     """
 
     def __init__(self, path: str | Path) -> None:

@@ -1,4 +1,5 @@
-"""The TIME message (CiA 301, section 7.2.6): six bytes TIME_OF_DAY, milliseconds after midnight and days since 1984-01-01.
+"""The TIME message (CiA 301, section 7.2.6): six bytes TIME_OF_DAY,
+milliseconds after midnight and days since 1984-01-01.
 
 ```
 bit  47            32 31  28 27                    0
@@ -21,7 +22,9 @@ _MS_MASK, _DAYS_MASK = 0xFFFFFFF, 0xFFFF
 
 
 def time_word(time: datetime) -> int:
-    """Return the data of the TIME message that tells `time`, as a little-endian word; ValueError outside 1984 to 2163."""
+    """Return the data of the TIME message that tells `time`, as a
+    little-endian word; ValueError outside 1984 to 2163.
+    """
     passed = time - EPOCH
     if not 0 <= passed.days <= _DAYS_MASK:
         raise ValueError(f"{time} is outside what TIME can tell: 1984-01-01 to 2163-06-06")

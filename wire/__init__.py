@@ -1,1 +1,3 @@
-"""How frames move: the frame and its exact length, addresses, sockets, the client, python-can's plugin."""
+"""How frames move: the frame and its exact length, addresses,
+sockets, the client, python-can's plugin.
+"""

@@ -1,8 +1,10 @@
-"""The name of a bus: ``coulombus:bench`` is a virtual bus of this project, ``socketcan:can0`` an interface of Linux.
+"""The name of a bus: ``coulombus:bench`` is a virtual bus of this
+project, ``socketcan:can0`` an interface of Linux.
 
-A virtual bus is a socket in a private directory of the user: ``$XDG_RUNTIME_DIR/coulombus`` where the system provides
-one, else ``coulombus-UID`` in the directory for temporary files. Whoever can write to that directory can move the
-motor, so it has mode 0700 and is refused when it belongs to somebody else.
+A virtual bus is a socket in a private directory of the user: ``$XDG_RUNTIME_DIR/coulombus`` where
+the system provides one, else ``coulombus-UID`` in the directory for temporary files. Whoever can
+write to that directory can move the motor, so it has mode 0700 and is refused when it belongs to
+somebody else.
 """
 
 from __future__ import annotations
@@ -52,9 +54,11 @@ class BusUnavailable(OSError):
 
 @dataclass(frozen=True)
 class BusAddress:
-    """Where a bus is: its kind and its name there. ``str()`` is the form that `parse_address` reads.
+    """Where a bus is: its kind and its name there. ``str()`` is the
+    form that `parse_address` reads.
 
-    `start` is the command that serves the bus with the rig that is looked for there, where that is known; it makes no other bus of it.
+    `start` is the command that serves the bus with the rig that is
+    looked for there, where that is known; it makes no other bus of it.
     """
 
     kind: Kind
@@ -66,7 +70,9 @@ class BusAddress:
 
 
 def default_address(rig_name: str) -> BusAddress:
-    """Return the virtual bus of a rig: ``coulombus:RIG``, what cannot stand in a name replaced by ``-``."""
+    """Return the virtual bus of a rig: ``coulombus:RIG``, what cannot
+    stand in a name replaced by ``-``.
+    """
     name = re.sub(r"[^A-Za-z0-9_.-]+", "-", rig_name).strip("-.").removesuffix(_RESERVED) or "bus"
     return BusAddress("coulombus", name)
 
@@ -108,7 +114,8 @@ def _check_name(name: str) -> None:
 
 
 def socket_path(name: str) -> Path:
-    """Return the path of the socket `name`, in a directory that is made if need be and is this user's alone.
+    """Return the path of the socket `name`, in a directory that is
+    made if need be and is this user's alone.
 
     Raises
     ------
@@ -130,7 +137,9 @@ def socket_path(name: str) -> Path:
 
 
 def bus_names() -> list[str]:
-    """Return the names of the virtual buses whose sockets are there, dead ones of killed processes among them."""
+    """Return the names of the virtual buses whose sockets are there,
+    dead ones of killed processes among them.
+    """
     try:
         found = sorted(path.name for path in _directory().iterdir() if path.is_socket())
     except OSError:

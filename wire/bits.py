@@ -1,17 +1,20 @@
 """Exact length of a CAN frame on the wire, in bits.
 
-A classical CAN frame (ISO 11898-1) as it is sent; stuffing acts from the start of frame to the end of the CRC::
+A classical CAN frame (ISO 11898-1) as it is sent; stuffing acts from
+the start of frame to the end of the CRC::
 
     base      SOF 1 | id 11 | RTR 1 | IDE 1 | r0 1 | DLC 4 | data 8n | CRC 15 |
     extended  SOF 1 | id 11 | SRR 1 | IDE 1 | id 18 | RTR 1 | r1 r0 2 | DLC 4 | data 8n | CRC 15 |
     then      CRC delimiter 1 | ACK slot 1 | ACK delimiter 1 | end of frame 7 | inter-frame space 3
 
-After five equal bits the sender inserts one of the other value, which counts as the first of the next run. A frame has
-34 + 8n (base) or 54 + 8n (extended) stuffable bits L, 13 more, and at most floor((L - 1)/4) stuff bits: 55 bits
-for SYNC, 135 for eight data bytes, 160 with an extended identifier.
+After five equal bits the sender inserts one of the other value, which counts as the first of the
+next run. A frame has 34 + 8n (base) or 54 + 8n (extended) stuffable bits L, 13 more, and at most
+floor((L - 1)/4) stuff bits: 55 bits for SYNC, 135 for eight data bytes, 160 with an extended
+identifier.
 
-The kernel goes byte by byte. Two tables are enough: the CRC is linear, so each byte adds (xor) what it alone leaves
-in the register at the end; stuffing is an automaton of nine states (nothing sent yet, a run of 1-4 zeros, of 1-4 ones).
+The kernel goes byte by byte. Two tables are enough: the CRC is linear, so each byte adds (xor) what
+it alone leaves in the register at the end; stuffing is an automaton of nine states (nothing sent
+yet, a run of 1-4 zeros, of 1-4 ones).
 
 CAN FD frames are in `wire.fd_bits`, and importable from here.
 """
@@ -68,7 +71,9 @@ def _stuff_step(state: int, value: int, bits: int) -> int:
 
 
 def _stuff_table(bits: int) -> npt.NDArray[np.int16]:
-    """Return `_stuff_step` for all nine states and all values of `bits` bits, at index 256 x state + value."""
+    """Return `_stuff_step` for all nine states and all values of
+    `bits` bits, at index 256 x state + value.
+    """
     table = np.zeros((9, 256), np.int16)
     for state in range(9):
         for value in range(1 << bits):
@@ -84,10 +89,12 @@ STUFF_3 = _stuff_table(3)[:8].copy()  # the first three bits of a base frame: on
 
 @kernel
 def data_frame_bits(can_id: int, length: int, data_word: int) -> int:
-    """Return the bits on the wire of any `FRAME`, stuffing and inter-frame space included (about 20 ns).
+    """Return the bits on the wire of any `FRAME`, stuffing and
+    inter-frame space included (about 20 ns).
 
-    `can_id` carries Linux's flags: ``CAN_EFF_FLAG`` makes the frame extended, ``CAN_RTR_FLAG`` remote (`length` is then
-    its DLC, and there is no data). `length` beyond 8 counts as 8, as a DLC of 9-15 does on the wire.
+    `can_id` carries Linux's flags: ``CAN_EFF_FLAG`` makes the frame extended, ``CAN_RTR_FLAG``
+    remote (`length` is then its DLC, and there is no data). `length` beyond 8 counts as 8, as a DLC
+    of 9-15 does on the wire.
     """
     n = min(max(length, 0), 8)
     count = n
@@ -125,14 +132,16 @@ def data_frame_bits(can_id: int, length: int, data_word: int) -> int:
 def frame_bits(
     can_id: int, data: bytes | bytearray | memoryview | int = b"", *, extended: bool = False, remote: bool = False
 ) -> int:
-    """Return the bits on the wire from the start of frame to the end of the inter-frame space, stuffing included.
+    """Return the bits on the wire from the start of frame to the end
+    of the inter-frame space, stuffing included.
 
     Parameters
     ----------
     can_id
         Identifier without flags: 0 to 0x7FF, or 0 to 0x1FFFFFFF when `extended`.
     data
-        Up to eight data bytes. For a remote frame: as many bytes as it asks for (no value is sent), or the DLC.
+        Up to eight data bytes. For a remote frame: as many bytes as
+        it asks for (no value is sent), or the DLC.
     extended, remote
         29-bit identifier; remote frame.
 
@@ -173,8 +182,9 @@ def frame_bits(
 def worst_case_bits(length: int, extended: bool = False) -> int:
     """Return the largest `frame_bits` of a data frame of `length` bytes: L + 13 + floor((L - 1)/4).
 
-    L = 34 + 8 length, or 54 + 8 length with an extended identifier, is what stuffing acts on (Davis, Burns, Bril and
-    Lukkien 2007, doi:10.1007/s11241-007-9012-7, equations 1 and 2, and the three bits of inter-frame space in the 13).
+    L = 34 + 8 length, or 54 + 8 length with an extended identifier, is what stuffing acts on
+    (Davis, Burns, Bril and Lukkien 2007, doi:10.1007/s11241-007-9012-7, equations 1 and 2, and the
+    three bits of inter-frame space in the 13).
 
     Raises
     ------

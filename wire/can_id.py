@@ -1,4 +1,6 @@
-"""Linux's flags in the 32 bits of a CAN identifier (``linux/can.h``). This file imports nothing, so that tools may know them without the compiler."""
+"""Linux's flags in the 32 bits of a CAN identifier (``linux/can.h``). This
+file imports nothing, so that tools may know them without the compiler.
+"""
 
 __all__ = ["CAN_EFF_FLAG", "CAN_ERR_FLAG", "CAN_RTR_FLAG"]
 

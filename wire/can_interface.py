@@ -1,7 +1,8 @@
-"""The virtual bus as an interface of python-can: ``can.Bus(interface="coulombus", channel="bench")``.
+"""The virtual bus as an interface of python-can:
+``can.Bus(interface="coulombus", channel="bench")``.
 
-So every program that speaks python-can attaches to it as to any bus: can_viewer, can_logger, can_player, cantools
-monitor, canopen. It is found by the entry point ``can.interface``.
+So every program that speaks python-can attaches to it as to any bus: can_viewer, can_logger,
+can_player, cantools monitor, canopen. It is found by the entry point ``can.interface``.
 """
 
 from __future__ import annotations
@@ -28,7 +29,9 @@ from coulombus.wire.messages import can_id_of, data_of, is_classical, message_of
 __all__ = ["CoulombusBus"]
 
 ERR_BUSOFF, ERR_RESTARTED = 0x40, 0x100
-"""Classes of error frames (``linux/can/error.h``); data[5] is the number of the station that it is about."""
+"""Classes of error frames (``linux/can/error.h``); data[5] is the
+number of the station that it is about.
+"""
 _log = logging.getLogger(__name__)
 
 
@@ -215,7 +218,8 @@ class CoulombusBus(can.BusABC):
             raise can.CanOperationError(str(error), error.errno) from None
 
     def details(self, timeout: float = 1.0) -> str:
-        """Ask the bus for the state and counters of this client's controller; return what ``ip -details -statistics link show`` prints.
+        """Ask the bus for the state and counters of this client's
+        controller; return what ``ip -details -statistics link show`` prints.
 
         Raises
         ------
@@ -234,7 +238,9 @@ class CoulombusBus(can.BusABC):
 
     @property
     def state(self) -> BusState:
-        """PASSIVE: listens only; ERROR: the bus is gone, or the last that was heard is that this controller is in bus-off; else ACTIVE."""
+        """PASSIVE: listens only; ERROR: the bus is gone, or the last that
+        was heard is that this controller is in bus-off; else ACTIVE.
+        """
         if self._gone or self._off:
             return BusState.ERROR
         return BusState.PASSIVE if self._client.hello.flags & Flags.LISTEN_ONLY else BusState.ACTIVE
@@ -281,7 +287,9 @@ def _address(channel: Any) -> BusAddress:
 
 
 def _packed(filters: CanFilters | None) -> tuple[tuple[int, int], ...]:
-    """Return python-can's filters as (identifier, mask) of SocketCAN; none when there are more than a bus takes."""
+    """Return python-can's filters as (identifier, mask) of SocketCAN;
+    none when there are more than a bus takes.
+    """
     found = []
     for one in filters or ():
         can_id, mask = one["can_id"], one["can_mask"]

@@ -1,4 +1,5 @@
-"""A client of a bus of either kind: a non-blocking socket on which messages of 16-byte ``struct can_frame`` come and go.
+"""A client of a bus of either kind: a non-blocking socket on which
+messages of 16-byte ``struct can_frame`` come and go.
 
 No numba and no python-can in here: a script or a viewer starts at once.
 """
@@ -34,7 +35,9 @@ class Echo(tuple[int, int, int, bytes]):
 MESSAGE_BYTES = 1 << 16
 CAN_LENGTH = 8
 ECHO_BYTE = 5
-"""The first padding byte of struct can_frame, which a virtual bus sets in a client's own frames, as Linux sets MSG_CONFIRM."""
+"""The first padding byte of struct can_frame, which a virtual bus
+sets in a client's own frames, as Linux sets MSG_CONFIRM.
+"""
 MSG_CONFIRM = 0x800
 CAN_RAW_ERR_FILTER = 2
 SO_RXQ_OVFL = 40
@@ -60,7 +63,9 @@ class BusFull(OSError):
 
 
 def pack_frame(can_id: int, data: bytes = b"", length: int | None = None) -> bytes:
-    """Return the 16 bytes of a frame; `length` only for a remote frame, which asks for so many bytes and carries none."""
+    """Return the 16 bytes of a frame; `length` only for a remote
+    frame, which asks for so many bytes and carries none.
+    """
     return CAN_FRAME.pack(can_id, len(data) if length is None else length, data)
 
 
@@ -72,7 +77,8 @@ class Client:
     bitrate_bit_s, station
         What a virtual bus told; 0 on SocketCAN, whose bit rate is the interface's own affair.
     lost
-        Frames that found no place in this client's receive queue. A virtual bus tells it with each answer (`ask`).
+        Frames that found no place in this client's receive queue. A
+        virtual bus tells it with each answer (`ask`).
     malformed
         Messages and frames that were dropped because they are none.
     link
@@ -121,7 +127,9 @@ class Client:
         return bool(poll.poll(None if timeout is None else max(0.0, timeout * 1e3)))
 
     def receive(self) -> list[Received]:
-        """Return the frames of the next message; none when there is no message, or when it was the bus's answer."""
+        """Return the frames of the next message; none when there is
+        no message, or when it was the bus's answer.
+        """
         try:
             size, ancillary, flags, _ = self.socket.recvmsg_into([self._buffer], _ANCILLARY)
         except (BlockingIOError, InterruptedError):
@@ -173,7 +181,8 @@ class Client:
     def ask(self, hello: Hello | None = None) -> None:
         """Change flags and filters, or (without `hello`) only ask how many frames were lost.
 
-        A virtual bus answers among the frames, and `receive` takes the answer; `unanswered` counts those under way.
+        A virtual bus answers among the frames, and `receive` takes
+        the answer; `unanswered` counts those under way.
         """
         if hello is not None:
             self.hello = hello

@@ -1,6 +1,7 @@
 """A clock that runs fast or slow, compiled: a station's own time, in which all of its timers are.
 
-A record with `CLOCK_FIELDS` has a time of its own since `clock_from_ns` of the bus, when it was `clock_at_ns`::
+A record with `CLOCK_FIELDS` has a time of its own since
+`clock_from_ns` of the bus, when it was `clock_at_ns`::
 
     own = clock_at_ns + floor((bus - clock_from_ns) * (1 + ppb / 1e9))
 
@@ -55,6 +56,8 @@ def to_bus(clock: Record, out: Queue, first: int) -> None:
 
 
 def set_clock(clock: Record, t_ns: int, ppb: int) -> None:
-    """Let the clock run fast by `ppb` (1e-9; negative: slow) from `t_ns` of the bus on, without a jump."""
+    """Let the clock run fast by `ppb` (1e-9; negative: slow) from
+    `t_ns` of the bus on, without a jump.
+    """
     now = int(own_ns(clock, t_ns))
     clock["clock_on"], clock["clock_ppb"], clock["clock_from_ns"], clock["clock_at_ns"] = 1, ppb, t_ns, now

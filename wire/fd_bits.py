@@ -1,18 +1,21 @@
-"""Exact length of a CAN FD frame on the wire: bits at the nominal rate, bits at the data rate (ISO 11898-1:2015).
+"""Exact length of a CAN FD frame on the wire: bits at the nominal
+rate, bits at the data rate (ISO 11898-1:2015).
 
-The frame as an error active station sends it; what stands right of the BRS bit's sample point, up to that of the CRC
-delimiter, goes at the data rate when BRS is recessive. BRS counts as nominal here and the CRC delimiter as data::
+The frame as an error active station sends it; what stands right of the BRS bit's sample point, up
+to that of the CRC delimiter, goes at the data rate when BRS is recessive. BRS counts as nominal
+here and the CRC delimiter as data::
 
     base      SOF 1 | id 11 | RRS 1 | IDE 1 | FDF 1 | res 1 | BRS 1 ||
     extended  SOF 1 | id 11 | SRR 1 | IDE 1 | id 18 | RRS 1 | FDF 1 | res 1 | BRS 1 ||
     then      ESI 1 | DLC 4 | data 8n | stuff count 4 | CRC 17 or 21 | fixed stuff bits 6 or 7 | CRC delimiter 1 ||
     then      ACK slot 1 | ACK delimiter 1 | end of frame 7 | inter-frame space 3
 
-Two kinds of stuffing. From the start of frame to the end of the data field a bit is inserted after five equal ones, as in a classical
-frame. In the CRC field stuff bits stand at fixed places, whatever the bits are: before the stuff count, and after each
-four bits from there on. A sixth bit that is due after the last data bit is the first of the fixed ones; there are never
-two. So neither the stuff count nor the CRC's value changes the length: CRC-17 (up to 16 data bytes) has 4 + 17 bits and
-6 fixed stuff bits, CRC-21 has 4 + 21 and 7.
+Two kinds of stuffing. From the start of frame to the end of the data field a bit is inserted after
+five equal ones, as in a classical frame. In the CRC field stuff bits stand at fixed places,
+whatever the bits are: before the stuff count, and after each four bits from there on. A sixth bit
+that is due after the last data bit is the first of the fixed ones; there are never two. So neither
+the stuff count nor the CRC's value changes the length: CRC-17 (up to 16 data bytes) has 4 + 17 bits
+and 6 fixed stuff bits, CRC-21 has 4 + 21 and 7.
 """
 
 from __future__ import annotations
@@ -33,7 +36,9 @@ def _crc_field_bits(length: int) -> int:
 
 
 def _stuffed(bits: str, last: str, run: int) -> tuple[int, str, int]:
-    """Send `bits` after `run` bits of value `last`; return the stuff bits that are due, last bit and run after them."""
+    """Send `bits` after `run` bits of value `last`; return the stuff
+    bits that are due, last bit and run after them.
+    """
     inserted = 0
     for bit in bits:
         run = run + 1 if bit == last else 1
@@ -47,7 +52,8 @@ def _stuffed(bits: str, last: str, run: int) -> tuple[int, str, int]:
 def fd_frame_bits(
     can_id: int, data: bytes | bytearray | memoryview = b"", *, extended: bool = False, bitrate_switch: bool = True
 ) -> tuple[int, int]:
-    """Return (bits at the nominal rate, bits at the data rate) of a CAN FD frame, stuffing and inter-frame space included.
+    """Return (bits at the nominal rate, bits at the data rate) of a
+    CAN FD frame, stuffing and inter-frame space included.
 
     Parameters
     ----------

@@ -1,8 +1,9 @@
 """A CAN frame as the kernels see it, and the queue in which frames wait.
 
-All integers are int64. `word` holds the eight data bytes in little-endian order: byte 0 of the frame is bits 0-7, as in
-the second half of Linux's 16-byte ``struct can_frame`` read on a little-endian machine. `can_id` carries Linux's flags
-``CAN_EFF_FLAG``, ``CAN_RTR_FLAG`` and ``CAN_ERR_FLAG``.
+All integers are int64. `word` holds the eight data bytes in little-endian order: byte 0 of the
+frame is bits 0-7, as in the second half of Linux's 16-byte ``struct can_frame`` read on a
+little-endian machine. `can_id` carries Linux's flags ``CAN_EFF_FLAG``, ``CAN_RTR_FLAG`` and
+``CAN_ERR_FLAG``.
 """
 
 from __future__ import annotations
@@ -76,7 +77,8 @@ def new_queue() -> Queue:
 def arbitration_key(can_id: int) -> int:
     """Return the arbitration field as a number: the lower one wins the bus.
 
-    The bits of the field in their order on the wire, 32 of them: base identifier (11), RTR or SRR, IDE, identifier extension (18), RTR (ISO 11898-1).
+    The bits of the field in their order on the wire, 32 of them: base identifier
+    (11), RTR or SRR, IDE, identifier extension (18), RTR (ISO 11898-1).
     """
     if can_id & CAN_EFF_FLAG:
         base = (can_id >> 18) & 0x7FF
@@ -88,7 +90,9 @@ def arbitration_key(can_id: int) -> int:
 
 @kernel
 def push(out: Queue, source: int, t_ns: int, can_id: int, length: int, data: int) -> None:
-    """Append a frame that is ready at `t_ns`; when the queue is full the frame is dropped and counted."""
+    """Append a frame that is ready at `t_ns`; when the queue is full
+    the frame is dropped and counted.
+    """
     count = out.count
     if count >= QUEUE_CAPACITY:
         out.dropped += 1

@@ -1,15 +1,16 @@
 """How a client and a virtual bus greet each other, and how a client connects.
 
-The socket is AF_UNIX, SOCK_SEQPACKET: it keeps messages whole and tells when the other side has gone. All words of the
-greeting are little endian::
+The socket is AF_UNIX, SOCK_SEQPACKET: it keeps messages whole and tells
+when the other side has gone. All words of the greeting are little endian::
 
     client -> bus   u32 magic  u16 version  u16 flags  u16 n  n x (u32 id, u32 mask)  padding     Hello
     bus -> client   u32 magic  u16 version  u16 status  u32 bit rate  u32 station  u64 lost       Answer
                     and perhaps the state of the client's controller, as wire.link.Link packs it
     then, both ways, messages of one or more 16-byte ``struct can_frame`` in native byte order
 
-A greeting is padded so that its length is 8 modulo 16; a message of frames is a multiple of 16. So the two can be told
-apart at any time, and a client may greet again to change its flags and filters, or to hear how many frames it lost.
+A greeting is padded so that its length is 8 modulo 16; a message of frames is a multiple of 16. So
+the two can be told apart at any time, and a client may greet again to change its flags and filters,
+or to hear how many frames it lost.
 """
 
 from __future__ import annotations
@@ -50,7 +51,8 @@ MAX_FILTERS = 512  # as CAN_RAW_FILTER_MAX
 SEND_BUFFER = 4 << 20  # bytes asked for; the kernel gives at most net.core.wmem_max
 
 SO_TIMESTAMPNS = 35
-"""Socket option and control message: struct timespec of CLOCK_REALTIME. Python has no name for it."""
+"""Socket option and control message: struct timespec of CLOCK_REALTIME. Python has no name for it.
+"""
 
 _HELLO = struct.Struct("<IHHH")
 _FILTER = struct.Struct("<II")
@@ -95,10 +97,11 @@ def _padded(message: bytes) -> bytes:
 
 @dataclass(frozen=True)
 class Hello:
-    """What a client says first. A filter passes frames with ``id & mask == filter id & mask``; none passes all.
+    """What a client says first. A filter passes frames with ``id &
+    mask == filter id & mask``; none passes all.
 
-    The identifiers and masks have the meaning of SocketCAN's ``struct can_filter``: bit 31 for extended frames, bit 30
-    for remote frames, and bit 29 of the identifier inverts the filter.
+    The identifiers and masks have the meaning of SocketCAN's ``struct can_filter``: bit 31 for
+    extended frames, bit 30 for remote frames, and bit 29 of the identifier inverts the filter.
     """
 
     flags: Flags = _NO_FLAGS
@@ -130,9 +133,11 @@ class Hello:
 
 @dataclass(frozen=True)
 class Answer:
-    """What a bus answers: whether it takes the client, its bit rate (0: unknown), and the client's station number.
+    """What a bus answers: whether it takes the client, its bit rate
+    (0: unknown), and the client's station number.
 
-    `lost` frames found no place in the client's receive queue, because it does not read, since it connected. `link` is its CAN controller.
+    `lost` frames found no place in the client's receive queue, because
+    it does not read, since it connected. `link` is its CAN controller.
     """
 
     status: Status
@@ -171,7 +176,8 @@ def connect(
     filters: Sequence[tuple[int, int]] = (),
     timeout: float = 2.0,
 ) -> socket.socket:
-    """Return a blocking socket on the virtual bus at `address`, greeted; `timeout` in seconds for all of it.
+    """Return a blocking socket on the virtual bus at `address`,
+    greeted; `timeout` in seconds for all of it.
 
     Raises
     ------
@@ -200,7 +206,9 @@ def greet(address: BusAddress, hello: Hello, timeout: float = 2.0) -> Connection
 
 
 def connect_path(path: Path, hello: Hello, timeout: float) -> Connection:
-    """Connect to the socket at `path` and greet; errors as the system gives them, a refusal as BusUnavailable."""
+    """Connect to the socket at `path` and greet; errors as the system
+    gives them, a refusal as BusUnavailable.
+    """
     deadline = time.monotonic() + timeout
     client = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     try:

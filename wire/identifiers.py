@@ -1,4 +1,6 @@
-"""Identifiers as a user writes them: ``181``, ``180-1FF``, ``00000123x``; numbers are hexadecimal, 8 digits (or x) mean extended."""
+"""Identifiers as a user writes them: ``181``, ``180-1FF``,
+``00000123x``; numbers are hexadecimal, 8 digits (or x) mean extended.
+"""
 
 from __future__ import annotations
 
@@ -57,7 +59,9 @@ def _number(text: str, part: str) -> int:
 
 
 def among(can_ids: npt.NDArray[np.int64] | Iterable[int], ranges: Ranges) -> npt.NDArray[np.bool_]:
-    """Return which identifiers (with flags) are in one of the ranges; whether a frame is a remote one does not matter."""
+    """Return which identifiers (with flags) are in one of the ranges;
+    whether a frame is a remote one does not matter.
+    """
     bare = np.asarray(can_ids, np.int64) & ~CAN_RTR_FLAG
     found = np.zeros(bare.shape, bool)
     for low, high in ranges:

@@ -1,4 +1,6 @@
-"""A CAN controller's state and counters as ``ip -details -statistics link show`` prints them, and as a virtual bus tells them to a client."""
+"""A CAN controller's state and counters as ``ip -details -statistics
+link show`` prints them, and as a virtual bus tells them to a client.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +13,17 @@ STATES = ("ERROR-ACTIVE", "ERROR-WARNING", "ERROR-PASSIVE", "BUS-OFF", "STOPPED"
 MODES = ("LOOPBACK", "LISTEN-ONLY", "ONE-SHOT")
 BUS_OFF = 3
 LINK_ACTIVE, LINK_PASSIVE, LINK_OFF, LINK_RECOVERED = 1, 2, 3, 4
-"""What a CAN controller tells its node: error active (again), error passive, bus-off, back from bus-off."""
+"""What a CAN controller tells its node: error active (again), error
+passive, bus-off, back from bus-off.
+"""
 _LINK = struct.Struct("<HHHHI6I12x")
 
 
 @dataclass(frozen=True)
 class Link:
-    """A controller: state (Linux's ``enum can_state``), modes (bits 0 to 2: loopback, listen only, one-shot), counters."""
+    """A controller: state (Linux's ``enum can_state``), modes (bits 0
+    to 2: loopback, listen only, one-shot), counters.
+    """
 
     state: int = 0
     modes: int = 0

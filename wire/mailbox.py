@@ -1,8 +1,9 @@
 """One message from a socket, with the kernel's time stamp: recvmsg(2) for compiled loops.
 
-A mailbox is one record that holds the struct msghdr, the struct iovec and the room for control messages, and an array of
-int64 words for the data: two words are one ``struct can_frame``. `receive` works on both kinds of bus, AF_UNIX and AF_CAN,
-when SO_TIMESTAMPNS is set on the socket (and SO_RXQ_OVFL, on AF_CAN).
+A mailbox is one record that holds the struct msghdr, the struct iovec and the room for control
+messages, and an array of int64 words for the data: two words are one ``struct can_frame``.
+`receive` works on both kinds of bus, AF_UNIX and AF_CAN, when SO_TIMESTAMPNS is set on the socket
+(and SO_RXQ_OVFL, on AF_CAN).
 """
 
 from __future__ import annotations
@@ -51,7 +52,9 @@ MAILBOX = np.dtype(
 
 
 def new_mailbox(frames: int) -> tuple[Records, npt.NDArray[np.int64]]:
-    """Return a mailbox and its data words: room for a message of `frames` frames. Both must be kept alive and in place."""
+    """Return a mailbox and its data words: room for a message of
+    `frames` frames. Both must be kept alive and in place.
+    """
     box, data = new_records(MAILBOX), np.zeros(2 * frames, np.int64)
     set_up(box, data)
     return box, data

@@ -1,5 +1,6 @@
-"""Between Linux's classical CAN frame - identifier with flags, length, data - and python-can's message: the one place where they are turned
-into each other. Imports no numba: python-can's plugins start with it.
+"""Between Linux's classical CAN frame - identifier with flags, length, data - and python-can's
+message: the one place where they are turned into each other. Imports no numba: python-can's plugins
+start with it.
 """
 
 from __future__ import annotations
@@ -57,5 +58,7 @@ def data_of(message: can.Message) -> bytes:
 
 
 def word_of(message: can.Message) -> int:
-    """Return a message's data as a frame record's `word`: a little-endian INTEGER64, 0 beyond its length."""
+    """Return a message's data as a frame record's `word`: a
+    little-endian INTEGER64, 0 beyond its length.
+    """
     return data_word(data_of(message))

@@ -1,4 +1,6 @@
-"""What a real-time thread asks the system for, and what it was granted. Nothing is required; each refusal names the command that would grant it."""
+"""What a real-time thread asks the system for, and what it was granted.
+Nothing is required; each refusal names the command that would grant it.
+"""
 
 from __future__ import annotations
 
@@ -79,7 +81,9 @@ def _ask(name: str, detail: str, remedy: str, request: Callable[[], None]) -> Ri
 
 
 def set_fifo(priority: int) -> Right:
-    """Schedule the calling thread by SCHED_FIFO; threads and processes that it starts are not (SCHED_RESET_ON_FORK)."""
+    """Schedule the calling thread by SCHED_FIFO; threads and
+    processes that it starts are not (SCHED_RESET_ON_FORK).
+    """
 
     def request() -> None:
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
@@ -112,7 +116,9 @@ _latency: list[int] = []
 
 
 def hold_dma_latency() -> Right:
-    """Keep the CPUs out of deep sleep for as long as this process lives (/dev/cpu_dma_latency held open at 0 us)."""
+    """Keep the CPUs out of deep sleep for as long as this process
+    lives (/dev/cpu_dma_latency held open at 0 us).
+    """
 
     def request() -> None:
         if not _latency:
@@ -124,7 +130,9 @@ def hold_dma_latency() -> Right:
 
 
 def set_timer_slack() -> Right:
-    """Let the calling thread's sleeps end on time, not up to 50 us later (matters for ordinary scheduling only)."""
+    """Let the calling thread's sleeps end on time, not up to 50 us
+    later (matters for ordinary scheduling only).
+    """
     remedy = "a kernel with PR_SET_TIMERSLACK"
     return _ask("timer slack", "1 ns", remedy, lambda: _checked(_library.prctl(PR_SET_TIMERSLACK, 1, 0, 0, 0)))
 
@@ -132,11 +140,13 @@ def set_timer_slack() -> Right:
 def ask_for_real_time(priority: int | None, cpu: int | None = None) -> RealTime:
     """Ask for everything on behalf of the calling thread.
 
-    Call it when all is loaded and allocated: memory is locked, and objects that live now are taken out of the garbage collector.
+    Call it when all is loaded and allocated: memory is locked, and
+    objects that live now are taken out of the garbage collector.
 
     Parameters
     ----------
-    priority : of SCHED_FIFO, 1 to 99; None: ordinary scheduling, and nothing but the timer slack is asked for
+    priority : of SCHED_FIFO, 1 to 99; None: ordinary scheduling, and
+        nothing but the timer slack is asked for
     cpu : pin the thread there
     """
     rights = [set_timer_slack()]
@@ -149,13 +159,17 @@ def ask_for_real_time(priority: int | None, cpu: int | None = None) -> RealTime:
 
 
 def freeze_garbage() -> None:
-    """Collect garbage once, and never look again at what lives now (30 ms -> nothing for 1e6 objects)."""
+    """Collect garbage once, and never look again at what lives now
+    (30 ms -> nothing for 1e6 objects).
+    """
     gc.collect()
     gc.freeze()
 
 
 def die_with_parent(parent: int, number: int = signal.SIGKILL) -> None:
-    """Let the kernel send this process a signal when `parent`, its parent's id, ends; if that has happened already, exit at once."""
+    """Let the kernel send this process a signal when `parent`, its
+    parent's id, ends; if that has happened already, exit at once.
+    """
     _checked(_library.prctl(PR_SET_PDEATHSIG, int(number), 0, 0, 0))
     if os.getppid() != parent:
         os._exit(1)

@@ -14,12 +14,14 @@ SIOCGIFFLAGS, IFF_UP = 0x8913, 1
 
 
 def can_socket(name: str) -> socket.socket:
-    """Return a raw CAN socket bound to the interface `name` (blocking, with the kernel's default options).
+    """Return a raw CAN socket bound to the interface `name`
+    (blocking, with the kernel's default options).
 
     Raises
     ------
     coulombus.wire.address.BusUnavailable
-        (exit status 4) This kernel has no CAN, there is no such interface, or it is down; the text says what to do.
+        (exit status 4) This kernel has no CAN, there is no such
+        interface, or it is down; the text says what to do.
     """
     unavailable = f"no bus socketcan:{name}: "
     try:
@@ -50,6 +52,8 @@ def can_socket(name: str) -> socket.socket:
 
 
 def interface_is_up(target: socket.socket, name: str) -> bool:
-    """Tell whether the interface `name` is up; `target` is any socket. OSError when there is none of that name."""
+    """Tell whether the interface `name` is up; `target` is any
+    socket. OSError when there is none of that name.
+    """
     answer = fcntl.ioctl(target, SIOCGIFFLAGS, struct.pack("16sH14x", name.encode(), 0))
     return bool(struct.unpack_from("H", answer, 16)[0] & IFF_UP)

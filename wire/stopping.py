@@ -1,11 +1,11 @@
 """The signals that end a verb, in one place: who takes them, and the exit status that they lead to.
 
-SIGINT (Ctrl-C), SIGTERM, SIGHUP (the terminal was closed) and SIGQUIT (Ctrl-Backslash) ask for the same thing, an orderly end. Every verb takes
-all four: by an exception (`as_exceptions`, around each verb), or by a handler of its own while it drives something (`taken`, `StopSignals`,
-`Signals`).
+SIGINT (Ctrl-C), SIGTERM, SIGHUP (the terminal was closed) and SIGQUIT (Ctrl-Backslash) ask for the
+same thing, an orderly end. Every verb takes all four: by an exception (`as_exceptions`, around each
+verb), or by a handler of its own while it drives something (`taken`, `StopSignals`, `Signals`).
 
-A shell starts its background jobs with SIGINT and SIGQUIT ignored; a handler takes them all the same. SIGHUP that is ignored stays so, as
-nohup(1) wants it.
+A shell starts its background jobs with SIGINT and SIGQUIT ignored; a handler
+takes them all the same. SIGHUP that is ignored stays so, as nohup(1) wants it.
 """
 
 from __future__ import annotations
@@ -24,18 +24,23 @@ __all__ = ["SIGNALS", "Signals", "StopSignals", "Stopped", "as_exceptions", "sta
 
 SIGNALS: tuple[int, ...] = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 AGAIN_S = 1.0
-"""A terminal that is closed sends SIGHUP by the shell and by the kernel: what comes so soon after the first one is the same wish."""
+"""A terminal that is closed sends SIGHUP by the shell and by the
+kernel: what comes so soon after the first one is the same wish.
+"""
 
 Handler: TypeAlias = Callable[[int, FrameType | None], None]
 
 
 def status_of(number: int) -> int:
-    """Return the exit status of a verb that a signal has ended, as a shell counts it: 130 SIGINT, 143 SIGTERM, 129 SIGHUP, 131 SIGQUIT."""
+    """Return the exit status of a verb that a signal has ended, as a
+    shell counts it: 130 SIGINT, 143 SIGTERM, 129 SIGHUP, 131 SIGQUIT.
+    """
     return 128 + number
 
 
 class Stopped(KeyboardInterrupt):
-    """A signal of `SIGNALS` ends the verb; `number` tells which. As KeyboardInterrupt it passes every ``except Exception`` on its way.
+    """A signal of `SIGNALS` ends the verb; `number` tells which. As
+    KeyboardInterrupt it passes every ``except Exception`` on its way.
 
     Parameters
     ----------
@@ -49,7 +54,9 @@ class Stopped(KeyboardInterrupt):
 
 @contextmanager
 def taken(handler: Handler) -> Iterator[None]:
-    """Let `handler` take all stop signals, also those that were ignored at the start; only SIGHUP under nohup(1) stays ignored."""
+    """Let `handler` take all stop signals, also those that were
+    ignored at the start; only SIGHUP under nohup(1) stays ignored.
+    """
     before: dict[int, Any] = {}
     try:
         for number in SIGNALS:
@@ -63,7 +70,9 @@ def taken(handler: Handler) -> Iterator[None]:
 
 @contextmanager
 def as_exceptions() -> Iterator[None]:
-    """Let SIGTERM, SIGHUP and SIGQUIT raise `Stopped`, as SIGINT raises KeyboardInterrupt; in other threads than the main one: nothing."""
+    """Let SIGTERM, SIGHUP and SIGQUIT raise `Stopped`, as SIGINT raises
+    KeyboardInterrupt; in other threads than the main one: nothing.
+    """
     last_s = -AGAIN_S
 
     def stop(number: int, frame: FrameType | None) -> None:
@@ -117,7 +126,9 @@ class _First:
 
 
 class Signals(_First):
-    """The stop signals of a run: until `defer` one ends what is being done by `Stopped`; from then on they are only remembered."""
+    """The stop signals of a run: until `defer` one ends what is being
+    done by `Stopped`; from then on they are only remembered.
+    """
 
     def __init__(self) -> None:
         super().__init__()

@@ -1,4 +1,6 @@
-"""How a verb ends with its verdict: on stdout or stderr, and by an exit status that a closed or full one does not hide."""
+"""How a verb ends with its verdict: on stdout or stderr, and by an
+exit status that a closed or full one does not hide.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,9 @@ __all__ = ["abandon_stdout", "printed", "say", "verdict"]
 
 
 def abandon_stdout() -> None:
-    """Let go of a stdout that takes nothing: the interpreter would try it again at its end, and exit with 120."""
+    """Let go of a stdout that takes nothing: the interpreter would
+    try it again at its end, and exit with 120.
+    """
     with suppress(OSError, ValueError):
         null = os.open(os.devnull, os.O_WRONLY)
         try:
@@ -23,7 +27,9 @@ def abandon_stdout() -> None:
 
 @contextmanager
 def verdict(status: int) -> Iterator[None]:
-    """End the verb with `status` behind what is printed inside, also when nobody reads it (`printed`)."""
+    """End the verb with `status` behind what is printed inside, also
+    when nobody reads it (`printed`).
+    """
     with printed(status):
         yield
     sys.exit(status)
@@ -33,7 +39,8 @@ def verdict(status: int) -> Iterator[None]:
 def printed(status: int = 0) -> Iterator[None]:
     """Print what is printed inside; what follows is done, whoever reads it.
 
-    A reader that has gone (`head`), or a terminal that was closed, hides no verdict `status`; nor does a full disk, but that makes an error of a 0.
+    A reader that has gone (`head`), or a terminal that was closed, hides no
+    verdict `status`; nor does a full disk, but that makes an error of a 0.
     """
     try:
         yield

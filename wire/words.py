@@ -1,4 +1,6 @@
-"""The eight data bytes of a frame as one number: `word` of a frame's record. Imports no numba: python-can's plugins start with it."""
+"""The eight data bytes of a frame as one number: `word` of a frame's
+record. Imports no numba: python-can's plugins start with it.
+"""
 
 from __future__ import annotations
 
