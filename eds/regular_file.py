@@ -62,7 +62,7 @@ def read_regular(path: str | Path, most_bytes: int = MOST_BYTES) -> bytes:
         It cannot be read.
     """
     require_regular(path)
-    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # what stands there may have changed since
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # the file may have changed since
     with open(descriptor, "rb") as file:
         _require_regular(path, os.fstat(descriptor).st_mode)
         with naming(path):

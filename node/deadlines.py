@@ -90,7 +90,7 @@ def expire(n: NodeRecord, t_ns: int, out: Queue) -> int:
     for k in range(n.consumers_used):
         if n.consumer_state[k] == _ALIVE and t_ns - n.consumer_last_ns[k] >= n.consumer_ns[k]:
             n.consumer_state[k] = _LOST
-            n.latched &= ~(1 << emcy.HEARTBEAT)  # each producer that is lost is told of
+            n.latched &= ~(1 << emcy.HEARTBEAT)  # each lost producer gets its own EMCY
             alarm(n, t_ns, emcy.HEARTBEAT, n.consumer_id[k], out)
             lost_now = 1
     if guarding.late(n, t_ns):

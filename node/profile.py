@@ -58,7 +58,7 @@ class CoreObject:
     ----------
     index, subindex : the object
     slot : where it stands in the record's `values`
-    absent : what stands there where the file has no such object
+    absent : the slot's value where the file has no such object
     acts : bit of the record's `rpdo_carries`: the core acts when the
         object is written; 0: it does not
     changing : whether it changes all the time, so that its change is

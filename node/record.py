@@ -148,7 +148,7 @@ NODE = np.dtype(
         *(field for profile in PROFILES for field in profile.fields),
         # tables
         ("values", _I, (SLOTS,)),  # raw values of the objects, REAL as bit patterns
-        ("rerouted", _I),  # 1: `route` was written; who keeps an index of it (sim_bus.network.agenda) clears this
+        ("rerouted", _I),  # 1: `route` was written; the reader that indexes it (sim_bus.network.agenda) clears it
         ("route", np.int16, (2048,)),  # node.core's route of each identifier
         ("rtr_route", np.int16, (2048,)),
     ],

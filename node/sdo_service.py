@@ -114,7 +114,7 @@ class SdoService:
             if not outbox.put(self._node, t_ns, k, channel.tx, words):
                 self._refuse(channel, t_ns, out)
         if server.transfer is not None:
-            self._watch(channel, t_ns)
+            self._keep_deadline(channel, t_ns)
             self._open_segments(channel)
         elif was_open:
             self._deadlines[k] = FAR_FUTURE_NS
@@ -154,7 +154,7 @@ class SdoService:
         word = data_word(abort_frame(*place, Abort.MEMORY))
         self._push(out, self._node["station"], t_ns + int(self._node["processing_ns"]), channel.tx, 8, word)
 
-    def _watch(self, channel: _Channel, t_ns: int) -> None:
+    def _keep_deadline(self, channel: _Channel, t_ns: int) -> None:
         """Let the core watch the open transfer from now on."""
         row, k = self._node, channel.number
         place = channel.server.transfer

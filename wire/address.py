@@ -83,7 +83,7 @@ def parse_address(text: str) -> BusAddress:
     Raises
     ------
     AddressError
-        (a ValueError) What stands there names no bus; the message says what would.
+        (a ValueError) The text names no bus; the message says what would.
     """
     kind, colon, name = text.partition(":")
     if kind not in get_args(Kind) or not colon:

@@ -1,4 +1,4 @@
-"""The signals that end a verb, in one place: who takes them, and the exit status that they lead to.
+"""The signals that end a verb, in one place: their handlers, and the exit status that they lead to.
 
 SIGINT (Ctrl-C), SIGTERM, SIGHUP (the terminal was closed) and SIGQUIT (Ctrl-Backslash) ask for the
 same thing, an orderly end. Every verb takes all four: by an exception (`as_exceptions`, around each
@@ -144,7 +144,7 @@ class Signals(_First):
             raise Stopped(self.number, "before the run had begun")
 
     def defer(self) -> None:
-        """From now on whoever runs the rig looks at `number` and ends it safely."""
+        """Let the course of the run look at `number` from now on, and end safely."""
         self._deferred = True
 
 
