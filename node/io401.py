@@ -71,25 +71,23 @@ def _step(n: NodeRecord, t_ns: int) -> None:
     values = n.values
     for k in range(PORTS):
         if n.failed >> k & 1 == 0:
-            n.chosen[k] = values[DIGITAL_OUT + k] & 0xFF
-            n.out_digital[k] = n.chosen[k] ^ values[DIGITAL_OUT_POLARITY + k]
+            n.out_digital[k] = (values[DIGITAL_OUT + k] ^ values[DIGITAL_OUT_POLARITY + k]) & 0xFF
     for k in range(OUTPUTS):
         if n.failed >> (_ACTS_ANALOGUE + k) & 1 == 0:
             n.out_analogue[k] = values[ANALOGUE_OUT + k]
 
 
 @kernel
-def _fail(n: NodeRecord, t_ns: int) -> None:
+def _fail(n: NodeRecord) -> None:
     """Take the error values, as the error modes say; an output that
     has failed already keeps its own.
     """
-    _step(n, t_ns)
     values = n.values
     for k in range(PORTS):
         if n.failed >> k & 1 == 0:
             mode = values[DIGITAL_ERROR_MODE + k]
-            n.chosen[k] = (values[DIGITAL_ERROR_VALUE + k] & mode | n.chosen[k] & ~mode) & 0xFF
-            n.out_digital[k] = n.chosen[k] ^ values[DIGITAL_OUT_POLARITY + k]
+            chosen = values[DIGITAL_ERROR_VALUE + k] & mode | values[DIGITAL_OUT + k] & ~mode
+            n.out_digital[k] = (chosen ^ values[DIGITAL_OUT_POLARITY + k]) & 0xFF
     for k in range(OUTPUTS):
         if n.failed >> (_ACTS_ANALOGUE + k) & 1 == 0 and values[ANALOGUE_ERROR_MODE + k] == 1:
             n.out_analogue[k] = _within(values[ANALOGUE_ERROR_VALUE + k])
@@ -106,23 +104,22 @@ def _apply(n: NodeRecord, t_ns: int, received_ns: int, carries: int, out: Queue)
 def _connection_lost(n: NodeRecord, t_ns: int, why: int) -> int:
     if why == BY_RESET:
         n.failed = _ALL
-        n.chosen[:] = 0
         n.out_digital[:] = 0
         n.out_analogue[:] = 0
     elif why != BY_COMMAND or n.nmt == NmtState.STOPPED:
-        _fail(n, t_ns)
+        _fail(n)
     return 0
 
 
 @kernel
 def _react(n: NodeRecord, t_ns: int, cause: int) -> None:
     if emcy.FAULT_MASK >> cause & 1:
-        _fail(n, t_ns)
+        _fail(n)
 
 
 def _started(record: NodeRecord, objects: Objects, t_ns: int) -> None:
     record["failed"] = _ALL
-    for name in ("chosen", "out_digital", "out_analogue"):
+    for name in ("out_digital", "out_analogue"):
         record[name] = 0
 
 
@@ -162,7 +159,6 @@ IO401 = Profile(
         ("in_analogue", np.int64, (INPUTS,)),  # raw, as 6401h
         ("out_digital", np.int64, (PORTS,)),
         ("out_analogue", np.int64, (OUTPUTS,)),  # raw, as 6411h
-        ("chosen", np.int64, (PORTS,)),  # of the written value and the error value, before the polarity
         ("failed", np.int64),  # bits of the outputs, as in `carries`, that wait for a new value
     ],
     behaviour=Behaviour(sample=_sample, step=_step, apply=_apply, connection_lost=_connection_lost, react=_react),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from coulombus.eds.reader import parse_eds
-from coulombus.node import emcy
+from coulombus.node import emcy, reactions
 from coulombus.node.io401 import IO401
 from coulombus.node.kinds import GENERIC, PROFILES, named, number
 from node_bench import MS, Bench, SdoAborted
@@ -160,6 +160,55 @@ def test_an_rpdo_that_stays_out_is_a_failure_and_the_next_one_ends_it():
     assert outputs(bench) == (0xA5 & 0xC3 | 0x0F & 0x3C, -700)
     put(bench, 0x01, -2)
     assert outputs(bench) == (0x01, -2)
+
+
+def test_the_second_port_has_its_own_objects():
+    bench = module()
+    for index, value in ((0x6002, 0x0F), (0x6202, 0xF0), (0x6206, 0x3C), (0x6207, 0x18), (0x6200, 0xA5)):
+        bench.write(index, 2, value, 1)
+    bench.node.in_digital[:2] = 0x11, 0x22
+    assert (bench.number(0x6000, 1), bench.number(0x6000, 2)) == (0x11, 0x2D)
+    assert list(bench.node.out_digital[:3]) == [0, 0x55, 0]
+    bench.nmt(2)
+    assert list(bench.node.out_digital[:3]) == [0, (0xA5 & 0xC3 | 0x18) ^ 0xF0, 0]
+
+
+def test_a_second_failure_changes_nothing():
+    bench = module()
+    error_values(bench)
+    put(bench, 0xA5, 1000)
+    bench.write(0x6411, 2, 50, 2)
+    bench.write(0x6200, 2, 0x77, 1)
+    bench.nmt(2)
+    failed = outputs(bench)
+    bench.nmt(128)
+    error_values(bench, port=0xFF, port_mode=0xFF, channel=5)
+    bench.write(0x6444, 2, 6, 4)
+    bench.write(0x6207, 2, 0xFF, 1)
+    bench.nmt(2)
+    assert outputs(bench) == failed
+    assert (int(bench.node.out_digital[1]), int(bench.node.out_analogue[1])) == (0, 0)
+
+
+@pytest.mark.parametrize("cause", range(len(emcy.CAUSES)))
+def test_a_cause_that_is_no_fault_is_no_failure(cause):
+    bench = module()
+    error_values(bench)
+    put(bench, 0xA5, 1000)
+    reactions.react(bench.node, bench.t, cause)
+    assert outputs(bench)[1] == (-700 if emcy.CAUSES[cause].fault else 1000)
+
+
+def test_what_1029h_makes_of_a_fault_is_a_failure():
+    bench = module()
+    error_values(bench)
+    bench.write(0x1029, 2, 0, 1)
+    put(bench, 0xA5, 1000)
+    bench.node.in_faults = 1 << 6  # a fault without a name, which no kind reacts to by itself
+    bench.node.next_ns = bench.t + 1
+    bench.run(MS)
+    assert bench.node.nmt == 127
+    assert outputs(bench)[1] == -700
 
 
 def test_a_fault_of_the_module_holds_the_error_values():
