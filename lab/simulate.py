@@ -15,16 +15,14 @@ from coulombus.host.cycle.demand import check_demand
 from coulombus.host.cycle.records import Trip
 from coulombus.host.laws.law_source import law_attachments
 from coulombus.host.run.buses import merged, path_on
-from coulombus.host.run.result import RunResult, file_sha256
-from coulombus.host.run.schedule import PhaseMarks
+from coulombus.host.run.course import Course
+from coulombus.host.run.result import RunResult
 from coulombus.host.setup.bringup import check_plan, release, shut_down
 from coulombus.lab.bringup import switch_on
-from coulombus.recording.measures import Measures, measure
 from coulombus.recording.output_file import check as check_output
 from coulombus.recording.output_file import open_new
 from coulombus.recording.pcapng_blocks import RecordingError
 from coulombus.recording.recorder import Recorder
-from coulombus.recording.signals import blocks
 from coulombus.rigs.rig import Rig, load_rig
 from coulombus.sim_bus.faults.file import FaultPlan, read_faults
 from coulombus.sim_bus.faults.injection import Injection, controllers_of
@@ -36,7 +34,6 @@ from coulombus.wire.frame import Records
 __all__ = ["TruthError", "simulate"]
 
 PROGRESS_NS = 250_000_000
-SAFE_TIMEOUT_NS = 5_000_000_000
 TRUTH_BYTES = 8e9
 
 
@@ -46,56 +43,58 @@ class TruthError(Exception):
     exit_status = 2
 
 
-class _Run:
-    """The course of one run; `finish` makes its result."""
+class _VirtualRun(Course):
+    """The course in virtual time, whose times are the world's."""
 
     def __init__(self, order: _Order) -> None:
         rig, mode, seed = order.rig, order.mode, order.seed
-        self.record, self.progress = order.record, order.progress
-        self.recorder: Recorder | None = None
-        if self.record is not None:
-            self.recorder = Recorder(self.record, rig, mode, seed, law=law_attachments(rig), force=order.force)
-        self.failure: str | None = None
-        self.losses: tuple[str, ...] = ()
-        on_frames, truth = self._write if self.recorder else None, order.truth is not None
-        self.world = VirtualRig(rig, mode, seed=seed, truth=truth, on_frames=on_frames)
-        if self.recorder:
+        recorder = None
+        if order.record is not None:
+            recorder = Recorder(order.record, rig, mode, seed, law=law_attachments(rig), force=order.force)
+        on_frames = None if recorder is None else self._write
+        self.world = VirtualRig(rig, mode, seed=seed, truth=order.truth is not None, on_frames=on_frames)
+        super().__init__(self.world.controllers, order.record, order.progress)
+        self.recorder = recorder
+        if recorder is not None:
             self.world.on_host = self._write_host
-        self.k = self.world.controllers
-        self.marks = PhaseMarks(rig)
         self.injection: Injection | None = None
 
     def _write(self, frames: Records) -> None:
-        self._record(lambda recorder: recorder.write(frames))
+        self.record(lambda recorder: recorder.write(frames))
 
     def _write_host(self, had: Records, events: Records, sent: Records) -> None:
-        self._record(lambda recorder: recorder.trace(~had, events, sent))
+        self.record(lambda recorder: recorder.trace(~had, events, sent))
 
-    def _record(self, write: Callable[[Recorder], None]) -> None:
-        if self.recorder is None or self.failure is not None:
-            return
-        try:
-            write(self.recorder)
-        except RecordingError as error:
-            self.failure = str(error)
-            self.k.stop(Trip.RECORDING)
+    @property
+    def now_ns(self) -> int:
+        """The world's time."""
+        return self.world.t_ns
 
-    def mark(self, t_ns: int, text: str) -> None:
-        if self.recorder is not None:
-            self.recorder.mark(t_ns, text)
+    @property
+    def starts_ns(self) -> tuple[int | None, ...]:
+        """When each axis' drive entered Operation Enabled; the host learns of it a little later."""
+        return self.world.starts_ns
 
-    def _until(self, t_ns: int, done: Callable[[], bool]) -> None:
-        """Run to `t_ns` in steps short enough to show progress and to write what was recorded."""
+    @property
+    def safe_ns(self) -> int | None:
+        """When the first axis entered its safe state, by the world's clock and not by the host's."""
+        safe_ns = self.k.safe_ns
+        return None if safe_ns is None else int(bus_ns(self.world.host_clock, safe_ns))
+
+    def look(self, until_ns: int, done: Callable[[], bool]) -> bool:
+        """Run in steps short enough to show progress and to write what was recorded."""
         world = self.world
-        while world.t_ns < t_ns and not done():
-            step_ns = min(t_ns, world.t_ns + PROGRESS_NS)
-            last = step_ns == t_ns  # what would begin at the display's end does not begin
-            for marker in self.marks.due(step_ns if last else step_ns + 1):
-                self.mark(*marker)
-            world.run_until(step_ns, done)
-            world.flush()
-            if self.progress is not None and world.enabled_ns is not None:
-                self.progress((world.t_ns - world.enabled_ns) * 1e-9)
+        world.run_until(min(until_ns, world.t_ns + PROGRESS_NS), done)
+        self.mark_course(world.t_ns + (world.t_ns < until_ns))  # what begins at the display's end does not begin
+        world.flush()
+        enabled = self.enabled_ns
+        if self.progress is not None and enabled is not None:
+            self.progress((world.t_ns - enabled) * 1e-9)
+        return not self.k.ending
+
+    def stop(self, trip: Trip = Trip.NONE) -> None:
+        """Ask the host for the safe state."""
+        self.world.ask_to_stop(trip)
 
     def course(self, seconds: float) -> None:
         """Power on, bring up, arm, display for `seconds` from Operation Enabled on, and end safely."""
@@ -103,31 +102,11 @@ class _Run:
         self.losses = switch_on(world)
         self.mark(world.t_ns, f"run {k.mode}")
         world.start_host()
-        self._arm(world.t_ns + round(2e9 * k.arming_s))
-        if world.enabled_ns is not None:
-            end = world.enabled_ns + round(seconds * 1e9)
-            self._until(end, lambda: k.ending)
-            if not k.ending:
-                for marker in self.marks.end(end):
-                    self.mark(*marker)
-        self.marks.stop()
-        world.ask_to_stop()
-        self._until(world.t_ns + SAFE_TIMEOUT_NS, lambda: k.safe)
-        trip = int(bus_ns(world.host_clock, k.trip_ns)), k.trip
-        self.mark(*((trip[0], f"trip {trip[1]}") if trip[1] else (world.t_ns, "safe")))
-        self._until(world.t_ns + SAFE_TIMEOUT_NS + round(1e9 * k.ending_s), lambda: k.done)
+        self.display(seconds)
+        self.make_safe()
         world.stop_host()
         release(k, world)  # a few milliseconds: the nodes have not missed its heartbeat yet
         shut_down(world)
-
-    def _arm(self, until_ns: int) -> None:
-        """Run until the drives of all axes are in Operation Enabled; the schedule of each begins when its own is."""
-        world, k = self.world, self.k
-        while world.t_ns < until_ns and world.enabled_ns is None and not k.ending:
-            self._until(until_ns, lambda: world.starts_ns.count(None) < len(k.each) - self.marks.begun or k.ending)
-            for axis, start_ns in enumerate(world.starts_ns):
-                if start_ns is not None:
-                    self.marks.begin(axis, start_ns)
 
     def close(self) -> None:
         """Write what is left and close the recording."""
@@ -139,25 +118,11 @@ class _Run:
                 self.failure = self.failure or str(error)
 
     def result(self) -> RunResult:
-        k, h = self.k, self.k.host[0]
-        trip = k.trip
-        if self.failure is not None:
-            trip = f"RECORDING: {self.failure}"
-        figures = [Measures() for _ in k]
-        regular = self.record is not None and self.record.is_file()
-        if regular and self.record is not None and self.failure is None:
-            figures = [measure(one) for one in blocks(self.record).axes]
-        enabled = self.world.enabled_ns
-        return RunResult.of(
-            k,
-            figures,
-            record=self.record,
-            trip=trip,
-            losses=self.losses,
-            missed_deadlines=int(h["missed_deadlines"]),
-            wakeup_us=None,
-            cpu_us_per_cycle=None,
-            recording_sha256=file_sha256(self.record) if regular and self.record is not None else None,
+        """Return what the run came to."""
+        k, enabled, trip = self.k, self.enabled_ns, self.trip
+        return self.result_of(
+            self.figures(),
+            missed_deadlines=int(k.host[0]["missed_deadlines"]),
             simulated_s=0.0 if enabled is None else (self.world.t_ns - enabled) * 1e-9,
             counters=k.counters(),
             exit_status=7 if trip else 0,
@@ -291,7 +256,7 @@ def _simulate_bus(order: _Order) -> RunResult:
     """Run the axes of one bus."""
     if order.truth is not None:  # whether it can be written is better known before the run
         _create(order.truth, force=order.force)
-    run = _Run(order)
+    run = _VirtualRun(order)
     try:
         if order.faults is not None:
             run.injection = Injection(run.world, order.faults, order.seed, run.mark if run.recorder else None)

@@ -86,7 +86,7 @@ def run_command(
     """
     with errors():
         from coulombus.host.run.buses import path_on
-        from coulombus.host.run.course import real_run
+        from coulombus.host.run.real_run import real_run
         from coulombus.recording.output_file import check as check_output
         from coulombus.rigs.buses import bus_addresses
         from coulombus.rigs.overrides import SHARED_MACHINE

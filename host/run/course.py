@@ -1,532 +1,188 @@
-"""One run of the rig against the wall clock, on a bus: the host alone. The nodes are where the bus says, simulated or not.
+"""The course of a run: arming, display, safe end, and what came of it.
 
-The parent of the data plane (`host.realtime.data_plane`) lives here: it brings the nodes up over SDO, starts the cycle, writes what the data plane
-logs to the recording, watches everything, and ends the run safely - when the time is over, on a signal, on ``coulombus stop``, or on a trip.
+It is the same in virtual time and against the wall clock. `lab.simulate` and `host.run.real_run` say
+what time is and how it passes; what is done in it, and in which order, stands here. The recording's
+markers are made here, too: for each axis ``phase KIND`` ... ``phase end``, and at last ``safe`` or
+``trip WHY``.
 """
 
 from __future__ import annotations
 
-import signal
-import sys
-import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
-from functools import partial
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Any
-
-import can
-import numpy as np
+from typing import Any, NamedTuple
 
 from coulombus.host.cycle.controllers import Controllers
-from coulombus.host.cycle.demand import check_demand
-from coulombus.host.cycle.records import Phase, Trip
-from coulombus.host.cycle.step import SOURCE_HOST
-from coulombus.host.errors import SafetyTrip
-from coulombus.host.laws.law_source import law_attachments
-from coulombus.host.realtime.data_plane import PRIORITY, DataPlane, default_cpu
-from coulombus.host.realtime.shared_memory import Status
-from coulombus.host.run.control_socket import HostSocket
-from coulombus.host.run.deadman import HeldKey, deadman_of
-from coulombus.host.run.histogram import Counts
+from coulombus.host.cycle.records import Trip
 from coulombus.host.run.result import RunResult, file_sha256
 from coulombus.host.run.schedule import PhaseMarks
-from coulombus.host.setup.bringup import bring_up, check_plan, release, shut_down
-from coulombus.host.setup.control_plane import RealControlPlane
 from coulombus.recording.measures import Measures, measure
-from coulombus.recording.output_file import new_file
 from coulombus.recording.pcapng_blocks import RecordingError
 from coulombus.recording.recorder import Recorder
 from coulombus.recording.signals import blocks
-from coulombus.rigs.rig import Rig
-from coulombus.wire.address import BusAddress, BusUnavailable, default_address
-from coulombus.wire.frame import Records
-from coulombus.wire.stopping import Signals, status_of
 
-__all__ = ["real_run"]
+__all__ = ["SAFE_TIMEOUT_NS", "Course", "Figures"]
 
-POLL_S = 0.01
-HOLD_BACK_NS = 50_000_000  # frames come into the log a little out of order; younger ones wait for the next batch
-LISTEN_S = 1.0  # for another host
-LEAD_NS = 20_000_000
-SAFE_TIMEOUT_S = 10.0
-FAILURES = 1000  # of this process while the rig is made safe: the data plane does that by itself meanwhile
-KEY_TIMEOUT_S = 30.0
-STUCK_S = 2.0  # a data plane that does not cycle for so long is dead
+SAFE_TIMEOUT_NS = 10_000_000_000
+"""How long the safe state is waited for, beside the brake's ramp."""
 
 
-class _RealRun:
-    """The course of one run; `result` tells what came of it."""
+class Figures(NamedTuple):
+    """What a recording tells of a run."""
 
-    def __init__(
-        self,
-        rig: Rig,
-        mode: str,
-        address: BusAddress,
-        *,
-        record: Path | None,
-        signals: Signals,
-        progress: Callable[[float], None] | None,
-        say: Callable[[str], None],
-        priority: int | None,
-        cpu: int | None,
-        force: bool,
-    ) -> None:
-        self.rig, self.address, self.record = rig, address, record
-        self.signals, self.progress, self.say = signals, progress, say
-        self.deadman = deadman_of(rig, mode, address)
-        self.zero_ns = time.monotonic_ns()
-        self.k = Controllers(rig, mode)
-        self.failure: str | None = None  # of the recording
-        self.error: str | None = None  # of this process, while the rig was armed
-        self.losses: tuple[str, ...] = ()
-        self.stopped_by: str | None = None
+    each: Sequence[Measures]
+    """The display's figures of each axis."""
+    sha256: str | None
+    """Of the recording; None where there is none."""
+
+
+class Course(ABC):
+    """The course of one run. All times are nanoseconds of the run's own clock, which `now_ns` reads.
+
+    Attributes
+    ----------
+    k : the host's controllers
+    path, recorder : of the recording; None where nothing is recorded
+    failure : why the recording could not be written, None while it could
+    losses : what bring-up left out, and what the host loses by that
+    """
+
+    def __init__(self, k: Controllers, path: Path | None, progress: Callable[[float], None] | None) -> None:
+        self.k, self.path, self.progress = k, path, progress
         self.recorder: Recorder | None = None
-        self._waiting: Records | None = None
-        self._ended = False  # whether the safe state is marked
-        self._marks = PhaseMarks(rig)
-        self._touched = False  # whether this host has sent anything
-        self._seen = (0, time.monotonic())
-        self._outcome: dict[str, Any] | None = None  # what is told to those who asked for a stop
-        self._stack = ExitStack()
-        try:
-            self.door = HostSocket(address)
-            self._stack.callback(lambda: self.door.close(self._outcome))
-            self.plane = DataPlane(self.k, address, priority=priority, cpu=cpu)
-            self._stack.callback(self.plane.close)
-            self.control = RealControlPlane(rig, address)
-            self._stack.callback(self.control.close)
-            if record is not None:
-                self.recorder = Recorder(record, rig, mode, law=law_attachments(rig), force=force)
-                self._stack.callback(self._give_up_recording)
-        except BaseException:
-            self._stack.close()
-            raise
+        self.failure: str | None = None
+        self.losses: tuple[str, ...] = ()
+        self.marks = PhaseMarks(k.rig)
+        self._end_marked = False
 
-    # recording
+    # what time is, and what the run is on
 
-    def mark(self, t_ns: int, text: str) -> None:
-        """Mark the recording at CLOCK_MONOTONIC = `t_ns`."""
-        if self.recorder is not None:
-            self.recorder.mark(t_ns - self.zero_ns, text)
+    @property
+    @abstractmethod
+    def now_ns(self) -> int:
+        """The present time."""
 
-    def drain(self, seen_ns: int | None = None) -> None:
-        """Write what the data plane has logged, in the order of the stamps; with `seen_ns` the rest waits for the next batch.
+    @property
+    def starts_ns(self) -> tuple[int | None, ...]:
+        """When each axis' drive entered Operation Enabled, which begins its schedule; None while it has not."""
+        found = (int(controller.host["enabled_ns"][0]) for controller in self.k)
+        return tuple(None if start < 0 else start for start in found)
 
-        All that was to be marked up to `seen_ns` is marked: a frame that may still get a marker is not written.
-        """
-        final = seen_ns is None
-        rows = self.plane.take_trace()
-        found = self.plane.take()
-        if self.recorder is None or self.failure is not None:
-            return
-        found["t_ns"] -= self.zero_ns
-        if self._waiting is not None:
-            found = np.concatenate((self._waiting, found)).view(np.recarray)
-        found = found[np.argsort(found["t_ns"], kind="stable")]
-        limit = len(found) if seen_ns is None else np.searchsorted(found["t_ns"], seen_ns - self.zero_ns - HOLD_BACK_NS)
-        ready = int(limit)
-        self._waiting = found[ready:]
-        try:
-            if ready:
-                self.recorder.write(found[:ready])
-            if ready or len(rows):
-                rows["t_ns"] -= self.zero_ns
-                self.recorder.trace(found["source"][:ready] == SOURCE_HOST, rows)
-            if final:
-                self.recorder.close()
-        except RecordingError as error:
-            self.failure = str(error)
-            self.plane.stop(Trip.RECORDING)
+    @property
+    def safe_ns(self) -> int | None:
+        """When the first axis entered its safe state; None while none has."""
+        return self.k.safe_ns
 
-    def _give_up_recording(self) -> None:
-        """Close the recording, if it is not closed yet: what stands in it stays readable."""
-        if self.recorder is not None:
-            self._attempt(self.recorder.close, RecordingError)
+    @abstractmethod
+    def look(self, until_ns: int, done: Callable[[], bool]) -> bool:
+        """Let a little time pass, at most to `until_ns` or until `done`, and look after the run once; return False when it is to end."""
+
+    @abstractmethod
+    def stop(self, trip: Trip = Trip.NONE) -> None:
+        """Ask the host for the safe state: the normal end, or for the reason `trip`."""
 
     # the course
 
     @property
     def enabled_ns(self) -> int | None:
-        """CLOCK_MONOTONIC at which the last drive entered Operation Enabled."""
-        return self.k.enabled_ns
+        """When the last axis' drive entered Operation Enabled; None while one has not."""
+        starts = self.starts_ns
+        return None if None in starts else max(start for start in starts if start is not None)
 
-    def prepare(self) -> None:
-        """Be alone on the bus, load the data plane, bring the nodes up."""
-        alone_at = time.monotonic() + LISTEN_S
-        self.plane.wait_ready()
-        self.drain(time.monotonic_ns())  # compiles what the run needs of it: now, not while it is armed
-        self.control.check_alone(alone_at)
-        for right in self.plane.real_time:
-            if not right["granted"]:
-                self.say(f"{right['name']}: refused ({right['detail']}); to have it: {right['remedy']}")
-        if self.deadman == "none":
-            if self.address.kind == "socketcan":
-                self.say("no dead man's switch: host.deadman is none")
-        else:
-            self.say(f"dead man's switch: {self.deadman}")
-        self._touched = True
-        self.losses = bring_up(self.k, self.control)
-        for text in self.losses:
-            self.say(text)
-        now = time.monotonic_ns()
-        self.mark(now, f"run {self.k.mode}")
-        self.mark(now, f"deadman {self.deadman}")
-
-    def _hold_key(self) -> None:
-        """Wait until the dead man's key is held."""
-        self.k.control["deadman_key"] = 1
-        key = self._stack.enter_context(HeldKey(self.plane.hold_deadman))
-        self.say("hold the space bar; releasing it stops the rig")
-        deadline = time.monotonic() + KEY_TIMEOUT_S
-        while not key.held:
-            if time.monotonic() > deadline:
-                raise SafetyTrip(f"arming refused: the space bar was not held within {KEY_TIMEOUT_S:g} s")
-            time.sleep(POLL_S)
-
-    def course(self, seconds: float) -> None:
-        """Run from arming to the safe end."""
-        k = self.k
-        if self.deadman == "key":
-            self._hold_key()
-        self.signals.defer()
-        self.signals.stop()
-        if not self.plane.alive or self.plane.status in (Status.LOST, Status.ENDED):
-            raise BusUnavailable(f"bus {self.address}: lost before anything was armed: {self.plane.lost_text}")
-        period = int(k.control["period_ns"][0])
-        self.plane.attend()
-        self.plane.start_cycle((time.monotonic_ns() + LEAD_NS) // period * period)
-        try:
-            self._display(seconds)
-        except Exception as error:
-            self._fail(error)
-        finally:  # whatever came: the rig is made safe before anything else
-            self._make_safe()
-
-    def _fail(self, error: Exception) -> None:
-        """Make a trip of an error of this process; the first one counts. Raises nothing, be there no memory even for the text."""
-        first, self.error = self.error is None, self.error or "an error"
-        with suppress(Exception):
-            self.plane.stop(Trip.HOST)
-            if first:
-                self.error = f"{type(error).__name__}: {error} ({_place(error.__traceback__)})"
-
-    def _attempt(self, what: Callable[[], object], *expected: type[Exception]) -> None:
-        """Do something, after which the safe end goes on, whatever comes of it."""
-        try:
-            what()
-        except expected:
+    def display(self, seconds: float) -> None:
+        """Wait until all axes are armed, and display for `seconds` from then on."""
+        arming_ends = self.now_ns + round(2e9 * self.k.arming_s)
+        while self.enabled_ns is None and self.now_ns < arming_ends and self.look(arming_ends, self._one_more):
             pass
-        except Exception as error:
-            self._fail(error)
-
-    def _display(self, seconds: float) -> None:
-        """Run from arming to the end of the display."""
-        self._seen = (0, time.monotonic())
-        arming = time.monotonic() + 2 * self.k.arming_s
-        while self.enabled_ns is None and self._watch(seconds) and time.monotonic() < arming:
-            pass
-        while self._watch(seconds):
-            enabled = self.enabled_ns
-            if enabled is None or time.monotonic_ns() - enabled >= seconds * 1e9:
-                break
-        for marker in self._marks.end(self._shown_until_ns()):
-            self.mark(*marker)
-
-    def _make_safe(self) -> None:
-        """Ask for the safe state and wait for its end. The data plane goes there by itself: an error in here ends the looking on, not the waiting."""
-        deadline, failures = 0.0, 0
-        while failures < FAILURES:
-            try:
-                self.plane.stop()
-                now = time.monotonic()
-                deadline = deadline or now + SAFE_TIMEOUT_S + self.k.ending_s
-                if self.plane.status is Status.LOST or self.k.done or now >= deadline or not self._supervise():
-                    break
-            except Exception as error:
-                failures += 1
-                self._fail(error)
-        self._attempt(self._supervise)
-        self._attempt(self._never_cycled)
-        if not self._ended:
-            self._attempt(lambda: self._mark_end(time.monotonic_ns()))
-
-    def _watch(self, seconds: float) -> bool:
-        """Look after the run once; return False when it is to end."""
-        if not self._supervise() or self.k.ending or self.plane.status is Status.LOST:
-            return False
-        if self.signals.number:
-            self.stopped_by = signal.Signals(self.signals.number).name
-            return False
-        if self.door.stop_wanted():
-            self.stopped_by = "coulombus stop"
-            return False
-        return True
-
-    def _supervise(self) -> bool:
-        """Mark what has begun, drain the log, see whether the data plane is alive; return False when it is not."""
-        time.sleep(POLL_S)
-        self.plane.attend()
-        seen_ns = time.monotonic_ns()
-        cycles, now = self.plane.cycles, time.monotonic()
-        if cycles != self._seen[0]:
-            self._seen = cycles, now
-        self._mark_phases()
         enabled = self.enabled_ns
-        if enabled is not None and self.progress is not None:
-            with suppress(OSError):  # of a terminal that was closed
-                self.progress((time.monotonic_ns() - enabled) * 1e-9)
-        safe = self.k.safe_ns
-        if safe is not None and not self._ended:
-            self._mark_end(safe)
-        self.drain(seen_ns)
-        stuck = now - self._seen[1] > STUCK_S and self.plane.status is not Status.LOST
-        if (stuck or not self.plane.alive) and self.plane.status not in (Status.LOST, Status.ENDED):
-            self._plane_died()
-            return False
-        return True
-
-    def _plane_died(self) -> None:
-        """The nodes' own watchdogs have made the rig safe, or are about to."""
-        h = self.k.host
-        running = h["phase"] < Phase.SAFE
-        h["trip"][running], h["trip_ns"][running] = Trip.DATA_PLANE, time.monotonic_ns()
-        h["phase"] = Phase.DONE
-
-    def _never_cycled(self) -> None:
-        """The bus was lost between the last look at the data plane and its first cycle: that is a trip, too."""
-        h = self.k.host
-        running = h["phase"] < Phase.SAFE
-        if self.plane.status is Status.LOST and running.any():
-            h["trip"][running], h["trip_ns"][running] = Trip.BUS_LOST, time.monotonic_ns()
-            h["phase"] = Phase.DONE
-
-    def _mark_phases(self) -> None:
-        """Mark the phases that have begun; the schedule of each axis begins with its own drive's Operation Enabled."""
-        for axis, controller in enumerate(self.k):
-            enabled = int(controller.host["enabled_ns"][0])
-            if enabled >= 0:
-                self._marks.begin(axis, enabled)
-        for marker in self._marks.due(self._shown_until_ns() + 1):
+        if enabled is not None:
+            display_ends = enabled + round(seconds * 1e9)
+            while self.now_ns < display_ends and self.look(display_ends, lambda: self.k.ending):
+                pass
+        for marker in self.marks.end(self._shown_ns()):
             self.mark(*marker)
 
-    def _shown_until_ns(self) -> int:
+    def make_safe(self) -> None:
+        """Ask for the safe state, and wait until the brakes are ramped off and the drives disabled."""
+        self.stop()
+        ends = self.now_ns + SAFE_TIMEOUT_NS + round(1e9 * self.k.ending_s)
+        while not self.k.done and self.now_ns < ends:
+            self.look(ends, lambda: self.k.done or (self.k.safe and not self._end_marked))
+        self.mark_end()
+
+    def _one_more(self) -> bool:
+        """Tell whether a drive has been enabled whose schedule has not begun, or the arming has ended."""
+        return self.marks.begun < len(self.k.each) - self.starts_ns.count(None) or self.k.ending
+
+    # markers and recording
+
+    def mark(self, t_ns: int, text: str) -> None:
+        """Mark the recording at `t_ns`."""
+        if self.recorder is not None:
+            self.recorder.mark(t_ns, text)
+
+    def mark_course(self, before_ns: int) -> None:
+        """Mark the phases that began before `before_ns`, each axis' from its own start, and the safe state.
+
+        To be called before the frames of that time are recorded.
+        """
+        for axis, start_ns in enumerate(self.starts_ns):
+            if start_ns is not None:
+                self.marks.begin(axis, start_ns)
+        for marker in self.marks.due(min(before_ns, self._shown_ns() + 1)):
+            self.mark(*marker)
+        if self.safe_ns is not None and not self._end_marked:
+            self.mark_end()
+
+    def mark_end(self) -> None:
+        """Mark when the safe state began - now, where it is not known - and why; once."""
+        if self._end_marked:
+            return
+        self._end_marked = True
+        trip, safe_ns = self.k.trip, self.safe_ns
+        self.mark(self.now_ns if safe_ns is None else safe_ns, f"trip {trip}" if trip else "safe")
+
+    def _shown_ns(self) -> int:
         """Return until when there is, or was, something to display: until now, or until the safe state began."""
-        now_ns, safe_ns = time.monotonic_ns(), self.k.safe_ns
+        now_ns, safe_ns = self.now_ns, self.safe_ns
         return now_ns if safe_ns is None else min(now_ns, safe_ns)
 
-    def _mark_end(self, safe_ns: int) -> None:
-        """Mark that the safe state began at `safe_ns`, and why."""
-        self._ended = True
-        trip = self.k.trip
-        self.mark(safe_ns, f"trip {trip}" if trip else "safe")
-
-    def end(self) -> None:
-        """Leave the nodes in PRE-OPERATIONAL, end the data plane, close the recording. An error of one of them keeps none of the others from it."""
-        cycling = self.plane.status is Status.CYCLING and self.plane.alive
-        if cycling:  # first: a node that misses SYNC, or the heartbeat, would call it a fault
-            self._attempt(lambda: release(self.k, self.control), BusUnavailable, can.CanError)  # the bus may be gone
-            self.plane.end_cycle()
-        if self._touched:
-            self._attempt(lambda: shut_down(self.control), BusUnavailable, can.CanError)
-        self._attempt(self.drain)
-        self._give_up_recording()
-        self._attempt(self.plane.close)
-
-    def close(self) -> None:
-        """Give everything back."""
+    def record(self, write: Callable[[Recorder], None]) -> None:
+        """Write to the recording; where that fails, the rig is made safe, and nothing more is written."""
+        if self.recorder is None or self.failure is not None:
+            return
         try:
-            self._stack.close()
-        except Exception as error:  # the run has its result already
-            self.say(f"something is left behind: {error}")
+            write(self.recorder)
+        except RecordingError as error:
+            self.failure = str(error)
+            self.stop(Trip.RECORDING)
 
     # the result
 
-    def _trip(self) -> str | None:
-        if self.failure is not None:
-            return f"RECORDING: {self.failure}"
-        trip = self.k.trip
-        first = self.k.tripped
-        if self.error is not None and (first is None or first.host["trip"][0] == Trip.HOST):
-            return f"HOST: {self.error}"
-        if first is not None and first.host["trip"][0] == Trip.BUS_LOST and trip is not None:
-            trip += f" ({self.plane.lost_text})"
-        return trip
+    @property
+    def trip(self) -> str | None:
+        """Why the run ended in its safe state, in words; None when it was not for a trip."""
+        return self.k.trip if self.failure is None else f"RECORDING: {self.failure}"
 
-    def _lost_share(self) -> float:
-        cycles = self.plane.cycles
-        lost = int(self.plane.shared.plane["missed_deadlines"][0]) + int(self.k.host["lost_pdos"].max())
-        return lost / cycles if cycles else 0.0
+    def figures(self) -> Figures:
+        """Return the display's figures, computed from the recording alone."""
+        none = [Measures() for _ in self.k]
+        if self.path is None or (self.path.exists() and not self.path.is_file()):  # a device, such as /dev/null
+            return Figures(none, None)
+        sha256 = file_sha256(self.path)
+        if self.failure is not None or self.enabled_ns is None:
+            return Figures(none, sha256)
+        return Figures([measure(one) for one in blocks(self.path).axes], sha256)
 
-    def _exit_status(self) -> int:
-        if self._trip() is not None:
-            return 7
-        if self.signals.number:
-            return status_of(self.signals.number)
-        return 8 if self._lost_share() > self.rig.host.loss_limit else 0
-
-    def result(self) -> RunResult:
-        """Return what the run came to."""
-        k, plane = self.k, self.plane
-        figures, sha256 = [Measures() for _ in k], None
-
-        def measured(record: Path) -> None:
-            nonlocal figures, sha256
-            sha256 = file_sha256(record)
-            if self.failure is None and self.enabled_ns is not None:
-                figures = [measure(one) for one in blocks(record).axes]
-
-        if self.record is not None:
-            self._attempt(partial(measured, self.record))
-        trip = self._trip()
-        wakeup, latency = plane.wakeup(), plane.latency()
-        counters = {"late_cycles" if name == "missed_deadlines" else name: n for name, n in k.counters().items()}
-        counters |= plane.counters()
-        cycles, exit_status = int(k.host["display_cycles"].max()), self._exit_status()
-        self._outcome = {"mode": k.mode, "cycles": cycles, "trip": trip, "exit_status": exit_status}
+    def result_of(self, figures: Figures, **own: Any) -> RunResult:
+        """Return what the run came to; `own` are the fields of `RunResult` that virtual time and a rig do not have alike."""
         return RunResult.of(
-            k,
-            figures,
-            record=self.record,
-            trip=trip,
+            self.k,
+            figures.each,
+            record=self.path,
+            recording_sha256=figures.sha256,
+            trip=self.trip,
             losses=self.losses,
-            missed_deadlines=counters["missed_deadlines"],
-            wakeup_us=wakeup.as_dict() if wakeup else None,
-            cpu_us_per_cycle=plane.cpu_us_per_cycle(),
-            recording_sha256=sha256,
-            simulated_s=cycles * int(k.control["period_ns"][0]) * 1e-9,
-            counters=counters,
-            exit_status=exit_status,
-            bus=str(self.address),
-            sync_to_rpdo_us=latency.as_dict() if latency else None,
-            real_time=plane.real_time,
-            deadman=self.deadman,
-            stopped_by=self.stopped_by,
-            trip_ns=k.trip_ns - self.zero_ns if k.trip_ns else None,
+            **own,
         )
-
-    def concluded(self) -> RunResult:
-        """Return what the run came to, also when telling it fails once.
-
-        Raises
-        ------
-        SafetyTrip
-            it fails again: not even the figures can be told
-        """
-        try:
-            return self.result()
-        except Exception as error:
-            self._fail(error)
-        try:
-            return self.result()
-        except Exception as error:
-            raise SafetyTrip(f"HOST: {self.error}") from error
-
-    def histograms(self) -> tuple[Counts, Counts]:
-        """Return copies of the histograms of wake-up and of SYNC to RPDO, in microseconds."""
-        return self.plane.shared.wakeup_bins.copy(), self.plane.shared.latency_bins.copy()
-
-
-@contextmanager
-def _refusing() -> Iterator[None]:
-    """Make a refusal, with its exit status, of every error that is nobody's mistake and comes before anything is armed (after it: a trip)."""
-    try:
-        yield
-    except Exception as error:
-        if isinstance(error, can.CanError) or hasattr(error, "exit_status"):
-            raise
-        text = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-        raise SafetyTrip(f"arming refused: {text} ({_place(error.__traceback__)})") from error
-
-
-def _place(trace: TracebackType | None) -> str:
-    """Return where an error came from: file and line."""
-    while trace is not None and trace.tb_next is not None:
-        trace = trace.tb_next
-    return "" if trace is None else f"{Path(trace.tb_frame.f_code.co_filename).name}:{trace.tb_lineno}"
-
-
-def _say(text: str) -> None:
-    with suppress(OSError):  # of a terminal that was closed
-        print(f"coulombus: {text}", file=sys.stderr, flush=True)
-
-
-def real_run(
-    rig: Rig,
-    mode: str,
-    seconds: float,
-    *,
-    bus: BusAddress | None = None,
-    record: Path | None = None,
-    histogram: Path | None = None,
-    signals: Signals | None = None,
-    progress: Callable[[float], None] | None = None,
-    say: Callable[[str], None] = _say,
-    priority: int | None = PRIORITY,
-    cpu: int | None = None,
-    force: bool = False,
-) -> RunResult:
-    """Run the host on a bus and return what came of it.
-
-    Parameters
-    ----------
-    mode : ``active``, ``passive`` or ``hybrid``
-    seconds : length of the display, from Operation Enabled on
-    bus : the bus; default is the virtual one of the rig's name
-    record : write a pcapng recording there; the display's figures are computed from it
-    histogram : write a picture of the wake-up and the SYNC-to-RPDO times there
-    signals : entered by the caller; a signal then ends the run safely
-    progress : called with the display's time in s
-    say : called with remarks for people
-    priority : of SCHED_FIFO for the data plane, None: ask for no real-time right
-    cpu : for the data plane; default is the last one that this process may use
-    force : replace `record` and `histogram` where they exist
-
-    Raises
-    ------
-    coulombus.wire.address.BusUnavailable, coulombus.host.errors.HostError
-        nothing was armed
-    coulombus.rigs.rig.RigError
-        the law, a limit that the drive cannot take, or a law that a limit would cut off
-    coulombus.recording.pcapng_blocks.RecordingError
-        the recording cannot be created, or exists
-    """
-    with _refusing():
-        check_plan(rig)
-        check_demand(rig, mode)
-        run = _RealRun(
-            rig,
-            mode,
-            bus or default_address(rig.name),
-            record=record,
-            signals=signals or Signals(),
-            progress=progress,
-            say=say,
-            priority=priority,
-            cpu=default_cpu() if cpu is None else cpu,
-            force=force,
-        )
-    try:
-        try:
-            with _refusing():
-                run.prepare()
-                run.course(seconds)
-        except can.CanError as error:
-            raise BusUnavailable(f"bus {run.address}: {error}") from None
-        finally:
-            run.end()
-        result = run.concluded()
-        if histogram is not None:
-            from coulombus.host.run.histogram import draw_histograms
-
-            try:
-                with new_file(histogram, force=force) as path:
-                    draw_histograms(*run.histograms(), path)
-            except OSError as error:
-                if result.exit_status == 0:
-                    raise
-                say(f"{histogram}: cannot be written ({error.strerror})")  # a picture that is missing hides no trip
-        return result
-    finally:
-        run.close()

@@ -13,61 +13,68 @@ from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.run.schedule import display_remarks, full_gain_s
 from coulombus.recording.measures import Measures
 
-__all__ = ["RunResult", "file_sha256"]
+__all__ = ["Doubts", "RunResult", "Timing", "file_sha256"]
 
 
-@dataclass(frozen=True)
-class RunResult:
-    """What a run came to. Figures of the display are None when nothing was recorded, or without the phase they belong to."""
+@dataclass(frozen=True, kw_only=True)
+class Timing:
+    """How a run kept time. None: virtual time has no such figure."""
+
+    period_ns: int
+    missed_deadlines: int
+    lost_pdos: int
+    wakeup_us: dict[str, float] | None = None
+    sync_to_rpdo_us: dict[str, float] | None = None
+    cpu_us_per_cycle: float | None = None
+    real_time: list[dict[str, Any]] | None = None
+    """Each real-time right that the data plane asked for: name, granted, detail, remedy."""
+    simulated_s: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Doubts:
+    """What went wrong in a run, or was made to."""
+
+    trip: str | None
+    trip_ns: int | None = None
+    """When the trip was, in the recording's time."""
+    stopped_by: str | None = None
+    """Who ended the run before its time without a trip: SIGINT, SIGTERM, "coulombus stop"."""
+    remarks: tuple[str, ...] = ()
+    """Where the display was not what the rig file says: a limit cut the law off, or the hand began before the law's gain was 1."""
+    losses: list[str] | None = None
+    """What bring-up left out, as a device is not ours or has no such object, and what the host loses by that."""
+    faults: list[dict[str, Any]] | None = None
+    """What each fault of a fault file came to: kind, line, times, first_s, last_s."""
+    controllers: dict[str, dict[str, Any]] | None = None
+    """State and error counters of each node's CAN controller at the end, where there was a fault file."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunResult(Doubts, Timing, Measures):
+    """What a run came to: the display's figures, its timing, its doubts, and where all that is recorded.
+
+    Figures of the display are None when nothing was recorded, or without the phase they belong to.
+    """
 
     mode: str
     cycles: int
     """Cycles from Operation Enabled to the end of the display."""
-    period_ns: int
-    missed_deadlines: int
-    lost_pdos: int
-    wakeup_us: dict[str, float] | None
-    cpu_us_per_cycle: float | None
     recording: str | None
     recording_sha256: str | None
-    trip: str | None
-    hold_velocity_rms_rad_s: float | None
-    hold_counts_p2p: int | None
-    stick_velocity_rms_rad_s: float | None
-    torque_flips_per_s: float | None
-    hold_peak_Hz: float | None
-    hold_push_Nm: float | None
     sign_check: str
-    simulated_s: float
+    full_gain_s: float | None = None
+    """When the law was shown whole, its gain at 1: from Operation Enabled, where the operator's schedule begins."""
     counters: dict[str, int]
     exit_status: int
     bus: str | None = None
-    """Where the run was; None in virtual time, and with it everything that follows."""
-    sync_to_rpdo_us: dict[str, float] | None = None
-    real_time: list[dict[str, Any]] | None = None
-    """Each real-time right that the data plane asked for: name, granted, detail, remedy."""
+    """Where the run was; None in virtual time."""
     deadman: str | None = None
-    trip_ns: int | None = None
-    """When the trip was, in the recording's time."""
     axes: dict[str, dict[str, Any]] | None = None
     """Each axis' own figures by its name; None where the rig has one axis. The figures of hold and dwells above are then those of the first,
     `cycles` and `full_gain_s` the most, `sign_check` the one that leaves the most doubt, and all counters sums."""
     buses: dict[str, dict[str, Any]] | None = None
     """Each bus' own result by its channel; None where the rig has one bus."""
-    stopped_by: str | None = None
-    """Who ended the run before its time without a trip: SIGINT, SIGTERM, "coulombus stop"."""
-
-    full_gain_s: float | None = None
-    """When the law was shown whole, its gain at 1: from Operation Enabled, where the operator's schedule begins."""
-    remarks: tuple[str, ...] = ()
-    """Where the display was not what the rig file says: a law that a limit cut off, a hand that began before the law's gain was 1."""
-
-    faults: list[dict[str, Any]] | None = None
-    """What each fault of a fault file came to: kind, line, times, first_s, last_s."""
-    losses: list[str] | None = None
-    """What bring-up left out, as a device is not ours or has no such object, and what the host loses by that."""
-    controllers: dict[str, dict[str, Any]] | None = None
-    """State and error counters of each node's CAN controller at the end, where there was a fault file."""
 
     @classmethod
     def of(

@@ -13,7 +13,7 @@ from pathlib import Path
 from types import TracebackType
 
 from coulombus.host.errors import HostError
-from coulombus.host.run.course import real_run
+from coulombus.host.run.real_run import real_run
 from coulombus.host.run.result import RunResult
 from coulombus.host.setup.bringup import check_plan
 from coulombus.lab.demo.demo import DEMO_MODES, Demo, as_dict, judge

@@ -16,7 +16,7 @@ from coulombus.host.cycle.records import Phase, Trip
 from coulombus.host.errors import HostError
 from coulombus.host.realtime.data_plane import DataPlane
 from coulombus.host.realtime.shared_memory import TRACE_ROWS, Command, SharedPlane, Status
-from coulombus.host.run import course
+from coulombus.host.run import real_run
 from coulombus.host.run.control_socket import HostSocket, StopRequest, control_path
 from coulombus.recording.pcapng_blocks import RecordingError
 from coulombus.recording.signals import read
@@ -141,15 +141,15 @@ def bench(tmp_path, monkeypatch):
             pass
 
     clock = [Clock()]
-    monkeypatch.setattr(course, "DataPlane", PlayedPlane)
-    monkeypatch.setattr(course, "RealControlPlane", Control)
-    monkeypatch.setattr(course, "bring_up", lambda k, control: ())
-    monkeypatch.setattr(course, "release", lambda k, control: None)
+    monkeypatch.setattr(real_run, "DataPlane", PlayedPlane)
+    monkeypatch.setattr(real_run, "RealControlPlane", Control)
+    monkeypatch.setattr(real_run, "bring_up", lambda k, control: ())
+    monkeypatch.setattr(real_run, "release", lambda k, control: None)
 
     def run(fail_at=0, before=lambda: None, arming=True):
         clock[0] = Clock()
         monkeypatch.setattr(PlayedPlane, "clock", clock[0], raising=False)
-        monkeypatch.setattr(course, "time", clock[0])
+        monkeypatch.setattr(real_run, "time", clock[0])
         monkeypatch.setattr("coulombus.host.realtime.data_plane.time", clock[0])
         shim, planes = Shim(fail_at), []
 
@@ -174,7 +174,7 @@ def bench(tmp_path, monkeypatch):
         try:
             if not arming:
                 begin()
-            result = course.real_run(
+            result = real_run.real_run(
                 rig, "passive", 0.03, bus=BUS, record=record, signals=Signals(), say=lambda text: None
             )
         except (HostError, BusUnavailable, RecordingError) as error:
@@ -300,8 +300,8 @@ def test_an_error_before_arming_is_a_refusal_with_its_place(bench, monkeypatch):
         raise OSError(24, "Too many open files")
 
     done = []
-    monkeypatch.setattr(course, "bring_up", broken)
-    monkeypatch.setattr(course, "shut_down", done.append)
+    monkeypatch.setattr(real_run, "bring_up", broken)
+    monkeypatch.setattr(real_run, "shut_down", done.append)
     found = bench(arming=False)
     assert found.refusal.exit_status == 7
     assert str(found.refusal).startswith(
@@ -321,7 +321,7 @@ def test_a_data_plane_that_has_ended_before_arming_is_no_run_that_went_well(benc
         plane._process.status = 0
         return ()
 
-    monkeypatch.setattr(course, "bring_up", lose)
+    monkeypatch.setattr(real_run, "bring_up", lose)
     found = bench(arming=False)
     assert found.refusal.exit_status == 4
     assert "lost before anything was armed: Input/output error" in str(found.refusal)

@@ -10,8 +10,8 @@ import pytest
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.records import Image, Phase, Trip
 from coulombus.host.realtime.shared_memory import Status
-from coulombus.host.run import course
-from coulombus.host.run.schedule import PhaseMarks
+from coulombus.host.run import real_run
+from coulombus.host.run.course import Course
 from coulombus.host.setup.bringup import release, shut_down
 from coulombus.lab.bringup import switch_on
 from coulombus.recording.recorder import Recorder
@@ -158,18 +158,18 @@ class Plane:
 def marked(tmp_path, monkeypatch, *, slow_batch=1, trip=Trip.NONE, rig="bench", enabled_s=(1,)):
     """Return the markers of a run of 5 s, in ms; the drives of the axes are enabled at these times."""
     rig = load_rig(rig)
-    run = object.__new__(course._RealRun)
+    run = object.__new__(real_run._RealRun)
     k = Controllers(rig, "hybrid")
     plane = Plane(k, trip, enabled_s)
     plane.clock, plane.slow_batch = Clock(plane), slow_batch
-    monkeypatch.setattr(course, "time", plane.clock)
-    run.rig, run.k, run.plane, run.zero_ns = rig, k, plane, 0
+    monkeypatch.setattr(real_run, "time", plane.clock)
+    Course.__init__(run, k, tmp_path / "r.pcapng", None)
+    run.rig, run.plane, run.zero_ns = rig, plane, 0
     run.recorder = Recorder(tmp_path / "r.pcapng", rig, "hybrid")
-    run.failure = run.error = run.stopped_by = run.progress = run._waiting = None
-    run.deadman, run._ended, run._seen = "none", False, (0, 0.0)
+    run.error = run.stopped_by = run._waiting = None
+    run.deadman, run._seen = "none", (0, 0.0)
     run.signals = Signals()
     run.door = SimpleNamespace(stop_wanted=lambda: False)
-    run._marks = PhaseMarks(rig)
     run.course(5.0)
     run.drain()
     return [(round(t_s * 1000), text.partition(":")[0]) for t_s, text in read(tmp_path / "r.pcapng").markers]
@@ -206,14 +206,15 @@ def test_the_phases_of_each_axis_count_from_its_own_start(tmp_path, monkeypatch,
 
 
 def test_what_the_recording_needs_is_compiled_before_the_nodes_are_touched(monkeypatch):
-    run = object.__new__(course._RealRun)
+    run = object.__new__(real_run._RealRun)
     rig = load_rig("bench")
     run.plane = Plane(Controllers(rig, "hybrid"))
-    run.plane.slow_batch, run.k = 0, run.plane.k
-    run.zero_ns, run.failure, run.recorder, run._waiting, run.deadman = 0, None, None, None, "key"
+    run.plane.slow_batch = 0
+    Course.__init__(run, run.plane.k, None, None)
+    run.zero_ns, run._waiting, run.deadman = 0, None, "key"
     run.address, run.say = SimpleNamespace(kind="coulombus"), lambda text: None
     run.control = SimpleNamespace(check_alone=lambda at: None)
     seen = []
-    monkeypatch.setattr(course, "bring_up", lambda k, control: seen.append(run.plane.batches) or ())
+    monkeypatch.setattr(real_run, "bring_up", lambda k, control: seen.append(run.plane.batches) or ())
     run.prepare()
     assert seen == [1]

@@ -20,7 +20,7 @@ import sys
 
 MODULES = (
     *("coulombus.verbs.run", "coulombus.verbs.sim", "coulombus.verbs.replay", "coulombus.verbs.main"),
-    *("coulombus.host.run.course", "coulombus.host.realtime.data_plane", "coulombus.sim_bus.server.rig_server"),
+    *("coulombus.host.run.real_run", "coulombus.host.realtime.data_plane", "coulombus.sim_bus.server.rig_server"),
     *("coulombus.sim_bus.server.server", "coulombus.sim_bus.server.bridge", "coulombus.lab.demo.real_demo"),
 )
 MOST_BYTES = 1 << 16
