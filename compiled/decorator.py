@@ -40,6 +40,7 @@ CACHE_DIR = choose(source_key(ROOT))
 """Where the machine code is kept; None where no place can be written."""
 
 import numba  # noqa: E402  (only now does numba read NUMBA_CACHE_DIR)
+import numpy as np  # noqa: E402
 from numba.core import cgutils, event, types  # noqa: E402
 from numba.core.imputils import impl_ret_untracked  # noqa: E402
 from numba.extending import intrinsic  # noqa: E402
@@ -150,6 +151,41 @@ else:
         return arrays(arrays), codegen
 
 
+def _kind(argument: Any) -> Any:
+    """Return what an argument's numba type follows from: equal for two arguments only if their types are the same."""
+    if isinstance(argument, np.ndarray):
+        flags = argument.flags
+        return (
+            type(argument),
+            argument.dtype,
+            argument.ndim,
+            flags.c_contiguous,
+            flags.f_contiguous,
+            flags.writeable,
+            flags.aligned,
+        )
+    if isinstance(argument, np.void):
+        return type(argument), argument.dtype
+    if isinstance(argument, tuple):
+        return type(argument), tuple(map(_kind, argument))
+    return numba.typeof(argument)
+
+
+_entry_points: dict[Any, Callable[..., Any]] = {}
+"""By function and kinds of its arguments."""
+
+
+def _entry_point(function: Callable[..., Any], arguments: tuple[Any, ...]) -> Callable[..., Any]:
+    """Return the compiled function for arguments like these. Numba's types of a world's records take 5 ms: once a process."""
+    key = function, tuple(map(_kind, arguments))
+    if key not in _entry_points:
+        dispatcher: Any = function
+        types_of = tuple(map(numba.typeof, arguments))
+        dispatcher.compile(types_of)
+        _entry_points[key] = dispatcher.overloads[types_of].entry_point
+    return _entry_points[key]
+
+
 class Entry:
     """A kernel that Python calls often, always with arguments of the same types.
 
@@ -164,8 +200,5 @@ class Entry:
     def __call__(self, *arguments: Any) -> Any:
         """Call the kernel."""
         if self._entry is None:
-            dispatcher: Any = self._function
-            types_of = tuple(numba.typeof(argument) for argument in arguments)
-            dispatcher.compile(types_of)
-            self._entry = dispatcher.overloads[types_of].entry_point
+            self._entry = _entry_point(self._function, arguments)
         return self._entry(*arguments)
