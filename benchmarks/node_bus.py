@@ -55,7 +55,7 @@ def _carry(bus: Any, out: Any, log: Any, node: Any, until_ns: int) -> int:
         start_frame(bus[0], out, start)
         while node.next_ns < bus[0].end_ns:
             core.on_time(node, node.next_ns, out)
-        end_frame(bus[0], out, log, 0)
+        end_frame(bus[0], log, 0)
         f = log[0]
         if f.source != _CLIENT:
             return _HEARD

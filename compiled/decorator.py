@@ -197,8 +197,12 @@ class Entry:
         self._function = function
         self._entry: Callable[..., Any] | None = function if JIT_DISABLED else None
 
-    def __call__(self, *arguments: Any) -> Any:
-        """Call the kernel."""
+    def load(self, *arguments: Any) -> Callable[..., Any]:
+        """Compile the kernel for arguments like these, or load it out of the cache; it is not called. Return what is called then."""
         if self._entry is None:
             self._entry = _entry_point(self._function, arguments)
-        return self._entry(*arguments)
+        return self._entry
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Call the kernel."""
+        return (self._entry or self.load(*arguments))(*arguments)

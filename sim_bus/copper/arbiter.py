@@ -3,7 +3,7 @@
 `BUS` is the wire's state. A frame that waits (`sim_bus.copper.waiting`) starts when the bus is free and it is ready; of all that are
 ready at that instant the one with the lowest arbitration field goes (ISO 11898-1, 10.4.2.5: base before extended, data before remote,
 first come first served among equals). Receivers have the frame at its end of frame, `end_ns`; the bus is free again three
-bits of inter-frame space later, at `free_ns`. Where something is amiss, `sim_bus.copper.attempt` has a closer look (`alert`).
+bits of inter-frame space later, at `free_ns`. Where something is amiss `start_frame` says so, and `sim_bus.copper.attempt` has a closer look.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from coulombus.compiled.decorator import inlined
-from coulombus.sim_bus.copper.attempt import ATTEMPT_FIELDS, INTER_FRAME_BITS, attempt, end_attempt
+from coulombus.sim_bus.copper.attempt import ATTEMPT_FIELDS, INTER_FRAME_BITS
 from coulombus.sim_bus.copper.controller import CONTROLLER, STATIONS
 from coulombus.sim_bus.copper.faults import FAULT_FIELDS
 from coulombus.sim_bus.copper.slow_motion import SLOW_FIELDS
@@ -82,34 +82,33 @@ def start_ns(bus: Any, out: Any) -> int:
 
 
 @inlined
-def start_frame(bus: Any, out: Any, now_ns: int) -> None:
-    """Arbitrate among the frames that are ready at `now_ns` and put the winner on the wire."""
+def start_frame(bus: Any, out: Any, now_ns: int) -> bool:
+    """Arbitrate among the frames that are ready at `now_ns` and put the winner on the wire.
+
+    False: the bus wants a close look (`sim_bus.copper.attempt.attempt`), and nothing is on the wire: faults, counted errors, a station that is alone
+    (`alert`), or two stations that send one arbitration field.
+    """
     if bus.alert:
-        attempt(bus, out, now_ns)
-    elif win(bus, out, now_ns) and bus.on_count > 0 and bus.bit_rate > 0:
+        return False
+    if win(bus, out, now_ns) and bus.on_count > 0 and bus.bit_rate > 0:
         hold(bus, first_order(bus.can_id) | 1, bus.can_id, bus.length, bus.word, bus.source, now_ns)
-        attempt(bus, out, now_ns)
-    else:
-        bits = data_frame_bits(bus.can_id, bus.length, bus.word)
-        bus.t_ns = now_ns
-        bus.end_ns = bus.free_ns = now_ns
-        if bus.bit_rate > 0:
-            bus.end_ns = now_ns + (bits - INTER_FRAME_BITS) * 1_000_000_000 // bus.bit_rate
-            bus.free_ns = now_ns + bits * 1_000_000_000 // bus.bit_rate
-        bus.busy = 1
-        bus.closely = bus.partial = 0
-        bus.frames += 1
-        bus.bits += bits
+        return False
+    bits = data_frame_bits(bus.can_id, bus.length, bus.word)
+    bus.t_ns = now_ns
+    bus.end_ns = bus.free_ns = now_ns
+    if bus.bit_rate > 0:
+        bus.end_ns = now_ns + (bits - INTER_FRAME_BITS) * 1_000_000_000 // bus.bit_rate
+        bus.free_ns = now_ns + bits * 1_000_000_000 // bus.bit_rate
+    bus.busy = 1
+    bus.closely = bus.partial = 0
+    bus.frames += 1
+    bus.bits += bits
+    return True
 
 
 @inlined
-def end_frame(bus: Any, out: Any, log: Any, row: int) -> int:
-    """Take the frame off the wire and write it to `log[row]`, stamped with its end of frame; return how many rows were written.
-
-    Error frames may stand before it, or instead of it: `bus.delivered` tells whether there is a frame for its receivers, the last row.
-    """
-    if bus.closely:
-        return end_attempt(bus, out, log, row)
+def end_frame(bus: Any, log: Any, row: int) -> None:
+    """Take a frame that needed no close look off the wire and write it to `log[row]`, stamped with its end of frame."""
     bus.busy = 0
     bus.delivered = 1
     frame = log[row]
@@ -118,7 +117,6 @@ def end_frame(bus: Any, out: Any, log: Any, row: int) -> int:
     frame.length = bus.length
     frame.word = bus.word
     frame.source = bus.source
-    return 1
 
 
 @inlined

@@ -70,6 +70,7 @@ class Injection:
                     ("fault", plan.faults[row], "node"), "the host is another process here, with a clock of its own"
                 )
         world.injection = self
+        world.look_closely()
 
     def _plan(self, row: int, t_ns: int) -> None:
         """Plan what Python does at a time: a reset, a clock that drifts."""

@@ -5,6 +5,10 @@ machine exits to its monitor (`Exit`). Events at the same instant go in a fixed 
 before a deadline is judged), then the script, the devices, the host, and at last the start of the next frame (so that everything that is ready
 takes part in the arbitration).
 
+There are two of it, compiled from one source when first needed. What is rare on a bus (a frame that is looked at bit by bit, scripted faults, a cut
+cable, a clock that drifts) is a third of the machine code, so the loop that everything begins with has none of it, and says when it is needed
+(`Exit.CLOSELY`); the other one, with the argument `closely`, then goes on with the same records.
+
 A device is a row of the node records; that row is its station number. An axis is a motor's row, a brake's row, and the rig between them: a row of the
 plants and one of the blocks of the operator's force. A device that belongs to no axis has no rig, and none of this costs it anything.
 """
@@ -23,7 +27,7 @@ from coulombus.host.cycle import axes as host_axes
 from coulombus.host.cycle import step
 from coulombus.node import core, emcy, own_time
 from coulombus.sim_bus.copper.arbiter import FAR_NS, end_frame, receives, start_frame, start_ns
-from coulombus.sim_bus.copper.attempt import MOST_ROWS
+from coulombus.sim_bus.copper.attempt import MOST_ROWS, attempt, end_attempt
 from coulombus.sim_bus.copper.cut import choose
 from coulombus.sim_bus.network.agenda import keep_deadline, look_again, next_device
 from coulombus.sim_bus.rig.plant import advance, coil_current, sample_noise
@@ -63,6 +67,7 @@ class Exit(IntEnum):
     PHASE = 5  # the host went to another phase
     SCRIPT = 6  # a script's entry is due
     FAULT = 7  # a frame has triggered a fault that the bus cannot do itself
+    CLOSELY = 8  # what comes next only the loop that looks closely can do
 
 
 FRAME_END, SCRIPT, DEVICE, HOST, FRAME_START, NOTHING = 0, 1, 2, 3, 4, 5
@@ -80,6 +85,7 @@ WORLD = np.dtype(
         ("stale", np.int64),  # 1: Python has worked on the records since the kernel last looked at all of them
         ("host_on", np.int64),  # 1: the host's cycle runs
         ("host_elsewhere", np.int64),  # 1: the host is another process, or there is none
+        ("drifting", np.int64),  # devices that have a clock of their own
         *CLOCK_FIELDS,  # the host's
         ("phase", np.int64),  # the phases of the host's axes that Python knows, four bits each
         ("log_count", np.int64),
@@ -215,10 +221,34 @@ def _keep(w: Any, out: Any, first: int) -> None:
 
 
 @kernel
+def _end_closely(world: World, b: Any) -> None:
+    """End a frame, or a stretch of slow motion, that was looked at closely; tell the devices what became of their controllers."""
+    w, nodes, t = world.state, world.nodes, world.state.t_ns
+    if b.closely == 0:
+        end_frame(b, world.log, w.log_count)
+        w.log_count += 1
+        return
+    w.log_count += end_attempt(b, world.out, world.log, w.log_count)
+    if b.links == 0:
+        return
+    b.links = 0
+    for i in range(nodes.shape[0]):
+        link, b.stations[i].link = b.stations[i].link, 0
+        if link != 0:
+            own_time.link_changed(nodes[i], t, link, world.out)
+            keep_deadline(world.deadlines, i, nodes[i])
+            if world.axis_of[i] >= 0:
+                _actuate(world, world.axis_of[i], t)
+
+
+@kernel
 def refresh(w: Any, nodes: Any, axes: Any, deadlines: Any, wants: Any) -> None:
     """Bring all that is looked up instead of asked for up to the records that Python may have written."""
     w.stale = 0
     look_again(nodes, deadlines, wants)
+    w.drifting = 0
+    for i in range(nodes.shape[0]):
+        w.drifting += nodes[i].clock_on
     w.to_begin = 0
     w.force_end_ns = FAR_NS
     for a in range(axes.shape[0]):
@@ -247,24 +277,30 @@ def next_event(w: Any, b: Any, out: Any, deadlines: Any, host: Any) -> tuple[int
 
 
 @kernel
-def run(world: World, host: Host, law_function: Any) -> int:
-    """Run until Python is needed; return the `Exit` that says why."""
+def run(world: World, host: Host, law_function: Any, closely: int | None) -> int:
+    """Run until Python is needed; return the `Exit` that says why.
+
+    `closely` None: up to where a close look is needed. Numba leaves out what stands behind a condition on an argument that is None.
+    """
     world, host = borrowed(world), borrowed(host)  # each use of an array would count its references
     w, bus, out, nodes = world.state, world.bus, world.out, world.nodes
     axes, axis_of, deadlines, wants = world.axes, world.axis_of, world.deadlines, world.wants
     cable = bus[0]
     if w.stale:
         refresh(w, nodes, axes, deadlines, wants)
+    if closely is None and cable.cut + w.drifting != 0:
+        return Exit.CLOSELY
     while True:
         if w.log_count + MOST_ROWS > world.log.shape[0] or w.sent_count + QUEUE_CAPACITY > SENT_FRAMES:
             return Exit.LOG
         b = cable
-        if cable.cut != 0:
-            b = bus[choose(bus, out)]
-        if cable.fault_calls != 0:
-            for a in range(axes.shape[0]):
-                _look(world, a, w.t_ns)
-            return Exit.FAULT
+        if closely is not None:
+            if cable.cut != 0:
+                b = bus[choose(bus, out)]
+            if cable.fault_calls != 0:
+                for a in range(axes.shape[0]):
+                    _look(world, a, w.t_ns)
+                return Exit.FAULT
         t, what = next_event(w, b, out, deadlines, host.axes)
         if t < w.t_ns:
             t = w.t_ns
@@ -279,7 +315,10 @@ def run(world: World, host: Host, law_function: Any) -> int:
                     return Exit.FORCE
         w.t_ns = t
         if what == FRAME_START:
-            start_frame(b, out, t)
+            if not start_frame(b, out, t):
+                if closely is None:
+                    return Exit.CLOSELY
+                attempt(b, out, t)
             continue
         if what in (NOTHING, SCRIPT):
             for a in range(axes.shape[0]):
@@ -295,7 +334,7 @@ def run(world: World, host: Host, law_function: Any) -> int:
             a = axis_of[i]
             if a >= 0:
                 _look(world, a, t)
-            if nodes[i].clock_on == 0:
+            if closely is None or nodes[i].clock_on == 0:
                 core.on_time(nodes[i], t, out)
             else:
                 own_time.on_time(nodes[i], t, out)
@@ -303,18 +342,13 @@ def run(world: World, host: Host, law_function: Any) -> int:
             if a >= 0:
                 _actuate(world, a, t)
         else:
-            w.log_count += end_frame(b, out, world.log, w.log_count)
-            if b.links != 0:
-                b.links = 0
-                for i in range(nodes.shape[0]):
-                    link, b.stations[i].link = b.stations[i].link, 0
-                    if link != 0:
-                        own_time.link_changed(nodes[i], t, link, out)
-                        keep_deadline(deadlines, i, nodes[i])
-                        if axis_of[i] >= 0:
-                            _actuate(world, axis_of[i], t)
-            if b.delivered == 0:
-                continue
+            if closely is None:
+                end_frame(b, world.log, w.log_count)
+                w.log_count += 1
+            else:
+                _end_closely(world, b)
+                if b.delivered == 0:
+                    continue
             w.services = w.control_plane = w.heard = 0
             if b.can_id == CobId.SYNC:
                 for a in range(axes.shape[0]):
@@ -323,7 +357,7 @@ def run(world: World, host: Host, law_function: Any) -> int:
             for k in range(wants[b.can_id, 0] if plain else nodes.shape[0]):
                 i = wants[b.can_id, k + 1] if plain else k
                 if nodes[i].powered and receives(b, i):
-                    if nodes[i].clock_on == 0:
+                    if closely is None or nodes[i].clock_on == 0:
                         wanted = core.on_frame(nodes[i], t, b.can_id, b.length, b.word, out)
                     else:
                         wanted = own_time.on_frame(nodes[i], t, b.can_id, b.length, b.word, out)

@@ -169,12 +169,12 @@ class VirtualNetwork:
         attach(self.bus[0], TAP)
         if mechanics is not None:
             attach(self.bus[0], SOURCE_HOST)
+        self._closely: int | None = None
         self._run = Entry(run)
-        self._run(*self._arguments)  # nothing is due: the call only compiles, or loads what was compiled
 
     @property
     def arguments(self) -> tuple[World, Host, Any]:
-        """The arguments of `sim_bus.network.kernel.run`; since it ran last, somebody may have written to the records."""
+        """The arguments of `sim_bus.network.kernel.run` but for `closely`; since it ran last, somebody may have written to the records."""
         self._world["stale"] = 1
         return self._arguments
 
@@ -255,16 +255,27 @@ class VirtualNetwork:
 
     def run_until(self, t_ns: int, condition: Callable[[], bool] | None = None) -> None:
         """Run to `t_ns`, or until `condition` holds after an exit of the kernel."""
-        world = self._world
-        world["until_ns"] = t_ns
+        self._world["until_ns"] = t_ns
+        while self._go_on(condition) is Exit.CLOSELY:
+            self.look_closely()
+
+    def _go_on(self, condition: Callable[[], bool] | None) -> Exit:
+        """Run to `until_ns`, until `condition` holds, or until a close look is needed; return the last exit."""
+        self._run.load(*self._arguments, self._closely)  # where a signal ends it: compiling may take half a minute
         with InterruptsHeld() as interrupts:
             while True:
-                reason = Exit(self._run(*self.arguments))
+                reason = Exit(self._run(*self.arguments, self._closely))
                 self.exits[reason] += 1
+                if reason is Exit.CLOSELY:
+                    return reason
                 self.answer(reason)
                 interrupts.pass_on()
                 if reason is Exit.UNTIL or (condition is not None and condition()):
-                    return
+                    return reason
+
+    def look_closely(self) -> None:
+        """Run from now on with the loop that knows all that is rare; without this it is compiled, or loaded, when that happens."""
+        self._closely, self._run = 1, Entry(run)
 
     def at(self, t_ns: int, action: Callable[[Self], None]) -> None:
         """Call `action(network)` at the virtual time `t_ns`: a script's entry."""

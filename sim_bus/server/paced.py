@@ -136,7 +136,10 @@ def _forgive(p: Any, slots: Any, planned_ns: int, t_ns: int) -> int:
 
 @kernel
 def serve(pace: Any, clients: Clients, world: World, host: Host, law_function: Any) -> int:
-    """Serve until Python is needed; return an `Exit` or a `Serve` that says why."""
+    """Serve until Python is needed; return an `Exit` or a `Serve` that says why.
+
+    The world's loop is from the first the one that looks closely: nothing is compiled while clients wait.
+    """
     p, w, bus, out = pace[0], world.state, world.bus, world.out
     slots, batches, cable = clients.slots, clients.batches, bus[0]
     flag = pace.ctypes.data
@@ -160,7 +163,7 @@ def serve(pace: Any, clients: Clients, world: World, host: Host, law_function: A
             if t_event > t_ns:
                 break
             w.until_ns = max(t_event, w.t_ns)
-            reason = run(world, host, law_function)
+            reason = run(world, host, law_function, 1)
             if w.log_count > p.handed_out:
                 p.latest_ns = max(p.latest_ns, t_ns - world.log[w.log_count - 1].t_ns)
                 lost = hand_out(w, p, bus, world.log, clients)

@@ -53,13 +53,13 @@ def carry(releases, first=None):
     if first is not None:
         push(out, -1, 0, first.can_id, first.length, first.word)
         start_frame(bus[0], out, 0)
-        end_frame(bus[0], out, log, 0)
+        end_frame(bus[0], log, 0)
     for i, (t, _, m) in enumerate(releases):
         push(out, i, t, m.can_id, m.length, m.word)
     done = []
     while (now := start_ns(bus[0], out)) < FAR_NS:
         start_frame(bus[0], out, now)
-        end_frame(bus[0], out, log, 0)
+        end_frame(bus[0], log, 0)
         _, nominal, m = releases[int(log["source"][0])]
         done.append((m, nominal, int(bus["free_ns"][0])))
     return done

@@ -30,7 +30,7 @@ def carry(waiting, bitrate=1_000_000):
     carried = []
     while (now := start_ns(bus[0], out)) < FAR_NS:
         start_frame(bus[0], out, now)
-        end_frame(bus[0], out, log, len(carried))
+        end_frame(bus[0], log, len(carried))
         carried.append((int(log["can_id"][len(carried)]), now, int(log["t_ns"][len(carried)])))
     assert bus["held"][0] == 0
     return carried
@@ -61,7 +61,7 @@ def test_equal_identifiers_keep_their_order():
         push(out, 0, 0, 0x181, 1, n)
     for row in range(3):
         start_frame(bus[0], out, start_ns(bus[0], out))
-        end_frame(bus[0], out, log, row)
+        end_frame(bus[0], log, row)
     assert list(log["word"]) == [0, 1, 2]
 
 
@@ -104,6 +104,6 @@ def test_the_bus_counts_its_bits(bitrate):
     out = new_queue()
     push(out, 0, 0, 0x80, 0, 0)
     start_frame(bus[0], out, 0)
-    end_frame(bus[0], out, log, 0)
+    end_frame(bus[0], log, 0)
     assert bus["bits"][0] == frame_bits(0x80, b"")
     assert bus["free_ns"][0] == frame_bits(0x80, b"") * 1_000_000_000 // bitrate

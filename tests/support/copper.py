@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from coulombus.sim_bus.copper.arbiter import FAR_NS, end_frame, new_bus, receives, start_frame, start_ns
-from coulombus.sim_bus.copper.attempt import MOST_ROWS, attach, refresh
+from coulombus.sim_bus.copper.attempt import MOST_ROWS, attach, attempt, end_attempt, refresh
 from coulombus.sim_bus.copper.faults import plan_alarm
 from coulombus.sim_bus.copper.slow_motion import ALL
 from coulombus.wire.frame import CAN_ERR_FLAG, data_bytes, data_word, frames, new_queue, push
@@ -71,7 +71,7 @@ class Copper:
                 if t > until_ns:
                     break
                 self.now = t
-                for row in self.log[: end_frame(bus, self.out, self.log, 0)]:
+                for row in self.log[: self._end()]:
                     out.append(Row(int(row.t_ns), int(row.can_id), data_bytes(row.word, row.length), int(row.source)))
                 if bus.delivered:
                     out[-1].receivers = tuple(s for s in self.stations if receives(bus, s))
@@ -80,8 +80,16 @@ class Copper:
                 if t > until_ns:
                     break
                 self.now = t
-                start_frame(bus, self.out, t)
+                if not start_frame(bus, self.out, t):
+                    attempt(bus, self.out, t)
         return out
+
+    def _end(self):
+        """End what is on the wire; return how many rows of the log were written."""
+        if self.bus.closely:
+            return end_attempt(self.bus, self.out, self.log, 0)
+        end_frame(self.bus, self.log, 0)
+        return 1
 
 
 def carried(rows):
