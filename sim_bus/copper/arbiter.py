@@ -13,10 +13,14 @@ from typing import Any
 import numpy as np
 
 from coulombus.compiled.decorator import inlined
-from coulombus.sim_bus.copper.attempt import ATTEMPT_FIELDS, INTER_FRAME_BITS
 from coulombus.sim_bus.copper.controller import CONTROLLER, STATIONS
 from coulombus.sim_bus.copper.faults import FAULT_FIELDS
-from coulombus.sim_bus.copper.slow_motion import SLOW_FIELDS
+from coulombus.sim_bus.copper.follow import FOLLOW_FIELDS
+from coulombus.sim_bus.copper.noise import NOISE_FIELDS
+from coulombus.sim_bus.copper.outcome import OUTCOME_FIELDS
+from coulombus.sim_bus.copper.slow_motion import PLAY_FIELDS
+from coulombus.sim_bus.copper.stage import INTER_FRAME_BITS, NS, Delivered, Stage
+from coulombus.sim_bus.copper.stations import STATION_FIELDS
 from coulombus.sim_bus.copper.waiting import (
     FAR_NS,
     HALF_FIELDS,
@@ -44,7 +48,8 @@ __all__ = [
 BUS = np.dtype(
     [
         ("bit_rate", np.int64),  # bit/s; 0: a frame takes no time here (another bus carries it)
-        ("busy", np.int64),
+        ("stage", np.int64),  # `sim_bus.copper.stage.Stage`: what the wire is in the midst of
+        ("delivered", np.int64),  # `sim_bus.copper.stage.Delivered`: who has what has ended last
         ("end_ns", np.int64),
         ("free_ns", np.int64),
         ("t_ns", np.int64),  # the frame on the wire, fields as in FRAME
@@ -56,9 +61,12 @@ BUS = np.dtype(
         ("bits", np.int64),
         *HALF_FIELDS,
         *WAITING_FIELDS,
-        *ATTEMPT_FIELDS,
-        *SLOW_FIELDS,
+        *STATION_FIELDS,
+        *OUTCOME_FIELDS,
+        *PLAY_FIELDS,
+        *FOLLOW_FIELDS,
         *FAULT_FIELDS,
+        *NOISE_FIELDS,
         ("stations", CONTROLLER, (STATIONS,)),
     ],
     align=True,
@@ -69,8 +77,8 @@ def new_bus(bitrate_bit_s: int) -> Records:
     """Return an idle bus: its record, and that of the second half for when the cable is cut (`sim_bus.copper.cut`)."""
     bus = new_records(BUS, 2)
     bus["bit_rate"] = bitrate_bit_s
-    bus["alarm_ns"] = bus["stuck_from_ns"] = bus["stuck_until_ns"] = FAR_NS
-    bus["noise_ns"], bus["partial_row"] = FAR_NS, -1
+    bus["alarm_ns"] = bus["stuck"]["from_ns"] = bus["stuck"]["until_ns"] = FAR_NS
+    bus["noise"]["next_ns"], bus["partial_row"] = FAR_NS, -1
     bus["stations"]["restart_at_ns"] = FAR_NS
     return bus
 
@@ -97,10 +105,9 @@ def start_frame(bus: Any, out: Any, now_ns: int) -> bool:
     bus.t_ns = now_ns
     bus.end_ns = bus.free_ns = now_ns
     if bus.bit_rate > 0:
-        bus.end_ns = now_ns + (bits - INTER_FRAME_BITS) * 1_000_000_000 // bus.bit_rate
-        bus.free_ns = now_ns + bits * 1_000_000_000 // bus.bit_rate
-    bus.busy = 1
-    bus.closely = bus.partial = 0
+        bus.end_ns = now_ns + (bits - INTER_FRAME_BITS) * NS // bus.bit_rate
+        bus.free_ns = now_ns + bits * NS // bus.bit_rate
+    bus.stage = Stage.FRAME
     bus.frames += 1
     bus.bits += bits
     return True
@@ -109,8 +116,8 @@ def start_frame(bus: Any, out: Any, now_ns: int) -> bool:
 @inlined
 def end_frame(bus: Any, log: Any, row: int) -> None:
     """Take a frame that needed no close look off the wire and write it to `log[row]`, stamped with its end of frame."""
-    bus.busy = 0
-    bus.delivered = 1
+    bus.stage = Stage.FREE
+    bus.delivered = Delivered.OTHERS
     frame = log[row]
     frame.t_ns = bus.end_ns
     frame.can_id = bus.can_id
@@ -122,6 +129,6 @@ def end_frame(bus: Any, log: Any, row: int) -> None:
 @inlined
 def receives(bus: Any, station: int) -> bool:
     """Tell whether a station has the frame that has just ended."""
-    if bus.partial:
-        return bus.stations[station & STATION_MASK].hears != 0
-    return bus.source != station
+    if bus.delivered == Delivered.OTHERS:
+        return bus.source != station
+    return bus.stations[station & STATION_MASK].hears != 0

@@ -92,7 +92,7 @@ _THIS_FRAME = (
     "contends_ns",  # when it took part in an arbitration
 )
 _OWED = ("owed", "again", "lost_for")  # 1: a scripted fault has struck the frame that is to be sent again; what it does
-_SLOW_MOTION = (  # see sim_bus.copper.slow_motion
+_SLOW_MOTION = (  # see sim_bus.copper.follow
     *("mode", "count", "level", "frame", "sent_bits", "transmitted", "exempt", "overload", "joins"),
     *("passive_flag", "flag_last", "flag_run"),
     *("position", "last", "run", "crc", "bit_12", "extended", "header", "dlc", "crc_end", "tail"),

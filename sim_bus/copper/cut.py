@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 
 from coulombus.compiled.decorator import kernel
-from coulombus.sim_bus.copper.attempt import refresh
 from coulombus.sim_bus.copper.controller import STATIONS
 from coulombus.sim_bus.copper.faults import MOST_TOLD, FaultKind, plan_alarm
 from coulombus.sim_bus.copper.noise import next_noise, seeded
+from coulombus.sim_bus.copper.stage import Stage
+from coulombus.sim_bus.copper.stations import number, refresh
 from coulombus.sim_bus.copper.waiting import FAR_NS, STATION_MASK, accept, first_ns, hold, withdraw
 from coulombus.wire.frame import Queue, Records
 
@@ -41,7 +42,7 @@ def divide(bus: Any, out: Any) -> None:
 @kernel
 def _next_ns(bus: Any, out: Any) -> int:
     """Return when a half's frame ends, or the next one starts."""
-    if bus.busy:
+    if bus.stage != Stage.FREE:
         return int(bus.end_ns)
     return int(max(min(first_ns(bus, out), bus.alarm_ns), bus.free_ns))
 
@@ -55,21 +56,18 @@ def choose(bus: Any, out: Any) -> int:
     near.fault_calls |= far.fault_calls
     far.fault_calls = 0
     if near.cut == MENDING:
-        if far.busy:
+        if far.stage != Stage.FREE:
             return 1
         near.fault_calls |= 1 << near.cut_row
         return 0
     t_near, t_far = _next_ns(near, out), _next_ns(far, out)
-    return 1 if t_far < t_near or (t_far == t_near and far.busy > near.busy) else 0
+    ends_sooner = near.stage == Stage.FREE and far.stage != Stage.FREE
+    return 1 if t_far < t_near or (t_far == t_near and ends_sooner) else 0
 
 
 def wire_of(bus: Records, station: int) -> Any:
     """Return the record of the wire that a station is on."""
     return bus[int(bus[0].stations[station & STATION_MASK].half)]
-
-
-def _number(row: int) -> int:
-    return -1 if row == STATION_MASK else row
 
 
 def split(bus: Records, out: Queue, row: int, t_ns: int) -> Records:
@@ -91,11 +89,12 @@ def split(bus: Records, out: Queue, row: int, t_ns: int) -> Records:
             if halves[station] != half:
                 one.stations[station].attached = one.stations[station].hears = 0
                 if station in waits:
-                    withdraw(one, out, _number(station))
-    for name in ("frames", "bits", "errors", "retransmissions", "told", "fault_due", "fault_calls", "noise_hits"):
+                    withdraw(one, out, number(station))
+    for name in ("frames", "bits", "errors", "retransmissions", "told", "fault_due", "fault_calls"):
         far[name] = 0
+    far.noise.hits = 0
     far.partial_row = -1
-    far.noise_state = seeded(int(near.noise_state))
+    far.noise.state = seeded(int(near.noise.state))
     next_noise(far, t_ns)
     for fault in far.faults:
         if fault.kind == FaultKind.CUT:
@@ -152,8 +151,9 @@ def join(bus: Records, out: Queue, before: Records, t_ns: int) -> None:
             near[name][near.told] = far[name][k]
         near.told += 1
     far.told = far.on_count = far.held = 0
-    for name in ("free_ns", "recessive_ns", "unsettled"):
+    for name in ("free_ns", "recessive_ns"):
         near[name] = max(int(near[name]), int(far[name]))
+    near.play.unsettled |= far.play.unsettled
     near.cut = WHOLE
     plan_alarm(near, t_ns)
     refresh(near)

@@ -14,9 +14,10 @@ import numpy as np
 from coulombus.compiled.decorator import inlined, kernel
 from coulombus.sim_bus.copper.controller import STATIONS, CanState
 from coulombus.sim_bus.copper.noise import renew
-from coulombus.sim_bus.copper.slow_motion import MAX_FLIPS, is_meant
+from coulombus.sim_bus.copper.stage import INTER_FRAME_BITS, NS, RUN_BITS
 from coulombus.sim_bus.copper.stuffing import TAIL_BITS
 from coulombus.sim_bus.copper.waiting import FAR_NS, STATION_MASK, first_order, hold
+from coulombus.sim_bus.copper.whom import NOBODY, is_meant
 from coulombus.wire.bits import data_frame_bits
 
 __all__ = [
@@ -30,6 +31,7 @@ __all__ = [
     "fire",
     "plan_alarm",
     "strike",
+    "strike_nothing",
 ]
 
 MAX_FAULTS = 62
@@ -38,9 +40,7 @@ MOST_TOLD = 512
 NO_FRAME = -1
 """In place of an identifier: a fault struck a wire on which nobody was sending, or a station."""
 BABBLE_LIMIT = 4  # frames of a babbler that may wait: more would only fill the room
-INTERMISSION_BITS = 3
-RUN_BITS = 11  # recessive: the end of a frame or of an error frame, with the inter-frame space; bus-off ends after 128 such runs
-NS = 1_000_000_000
+MAX_FLIPS = 16
 TAIL_BIT = 1000
 """`bit` from here on counts behind the CRC sequence: 1000 is the CRC delimiter."""
 
@@ -101,7 +101,22 @@ FAULT = np.dtype(
     align=True,
 )
 
-FAULT_FIELDS = [
+STRUCK = np.dtype(
+    [
+        ("flips", np.int64),  # for the frame that starts: so many of its bits are turned around,
+        ("flip_bit", np.int64, (MAX_FLIPS,)),
+        ("flip_station", np.int64, (MAX_FLIPS,)),
+        ("wrong_crc", np.int64),  # its CRC sequence is sent with these bits turned,
+        ("again", np.int64),  # it is sent once more,
+        ("lost_for", np.int64),  # it is not received by this station, or by `ALL`; `NOBODY`
+    ],
+    align=True,
+)
+
+STUCK = np.dtype([("from_ns", np.int64), ("until_ns", np.int64)], align=True)
+"""When the wire is dominant next."""
+
+FAULT_FIELDS: list[Any] = [
     ("faults", FAULT, (MAX_FAULTS,)),
     ("fault_count", np.int64),
     ("fault_due", np.int64),  # bit i: row i waits for the end of the frame that has triggered it
@@ -111,12 +126,18 @@ FAULT_FIELDS = [
     ("told_ns", np.int64, (MOST_TOLD,)),
     ("told_row", np.int64, (MOST_TOLD,)),
     ("told_id", np.int64, (MOST_TOLD,)),
-    ("wrong_crc", np.int64),  # for the frame that starts: its CRC sequence is sent with these bits turned,
-    ("again", np.int64),  # it is sent once more,
-    ("lost_for", np.int64),  # it is not received by this station, or by `ALL`; `NOBODY`
+    ("struck", STRUCK),
+    ("stuck", STUCK),
 ]
+"""The part of the bus's record (`sim_bus.copper.arbiter.BUS`) that this module writes."""
 
-NOBODY = -2000
+
+@inlined
+def strike_nothing(bus: Any) -> None:
+    """Forget what struck the last frame."""
+    struck = bus.struck
+    struck.flips = struck.wrong_crc = struck.again = 0
+    struck.lost_for = NOBODY
 
 
 @kernel
@@ -155,7 +176,7 @@ def _meant(f: Any, now_ns: int, can_id: int, source: int) -> bool:
 def strike(bus: Any, now_ns: int, can_id: int, length: int, word: int, source: int) -> int:
     """Let the rows strike the frame that is to start; return the delay [ns] that they put it off by.
 
-    What else they do is left in `flips`, `wrong_crc`, `again` and `lost_for`.
+    What else they do is left in `BUS.struck`.
     """
     delay_ns = meant = 0
     for row in range(bus.fault_count):
@@ -169,19 +190,21 @@ def strike(bus: Any, now_ns: int, can_id: int, length: int, word: int, source: i
         if meant >> row & 1 == 0 or (f.kind != DELAY and delay_ns > 0):  # who is put off is struck by nothing else
             continue
         if f.kind == FLIP:
-            stuffed = data_frame_bits(can_id, length, word) - INTERMISSION_BITS - TAIL_BITS  # up to the CRC sequence
+            stuffed = data_frame_bits(can_id, length, word) - INTER_FRAME_BITS - TAIL_BITS  # up to the CRC sequence
             bit = f.bit if f.bit < TAIL_BIT else stuffed + f.bit - TAIL_BIT
-            if bit >= stuffed + TAIL_BITS + INTERMISSION_BITS or bus.flips >= MAX_FLIPS:  # this frame has no such bit
+            if (
+                bit >= stuffed + TAIL_BITS + INTER_FRAME_BITS or bus.struck.flips >= MAX_FLIPS
+            ):  # this frame has no such bit
                 continue
-            bus.flip_bit[bus.flips] = bit
-            bus.flip_station[bus.flips] = f.station
-            bus.flips += 1
+            bus.struck.flip_bit[bus.struck.flips] = bit
+            bus.struck.flip_station[bus.struck.flips] = f.station
+            bus.struck.flips += 1
         elif f.kind == CORRUPT_CRC:
-            bus.wrong_crc = 1
+            bus.struck.wrong_crc = 1
         elif f.kind == DROP:
-            bus.lost_for = f.station
+            bus.struck.lost_for = f.station
         elif f.kind == DUPLICATE:
-            bus.again = 1
+            bus.struck.again = 1
         elif f.kind == RESET or f.kind == CUT:
             bus.fault_due |= 1 << row
         fire(bus, row, now_ns, can_id)
@@ -233,13 +256,13 @@ def alarm(bus: Any, now_ns: int) -> None:
 @kernel
 def plan_alarm(bus: Any, now_ns: int) -> None:
     """Set `alarm_ns`, and the time of the wire's next dominant fault."""
-    next_ns = bus.free_ns if bus.unsettled else bus.noise_ns
-    bus.stuck_from_ns = bus.stuck_until_ns = FAR_NS
+    next_ns = bus.free_ns if bus.play.unsettled else bus.noise.next_ns
+    bus.stuck.from_ns = bus.stuck.until_ns = FAR_NS
     for row in range(bus.fault_count):
         f = bus.faults[row]
-        if f.kind == STUCK_DOMINANT and f.until_ns > now_ns and f.from_ns < bus.stuck_from_ns:
-            bus.stuck_from_ns = f.from_ns
-            bus.stuck_until_ns = f.until_ns
+        if f.kind == STUCK_DOMINANT and f.until_ns > now_ns and f.from_ns < bus.stuck.from_ns:
+            bus.stuck.from_ns = f.from_ns
+            bus.stuck.until_ns = f.until_ns
         if (f.kind == CUT or f.kind > DRIFT) and (
             f.kind != BABBLE or (f.next_ns < f.until_ns and not _elsewhere(bus, f))
         ):

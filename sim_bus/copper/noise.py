@@ -5,14 +5,31 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from coulombus.compiled.decorator import kernel
-from coulombus.sim_bus.copper.waiting import FAR_NS
+import numpy as np
 
-__all__ = ["disturber", "next_noise", "renew", "seeded"]
+from coulombus.compiled.decorator import kernel
+from coulombus.sim_bus.copper.stage import NS
+from coulombus.sim_bus.copper.waiting import FAR_NS
+from coulombus.sim_bus.copper.whom import NOBODY
+
+__all__ = ["NOISE_FIELDS", "disturber", "next_noise", "noisy_bit", "renew", "seeded"]
 
 MODULUS, MULTIPLIER = 2_147_483_647, 48_271
 MOST_BITS = 1e12
-NS = 1_000_000_000
+
+NOISE = np.dtype(
+    [
+        ("rate", np.float64),  # of disturbed bits, by whichever fault; 0: none
+        ("hits", np.int64),  # not counted in the faults' table yet
+        ("next_ns", np.int64),  # when the next one begins
+        ("until_ns", np.int64),  # the first of the noises ends
+        ("state", np.int64),
+    ],
+    align=True,
+)
+
+NOISE_FIELDS: list[Any] = [("noise", NOISE)]
+"""The part of the bus's record (`sim_bus.copper.arbiter.BUS`) that this module writes."""
 
 
 def seeded(seed: int) -> int:
@@ -24,13 +41,13 @@ def seeded(seed: int) -> int:
 def renew(bus: Any, t_ns: int) -> None:
     """Let the noises that are at work at `t_ns` be the bus's: together they disturb a bit with the probability 1 - (1 - r1)(1 - r2)..."""
     rate = 0.0
-    bus.noise_until_ns = FAR_NS
+    bus.noise.until_ns = FAR_NS
     for row in range(bus.fault_count):
         f = bus.faults[row]
         if f.active:
             rate += f.rate * (1.0 - rate)
-            bus.noise_until_ns = min(bus.noise_until_ns, f.until_ns)
-    bus.noise_rate = rate
+            bus.noise.until_ns = min(bus.noise.until_ns, f.until_ns)
+    bus.noise.rate = rate
     next_noise(bus, t_ns)
 
 
@@ -45,8 +62,8 @@ def disturber(bus: Any) -> int:
             count += 1
             rates += bus.faults[row].rate
     if count > 1:
-        bus.noise_state = bus.noise_state * MULTIPLIER % MODULUS
-        left = bus.noise_state / MODULUS * rates
+        bus.noise.state = bus.noise.state * MULTIPLIER % MODULUS
+        left = bus.noise.state / MODULUS * rates
         for row in range(last):
             if bus.faults[row].active:
                 left -= bus.faults[row].rate
@@ -57,17 +74,29 @@ def disturber(bus: Any) -> int:
 
 @kernel
 def next_noise(bus: Any, t_ns: int) -> None:
-    """Draw `noise_ns`, the begin of the next disturbed bit: the undisturbed bits from `t_ns` on are geometric, with the rate as its probability.
+    """Draw `next_ns`, the begin of the next disturbed bit: the undisturbed bits from `t_ns` on are geometric, with the rate as its probability.
 
     The generator is Park's and Miller's minimal standard (doi:10.1145/63039.63042) with the multiplier 48271: all of it in int64.
     """
-    if bus.noise_rate <= 0.0:
-        bus.noise_ns = FAR_NS
+    if bus.noise.rate <= 0.0:
+        bus.noise.next_ns = FAR_NS
         return
-    bus.noise_state = bus.noise_state * MULTIPLIER % MODULUS
+    bus.noise.state = bus.noise.state * MULTIPLIER % MODULUS
     bits = 0.0
-    if bus.noise_rate < 1.0:
-        bits = min(math.log(bus.noise_state / MODULUS) / math.log1p(-bus.noise_rate), MOST_BITS)
-    bus.noise_ns = t_ns + int(bits) * NS // bus.bit_rate
-    if bus.noise_ns >= bus.noise_until_ns:
-        bus.noise_ns = FAR_NS
+    if bus.noise.rate < 1.0:
+        bits = min(math.log(bus.noise.state / MODULUS) / math.log1p(-bus.noise.rate), MOST_BITS)
+    bus.noise.next_ns = t_ns + int(bits) * NS // bus.bit_rate
+    if bus.noise.next_ns >= bus.noise.until_ns:
+        bus.noise.next_ns = FAR_NS
+
+
+@kernel
+def noisy_bit(bus: Any, end_ns: int) -> int:
+    """Return whom noise hits in the bit that ends at `end_ns`, `NOBODY` mostly; draw the next such bit."""
+    if bus.noise.next_ns >= end_ns:
+        return NOBODY
+    bus.noise.hits += 1
+    fault = bus.faults[disturber(bus)]
+    fault.hits += 1
+    next_noise(bus, end_ns)
+    return int(fault.station)

@@ -48,7 +48,7 @@ SEQUENCE_MASK = (1 << SEQUENCE_BITS) - 1
 HELD_BACK = 2
 """Sequence of a frame that a scripted fault has struck already: it is put off, or sent once more."""
 WITHDRAWN = -1
-"""As `tx_order` of a frame on the wire: it is not sent again."""
+"""As `order` of a frame on the wire: it is not sent again."""
 FIRST_SEQUENCE = 3  # 0 is a frame that was on the wire before, 1 one that was about to be
 
 WAITING_FIELDS: list[Any] = [
@@ -272,8 +272,8 @@ def withdraw(bus: Any, out: Any, source: int) -> None:
     """Forget the frames of a station that wait, and what is on the wire if it fails there: it was switched off."""
     take_in(bus, out)
     for k in range(bus.senders):
-        if bus.tx_source[k] == source:
-            bus.tx_order[k] = WITHDRAWN
+        if bus.tx[k].source == source:
+            bus.tx[k].order = WITHDRAWN
     n, bus.later = bus.later, 0
     for i in range(n):
         key, place = bus.later_key[i], bus.later_place[i]

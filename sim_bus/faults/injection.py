@@ -10,11 +10,12 @@ import numpy as np
 
 from coulombus.eds.cia301 import NmtCommand
 from coulombus.host.cycle.step import SOURCE_HOST
-from coulombus.sim_bus.copper.attempt import detach
 from coulombus.sim_bus.copper.controller import STATIONS, CanState, ErrorKind
 from coulombus.sim_bus.copper.cut import MENDING, WHOLE, join, merged_faults, split, wire_of
 from coulombus.sim_bus.copper.faults import NO_FRAME, fire, plan_alarm
-from coulombus.sim_bus.copper.slow_motion import CLIENT_ROWS, CLIENTS
+from coulombus.sim_bus.copper.stage import Stage
+from coulombus.sim_bus.copper.stations import detach
+from coulombus.sim_bus.copper.whom import CLIENT_ROWS, CLIENTS
 from coulombus.sim_bus.faults.file import FaultError, FaultPlan
 from coulombus.sim_bus.faults.rows import begin_enabled, injections, install
 from coulombus.sim_bus.network.network import TAP
@@ -93,7 +94,7 @@ class Injection:
         """Cut the cable, or mend it; one cut at a time, and only while the wire is idle."""
         near, now, fault = self._bus, self._world.t_ns, self._bus.faults[row]
         out = self._world.out
-        if near.cut == WHOLE and near.busy:  # what is on the wire is played to its end
+        if near.cut == WHOLE and near.stage != Stage.FREE:  # what is on the wire is played to its end
             fault.next_ns = now
             plan_alarm(near, now)
         elif near.cut == WHOLE:
@@ -103,7 +104,7 @@ class Injection:
             self._mark(now, f"the cable is cut (line {self.plan.lines[row]})")
         elif near.cut_row == row and now >= near.mend_ns:
             near.cut = MENDING
-            if not self._world.bus[1].busy:
+            if self._world.bus[1].stage == Stage.FREE:
                 self.tell()
                 join(self._world.bus, out, self._before, now)
                 self._mark(now, f"the cable is mended (line {self.plan.lines[row]})")

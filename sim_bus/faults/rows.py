@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from coulombus.rigs.toml_lines import Key
-from coulombus.sim_bus.copper.attempt import refresh
 from coulombus.sim_bus.copper.controller import MANUAL, STATIONS
 from coulombus.sim_bus.copper.faults import FaultKind, plan_alarm
 from coulombus.sim_bus.copper.noise import seeded
-from coulombus.sim_bus.copper.slow_motion import ALL, CLIENT_ROWS, CLIENTS
+from coulombus.sim_bus.copper.stations import refresh
 from coulombus.sim_bus.copper.waiting import FAR_NS
+from coulombus.sim_bus.copper.whom import ALL, CLIENT_ROWS, CLIENTS
 from coulombus.sim_bus.faults.file import (
     BASES,
     BIT_NAMES,
@@ -142,7 +142,7 @@ def install(
     """
     nodes = _Nodes(plan, stations, node_ids)
     _refuse_twice(plan, nodes)
-    bus.noise_state = seeded(plan.file.seed if plan.file.seed is not None else seed)
+    bus.noise.state = seeded(plan.file.seed if plan.file.seed is not None else seed)
     later = []
     for n, fault in enumerate(plan.file.fault):
         row, key = bus.faults[n], ("fault", plan.faults[n])

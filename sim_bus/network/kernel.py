@@ -27,8 +27,10 @@ from coulombus.host.cycle import axes as host_axes
 from coulombus.host.cycle import step
 from coulombus.node import core, emcy, own_time
 from coulombus.sim_bus.copper.arbiter import FAR_NS, end_frame, receives, start_frame, start_ns
-from coulombus.sim_bus.copper.attempt import MOST_ROWS, attempt, end_attempt
+from coulombus.sim_bus.copper.attempt import attempt
 from coulombus.sim_bus.copper.cut import choose
+from coulombus.sim_bus.copper.outcome import MOST_ROWS, end_attempt
+from coulombus.sim_bus.copper.stage import Delivered, Stage
 from coulombus.sim_bus.network.agenda import keep_deadline, look_again, next_device
 from coulombus.sim_bus.rig.plant import advance, coil_current, sample_noise
 from coulombus.wire.clock import CLOCK_FIELDS, bus_ns, own_ns, to_bus
@@ -224,7 +226,7 @@ def _keep(w: Any, out: Any, first: int) -> None:
 def _end_closely(world: World, b: Any) -> None:
     """End a frame, or a stretch of slow motion, that was looked at closely; tell the devices what became of their controllers."""
     w, nodes, t = world.state, world.nodes, world.state.t_ns
-    if b.closely == 0:
+    if b.stage == Stage.FRAME:
         end_frame(b, world.log, w.log_count)
         w.log_count += 1
         return
@@ -259,7 +261,7 @@ def refresh(w: Any, nodes: Any, axes: Any, deadlines: Any, wants: Any) -> None:
 @inlined
 def next_event(w: Any, b: Any, out: Any, deadlines: Any, host: Any) -> tuple[int, int]:
     """Return when something happens next, and what."""
-    t = b.end_ns if b.busy else FAR_NS  # strict comparisons keep the order of equals
+    t = b.end_ns if b.stage != Stage.FREE else FAR_NS  # strict comparisons keep the order of equals
     what = FRAME_END
     if w.script_ns < t:
         t, what = w.script_ns, SCRIPT
@@ -269,7 +271,7 @@ def next_event(w: Any, b: Any, out: Any, deadlines: Any, host: Any) -> tuple[int
         t_host = bus_ns(w, host_axes.next_ns(host))
         if t_host < t:
             t, what = t_host, HOST
-    if not b.busy:
+    if b.stage == Stage.FREE:
         t_start = start_ns(b, out)
         if t_start < t:
             t, what = t_start, FRAME_START
@@ -347,7 +349,7 @@ def run(world: World, host: Host, law_function: Any, closely: int | None) -> int
                 w.log_count += 1
             else:
                 _end_closely(world, b)
-                if b.delivered == 0:
+                if b.delivered == Delivered.NOBODY:
                     continue
             w.services = w.control_plane = w.heard = 0
             if b.can_id == CobId.SYNC:

@@ -48,8 +48,8 @@ from coulombus.node.kinds import GENERIC
 from coulombus.node.profile import Profile
 from coulombus.node.record import new_nodes
 from coulombus.sim_bus.copper.arbiter import FAR_NS, new_bus
-from coulombus.sim_bus.copper.attempt import attach, detach
 from coulombus.sim_bus.copper.cut import divide, wire_of
+from coulombus.sim_bus.copper.stations import attach, detach
 from coulombus.sim_bus.copper.waiting import withdraw
 from coulombus.sim_bus.network.agenda import IDENTIFIERS, new_deadlines, new_wants
 from coulombus.sim_bus.network.interrupts import InterruptsHeld

@@ -30,6 +30,7 @@ from coulombus.compiled.libc import (
 from coulombus.sim_bus.copper.arbiter import receives
 from coulombus.sim_bus.copper.cut import divide
 from coulombus.sim_bus.copper.error_frames import with_counters
+from coulombus.sim_bus.copper.stage import Stage
 from coulombus.sim_bus.copper.waiting import ROOM, STATION_MASK, take_in
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, push
 from coulombus.wire.mailbox import receive
@@ -307,11 +308,11 @@ def _under_way(bus: Any, station: int, out: Any) -> bool:
         b = bus[b.stations[station].half]
     elif out.count > 0:
         take_in(b, out)
-    if b.waiting_of[station] > 0 or (b.busy and b.source == station):
+    if b.waiting_of[station] > 0 or (b.stage != Stage.FREE and b.source == station):
         return True
-    if b.busy and b.slowly:
+    if b.stage >= Stage.PLAYED:
         for k in range(b.senders):
-            if b.tx_source[k] == station:
+            if b.tx[k].source == station:
                 return True
     return False
 

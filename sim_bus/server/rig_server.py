@@ -10,7 +10,7 @@ from coulombus.eds.cia402 import PowerState
 from coulombus.host.cycle.step import SOURCE_HOST
 from coulombus.recording.recorder import PACED, Recorder
 from coulombus.rigs.rig import Rig
-from coulombus.sim_bus.copper.attempt import detach
+from coulombus.sim_bus.copper.stations import detach
 from coulombus.sim_bus.faults.file import FaultError, FaultPlan
 from coulombus.sim_bus.faults.injection import Injection, controllers_of
 from coulombus.sim_bus.network.virtual_rig import VirtualRig

@@ -21,9 +21,9 @@ import numpy as np
 
 from coulombus.compiled.decorator import Entry
 from coulombus.eds.cia301 import CobId, NmtCommand
-from coulombus.sim_bus.copper.attempt import attach, detach
 from coulombus.sim_bus.copper.controller import link
 from coulombus.sim_bus.copper.cut import wire_of
+from coulombus.sim_bus.copper.stations import attach, detach
 from coulombus.sim_bus.network.network import VirtualNetwork
 from coulombus.sim_bus.server.clients import BATCH, MESSAGE_FRAMES, SLOT, SLOTS, STATION, Clients, Need, State
 from coulombus.sim_bus.server.paced import PACE, Serve, serve

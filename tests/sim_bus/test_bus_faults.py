@@ -186,7 +186,7 @@ def test_one_after_the_other_is_no_contradiction(tmp_path):
     seen = []
     result = simulate("bench", "hybrid", 0.5, faults=write(tmp_path, text), script=seen.append)
     assert seen[0].nodes[MOTOR].clock_ppb == 100_000
-    assert seen[0].bus[0].noise_rate == 1e-4
+    assert seen[0].bus[0].noise.rate == 1e-4
     assert all(fault["times"] > 0 for fault in result.faults)
 
 

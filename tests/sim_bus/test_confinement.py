@@ -11,6 +11,7 @@ import pytest
 from copper import US, Copper, carried, told
 from coulombus.sim_bus.copper.controller import CanState, ErrorKind
 from coulombus.sim_bus.copper.faults import TAIL_BIT, FaultKind
+from coulombus.sim_bus.copper.stage import Delivered
 from coulombus.sim_bus.copper.stuffing import TAIL_BITS
 from coulombus.sim_bus.copper.waiting import withdraw
 from coulombus.wire.bits import frame_bits
@@ -335,7 +336,7 @@ def test_a_frame_that_starts_while_one_is_taken_in_by_a_glitch():
 
 def test_noise_strikes_an_idle_wire_as_often_as_a_busy_one():
     bus = Copper((0, 1))
-    bus.bus.noise_state = 12345
+    bus.bus.noise.state = 12345
     bus.fault(FaultKind.NOISE, rate=1e-3, until_ns=200 * MS)
     rows = bus.run(until_ns=201 * MS)
     assert 200 - 4 * 14 < int(bus.bus.faults[0].fired) < 200 + 4 * 14  # Poisson, four standard deviations
@@ -403,7 +404,7 @@ def test_frames_of_one_station_with_one_identifier_need_no_closer_look():
     for n in range(4):
         bus.send(0, 0x100, bytes((n,)))
     bus.run(rows=1)
-    assert (bus.bus.closely, bus.bus.slowly) == (1, 0)
+    assert (bus.bus.delivered, bus.bus.play.bit) == (Delivered.HEARERS, 0)  # closely, and no bit was played
     assert [row.data[0] for row in bus.run()] == [1, 2, 3]
 
 

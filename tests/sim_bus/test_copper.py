@@ -10,12 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from copper import Copper, carried, told
-from coulombus.sim_bus.copper.attempt import attach, restart
 from coulombus.sim_bus.copper.controller import CanState, ErrorKind, link
 from coulombus.sim_bus.copper.faults import FaultKind
 from coulombus.sim_bus.copper.noise import seeded
-from coulombus.sim_bus.copper.slow_motion import CLIENTS, add_sender, begin_bits, run_bits
+from coulombus.sim_bus.copper.slow_motion import add_sender, begin_bits, run_bits
+from coulombus.sim_bus.copper.stage import Stage
+from coulombus.sim_bus.copper.stations import attach, restart
 from coulombus.sim_bus.copper.stuffing import stuffed_bits
+from coulombus.sim_bus.copper.whom import CLIENTS
 from coulombus.wire.bits import frame_bits
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, arbitration_key, data_word
 
@@ -326,7 +328,7 @@ def test_noise_loses_nothing_unseen(seed, rate):
 
     def course():
         bus = Copper()
-        bus.bus.noise_state = seeded(seed)
+        bus.bus.noise.state = seeded(seed)
         bus.fault(FaultKind.NOISE, rate=rate)
         for n in range(15):
             bus.send(n % 3, 0x100 + n, bytes((n, 0, 255)), n * 150 * US)
@@ -352,10 +354,10 @@ def test_arbitration_bit_by_bit(a, b, extended, remote):
     for source, can_id in ((0, a), (1, other)):
         add_sender(bus.bus, 0, can_id, 0, 0, source, 0)
     begin_bits(bus.bus, 0)
-    while bus.bus.slow:
+    while bus.bus.stage != Stage.OVER:
         run_bits(bus.bus)
     first = 0 if arbitration_key(a) < arbitration_key(other) else 1
-    assert list(bus.bus.tx_state[:2]) == ([1, 3] if first == 0 else [3, 1])
+    assert list(bus.bus.tx.state[:2]) == ([1, 3] if first == 0 else [3, 1])
     assert bus.errors(0) == bus.errors(1) == (0, 0)
 
 
@@ -394,7 +396,7 @@ def test_the_remote_bit_of_a_base_frame_is_linuxs_srtr():
 def test_two_noises_at_a_time_and_one_goes_on_alone():
     """Each with its own rate, for all or for one receiver; the end of one is not the end of the other."""
     bus = Copper()
-    bus.bus.noise_state = seeded(1)
+    bus.bus.noise.state = seeded(1)
     bus.fault(FaultKind.NOISE, rate=5e-4)
     bus.fault(FaultKind.NOISE, rate=2e-4, station=1, until_ns=50 * MS)
     for n in range(600):

@@ -213,6 +213,7 @@ def test_an_interrupt_waits_until_the_kernel_has_returned():
         passed.append("return")
         return reason
 
+    entered.load = kernel.load
     network._run = entered
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job of a shell ignores it
     try:

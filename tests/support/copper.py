@@ -5,9 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from coulombus.sim_bus.copper.arbiter import FAR_NS, end_frame, new_bus, receives, start_frame, start_ns
-from coulombus.sim_bus.copper.attempt import MOST_ROWS, attach, attempt, end_attempt, refresh
+from coulombus.sim_bus.copper.attempt import attempt
 from coulombus.sim_bus.copper.faults import plan_alarm
-from coulombus.sim_bus.copper.slow_motion import ALL
+from coulombus.sim_bus.copper.outcome import MOST_ROWS, end_attempt
+from coulombus.sim_bus.copper.stage import Delivered, Stage
+from coulombus.sim_bus.copper.stations import attach, refresh
+from coulombus.sim_bus.copper.whom import ALL
 from coulombus.wire.frame import CAN_ERR_FLAG, data_bytes, data_word, frames, new_queue, push
 
 US = 1_000
@@ -66,14 +69,14 @@ class Copper:
         out = []
         bus = self.bus
         while len(out) < rows:
-            if bus.busy:
+            if bus.stage != Stage.FREE:
                 t = int(bus.end_ns)
                 if t > until_ns:
                     break
                 self.now = t
                 for row in self.log[: self._end()]:
                     out.append(Row(int(row.t_ns), int(row.can_id), data_bytes(row.word, row.length), int(row.source)))
-                if bus.delivered:
+                if bus.delivered != Delivered.NOBODY:
                     out[-1].receivers = tuple(s for s in self.stations if receives(bus, s))
             else:
                 t = max(int(start_ns(bus, self.out)), self.now)
@@ -86,7 +89,7 @@ class Copper:
 
     def _end(self):
         """End what is on the wire; return how many rows of the log were written."""
-        if self.bus.closely:
+        if self.bus.stage != Stage.FRAME:
             return end_attempt(self.bus, self.out, self.log, 0)
         end_frame(self.bus, self.log, 0)
         return 1
