@@ -357,7 +357,7 @@ def test_arbitration_bit_by_bit(a, b, extended, remote):
     while bus.bus.stage != Stage.OVER:
         run_bits(bus.bus)
     first = 0 if arbitration_key(a) < arbitration_key(other) else 1
-    assert list(bus.bus.tx.state[:2]) == ([1, 3] if first == 0 else [3, 1])
+    assert list(bus.bus.tx["state"][:2]) == ([1, 3] if first == 0 else [3, 1])
     assert bus.errors(0) == bus.errors(1) == (0, 0)
 
 
