@@ -1,6 +1,6 @@
 """`make bench`: the project's figures of speed, each with what it is measured against.
 
-``python -m benchmarks [virtual|bus|nodes|network|bits|loss|realtime|lost|disturbed|faulty]``; real time is `benchmarks.realtime`.
+``python -m benchmarks [virtual|first|bus|nodes|network|bits|loss|realtime|lost|disturbed|faulty]``; real time is `benchmarks.realtime`.
 
 This machine's clock is not yours: every figure is a ratio (simulated to real time, or to a reference that ran in between in the same process).
 Each is the median of several rounds; the references are interleaved with what they are held against.
@@ -185,6 +185,7 @@ def main() -> None:
         choices=(
             "all",
             "virtual",
+            "first",
             "bus",
             "nodes",
             "network",
@@ -206,6 +207,10 @@ def main() -> None:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # by way of the context managers that end the bus
     if options.what in ("all", "virtual"):
         virtual()
+    if options.what in ("all", "first"):
+        from benchmarks.first_minute import first_minute
+
+        first_minute(show)
     if options.what in ("all", "bus"):
         from benchmarks.bus import bus
 

@@ -19,6 +19,7 @@ __all__ = [
     "DOMAIN",
     "DUMMY_TYPES",
     "EMCY_TEXT",
+    "MAX_FIELDS",
     "RECORD",
     "VAR",
     "Abort",
@@ -77,6 +78,9 @@ def _types() -> dict[int, DataType]:
 
 DATA_TYPES = _types()
 """Data types by code."""
+
+MAX_FIELDS = 64
+"""Fields of a PDO, at most: 64 bits (section 7.5.2.36)."""
 
 DUMMY_TYPES = range(0x0001, 0x0008)
 """Static data types that may be mapped into an RPDO as a gap (section

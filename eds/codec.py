@@ -24,10 +24,9 @@ import numpy.typing as npt
 
 from coulombus.compiled.decorator import kernel
 from coulombus.compiled.records import Record
+from coulombus.eds.cia301 import MAX_FIELDS
 
 __all__ = ["MAX_FIELDS", "PDO", "get_field", "pack", "put_field", "real_bits", "real_value", "unpack"]
-
-MAX_FIELDS = 64
 
 PDO = np.dtype(
     [

@@ -10,12 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-from coulombus.compiled.records import Record
-from coulombus.eds.cia301 import DATA_TYPES, DUMMY_TYPES, predefined
-from coulombus.eds.codec import MAX_FIELDS
+from coulombus.eds.cia301 import DATA_TYPES, DUMMY_TYPES, MAX_FIELDS, predefined
 from coulombus.eds.reader import Description, EdsError, Variable
+
+if TYPE_CHECKING:
+    from coulombus.compiled.records import Record  # needs numpy
 
 __all__ = ["Entry", "PdoLayout", "entry_of", "fill", "layouts", "read_layout", "unreadable"]
 

@@ -94,7 +94,8 @@ class FaultError(ValueError):
 
 
 class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+    # the validators of a dozen kinds take 50 ms to build, and most runs have no fault file
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False, defer_build=True)
 
 
 class Trigger(_Strict):
