@@ -6,15 +6,16 @@ import json
 import os
 import re
 import sys
+import traceback
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
 from coulombus.recording.output_file import is_stream, reason_against
-from coulombus.verbs.exit_status import STATUSES
+from coulombus.verbs.exit_status import FAULT, STATUSES
 from coulombus.wire.stopping import Stopped, as_exceptions, status_of
 from coulombus.wire.verdict import abandon_stdout, printed, say, verdict
 
@@ -87,7 +88,18 @@ class Verbs(click.Group):
     """The verbs. What ends one before its result is told on stderr; with --json it is an object on stdout, too.
 
     Ctrl-C is exit status 130 at any time, also while a verb still loads what it needs; so with the other signals of `wire.stopping`.
+    What no verb foresees is a mistake of this program: it is told with its place, and is no "a check failed".
     """
+
+    def make_context(
+        self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
+    ) -> click.Context:
+        """Read the words up to the verb; ``--help`` and ``--version`` print here, on a stdout that may take nothing."""
+        try:
+            with _failures():
+                return super().make_context(info_name, args, parent, **extra)
+        except Failure as failure:
+            _end(failure)
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -107,16 +119,15 @@ class Verbs(click.Group):
 
         try:
             try:
-                with as_exceptions():
+                with as_exceptions(), _failures():
                     return super().invoke(ctx)
             except Stopped as stopped:
                 raise Failure(f"ended by {stopped}", status_of(stopped.number)) from None
             except KeyboardInterrupt:
                 raise Failure("interrupted", 130) from None
         except Failure as failure:
-            with verdict(failure.status):
-                tell(str(failure), failure.status)
-                say(f"coulombus: {printable(str(failure))}")
+            tell(str(failure), failure.status)
+            _end(failure)
         except click.ClickException as error:
             tell(error.format_message(), error.exit_code)
             raise
@@ -124,30 +135,51 @@ class Verbs(click.Group):
 
 @contextmanager
 def errors() -> Iterator[None]:
-    """Turn every error that a user can cause into its text and its exit status, the attribute `exit_status` of its class."""
+    """Turn every error into its text and its exit status; tell on a terminal when something has to be compiled first."""
     if sys.stderr.isatty():
         from coulombus.compiled.decorator import on_compiling
 
-        on_compiling(lambda: click.echo("compiling, which takes a minute or two and is kept ...", err=True))
+        on_compiling(lambda: say("compiling, which takes a minute or two and is kept ..."))
+    with _failures():
+        yield
+
+
+@contextmanager
+def _failures() -> Iterator[None]:
+    """Turn an error into a `Failure`: one that a user can cause by its attribute `exit_status` or what it is, all else by FAULT."""
     try:
         yield
+    except (Failure, click.ClickException, click.exceptions.Exit, click.Abort):
+        raise
     except BrokenPipeError:  # the reader of a pipe went away, as `head` does
         abandon_stdout()
         sys.exit(0)
     except Exception as error:
-        status = getattr(error, "exit_status", None)
-        if status is not None:
-            raise Failure(str(error), status) from error
-        if isinstance(error, MemoryError):
-            raise Failure("no memory is left; end other programs, or raise the limit (ulimit -v)", 2) from error
-        if isinstance(error, ModuleNotFoundError) and (error.name or "").startswith("coulombus."):
-            room = (error.name or "").split(".")[1]
-            text = f"this installation has no coulombus.{room}, which this verb needs: it is the host's alone; install coulombus whole"
-            raise Failure(text, 2) from error
-        if not isinstance(error, OSError):
-            raise
-        text = f"{error.filename}: {error.strerror}" if error.filename else str(error)
-        raise Failure(text, 2) from error  # a file that cannot be read or written
+        raise _failure(error) from error
+
+
+def _failure(error: Exception) -> Failure:
+    status = getattr(error, "exit_status", None)
+    if status is not None:
+        return Failure(str(error), status)
+    if isinstance(error, MemoryError):
+        return Failure("no memory is left; end other programs, or raise the limit (ulimit -v)", 2)
+    if isinstance(error, ModuleNotFoundError) and (error.name or "").startswith("coulombus."):
+        room = (error.name or "").split(".")[1]
+        text = f"this installation has no coulombus.{room}, which this verb needs: it is the host's alone; install coulombus whole"
+        return Failure(text, 2)
+    if isinstance(error, OSError):  # a file that cannot be read or written
+        return Failure(f"{error.filename}: {error.strerror}" if error.filename else str(error), 2)
+    return Failure(f"a mistake of this program, please report it: {type(error).__name__}: {error}", FAULT)
+
+
+def _end(failure: Failure) -> NoReturn:
+    """Tell what ended a verb, a mistake of this program with its traceback, and end with its status."""
+    with verdict(failure.status):
+        if failure.status == FAULT and failure.__cause__ is not None:
+            say("".join(traceback.format_exception(failure.__cause__)).rstrip())
+        say(f"coulombus: {printable(str(failure))}")
+    raise AssertionError("a verdict ends")
 
 
 def printable(text: str) -> str:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from coulombus.verbs.common import EXIT_STATUS, OutputFile, errors, json_option, print_json, printed
+from coulombus.verbs.common import EXIT_STATUS, OutputFile, errors, json_option, print_json, printed, say
 
 if TYPE_CHECKING:
     from coulombus.conformance.catalogue import Case
@@ -96,9 +96,7 @@ def conformance(
         with BusLink(address) as link:
             unit = Unit(link, description, node_id, Timing.of(timeout), seed)
             check_before(unit, force=force)
-            click.echo(
-                f"node {node_id} on {address} is reset and changed now, and has its defaults at the end", err=True
-            )
+            say(f"node {node_id} on {address} is reset and changed now, and has its defaults at the end")
             with _progress(len(cases), not as_json) as progress:
                 report = run(unit, cases, progress)
         failed = bool(report.count("fail") + report.count("error"))

@@ -9,7 +9,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
-__all__ = ["STATUSES"]
+__all__ = ["FAULT", "STATUSES"]
+
+FAULT = 70
+"""A mistake of this program: EX_SOFTWARE of sysexits.h. It is none of the statuses that say something of a rig or a file."""
 
 STATUSES: Mapping[int, str] = MappingProxyType(
     {
@@ -22,6 +25,7 @@ STATUSES: Mapping[int, str] = MappingProxyType(
         6: "a node aborted an SDO transfer",
         7: "safety: arming refused, or a trip led to the safe state (as when a recording can go on no more)",
         8: "deadlines or frames lost beyond the limit",
+        FAULT: "a mistake of this program, told with a traceback: please report it",
         129: "the terminal was closed (SIGHUP); `sim`, `node`, `watch` and `bridge` end with 0 by any of these signals",
         130: "interrupted by Ctrl-C (SIGINT)",
         131: "interrupted by Ctrl-Backslash (SIGQUIT)",

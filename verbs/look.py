@@ -20,6 +20,7 @@ from coulombus.verbs.common import (
     printed,
     remark,
     rig_option,
+    say,
     set_option,
 )
 
@@ -119,7 +120,7 @@ def watch(
             address,
             str(pcapng),
             seconds=seconds,
-            say=lambda text: click.echo(f"coulombus: {text}", err=True),
+            say=lambda text: say(f"coulombus: {text}"),
             force=overwrite,
         )
 

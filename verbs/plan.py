@@ -16,6 +16,7 @@ from coulombus.verbs.common import (
     load,
     print_json,
     rig_option,
+    say,
     set_option,
     table_console,
     verdict,
@@ -140,7 +141,7 @@ def _draw(path: Path, found: dict[str, Plan], *, force: bool) -> None:
         each = path.with_stem(f"{path.stem}-{channel}") if len(found) > 1 else path
         with new_file(each, force=force) as beside:
             write_gantt(beside, one)
-        click.echo(f"figure: {each}", err=True)
+        say(f"figure: {each}")
 
 
 def _errors_option(ctx: click.Context, param: click.Parameter, value: str) -> Any:

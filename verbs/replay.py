@@ -312,7 +312,8 @@ def bridge(
 
         def ready() -> None:
             text = f"{a} and {b} are joined; Ctrl-C ends it"
-            click.echo(json.dumps({"event": "ready", "a": a, "b": b}) if as_json else text)
+            with printed():  # the buses are joined, whoever reads of it
+                click.echo(json.dumps({"event": "ready", "a": a, "b": b}) if as_json else text)
 
         result = join(
             *ends,

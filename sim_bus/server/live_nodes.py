@@ -7,7 +7,6 @@ behind it, a value stays what was written to it last, unless the file is one of 
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -24,6 +23,7 @@ from coulombus.sim_bus.network.network import Heard, VirtualNetwork
 from coulombus.sim_bus.server.server import BusServer
 from coulombus.sim_bus.server.serving import run_sim
 from coulombus.wire.address import BusAddress
+from coulombus.wire.verdict import printed, say
 
 __all__ = ["LiveNodes", "NodeError", "run_nodes"]
 
@@ -76,13 +76,13 @@ class LiveNodes:
                 number = len(description.diagnoses)
                 found = f"{number} diagnos{'i' if number == 1 else 'e'}s"
                 text = f"{found}, read tolerantly; see `coulombus eds check {path}`"
-                print(f"coulombus: {path}: {text}", file=sys.stderr)
+                say(f"coulombus: {path}: {text}")
         kept = Store if self.store is None else partial(FileStore, self.store)
         for device in self._devices(
             VirtualNetwork(capacity=len(ids)), kept, tell=False
         ):  # refused before a bus is opened
             for text in device.unreadable:
-                print(f"coulombus: {text}; the PDO is not valid at start, everything else is served", file=sys.stderr)
+                say(f"coulombus: {text}; the PDO is not valid at start, everything else is served")
 
     def _commission(self) -> None:
         """Settle node ids and bit rate: what was said wins over what a DCF says."""
@@ -93,10 +93,7 @@ class LiveNodes:
             self.node_ids.append(chosen)
             if chosen != description.node_id and description.node_id:
                 told = f"is a DCF for the node id {description.node_id} and is served as {chosen}"
-                print(
-                    f"coulombus: {path}: {told}; which identifiers go with it tells `coulombus eds check {path}`",
-                    file=sys.stderr,
-                )
+                say(f"coulombus: {path}: {told}; which identifiers go with it tells `coulombus eds check {path}`")
         rates = {description.bit_rate for description in self.descriptions} - {0}
         if len(rates) > 1 and not self.bit_rate:
             wanted = " and ".join(map(str, sorted(rates)))
@@ -126,7 +123,7 @@ class LiveNodes:
             if isinstance(kept, FileStore) and kept.foreign:
                 raise NodeError(f"--store {kept.diagnosis}; such a file is not replaced: name another one")
             if tell and isinstance(kept, FileStore) and kept.diagnosis:
-                print(f"coulombus: {kept.diagnosis}", file=sys.stderr)
+                say(f"coulombus: {kept.diagnosis}")
         return devices
 
     def _heard(self, device: Device, row: int, frame: Heard) -> None:
@@ -156,12 +153,14 @@ class LiveNodes:
                 line |= {"bitrate_bit_s": server.bit_rate, "serves_bus": serves(server)}
             else:
                 line |= {"can_id": frame.can_id, "data": frame.data.hex()}
-            print(json.dumps(line), flush=True)
+            with printed():  # the node is there, whoever reads of it
+                print(json.dumps(line), flush=True)
         elif event == "ready":
-            print(f"node {node_id} ({path}) is on bus {server.address}; Ctrl-C ends it", flush=True)
+            with printed():
+                print(f"node {node_id} ({path}) is on bus {server.address}; Ctrl-C ends it", flush=True)
         if event == "duplicate":
             text = f"another node on bus {server.address} has the node id {node_id}: it sent {frame.can_id:03X}h"
-            print(f"coulombus: {text} {frame.data.hex(' ')}; give one of them another id", file=sys.stderr, flush=True)
+            say(f"coulombus: {text} {frame.data.hex(' ')}; give one of them another id")
 
 
 def serves(server: BusServer) -> bool:
@@ -185,6 +184,6 @@ def run_nodes(nodes: LiveNodes, address: BusAddress, seconds: float | None) -> N
             text = f"bus {address} runs at {rate}, as its server says, and not at {nodes.bit_rate / 1e6:g} Mbit/s"
         else:
             return
-        print(f"coulombus: {text}", file=sys.stderr)
+        say(f"coulombus: {text}")
 
     run_sim(make, seconds, priority=None, cpu=None, as_json=nodes.as_json, tell_ready=tell_bus)

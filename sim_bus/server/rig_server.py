@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -111,9 +112,10 @@ class SimServer(BusServer):
 
     def close(self) -> None:
         """Close the sockets, remove the socket's file, close the recording."""
-        super().close()
-        if self._recorder is not None:
-            self._recorder.close()
+        with ExitStack() as left:
+            if self._recorder is not None:
+                left.callback(self._recorder.close)
+            super().close()
 
     def _plan(self) -> None:
         self.world.plan(self._script)

@@ -12,7 +12,7 @@ import socket
 import struct
 import time
 from collections.abc import Callable
-from contextlib import closing, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -234,24 +234,25 @@ class BusServer:
         return result
 
     def close(self) -> None:
-        """Close the sockets and remove the socket's file."""
-        for slot in list(self._sockets):
-            self._part(slot)
-        if self._listener is not None:
-            self._listener.close()
-            self._listener = None
-        if self._path is not None:
-            with _locked(self._path.parent):
-                try:
-                    if self._path.stat().st_ino == self._inode:
-                        self._path.unlink()
-                except FileNotFoundError:
-                    pass
-            self._path = None
-        if self._wake >= 0:
-            os.close(self._wake)
-            os.close(self._spare)
-            self._wake = -1
+        """Close the sockets and remove the socket's file, all of them, whatever becomes of one."""
+        with ExitStack() as left:
+            if self._wake >= 0:
+                for descriptor in (self._wake, self._spare):
+                    left.callback(os.close, descriptor)
+                self._wake = -1
+            if self._path is not None:
+                left.callback(self._unlink, self._path)
+                self._path = None
+            if self._listener is not None:
+                left.callback(self._listener.close)
+                self._listener = None
+            for slot in self._sockets:
+                left.callback(self._part, slot)
+
+    def _unlink(self, path: Path) -> None:
+        with _locked(path.parent), suppress(FileNotFoundError):
+            if path.stat().st_ino == self._inode:
+                path.unlink()
 
     def keep_frames(self) -> None:
         """Give the world's `on_frames` every frame that the bus carries, some hundred or those of 0.1 s at a time; to be called before `run`."""
@@ -324,10 +325,13 @@ class BusServer:
                 client.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
             ask_for_stamps(client)
             self._admit(place, client, State.GREETING)
-        except OSError:  # one socket that cannot be set up costs nobody else the bus
-            if self._sockets.get(place) is client:
-                self._part(place)
-            client.close()
+        except BaseException as error:
+            with ExitStack() as left:
+                left.callback(client.close)
+                if self._sockets.get(place) is client:
+                    self._part(place)
+            if not isinstance(error, OSError):  # one socket that cannot be set up costs nobody else the bus
+                raise
 
     def _turn_away(self) -> None:
         """Without a descriptor left: let one in on the spare one, and out again. Who is left to wait would wake the loop for ever."""
@@ -358,10 +362,10 @@ class BusServer:
         return int(free[0]) if len(free) else None
 
     def _admit(self, i: int, client: socket.socket, state: State) -> None:
+        self._sockets[i], self._since[i] = client, time.monotonic()
         self._slots[i : i + 1] = np.zeros(1, SLOT)
         self._slots[i]["fd"], self._slots[i]["state"] = client.fileno(), state
         self._boxes[i]["overflow"] = 0
-        self._sockets[i], self._since[i] = client, time.monotonic()
         if state is State.GREETING:
             credentials = client.getsockopt(socket.SOL_SOCKET, SO_PEERCRED, struct.calcsize("3i"))
             self._pids[i] = struct.unpack("3i", credentials)[0]
