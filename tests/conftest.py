@@ -75,5 +75,5 @@ def pytest_sessionfinish(session):
 
 def pytest_addoption(parser):
     parser.addoption(
-        "--every-fault", action="store_true", help="fault injection: every call, not each place in the code once"
+        "--every-fault", action="store_true", help="fault injection: many calls of each place in the code, not one"
     )

@@ -28,6 +28,7 @@ from coulombus.host.realtime.shared_memory import BINS, RING_FRAMES, Command, Sh
 from coulombus.host.run.deadman import HeldKey, deadman_of
 from coulombus.host.run.histogram import coarse
 from coulombus.lab.simulate import simulate
+from coulombus.recording.trace import Moment
 from coulombus.rigs.rig import RigError, load_rig, load_rig_text
 from coulombus.wire.address import parse_address
 from coulombus.wire.frame import frames
@@ -221,6 +222,23 @@ def test_a_bus_that_does_not_read_blocks_nothing():
         plane.plane["command"] = Command.LISTEN
         plane.wait(lambda: plane.plane["status"][0] == Status.LISTENING, read=False)
     assert plane.k.trip.startswith(("TRANSMIT", "TPDO_LOST"))
+
+
+def test_the_last_set_points_are_offered_until_the_bus_takes_them():
+    with running("limits.missed_tpdo_cycles=1000") as plane:
+        plane.mine.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
+        plane.cycle()
+        plane.wait(lambda: plane.plane["tx_full"][0] > 0, read=False)
+        plane.plane["command"] = Command.LISTEN
+        trace = plane.shared.trace
+        plane.wait(lambda: (trace["kind"] == Moment.END).any(), read=False)  # now the safe ones find the queue full
+        plane.wait(lambda: plane.plane["status"][0] == Status.LISTENING)
+        plane.read()
+        log = frames(RING_FRAMES)
+        log = log[: take_log(plane.plane, plane.shared.ring, log)]
+        last = log[log["t_ns"] > trace["t_ns"][trace["kind"] == Moment.END][0]]
+        assert list(last["can_id"]) == [0x201, 0x202, 0x080]
+        assert [can_id for can_id, _, _ in plane.sent[-3:]] == [0x201, 0x202, 0x080]
 
 
 @pytest.mark.parametrize("strict", [0, 1])

@@ -32,6 +32,8 @@ pytestmark = pytest.mark.usefixtures("private_sockets")
 MS = 1_000_000
 BUS = parse_address("coulombus:x")
 TORQUE_NM = 0.5
+CALLS = 3
+"""Of each place, with --every-fault: it is called some thousand times, always in one of a few states."""
 
 
 class Clock:
@@ -257,15 +259,14 @@ def test_a_stop_by_command_is_no_fault(bench):
 
 @pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
 def test_whatever_call_of_the_parent_fails_the_rig_is_made_safe(bench, pytestconfig):
-    """Each place in the code that calls into C, at its first call; with --every-fault each call.
+    """Each place in the code that calls into C, at its first call; with --every-fault at its first calls and its last one.
 
     What a call that failed half-way through opening leaves is closed with its last reference: ResourceWarning tells of that.
     """
+    bench()  # loads what is compiled
     reference = bench().shim
-    every = pytestconfig.getoption("--every-fault")
-    numbers = range(1, reference.calls + 1) if every else sorted(reference.sites.values())
     wrong = {}
-    for number in numbers:
+    for number in reference.numbers(CALLS if pytestconfig.getoption("--every-fault") else 1):
         try:
             found = bench(number)
         except Exception as error:
@@ -345,14 +346,13 @@ def test_a_bus_that_is_lost_before_the_first_cycle_is_a_trip(bench, monkeypatch)
 
 @pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
 def test_whatever_call_before_arming_fails_nothing_is_armed(bench, pytestconfig):
-    every = pytestconfig.getoption("--every-fault")
-    if not every:
+    if not pytestconfig.getoption("--every-fault"):
         pytest.skip("with --every-fault only: some hundred runs")
+    bench(arming=False)
     reference = bench(arming=False).shim
-    numbers = range(1, reference.calls + 1) if reference.calls < 1000 else sorted(reference.sites.values())
     assert len(reference.sites) > 50
     wrong = {}
-    for number in numbers:
+    for number in reference.numbers(CALLS):
         try:
             found = bench(number, arming=False)
         except Exception as error:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import errno
 import sys
-from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -26,15 +25,21 @@ class Shim:
     Attributes
     ----------
     fail_at : the number of the call that fails, from 1; 0: none
-    sites : (file, line, function) -> the number of its first call
+    sites : (file, line, function) -> the numbers of its calls
     failed : where the call failed
     """
 
     fail_at: int = 0
     calls: int = 0
-    sites: dict[tuple[str, int, str], int] = field(default_factory=dict)
-    counts: Counter = field(default_factory=Counter)
+    sites: dict[tuple[str, int, str], list[int]] = field(default_factory=dict)
     failed: tuple[str, int, str] | None = None
+
+    def numbers(self, most):
+        """Return the numbers of the first `most` calls of each place; of more than one, the last one's, too."""
+        chosen = set()
+        for calls in self.sites.values():
+            chosen.update(calls[:most], calls[-1:] if most > 1 else ())
+        return sorted(chosen)
 
     def __enter__(self):
         sys.setprofile(self._profile)
@@ -50,7 +55,7 @@ class Shim:
             return
         self.calls += 1
         site = (frame.f_code.co_filename, frame.f_lineno, getattr(function, "__qualname__", str(function)))
-        self.sites.setdefault(site, self.calls)
+        self.sites.setdefault(site, []).append(self.calls)
         if self.calls == self.fail_at:
             self.failed = site
             raise _error(function)
