@@ -18,9 +18,10 @@ from pathlib import Path
 import canopen
 import pytest
 
+from coulombus.recording.signals import read
 from coulombus.rigs.rig import load_rig
 from coulombus.sim_bus.network.script import Entry, ScriptError, read_script
-from coulombus.sim_bus.server.clients import SLOTS
+from coulombus.sim_bus.server.clients import SLOTS, State
 from coulombus.sim_bus.server.rig_server import SimServer
 from coulombus.wire.address import BusAddress, BusUnavailable, parse_address, socket_path
 from coulombus.wire.bits import frame_bits
@@ -388,6 +389,40 @@ def test_the_command_ends_with_0_on_a_signal_that_was_ignored_at_its_start(numbe
     assert process.returncode == 0
     assert json.loads(out)["event"] == "end"
     assert not socket_path("t").exists()
+
+
+def test_a_client_for_whom_no_memory_is_left_is_not_kept(rig, monkeypatch):
+    def refused(client):
+        raise MemoryError
+
+    server = SimServer(rig, BusAddress("coulombus", "t"))
+    monkeypatch.setattr("coulombus.sim_bus.server.server.ask_for_stamps", refused)
+    with contextlib.closing(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)) as client:
+        client.settimeout(TIMEOUT_S)
+        client.connect(str(socket_path("t")))
+        with pytest.raises(MemoryError) as failure:
+            server.run(TIMEOUT_S)
+        assert client.recv(1) == b""  # though the failure still knows the socket
+        assert failure.tb
+    server.close()
+
+
+def test_whatever_becomes_of_a_client_closing_leaves_nothing(rig, tmp_path, monkeypatch):
+    server = SimServer(rig, BusAddress("coulombus", "t"), record=tmp_path / "r.pcapng")
+    mine, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    server._admit(0, mine, State.GREETING)
+
+    def refused(bus, station):
+        raise MemoryError
+
+    monkeypatch.setattr("coulombus.sim_bus.server.server.detach", refused)
+    before = len(os.listdir("/proc/self/fd"))
+    with pytest.raises(MemoryError):
+        server.close()
+    other.close()
+    assert not socket_path("t").exists()
+    assert len(os.listdir("/proc/self/fd")) == before - 6  # two of the client, listener, wake, spare, recording
+    assert len(read(tmp_path / "r.pcapng").frames) == 0
 
 
 def test_the_command_ends_by_itself():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import re
 from pathlib import Path
@@ -15,8 +16,9 @@ from coulombus.eds.regular_file import read_regular
 from coulombus.lab.simulate import simulate
 from coulombus.recording.output_file import new_file
 from coulombus.recording.pcapng_writer import PcapngWriter
+from coulombus.sim_bus.server.bridge import Result
 from coulombus.verbs import sim
-from coulombus.verbs.exit_status import STATUSES
+from coulombus.verbs.exit_status import FAULT, STATUSES
 from coulombus.verbs.main import VERBS, main
 from coulombus.wire.frame import FRAME, new_records
 
@@ -273,6 +275,42 @@ def test_help_and_documents_show_the_table(verb):
     for status, text in STATUSES.items():
         assert f"{status} {' '.join(text.split())}" in told
         assert f"| {status} | {text} |" in document
+
+
+@pytest.mark.parametrize("as_json", [False, True])
+def test_a_mistake_of_this_program_is_no_failed_check(monkeypatch, as_json):
+    """The interpreter's own end with a traceback is 1, a verdict on the rig."""
+
+    def mistaken(name, overrides):
+        raise KeyError("6072h")
+
+    monkeypatch.setattr("coulombus.rigs.rig.load_rig", mistaken)
+    result = CliRunner().invoke(main, ["check", *(["--json"] if as_json else [])])
+    assert result.exit_code == FAULT == 70
+    assert "in mistaken" in result.stderr
+    assert result.stderr.splitlines()[-1] == (
+        "coulombus: a mistake of this program, please report it: KeyError: '6072h'"
+    )
+    if as_json:
+        assert json.loads(result.stdout)["exit_status"] == FAULT
+
+
+def test_a_bridge_goes_on_whoever_reads_that_it_is_ready(monkeypatch):
+    reached = []
+
+    def join(a, b, *, ready, **options):
+        ready()
+        reached.append("joined")
+        return Result()
+
+    def refused(text):
+        raise BrokenPipeError(errno.EPIPE, "Broken pipe")
+
+    monkeypatch.setattr("coulombus.sim_bus.server.bridge.bridge", join)
+    monkeypatch.setattr("coulombus.verbs.replay.click.echo", refused)
+    monkeypatch.setattr("coulombus.wire.verdict.abandon_stdout", lambda: reached.append("abandoned"))
+    assert CliRunner().invoke(main, ["bridge", "coulombus:a", "coulombus:b", "--json"]).exit_code == 0
+    assert reached[:2] == ["abandoned", "joined"]
 
 
 def test_a_recording_does_not_command_the_terminal(call, tmp_path):

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
 import re
 import signal
 import struct
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 
 import canopen
@@ -24,7 +27,7 @@ from coulombus.sim_bus.network.network import VirtualNetwork
 from coulombus.sim_bus.server.live_nodes import LiveNodes, NodeError
 from coulombus.sim_bus.server.server import BusServer
 from coulombus.verbs.sim import node_command
-from coulombus.wire.address import BusAddress
+from coulombus.wire.address import BusAddress, socket_path
 from coulombus.wire.hello import Flags, connect
 
 pytestmark = [pytest.mark.real_time, pytest.mark.usefixtures("private_sockets")]
@@ -96,6 +99,26 @@ def test_two_nodes_share_a_bus_and_canopen_talks_to_them():
     assert [line["event"] for line in lines] == ["duplicate", "end"]
     assert "another node" in err
     assert "node id 5" in err
+
+
+def test_a_node_lives_on_whoever_reads_that_it_is_there():
+    """`coulombus node ... | head -1` ended it, with 0."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    words = command(MOTOR, "--node-id", 1, "--bus", "coulombus:mute", "--json")
+    with subprocess.Popen(words, cwd=ROOT, stdout=writing, stderr=subprocess.DEVNULL) as process:
+        os.close(writing)
+        deadline = time.monotonic() + TIMEOUT_S
+        while not socket_path("mute").exists():
+            assert process.poll() is None
+            assert time.monotonic() < deadline
+            time.sleep(1e-2)
+        with contextlib.closing(connect(BusAddress("coulombus", "mute"))) as bus:
+            bus.settimeout(TIMEOUT_S)
+            for _ in range(3):  # the boot-up is told before the first request is answered
+                assert upload(bus, 1, 0x1000)[4:] == struct.pack("<I", 0x00020192)
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(TIMEOUT_S) == 0
 
 
 def test_a_joined_node_ends_when_its_bus_goes():

@@ -95,3 +95,10 @@ def test_a_full_disk_is_an_error_and_hides_none(call, name):
     assert found == (status or 2), err
     if status == 0:
         assert "No space left on device" in err
+
+
+@pytest.mark.parametrize("words", ["--help", "run --help", "--version"])
+def test_what_is_printed_in_front_of_a_verb_has_the_same_ends(call, words):
+    assert call(words, "reader gone")[0] == 0
+    if Path("/dev/full").exists():
+        assert call(words, "full") == (2, "coulombus: [Errno 28] No space left on device\n")
