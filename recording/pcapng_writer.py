@@ -16,7 +16,7 @@ from types import TracebackType
 
 import numpy as np
 
-from coulombus.recording.output_file import open_new
+from coulombus.recording.output_file import is_stream, open_new
 from coulombus.recording.pcapng_blocks import (
     BYTE_ORDER_MAGIC,
     ENHANCED_PACKET,
@@ -116,8 +116,11 @@ class PcapngWriter:
             ) from error
         try:
             self._write(head)
-        except RecordingError:
-            self.close()
+        except BaseException:  # without its head it is no recording, and would only be in the way of the next one
+            os.close(self._fd)
+            if not force and not is_stream(Path(self.path)):
+                with suppress(OSError):
+                    os.unlink(self.path)
             raise
 
     def write(self, frames: Records, comments: Mapping[int, str] | None = None) -> None:

@@ -259,19 +259,25 @@ class OutputFile(click.Path):
             return Path("-")
         path = Path(str(super().convert(value, param, ctx)))
         pipe = ".pcapng" in self.suffixes and is_stream(path)  # it may have any name
-        if self.suffixes and path.suffix.lower() not in self.suffixes and not pipe:
-            self.fail(f"{path}: expected a name that ends in {', '.join(self.suffixes)}", param, ctx)
+        if not pipe:
+            self._named(path, param, ctx)
         force = None if ctx is None else next((p for p in ctx.command.params if p.name == "overwrite"), None)
         remedy = "choose another name" + (f", or replace it with {force.opts[0]}" if force else "")
         given = ctx is not None and bool(ctx.params.get("overwrite"))
         reason = reason_against(path, force=given, remedy=remedy)
         if reason is not None:
             self.fail(reason, param, ctx)
+        if not pipe:
+            self._named(path.resolve(), param, ctx)  # what a link stands for would be replaced
         if ctx is not None and param is not None and not is_stream(path):
             first = ctx.meta.setdefault(OUTPUTS, {}).setdefault(path.resolve(), param.opts[0])
             if first != param.opts[0]:
                 self.fail(f"{path}: {first} writes there, too; choose another name", param, ctx)
         return path
+
+    def _named(self, path: Path, param: click.Parameter | None, ctx: click.Context | None) -> None:
+        if self.suffixes and path.suffix.lower() not in self.suffixes:
+            self.fail(f"{path}: expected a name that ends in {', '.join(self.suffixes)}", param, ctx)
 
 
 class OutputDirectory(click.Path):

@@ -300,7 +300,7 @@ def load_law(name: str, directory: Path | None = None) -> Any:
     except LawError as error:
         raise LawError(f"law {name!r}: {error}") from None
     except Exception as error:
-        if hasattr(error, "exit_status"):  # a signal's: it interrupts, and is no mistake of the law
+        if hasattr(error, "exit_status") or isinstance(error, MemoryError):  # interrupted, and no mistake of the law
             raise
         raise LawError(f"law {name!r}: {place} cannot be imported: {error}") from error
     own = {n: f for n, f in vars(module).items() if callable(f) and getattr(f, "__module__", "") == module.__name__}
@@ -326,6 +326,6 @@ def load_law(name: str, directory: Path | None = None) -> Any:
     try:
         return compile_law(plain, cache=own_law)
     except Exception as error:  # numba raises many kinds
-        if hasattr(error, "exit_status"):
+        if hasattr(error, "exit_status") or isinstance(error, MemoryError):
             raise
         raise LawError(f"law {name!r} does not compile: {_why_not(plain, error)}; see docs/laws.md") from error

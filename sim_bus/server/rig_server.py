@@ -99,15 +99,23 @@ class SimServer(BusServer):
     ) -> None:
         if faults is not None and (unpaced or address.kind == "socketcan"):
             raise FaultError(f"{faults.path}: a bus without bit times has no faults; leave --unpaced and socketcan out")
-        recorder = None if record is None else Recorder(record, rig, mode, seed, bus=PACED, force=force)
+        self._recorder: Recorder | None = None
+        self._script, self._faults, self._seed = tuple(script), faults, seed
+
+        def keep(frames: Records) -> None:
+            if self._recorder is not None:
+                self._recorder.write(frames)
 
         def make_world(bit_rate: int, trial: bool) -> PacedRig:
-            return PacedRig(rig, mode, seed, bit_rate, None if trial or recorder is None else recorder.write)
+            return PacedRig(rig, mode, seed, bit_rate, None if trial or record is None else keep)
 
-        self._script, self._recorder = tuple(script), recorder
-        self._faults, self._seed = faults, seed
         super().__init__(make_world, address, 0 if unpaced else rig.bus.bitrate_bit_s)
-        if recorder is not None:
+        if record is not None:  # a bus that is refused makes no file, and replaces none
+            try:
+                self._recorder = Recorder(record, rig, mode, seed, bus=PACED, force=force)
+            except BaseException:
+                self.close()
+                raise
             self.keep_frames()
 
     def close(self) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from coulombus.host.laws.laws import LAW, LAW_STATE, MOTION, coulomb, karnopp
+from coulombus.host.laws.laws import LAW, LAW_STATE, MOTION, coulomb, karnopp, load_law
 from coulombus.wire.frame import new_records
 
 BOTH = pytest.mark.parametrize("sign", [1, -1])
@@ -59,3 +59,9 @@ def test_a_weak_spring_saturates_in_its_own_sense(sign):
     assert (psi, state.x_stuck, state.brake_Nm) == (sign * 0.5, sign * 2.875, 0.5)
     psi, state = asked(karnopp, 0.0, x=sign * 3.0, stuck=1, x_stuck=sign * 2.8125, F_s=0.5, brake_spring=1)
     assert (psi, state.x_stuck, state.brake_Nm) == (sign * 0.5, sign * 2.875, 0.5)
+
+
+def test_no_memory_left_is_no_mistake_of_the_law(tmp_path):
+    (tmp_path / "hungry.py").write_text("raise MemoryError\n")
+    with pytest.raises(MemoryError):
+        load_law("hungry.py:law", tmp_path)

@@ -401,6 +401,21 @@ def test_a_device_that_is_full():
         PcapngWriter("/dev/full", attachments={})
 
 
+@pytest.mark.parametrize("force", [False, True])
+def test_a_recording_whose_head_cannot_be_written_is_not_left(tmp_path: Path, force: bool):
+    path = tmp_path / "a.pcapng"
+    if force:
+        path.write_text("mine")
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10, hard))
+    try:
+        with pytest.raises(RecordingError, match="0 frames"):
+            PcapngWriter(path, attachments={}, force=force)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert path.exists() is force
+
+
 def test_a_folder_that_does_not_exist(tmp_path: Path):
     with pytest.raises(RecordingError, match="choose a folder that exists"):
         PcapngWriter(tmp_path / "none" / "a.pcapng", attachments={})

@@ -18,6 +18,7 @@ from pathlib import Path
 import canopen
 import pytest
 
+from coulombus.recording.pcapng_blocks import RecordingError
 from coulombus.recording.signals import read
 from coulombus.rigs.rig import load_rig
 from coulombus.sim_bus.network.script import Entry, ScriptError, read_script
@@ -355,6 +356,20 @@ def test_a_live_bus_is_refused_and_a_dead_ones_file_replaced(rig):
     with served(rig) as server:
         Client(server)
     assert not path.exists()
+
+
+def test_a_bus_that_is_refused_makes_no_recording_and_replaces_none(rig, tmp_path):
+    mine, new = tmp_path / "mine.pcapng", tmp_path / "new.pcapng"
+    mine.write_text("mine")
+    with served(rig):
+        for record in (mine, new):
+            with pytest.raises(BusUnavailable):
+                SimServer(rig, BusAddress("coulombus", "t"), record=record, force=True)
+    assert mine.read_text() == "mine"
+    assert not new.exists()
+    with pytest.raises(RecordingError, match="exists"):
+        SimServer(rig, BusAddress("coulombus", "t"), record=mine)
+    assert not socket_path("t").exists()
 
 
 def test_an_interface_that_is_not_there_is_said_with_the_way_to_get_it(rig):

@@ -14,7 +14,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent.parent
 SYSTEM = {"posix", "_socket", "select", "time", "mmap", "_io", "io", "fcntl", "socket"}
 """Modules of C whose functions and objects call the system."""
-NEVER = {"close", "unlink", "fileno"}
+NEVER = {"close", "__exit__", "unlink", "fileno"}
 """What does not fail: it gives back, and needs nothing."""
 
 

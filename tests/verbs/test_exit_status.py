@@ -338,6 +338,16 @@ def test_a_file_of_any_bus_that_exists_is_told_before_the_first_bus_is_run(call,
     assert not (tmp_path / "run.a.pcapng").exists()
 
 
+def test_what_a_link_stands_for_is_not_replaced_by_a_recording(call, tmp_path):
+    mine = tmp_path / "rig.toml"
+    mine.write_text("mine")
+    (tmp_path / "link.pcapng").symlink_to(mine)
+    result = call("simulate", "--record DIR/link.pcapng --force")
+    assert result.exit_code == USAGE
+    assert "rig.toml: expected a name that ends in .pcapng" in " ".join(result.output.split())
+    assert mine.read_text() == "mine"
+
+
 @pytest.mark.parametrize("option", ["record", "truth"])
 def test_in_python_too_nothing_is_replaced_unless_forced(tmp_path, option):
     mine = tmp_path / "mine.pcapng"
