@@ -66,19 +66,9 @@ TARGETS = {
     "node/brake404.py": Target(
         ("test_brake404_edges", "test_node_behaviour"),
         (
-            *(
-                "start",
-                "_torque",
-                "_begin_ramp",
-                "cut",
-                "new_setpoint",
-                "connection_lost",
-                "host_lost",
-                "step",
-                "_to_int16",
-                "_input",
-            ),
-            *("_odd_input", "sample", "next_deadline", "_step", "_apply", "_connection_lost", "_react"),
+            *("start", "_torque", "_begin_ramp", "cut", "new_setpoint", "connection_lost", "host_lost", "step"),
+            *("_to_int16", "_input", "_odd_input", "sample", "next_deadline"),
+            *("_step", "_apply", "_connection_lost", "_react"),
         ),
     ),
     "node/io401.py": Target(("test_io401",), ("_sample", "_step", "_fail", "_apply", "_connection_lost", "_react")),
