@@ -21,6 +21,7 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 from coulombus.compiled.kernel_cache import choose
+from coulombus.compiled.notice import compiling
 from coulombus.compiled.sources import ROOT, source_key
 
 __all__ = [
@@ -31,7 +32,6 @@ __all__ = [
     "cached",
     "inlined",
     "kernel",
-    "on_compiling",
 ]
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -53,24 +53,17 @@ keep_interrupts()
 JIT_DISABLED = bool(numba.config.DISABLE_JIT)
 
 
-class _First(event.Listener):  # type: ignore[misc]
-    """Tells of the first compilation only."""
-
-    def __init__(self, tell: Callable[[], None]) -> None:
-        self.tell: Callable[[], None] | None = tell
+class _Compilations(event.Listener):  # type: ignore[misc]
+    """Tells of the first of them."""
 
     def on_start(self, event: Any) -> None:
-        tell, self.tell = self.tell, None
-        if tell is not None:
-            tell()
+        compiling()
 
     def on_end(self, event: Any) -> None:
         pass
 
 
-def on_compiling(tell: Callable[[], None]) -> None:
-    """Call `tell`, once, when a kernel is compiled that is not in the cache."""
-    event.register("numba:compile", _First(tell))
+event.register("numba:compile", _Compilations())
 
 
 def cached(compiled: F) -> F:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib
 import os
 import subprocess
 import sys
@@ -41,6 +42,7 @@ def test_a_folder_is_refused_as_a_package_of_its_own(room):
 
 
 def test_no_module_is_loaded_under_two_names():
+    importlib.import_module("coulombus.rigs.rig")  # alone, this test would have nothing to look at
     files = [os.path.realpath(getattr(module, "__file__", None) or "") for module in sys.modules.values()]
     ours = [file for file in files if any(Path(file).is_relative_to(ROOT / room) for room in ROOMS)]
     assert len(ours) > 10
@@ -59,4 +61,10 @@ def test_plugins_of_python_can_load_without_numba():
     modules = sorted({place.partition(":")[0] for group in points.values() for place in group.values()})
     assert len(modules) == 2
     code = f"import sys, {', '.join(modules)}; sys.exit('numba' in sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
+def test_an_eds_is_checked_without_numba_and_numpy():
+    code = "import sys, coulombus.verbs.eds_verb, coulombus.eds.check, coulombus.compiled.notice; "
+    code += "sys.exit(bool({'numba', 'numpy', 'pydantic'} & set(sys.modules)))"
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)

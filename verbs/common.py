@@ -137,7 +137,7 @@ class Verbs(click.Group):
 def errors() -> Iterator[None]:
     """Turn every error into its text and its exit status; tell on a terminal when something has to be compiled first."""
     if sys.stderr.isatty():
-        from coulombus.compiled.decorator import on_compiling
+        from coulombus.compiled.notice import on_compiling
 
         on_compiling(lambda: say("compiling, which takes a minute or two and is kept ..."))
     with _failures():

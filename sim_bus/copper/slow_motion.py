@@ -49,13 +49,14 @@ PLAY_FIELDS: list[Any] = [
 def add_sender(bus: Any, order: int, can_id: int, length: int, word: int, source: int, wrong_crc: int) -> None:
     """Let a station send a frame in the slow motion that is to begin."""
     k = bus.senders
-    bus.tx[k].state = Sent.PENDING
-    bus.tx[k].order = order
-    bus.tx[k].can_id = can_id
-    bus.tx[k].length = length
-    bus.tx[k].word = word
-    bus.tx[k].source = source
-    bus.tx[k].bits = stuffed_bits(can_id, length, word, wrong_crc, bus.tx[k].bit)
+    sender = bus.tx[k]
+    sender.state = Sent.PENDING
+    sender.order = order
+    sender.can_id = can_id
+    sender.length = length
+    sender.word = word
+    sender.source = source
+    sender.bits = stuffed_bits(can_id, length, word, wrong_crc, sender.bit)
     bus.senders = k + 1
 
 

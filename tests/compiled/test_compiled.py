@@ -11,6 +11,7 @@ from pathlib import Path
 from coulombus.compiled.decorator import CACHE_DIR, JIT_DISABLED
 from coulombus.compiled.kernel_cache import KEPT, MARKER
 from coulombus.compiled.kernel_files import KernelCache
+from coulombus.compiled.notice import compiling, on_compiling
 from coulombus.compiled.sources import source_key
 
 import pytest  # isort: skip
@@ -376,3 +377,18 @@ def test_ctrl_c_within_the_compiler_ends_it(own_kernels, tmp_path):
     code = INTERRUPTED.format(place=str(tmp_path))
     done = python(code, ROOT, NUMBA_CACHE_DIR=str(tmp_path / "cache"))
     assert (done.stdout, done.stderr) == ("interrupted\n", "")
+
+
+def test_who_asked_hears_once_that_something_is_compiled():
+    told = []
+    on_compiling(lambda: told.append("one"))
+    compiling()
+    compiling()
+    assert told == ["one"]
+
+
+@pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
+def test_a_compilation_is_told_and_what_is_loaded_is_not(own_kernels):
+    ask = "from coulombus.compiled import notice; notice.on_compiling(lambda: print('compiling'))"
+    told = [own_kernels(ask)[0].count("compiling") for _ in range(2)]
+    assert told == [1, 0]
