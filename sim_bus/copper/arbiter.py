@@ -8,8 +8,6 @@ bits of inter-frame space later, at `free_ns`. Where something is amiss `start_f
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from coulombus.compiled.decorator import inlined
@@ -18,6 +16,7 @@ from coulombus.sim_bus.copper.faults import FAULT_FIELDS
 from coulombus.sim_bus.copper.follow import FOLLOW_FIELDS
 from coulombus.sim_bus.copper.noise import NOISE_FIELDS
 from coulombus.sim_bus.copper.outcome import OUTCOME_FIELDS
+from coulombus.sim_bus.copper.records import BusRecord
 from coulombus.sim_bus.copper.slow_motion import PLAY_FIELDS
 from coulombus.sim_bus.copper.stage import INTER_FRAME_BITS, NS, Delivered, Stage
 from coulombus.sim_bus.copper.stations import STATION_FIELDS
@@ -32,7 +31,7 @@ from coulombus.sim_bus.copper.waiting import (
     win,
 )
 from coulombus.wire.bits import data_frame_bits
-from coulombus.wire.frame import Records, new_records
+from coulombus.wire.frame import Queue, Records, new_records
 
 __all__ = [
     "BUS",
@@ -84,13 +83,13 @@ def new_bus(bitrate_bit_s: int) -> Records:
 
 
 @inlined
-def start_ns(bus: Any, out: Any) -> int:
+def start_ns(bus: BusRecord, out: Queue) -> int:
     """Return when the next waiting frame can start, or when a scripted fault wants the bus, `FAR_NS` when nothing does."""
     return max(min(first_ns(bus, out), bus.alarm_ns), bus.free_ns)
 
 
 @inlined
-def start_frame(bus: Any, out: Any, now_ns: int) -> bool:
+def start_frame(bus: BusRecord, out: Queue, now_ns: int) -> bool:
     """Arbitrate among the frames that are ready at `now_ns` and put the winner on the wire.
 
     False: the bus wants a close look (`sim_bus.copper.attempt.attempt`), and nothing is on the wire: faults, counted errors, a station that is alone
@@ -114,7 +113,7 @@ def start_frame(bus: Any, out: Any, now_ns: int) -> bool:
 
 
 @inlined
-def end_frame(bus: Any, log: Any, row: int) -> None:
+def end_frame(bus: BusRecord, log: Records, row: int) -> None:
     """Take a frame that needed no close look off the wire and write it to `log[row]`, stamped with its end of frame."""
     bus.stage = Stage.FREE
     bus.delivered = Delivered.OTHERS
@@ -127,7 +126,7 @@ def end_frame(bus: Any, log: Any, row: int) -> None:
 
 
 @inlined
-def receives(bus: Any, station: int) -> bool:
+def receives(bus: BusRecord, station: int) -> bool:
     """Tell whether a station has the frame that has just ended."""
     if bus.delivered == Delivered.OTHERS:
         return bus.source != station

@@ -7,13 +7,12 @@ whose frames are ready as senders. `sim_bus.copper.outcome` is the end of it.
 
 from __future__ import annotations
 
-from typing import Any
-
 from coulombus.compiled.decorator import inlined, kernel
 from coulombus.sim_bus.copper.controller import CanState, recover
 from coulombus.sim_bus.copper.faults import alarm, strike, strike_nothing
 from coulombus.sim_bus.copper.follow import MAX_SENDERS, may_start
 from coulombus.sim_bus.copper.outcome import lose
+from coulombus.sim_bus.copper.records import BusRecord
 from coulombus.sim_bus.copper.slow_motion import add_sender, begin_bits, run_bits
 from coulombus.sim_bus.copper.stage import INTER_FRAME_BITS, NS, RUN_BITS, Stage
 from coulombus.sim_bus.copper.stations import attach, refresh
@@ -28,12 +27,13 @@ from coulombus.sim_bus.copper.waiting import (
     winner,
 )
 from coulombus.wire.bits import data_frame_bits
+from coulombus.wire.frame import Queue
 
 __all__ = ["attempt"]
 
 
 @inlined
-def _recover(bus: Any, now_ns: int) -> None:
+def _recover(bus: BusRecord, now_ns: int) -> None:
     """Credit the stations in bus-off with the runs of 11 recessive bits since the last dominant one."""
     for k in range(bus.on_count):
         c = bus.stations[bus.on[k]]
@@ -48,7 +48,7 @@ def _recover(bus: Any, now_ns: int) -> None:
 
 
 @inlined
-def _next(bus: Any, now_ns: int) -> int:
+def _next(bus: BusRecord, now_ns: int) -> int:
     """Return the place of the next frame whose sender may send now, -1 when there is none."""
     place = winner(bus, now_ns)
     while place >= 0:
@@ -69,7 +69,7 @@ def _next(bus: Any, now_ns: int) -> int:
 
 
 @kernel
-def _wait_again(bus: Any, place: int, order: int, ready_ns: int) -> None:
+def _wait_again(bus: BusRecord, place: int, order: int, ready_ns: int) -> None:
     can_id, length, word, source = (
         bus.held_can_id[place],
         bus.held_length[place],
@@ -80,7 +80,7 @@ def _wait_again(bus: Any, place: int, order: int, ready_ns: int) -> None:
 
 
 @kernel
-def attempt(bus: Any, out: Any, now_ns: int) -> None:
+def attempt(bus: BusRecord, out: Queue, now_ns: int) -> None:
     """Start what is to start at `now_ns`, if anything."""
     if out.count > 0:
         take_in(bus, out)
@@ -124,7 +124,7 @@ def attempt(bus: Any, out: Any, now_ns: int) -> None:
 
 
 @kernel
-def _only_tell(bus: Any, now_ns: int) -> None:
+def _only_tell(bus: BusRecord, now_ns: int) -> None:
     """Nobody sends; a controller that has recovered is to be told all the same."""
     for k in range(bus.on_count):
         if bus.stations[bus.on[k]].changed:
@@ -134,14 +134,14 @@ def _only_tell(bus: Any, now_ns: int) -> None:
 
 
 @kernel
-def _begin_slow(bus: Any, now_ns: int) -> None:
+def _begin_slow(bus: BusRecord, now_ns: int) -> None:
     begin_bits(bus, now_ns)
     bus.t_ns = now_ns
     bus.end_ns = run_bits(bus)
 
 
 @inlined
-def _send(bus: Any, place: int, now_ns: int) -> None:
+def _send(bus: BusRecord, place: int, now_ns: int) -> None:
     """Put the frame at `place`, which has won the arbitration, on the wire."""
     bus.can_id = bus.held_can_id[place]
     bus.length = bus.held_length[place]
@@ -178,7 +178,7 @@ def _send(bus: Any, place: int, now_ns: int) -> None:
 
 
 @inlined
-def _contested(bus: Any, order: int) -> bool:
+def _contested(bus: BusRecord, order: int) -> bool:
     """Tell whether the winner's bits matter to another station: its frame has the same arbitration field, or it sends once only."""
     for n in range(bus.ready):
         source = bus.held_source[bus.ready_place[n]]
@@ -190,7 +190,7 @@ def _contested(bus: Any, order: int) -> bool:
 
 
 @kernel
-def _contends(bus: Any, source: int, now_ns: int) -> bool:
+def _contends(bus: BusRecord, source: int, now_ns: int) -> bool:
     """Tell, once for each station with a frame ready, whether it takes part in the arbitration that begins now."""
     c = bus.stations[source & STATION_MASK]
     if (
@@ -206,7 +206,7 @@ def _contends(bus: Any, source: int, now_ns: int) -> bool:
 
 
 @inlined
-def _count_lost(bus: Any, now_ns: int) -> None:
+def _count_lost(bus: BusRecord, now_ns: int) -> None:
     """Count who loses the arbitration to the bus's frame, without a look at the bits."""
     bus.stations[bus.source & STATION_MASK].contends_ns = now_ns
     for n in range(bus.ready):
@@ -216,7 +216,7 @@ def _count_lost(bus: Any, now_ns: int) -> None:
 
 
 @kernel
-def _contend(bus: Any, now_ns: int) -> None:
+def _contend(bus: BusRecord, now_ns: int) -> None:
     """Let the other stations with a frame ready send it too, each its first one: the bits decide."""
     bus.stations[bus.source & STATION_MASK].contends_ns = now_ns
     while bus.senders < MAX_SENDERS:

@@ -25,11 +25,11 @@ l    bus-off, and 128 times 11 consecutive recessive bits                       
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import Any
 
 import numpy as np
 
 from coulombus.compiled.decorator import kernel
+from coulombus.sim_bus.copper.records import ControllerRecord
 from coulombus.wire.link import Link
 
 __all__ = [
@@ -109,7 +109,7 @@ CONTROLLER = np.dtype(
 
 
 @kernel
-def _follow(c: Any) -> None:
+def _follow(c: ControllerRecord) -> None:
     """Let `state` follow the counters (rules i, j, k); `changed` is set until somebody has told it."""
     if c.state == CanState.BUS_OFF:
         return
@@ -136,14 +136,14 @@ def _follow(c: Any) -> None:
 
 
 @kernel
-def raise_tec(c: Any) -> None:
+def raise_tec(c: ControllerRecord) -> None:
     """Rules c, d, f: TEC + 8."""
     c.tec += 8
     _follow(c)
 
 
 @kernel
-def raise_rec(c: Any, by: int) -> None:
+def raise_rec(c: ControllerRecord, by: int) -> None:
     """Rules a, b, e, f: REC + 1 or + 8. One that only listens takes no part in fault confinement."""
     if c.listen_only == 0:
         c.rec = min(c.rec + by, COUNTER_LIMIT)
@@ -151,7 +151,7 @@ def raise_rec(c: Any, by: int) -> None:
 
 
 @kernel
-def count_sent(c: Any) -> None:
+def count_sent(c: ControllerRecord) -> None:
     """Rule g: a frame was sent."""
     if c.tec > 0:
         c.tec -= 1
@@ -159,7 +159,7 @@ def count_sent(c: Any) -> None:
 
 
 @kernel
-def count_received(c: Any) -> None:
+def count_received(c: ControllerRecord) -> None:
     """Rule h: a frame was received, up to the ACK slot."""
     if c.rec > 0 and c.listen_only == 0:
         c.rec = REC_AFTER_PASSIVE if c.rec >= PASSIVE_LEVEL else c.rec - 1
@@ -167,13 +167,13 @@ def count_received(c: Any) -> None:
 
 
 @kernel
-def begin_bus_off(c: Any, t_ns: int, far_ns: int) -> None:
+def begin_bus_off(c: ControllerRecord, t_ns: int, far_ns: int) -> None:
     """Plan the recovery of a controller that went bus-off at `t_ns`; `far_ns` is never."""
     c.restart_at_ns = far_ns if c.restart_ns == MANUAL else t_ns + c.restart_ns
 
 
 @kernel
-def recover(c: Any) -> None:
+def recover(c: ControllerRecord) -> None:
     """Rule l: error active again, with both counters 0."""
     c.tec = c.rec = 0
     c.state = CanState.ERROR_ACTIVE
@@ -182,7 +182,7 @@ def recover(c: Any) -> None:
     c.suspend_ns = c.mode = c.joins = 0
 
 
-def link(c: Any) -> Link:
+def link(c: ControllerRecord) -> Link:
     """Return a controller's state and counters; ``str`` of it is what ``ip -details -statistics link show`` prints."""
     modes = (c["loopback"], c["listen_only"], c["one_shot"])
     return Link(

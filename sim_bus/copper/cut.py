@@ -17,6 +17,7 @@ from coulombus.compiled.decorator import kernel
 from coulombus.sim_bus.copper.controller import STATIONS
 from coulombus.sim_bus.copper.faults import MOST_TOLD, FaultKind, plan_alarm
 from coulombus.sim_bus.copper.noise import next_noise, seeded
+from coulombus.sim_bus.copper.records import BusRecord
 from coulombus.sim_bus.copper.stage import Stage
 from coulombus.sim_bus.copper.stations import number, refresh
 from coulombus.sim_bus.copper.waiting import FAR_NS, STATION_MASK, accept, first_ns, hold, withdraw
@@ -29,7 +30,7 @@ WHOLE, APART, MENDING = 0, 1, 2
 
 
 @kernel
-def divide(bus: Any, out: Any) -> None:
+def divide(bus: BusRecord, out: Queue) -> None:
     """Let what was asked for since the last time wait with its sender's half; the queue is empty then."""
     for i in range(out.count):
         frame = out.frames[i]
@@ -40,7 +41,7 @@ def divide(bus: Any, out: Any) -> None:
 
 
 @kernel
-def _next_ns(bus: Any, out: Any) -> int:
+def _next_ns(bus: BusRecord, out: Queue) -> int:
     """Return when a half's frame ends, or the next one starts."""
     if bus.stage != Stage.FREE:
         return int(bus.end_ns)
@@ -48,7 +49,7 @@ def _next_ns(bus: Any, out: Any) -> int:
 
 
 @kernel
-def choose(bus: Any, out: Any) -> int:
+def choose(bus: BusRecord, out: Queue) -> int:
     """Return the half in which something happens next; of equals an end goes before a start, then the first half."""
     near, far = bus[0], bus[1]
     if out.count > 0:

@@ -17,10 +17,9 @@ All classes that Linux sends along with counters carry CAN_ERR_CNT.
 
 from __future__ import annotations
 
-from typing import Any
-
 from coulombus.compiled.decorator import inlined, kernel
 from coulombus.sim_bus.copper.controller import CanState
+from coulombus.sim_bus.copper.records import ControllerRecord
 from coulombus.wire.frame import CAN_ERR_FLAG
 
 __all__ = ["ERR_CNT", "ERR_LOSTARB", "error_frame", "lost_frame", "state_frame", "with_counters"]
@@ -30,7 +29,7 @@ RX_WARNING, TX_WARNING, RX_PASSIVE, TX_PASSIVE, ACTIVE_AGAIN = 0x04, 0x08, 0x10,
 
 
 @inlined
-def with_counters(word: int, c: Any) -> int:
+def with_counters(word: int, c: ControllerRecord) -> int:
     """Return the eight bytes with a controller's counters in the last two."""
     counters = min(c.tec, 255) | min(c.rec, 255) << 8
     signed: int = (word & 0xFFFF_FFFF_FFFF) | ((counters ^ 0x8000) - 0x8000) << 48
@@ -38,20 +37,20 @@ def with_counters(word: int, c: Any) -> int:
 
 
 @kernel
-def error_frame(c: Any, station: int, classes: int, kind: int, place: int) -> tuple[int, int]:
+def error_frame(c: ControllerRecord, station: int, classes: int, kind: int, place: int) -> tuple[int, int]:
     """Return identifier and bytes of the frame that tells an error on the bus."""
     word = kind << 16 | place << 24 | (station & 0xFF) << 40
     return CAN_ERR_FLAG | ERR_CNT | classes, with_counters(word, c)
 
 
 @kernel
-def lost_frame(c: Any, station: int, bit: int) -> tuple[int, int]:
+def lost_frame(c: ControllerRecord, station: int, bit: int) -> tuple[int, int]:
     """Return identifier and bytes of the frame that tells a station that its frame was given up: the arbitration was lost in `bit`."""
     return CAN_ERR_FLAG | ERR_CNT | ERR_LOSTARB, with_counters(bit | (station & 0xFF) << 40, c)
 
 
 @kernel
-def state_frame(c: Any, station: int) -> tuple[int, int]:
+def state_frame(c: ControllerRecord, station: int) -> tuple[int, int]:
     """Return identifier and bytes of the frame that tells the state that a controller has changed to."""
     classes = ERR_CNT
     how = 0

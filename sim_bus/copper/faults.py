@@ -14,6 +14,7 @@ import numpy as np
 from coulombus.compiled.decorator import inlined, kernel
 from coulombus.sim_bus.copper.controller import STATIONS, CanState
 from coulombus.sim_bus.copper.noise import renew
+from coulombus.sim_bus.copper.records import BusRecord, FaultRecord
 from coulombus.sim_bus.copper.stage import INTER_FRAME_BITS, NS, RUN_BITS
 from coulombus.sim_bus.copper.stuffing import TAIL_BITS
 from coulombus.sim_bus.copper.waiting import FAR_NS, STATION_MASK, first_order, hold
@@ -133,7 +134,7 @@ FAULT_FIELDS: list[Any] = [
 
 
 @inlined
-def strike_nothing(bus: Any) -> None:
+def strike_nothing(bus: BusRecord) -> None:
     """Forget what struck the last frame."""
     struck = bus.struck
     struck.flips = struck.wrong_crc = struck.again = 0
@@ -141,7 +142,7 @@ def strike_nothing(bus: Any) -> None:
 
 
 @kernel
-def fire(bus: Any, row: int, t_ns: int, can_id: int) -> None:
+def fire(bus: BusRecord, row: int, t_ns: int, can_id: int) -> None:
     """Count a strike and note it for the recording, with the identifier of the frame that it is about, or `NO_FRAME`."""
     f = bus.faults[row]
     if f.fired == 0:
@@ -156,7 +157,7 @@ def fire(bus: Any, row: int, t_ns: int, can_id: int) -> None:
 
 
 @kernel
-def _meant(f: Any, now_ns: int, can_id: int, source: int) -> bool:
+def _meant(f: FaultRecord, now_ns: int, can_id: int, source: int) -> bool:
     """Tell whether a row strikes this frame, and count the frames that it is about."""
     if not f.from_ns <= now_ns < f.until_ns:
         return False
@@ -173,7 +174,7 @@ def _meant(f: Any, now_ns: int, can_id: int, source: int) -> bool:
 
 
 @kernel
-def strike(bus: Any, now_ns: int, can_id: int, length: int, word: int, source: int) -> int:
+def strike(bus: BusRecord, now_ns: int, can_id: int, length: int, word: int, source: int) -> int:
     """Let the rows strike the frame that is to start; return the delay [ns] that they put it off by.
 
     What else they do is left in `BUS.struck`.
@@ -212,13 +213,13 @@ def strike(bus: Any, now_ns: int, can_id: int, length: int, word: int, source: i
 
 
 @inlined
-def _elsewhere(bus: Any, f: Any) -> bool:
+def _elsewhere(bus: BusRecord, f: FaultRecord) -> bool:
     """Tell whether a babbler is in the other half of a cut cable."""
     return bool(f.kind == BABBLE and bus.stations[f.station & STATION_MASK].half != bus.half)
 
 
 @kernel
-def _babble(bus: Any, f: Any, row: int, now_ns: int) -> None:
+def _babble(bus: BusRecord, f: FaultRecord, row: int, now_ns: int) -> None:
     """Let a babbler ask for its frames that are due."""
     while f.next_ns <= now_ns and f.next_ns < f.until_ns:
         c = bus.stations[f.station & STATION_MASK]
@@ -229,7 +230,7 @@ def _babble(bus: Any, f: Any, row: int, now_ns: int) -> None:
 
 
 @kernel
-def alarm(bus: Any, now_ns: int) -> None:
+def alarm(bus: BusRecord, now_ns: int) -> None:
     """Do what is due at `now_ns`: begin or end the conditions that last for a time."""
     noise = False
     for row in range(bus.fault_count):
@@ -254,7 +255,7 @@ def alarm(bus: Any, now_ns: int) -> None:
 
 
 @kernel
-def plan_alarm(bus: Any, now_ns: int) -> None:
+def plan_alarm(bus: BusRecord, now_ns: int) -> None:
     """Set `alarm_ns`, and the time of the wire's next dominant fault."""
     next_ns = bus.free_ns if bus.play.unsettled else bus.noise.next_ns
     bus.stuck.from_ns = bus.stuck.until_ns = FAR_NS

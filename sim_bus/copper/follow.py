@@ -20,6 +20,7 @@ from coulombus.sim_bus.copper.controller import (
     raise_rec,
     raise_tec,
 )
+from coulombus.sim_bus.copper.records import BusRecord, ControllerRecord
 from coulombus.sim_bus.copper.stage import INTER_FRAME_BITS, NS, SUSPEND_BITS
 from coulombus.sim_bus.copper.stuffing import CRC_BITS, FRAME_BITS, crc_step
 from coulombus.wire.frame import CAN_EFF_FLAG
@@ -102,7 +103,7 @@ TAIL_PLACES = np.array([0x18, 0x19, 0x1B] + 7 * [0x1A], np.int64)
 
 
 @kernel
-def open_frame(c: Any, frame: int) -> None:
+def open_frame(c: ControllerRecord, frame: int) -> None:
     """Begin to follow a frame at its start of frame."""
     c.mode = Mode.FRAME
     c.frame = frame
@@ -113,13 +114,13 @@ def open_frame(c: Any, frame: int) -> None:
 
 
 @kernel
-def may_start(c: Any) -> bool:
+def may_start(c: ControllerRecord) -> bool:
     """Tell whether a controller may begin to send: it is idle, or the third bit of its intermission was dominant, which is a start of frame."""
     return bool(c.mode == Mode.IDLE or c.joins != 0)
 
 
 @kernel
-def look_anew(bus: Any) -> None:
+def look_anew(bus: BusRecord) -> None:
     """Forget what was seen, but for an error of a stretch that this one goes on with."""
     bus.seen.accepted_bit = -1
     bus.seen.gave_up = 0
@@ -130,7 +131,7 @@ def look_anew(bus: Any) -> None:
 
 
 @kernel
-def _place(c: Any) -> int:
+def _place(c: ControllerRecord) -> int:
     """Return where in the frame a controller is, in Linux's numbers."""
     if c.mode != Mode.FRAME:
         return PLACE_INTERMISSION if c.mode == Mode.INTERMISSION else PLACE_UNKNOWN
@@ -142,7 +143,7 @@ def _place(c: Any) -> int:
 
 
 @kernel
-def _tell(bus: Any, c: Any, station: int, classes: int, kind: int) -> None:
+def _tell(bus: BusRecord, c: ControllerRecord, station: int, classes: int, kind: int) -> None:
     """Note the first error of this slow motion for the clients; of several in one bit the transmitter's."""
     transmitter = c.transmitted != 0
     if bus.seen.told_bit != NOT_TOLD and not (transmitter and bus.seen.told_bit == bus.play.bit):
@@ -156,7 +157,7 @@ def _tell(bus: Any, c: Any, station: int, classes: int, kind: int) -> None:
 
 
 @kernel
-def _raise(c: Any, receiver_by: int) -> None:
+def _raise(c: ControllerRecord, receiver_by: int) -> None:
     """Count an error in the counter of the station's role: 8 for a transmitter, `receiver_by` for a receiver."""
     if c.transmitted:
         raise_tec(c)
@@ -165,7 +166,7 @@ def _raise(c: Any, receiver_by: int) -> None:
 
 
 @kernel
-def _error(bus: Any, c: Any, station: int, kind: int, exempt: int) -> None:
+def _error(bus: BusRecord, c: ControllerRecord, station: int, kind: int, exempt: int) -> None:
     """Detect an error: count it (rules a, c) and send an error flag from the next bit on."""
     passive = 1 if c.tec >= PASSIVE_LEVEL or c.rec >= PASSIVE_LEVEL else 0
     c.errors[kind] += 1
@@ -194,7 +195,7 @@ def _error(bus: Any, c: Any, station: int, kind: int, exempt: int) -> None:
 
 
 @kernel
-def _bit_error_in_flag(bus: Any, c: Any, station: int) -> None:
+def _bit_error_in_flag(bus: BusRecord, c: ControllerRecord, station: int) -> None:
     """Rules d and e: what was driven dominant was seen recessive; another error flag begins."""
     c.errors[ErrorKind.BIT] += 1
     _tell(bus, c, station, ERR_BUSERROR | ERR_PROT, PROT_BIT0)
@@ -207,7 +208,7 @@ def _bit_error_in_flag(bus: Any, c: Any, station: int) -> None:
 
 
 @kernel
-def _overload(bus: Any, c: Any, station: int) -> None:
+def _overload(bus: BusRecord, c: ControllerRecord, station: int) -> None:
     c.overloads += 1
     _tell(bus, c, station, ERR_BUSERROR | ERR_PROT, PROT_OVERLOAD)
     c.mode = Mode.OVERLOAD
@@ -216,7 +217,7 @@ def _overload(bus: Any, c: Any, station: int) -> None:
 
 
 @kernel
-def _take_bit(c: Any, bit: int) -> None:
+def _take_bit(c: ControllerRecord, bit: int) -> None:
     """Take one bit of the frame, stuff bits removed: header, data, CRC."""
     at = c.position
     c.crc = crc_step(c.crc, bit)
@@ -235,7 +236,7 @@ def _take_bit(c: Any, bit: int) -> None:
 
 
 @kernel
-def _tail_bit(bus: Any, c: Any, station: int, bit: int) -> None:
+def _tail_bit(bus: BusRecord, c: ControllerRecord, station: int, bit: int) -> None:
     """Take a bit behind the CRC sequence."""
     at = c.tail
     sender = c.frame >= 0
@@ -273,7 +274,7 @@ def _tail_bit(bus: Any, c: Any, station: int, bit: int) -> None:
 
 
 @kernel
-def _frame_bit(bus: Any, c: Any, station: int, bit: int) -> None:
+def _frame_bit(bus: BusRecord, c: ControllerRecord, station: int, bit: int) -> None:
     """Follow a frame by one bit, as its transmitter or as a receiver."""
     c.joins = 0
     if c.frame >= 0:
@@ -312,7 +313,7 @@ def _frame_bit(bus: Any, c: Any, station: int, bit: int) -> None:
 
 
 @kernel
-def _flag_bit(bus: Any, c: Any, station: int, bit: int) -> None:
+def _flag_bit(bus: BusRecord, c: ControllerRecord, station: int, bit: int) -> None:
     """Follow the station's own error flag or overload flag."""
     if c.mode == Mode.OVERLOAD or not c.passive_flag:
         if bit == 1 and not c.listen_only:
@@ -332,7 +333,7 @@ def _flag_bit(bus: Any, c: Any, station: int, bit: int) -> None:
 
 
 @kernel
-def _after_flag(bus: Any, c: Any, station: int, bit: int) -> None:
+def _after_flag(bus: BusRecord, c: ControllerRecord, station: int, bit: int) -> None:
     """Wait for recessive, then count the delimiter."""
     if c.mode == Mode.WAIT:
         if bit == 1:
@@ -358,13 +359,13 @@ def _after_flag(bus: Any, c: Any, station: int, bit: int) -> None:
 
 
 @inlined
-def _suspends(c: Any) -> bool:
+def _suspends(c: ControllerRecord) -> bool:
     """Tell whether a controller lets eight bits more pass before it sends again: error passive, it has sent the last frame."""
     return bool(c.transmitted and (c.tec >= PASSIVE_LEVEL or c.rec >= PASSIVE_LEVEL))
 
 
 @kernel
-def _between_frames(bus: Any, c: Any, station: int, bit: int, end_ns: int) -> None:
+def _between_frames(bus: BusRecord, c: ControllerRecord, station: int, bit: int, end_ns: int) -> None:
     """Intermission, idle, or the first bits after switch-on."""
     joins = 0
     if c.mode == Mode.INTEGRATING:
@@ -392,7 +393,7 @@ def _between_frames(bus: Any, c: Any, station: int, bit: int, end_ns: int) -> No
 
 
 @kernel
-def drive(bus: Any, c: Any) -> int:
+def drive(bus: BusRecord, c: ControllerRecord) -> int:
     """Return the level that a controller drives in this bit."""
     if c.mode == Mode.FRAME:
         if c.frame >= 0:
@@ -406,7 +407,7 @@ def drive(bus: Any, c: Any) -> int:
 
 
 @kernel
-def follow(bus: Any, c: Any, station: int, bit: int, end_ns: int) -> None:
+def follow(bus: BusRecord, c: ControllerRecord, station: int, bit: int, end_ns: int) -> None:
     """Let a controller make of a bit what it is in the midst of."""
     if c.mode == Mode.FRAME:
         _frame_bit(bus, c, station, bit)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from coulombus.compiled.decorator import kernel
+from coulombus.sim_bus.copper.records import BusRecord
 from coulombus.sim_bus.copper.stage import NS
 from coulombus.sim_bus.copper.waiting import FAR_NS
 from coulombus.sim_bus.copper.whom import NOBODY
@@ -38,7 +39,7 @@ def seeded(seed: int) -> int:
 
 
 @kernel
-def renew(bus: Any, t_ns: int) -> None:
+def renew(bus: BusRecord, t_ns: int) -> None:
     """Let the noises that are at work at `t_ns` be the bus's: together they disturb a bit with the probability 1 - (1 - r1)(1 - r2)..."""
     rate = 0.0
     bus.noise.until_ns = FAR_NS
@@ -52,7 +53,7 @@ def renew(bus: Any, t_ns: int) -> None:
 
 
 @kernel
-def disturber(bus: Any) -> int:
+def disturber(bus: BusRecord) -> int:
     """Return the row of the noise that disturbs this bit: of several, drawn by their rates."""
     last = count = 0
     rates = 0.0
@@ -73,7 +74,7 @@ def disturber(bus: Any) -> int:
 
 
 @kernel
-def next_noise(bus: Any, t_ns: int) -> None:
+def next_noise(bus: BusRecord, t_ns: int) -> None:
     """Draw `next_ns`, the begin of the next disturbed bit: the undisturbed bits from `t_ns` on are geometric, with the rate as its probability.
 
     The generator is Park's and Miller's minimal standard (doi:10.1145/63039.63042) with the multiplier 48271: all of it in int64.
@@ -91,7 +92,7 @@ def next_noise(bus: Any, t_ns: int) -> None:
 
 
 @kernel
-def noisy_bit(bus: Any, end_ns: int) -> int:
+def noisy_bit(bus: BusRecord, end_ns: int) -> int:
     """Return whom noise hits in the bit that ends at `end_ns`, `NOBODY` mostly; draw the next such bit."""
     if bus.noise.next_ns >= end_ns:
         return NOBODY

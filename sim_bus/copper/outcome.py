@@ -17,6 +17,7 @@ from coulombus.sim_bus.copper.controller import (
 from coulombus.sim_bus.copper.error_frames import error_frame, lost_frame, state_frame
 from coulombus.sim_bus.copper.faults import NO_FRAME, STUCK_DOMINANT, fire, plan_alarm
 from coulombus.sim_bus.copper.follow import Sent
+from coulombus.sim_bus.copper.records import BusRecord
 from coulombus.sim_bus.copper.slow_motion import run_bits
 from coulombus.sim_bus.copper.stage import NS, SUSPEND_BITS, Delivered, Stage
 from coulombus.sim_bus.copper.stations import number, refresh
@@ -30,6 +31,7 @@ from coulombus.sim_bus.copper.waiting import (
     withdraw,
 )
 from coulombus.sim_bus.copper.whom import NOBODY, is_meant
+from coulombus.wire.frame import Queue, Records
 from coulombus.wire.link import LINK_ACTIVE, LINK_OFF, LINK_PASSIVE, LINK_RECOVERED
 
 __all__ = ["MOST_ROWS", "OUTCOME_FIELDS", "end_attempt", "lose"]
@@ -49,7 +51,7 @@ OUTCOME_FIELDS: list[Any] = [
 
 
 @inlined
-def lose(bus: Any) -> None:
+def lose(bus: BusRecord) -> None:
     """Let those not hear the frame for whom a scripted fault has dropped it."""
     if bus.struck.lost_for == NOBODY:
         return
@@ -59,7 +61,7 @@ def lose(bus: Any) -> None:
 
 
 @inlined
-def _once_more(bus: Any) -> None:
+def _once_more(bus: BusRecord) -> None:
     """Let the frame that has passed wait again, where a scripted fault duplicates it."""
     if bus.struck.again:
         order = first_order(bus.can_id) | HELD_BACK
@@ -68,7 +70,7 @@ def _once_more(bus: Any) -> None:
 
 
 @kernel
-def _write(log: Any, row: int, t_ns: int, can_id: int, word: int, source: int) -> None:
+def _write(log: Records, row: int, t_ns: int, can_id: int, word: int, source: int) -> None:
     frame = log[row]
     frame.t_ns = t_ns
     frame.can_id = can_id
@@ -78,7 +80,7 @@ def _write(log: Any, row: int, t_ns: int, can_id: int, word: int, source: int) -
 
 
 @kernel
-def _tell_given_up(bus: Any, log: Any, row: int, last: int) -> int:
+def _tell_given_up(bus: BusRecord, log: Records, row: int, last: int) -> int:
     """Write, for those that send once only, in which bit they lost the arbitration; return the next row."""
     bus.seen.gave_up = 0
     for k in range(bus.senders):
@@ -98,7 +100,7 @@ def _tell_given_up(bus: Any, log: Any, row: int, last: int) -> int:
 
 
 @inlined
-def _tell_states(bus: Any, out: Any, log: Any, row: int, last: int) -> int:
+def _tell_states(bus: BusRecord, out: Queue, log: Records, row: int, last: int) -> int:
     """Write the controllers' changes of state; return the next row."""
     for k in range(bus.on_count):
         station = bus.on[k]
@@ -118,7 +120,7 @@ def _tell_states(bus: Any, out: Any, log: Any, row: int, last: int) -> int:
 
 
 @inlined
-def _settle(bus: Any) -> None:
+def _settle(bus: BusRecord) -> None:
     """A frame has passed: rules g and h, and the pause of an error-passive sender."""
     row = bus.source & STATION_MASK
     for k in range(bus.on_count):
@@ -133,7 +135,7 @@ def _settle(bus: Any) -> None:
 
 
 @kernel
-def _end_slow(bus: Any) -> None:
+def _end_slow(bus: BusRecord) -> None:
     """The wire is free again: what failed waits anew, unless its sender sends once only, or is off."""
     bus.free_ns = bus.end_ns
     bus.bits += bus.play.bit
@@ -163,7 +165,7 @@ def _end_slow(bus: Any) -> None:
 
 
 @kernel
-def _show_sent(bus: Any) -> bool:
+def _show_sent(bus: BusRecord) -> bool:
     """Let the frame that was received in slow motion be the bus's frame; False: there is none."""
     if bus.senders == 0:  # nobody sent: a disturbance that looks like a frame is none
         return False
@@ -186,7 +188,7 @@ def _show_sent(bus: Any) -> bool:
 
 
 @kernel
-def _tell_stuck(bus: Any) -> None:
+def _tell_stuck(bus: BusRecord) -> None:
     """Count the wire's being dominant from its begin on, also where that is in a frame and the bus does not become free for `alarm`."""
     for row in range(bus.fault_count):
         f = bus.faults[row]
@@ -196,7 +198,7 @@ def _tell_stuck(bus: Any) -> None:
 
 
 @inlined
-def _tell_error(bus: Any, log: Any, row: int) -> None:
+def _tell_error(bus: BusRecord, log: Records, row: int) -> None:
     """Write the error that was seen first in this stretch."""
     seen = bus.seen
     can_id, word = error_frame(bus.stations[seen.source], seen.source, seen.classes, seen.kind, seen.place)
@@ -205,7 +207,7 @@ def _tell_error(bus: Any, log: Any, row: int) -> None:
 
 
 @inlined
-def _deliver(bus: Any, log: Any, row: int) -> None:
+def _deliver(bus: BusRecord, log: Records, row: int) -> None:
     """Write the bus's frame, for those who hear it; the faults that it has triggered are due."""
     _write(log, row, bus.end_ns, bus.can_id, bus.word, bus.source)
     log[row].length = bus.length
@@ -216,7 +218,7 @@ def _deliver(bus: Any, log: Any, row: int) -> None:
 
 
 @kernel
-def _play_on(bus: Any) -> None:
+def _play_on(bus: BusRecord) -> None:
     """Go on with slow motion."""
     if bus.stuck.until_ns <= bus.end_ns:
         plan_alarm(bus, bus.end_ns)
@@ -224,7 +226,7 @@ def _play_on(bus: Any) -> None:
 
 
 @kernel
-def end_attempt(bus: Any, out: Any, log: Any, row: int) -> int:
+def end_attempt(bus: BusRecord, out: Queue, log: Records, row: int) -> int:
     """End a frame, or a stretch of slow motion, at `end_ns`; return how many rows of the log were written, the frame's last."""
     bus.delivered = Delivered.NOBODY
     if bus.stage == Stage.TOLD:

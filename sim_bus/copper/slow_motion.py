@@ -20,6 +20,7 @@ from coulombus.compiled.decorator import kernel
 from coulombus.sim_bus.copper.controller import CanState
 from coulombus.sim_bus.copper.follow import Mode, Sent, drive, follow, look_anew, may_start, open_frame
 from coulombus.sim_bus.copper.noise import noisy_bit
+from coulombus.sim_bus.copper.records import BusRecord
 from coulombus.sim_bus.copper.stage import NS, Stage
 from coulombus.sim_bus.copper.stuffing import stuffed_bits
 from coulombus.sim_bus.copper.whom import ALL, NOBODY, is_meant
@@ -46,7 +47,7 @@ PLAY_FIELDS: list[Any] = [
 
 
 @kernel
-def add_sender(bus: Any, order: int, can_id: int, length: int, word: int, source: int, wrong_crc: int) -> None:
+def add_sender(bus: BusRecord, order: int, can_id: int, length: int, word: int, source: int, wrong_crc: int) -> None:
     """Let a station send a frame in the slow motion that is to begin."""
     k = bus.senders
     sender = bus.tx[k]
@@ -61,7 +62,7 @@ def add_sender(bus: Any, order: int, can_id: int, length: int, word: int, source
 
 
 @kernel
-def begin_bits(bus: Any, now_ns: int) -> None:
+def begin_bits(bus: BusRecord, now_ns: int) -> None:
     """Begin slow motion at `now_ns` with the senders that were added; the other stations are idle, or in the midst of what they do."""
     bus.play.begin_ns = now_ns
     bus.play.bit = 0
@@ -83,7 +84,7 @@ def begin_bits(bus: Any, now_ns: int) -> None:
 
 
 @kernel
-def _disturbed(bus: Any, row: int, level: int) -> int:
+def _disturbed(bus: BusRecord, row: int, level: int) -> int:
     """Return `level` as the scripted disturbances of the station in a row leave it, or those of the wire for `ALL`."""
     for k in range(bus.struck.flips):
         one = bus.struck.flip_station[k]
@@ -93,7 +94,7 @@ def _disturbed(bus: Any, row: int, level: int) -> int:
 
 
 @kernel
-def _wire_level(bus: Any, stuck: bool) -> int:
+def _wire_level(bus: BusRecord, stuck: bool) -> int:
     """Return the level of the wire in this bit: dominant where one controller drives it, or a fault; a disturbance of all turns it around."""
     level = 1
     for k in range(bus.on_count):
@@ -106,7 +107,7 @@ def _wire_level(bus: Any, stuck: bool) -> int:
 
 
 @kernel
-def _see(bus: Any, level: int, hit: int, end_ns: int) -> bool:
+def _see(bus: BusRecord, level: int, hit: int, end_ns: int) -> bool:
     """Let each controller see the bit, turned around for the stations of `hit`; tell whether one has changed its state."""
     changed = False
     for k in range(bus.on_count):
@@ -127,7 +128,7 @@ def _see(bus: Any, level: int, hit: int, end_ns: int) -> bool:
 
 
 @kernel
-def _somebody_may_start(bus: Any) -> bool:
+def _somebody_may_start(bus: BusRecord) -> bool:
     """Tell whether slow motion is over: nobody sends, and somebody may begin to, or nobody is left. Some may be in the midst of what they do."""
     alive = idle = ready = sending = 0
     for k in range(bus.on_count):
@@ -144,7 +145,7 @@ def _somebody_may_start(bus: Any) -> bool:
 
 
 @kernel
-def run_bits(bus: Any) -> int:
+def run_bits(bus: BusRecord) -> int:
     """Play bits until there is something to tell, or until somebody may send (`Stage.OVER`); return the end of the last bit."""
     bus.stage = Stage.PLAYED
     bus.play.passed = bus.seen.tell = 0

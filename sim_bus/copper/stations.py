@@ -10,6 +10,7 @@ from coulombus.compiled.decorator import inlined, kernel
 from coulombus.sim_bus.copper.controller import STATIONS, CanState
 from coulombus.sim_bus.copper.faults import plan_alarm
 from coulombus.sim_bus.copper.follow import Mode
+from coulombus.sim_bus.copper.records import BusRecord
 from coulombus.sim_bus.copper.stage import Stage
 from coulombus.sim_bus.copper.waiting import FAR_NS, STATION_MASK
 
@@ -24,13 +25,13 @@ STATION_FIELDS: list[Any] = [
 
 
 @inlined
-def _in_slow_motion(bus: Any) -> bool:
+def _in_slow_motion(bus: BusRecord) -> bool:
     """Tell whether bits are played, and more are to come."""
     return bool(bus.stage == Stage.PLAYED or bus.stage == Stage.TOLD)
 
 
 @kernel
-def refresh(bus: Any) -> None:
+def refresh(bus: BusRecord) -> None:
     """Find out whether the bus wants a close look, after something has changed."""
     bus.alert = bus.limited = 0
     if bus.bit_rate <= 0:
@@ -49,7 +50,7 @@ def refresh(bus: Any) -> None:
 
 
 @kernel
-def attach(bus: Any, station: int) -> None:
+def attach(bus: BusRecord, station: int) -> None:
     """Switch a station's controller on."""
     row = station & STATION_MASK
     c = bus.stations[row]
@@ -65,7 +66,7 @@ def attach(bus: Any, station: int) -> None:
 
 
 @kernel
-def detach(bus: Any, station: int) -> None:
+def detach(bus: BusRecord, station: int) -> None:
     """Switch a station's controller off; the frame that it is sending breaks off where slow motion can show it."""
     row = station & STATION_MASK
     c = bus.stations[row]
@@ -82,7 +83,7 @@ def detach(bus: Any, station: int) -> None:
 
 
 @kernel
-def restart(bus: Any, station: int, now_ns: int) -> None:
+def restart(bus: BusRecord, station: int, now_ns: int) -> None:
     """Begin the recovery of a station in bus-off, as ``ip link set can0 type can restart``."""
     c = bus.stations[station & STATION_MASK]
     if c.state == CanState.BUS_OFF:

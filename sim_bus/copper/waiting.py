@@ -15,7 +15,8 @@ import numpy as np
 
 from coulombus.compiled.decorator import inlined, kernel
 from coulombus.sim_bus.copper.controller import CanState
-from coulombus.wire.frame import arbitration_key
+from coulombus.sim_bus.copper.records import BusRecord
+from coulombus.wire.frame import Queue, Record, arbitration_key
 
 __all__ = [
     "FAR_NS",
@@ -117,7 +118,7 @@ def first_order(can_id: int) -> int:
 
 
 @kernel
-def hold(bus: Any, order: int, can_id: int, length: int, word: int, source: int, ready_ns: int) -> bool:
+def hold(bus: BusRecord, order: int, can_id: int, length: int, word: int, source: int, ready_ns: int) -> bool:
     """Let a frame wait in the room from `ready_ns` on; `order` is its key among those that are ready. False: there is no room."""
     if bus.held >= ROOM:
         return False
@@ -140,7 +141,7 @@ def hold(bus: Any, order: int, can_id: int, length: int, word: int, source: int,
 
 
 @inlined
-def accept(bus: Any, frame: Any) -> bool:
+def accept(bus: BusRecord, frame: Record) -> bool:
     """Let a frame that was asked for wait in the room, unless its station takes no more; False: there is no room."""
     if bus.held == 0:
         bus.sequence = FIRST_SEQUENCE
@@ -157,7 +158,7 @@ def accept(bus: Any, frame: Any) -> bool:
 
 
 @kernel
-def take_in(bus: Any, out: Any) -> None:
+def take_in(bus: BusRecord, out: Queue) -> None:
     """Let what was asked for since the last time wait in the room; the queue is empty then."""
     for i in range(out.count):
         if not accept(bus, out.frames[i]):
@@ -167,7 +168,7 @@ def take_in(bus: Any, out: Any) -> None:
 
 
 @inlined
-def first_ns(bus: Any, out: Any) -> int:
+def first_ns(bus: BusRecord, out: Queue) -> int:
     """Return from when on a frame that waits is ready: any time up to `free_ns` when one is by then, `FAR_NS` when none waits."""
     t = FAR_NS
     count = out.count
@@ -189,7 +190,7 @@ def first_ns(bus: Any, out: Any) -> int:
 
 
 @inlined
-def win(bus: Any, out: Any, now_ns: int) -> bool:
+def win(bus: BusRecord, out: Queue, now_ns: int) -> bool:
     """Let the winner of the arbitration among the frames that are ready at `now_ns` (there must be one) be the bus's frame.
 
     Returns whether another station's frame with the same arbitration field is ready too.
@@ -233,7 +234,7 @@ def win(bus: Any, out: Any, now_ns: int) -> bool:
 
 
 @kernel
-def winner(bus: Any, now_ns: int) -> int:
+def winner(bus: BusRecord, now_ns: int) -> int:
     """Take the winner among the frames in the room that are ready at `now_ns` out of it and return its place, -1: none is.
 
     The frame stands at its place, in the fields `held_...`, until another is taken in.
@@ -254,13 +255,13 @@ def winner(bus: Any, now_ns: int) -> int:
 
 
 @inlined
-def rival(bus: Any, order: int) -> bool:
+def rival(bus: BusRecord, order: int) -> bool:
     """Tell whether a frame with the same arbitration field as the winner's is ready in the room."""
     return bool(bus.ready > 0 and bus.ready_key[0] >> SEQUENCE_BITS == order >> SEQUENCE_BITS)
 
 
 @inlined
-def _leave(bus: Any, place: int) -> None:
+def _leave(bus: BusRecord, place: int) -> None:
     bus.free_place[bus.freed] = place
     bus.freed += 1
     bus.held -= 1
@@ -268,7 +269,7 @@ def _leave(bus: Any, place: int) -> None:
 
 
 @kernel
-def withdraw(bus: Any, out: Any, source: int) -> None:
+def withdraw(bus: BusRecord, out: Queue, source: int) -> None:
     """Forget the frames of a station that wait, and what is on the wire if it fails there: it was switched off."""
     take_in(bus, out)
     for k in range(bus.senders):
