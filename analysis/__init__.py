@@ -1,1 +1,3 @@
-"""The paper, equation by equation and figure by figure, and past it: each part computes a dataclass, drawings come second."""
+"""The paper, equation by equation and figure by figure, and past it: each part computes a
+dataclass, drawings come second.
+"""

@@ -1,9 +1,11 @@
 """`make bench`: the project's figures of speed, each with what it is measured against.
 
-``python -m benchmarks [virtual|first|bus|nodes|network|bits|loss|realtime|lost|disturbed|faulty]``; real time is `benchmarks.realtime`.
+``python -m benchmarks [virtual|first|bus|nodes|network|bits|loss|realtime|lost|disturbed|faulty]``;
+real time is `benchmarks.realtime`.
 
-This machine's clock is not yours: every figure is a ratio (simulated to real time, or to a reference that ran in between in the same process).
-Each is the median of several rounds; the references are interleaved with what they are held against.
+This machine's clock is not yours: every figure is a ratio (simulated to real time, or to a
+reference that ran in between in the same process). Each is the median of several rounds; the
+references are interleaved with what they are held against.
 """
 
 from __future__ import annotations
@@ -50,7 +52,10 @@ def show(what: str, figure: str, target: str = "") -> None:
 
 
 def untripped(result: RunResult) -> RunResult:
-    """Return a run's result; one that tripped has measured nothing, and ends the benchmark with exit status 7."""
+    """Return a run's result.
+
+    One that tripped has measured nothing, and ends the benchmark with exit status 7.
+    """
     if result.trip is not None:
         print(f"benchmarks: the run tripped, so its figures mean nothing: {result.trip}", file=sys.stderr)
         sys.exit(7)
@@ -145,7 +150,9 @@ def frame_lengths() -> None:
 
 
 def million_frames(count: int = 1_000_000) -> None:
-    """Frame lengths against the oracle that sends bit by bit: standard, extended, remote and FD frames, a quarter each."""
+    """Frame lengths against the oracle that sends bit by bit: standard, extended, remote and FD
+    frames, a quarter each.
+    """
     import random
 
     from benchmarks.bit_oracle import classical, fd_lengths

@@ -1,7 +1,9 @@
-"""An oracle of frame lengths: a station that sends a frame bit by bit, written from ISO 11898-1's text, knows nothing of `wire.bits`.
+"""An oracle of frame lengths: a station that sends a frame bit by bit, written from ISO 11898-1's
+text, knows nothing of `wire.bits`.
 
-Slow and plain on purpose. Every bit goes through `send`, which keeps the rule of stuffing and the rate; the CRC is a shift register, one
-step a bit. `tests/wire/test_fd_bits.py` holds the planner's lengths against it, ``python -m benchmarks bits`` does on a million frames.
+Slow and plain on purpose. Every bit goes through `send`, which keeps the rule of stuffing and the
+rate; the CRC is a shift register, one step a bit. `tests/wire/test_fd_bits.py` holds the planner's
+lengths against it, ``python -m benchmarks bits`` does on a million frames.
 """
 
 from __future__ import annotations
@@ -11,7 +13,9 @@ from dataclasses import dataclass, field
 CRC_15 = (15, 0b100_0101_1001_1001, 0)
 CRC_17 = (17, 0x1685B, 1 << 16)
 CRC_21 = (21, 0x102899, 1 << 20)
-"""Width, polynomial without its highest term, initial vector (ISO: the most significant bit of an FD frame's register is 1)."""
+"""Width, polynomial without its highest term, initial vector (ISO: the most significant bit of an
+FD frame's register is 1).
+"""
 FD_DLC = {0: 0, 1: 1, 2: 2, 3: 3, 4: 4, 5: 5, 6: 6, 7: 7, 8: 8, 12: 9, 16: 10, 20: 11, 24: 12, 32: 13, 48: 14, 64: 15}
 
 
@@ -48,7 +52,9 @@ class Station:
         self.rates.append(self.rate)
 
     def send(self, bits: list[int]) -> None:
-        """Send bits under the dynamic rule: before a further bit goes out, five equal ones are followed by their opposite."""
+        """Send bits under the dynamic rule: before a further bit goes out, five equal ones are
+        followed by their opposite.
+        """
         for bit in bits:
             self.pending_stuff_bit()
             self.raw(bit)
@@ -60,7 +66,9 @@ class Station:
             self.stuffed += 1
 
     def send_fixed(self, bits: list[int]) -> None:
-        """Send a CRC field: its stuff bits stand at fixed places, each the opposite of the bit before it."""
+        """Send a CRC field: its stuff bits stand at fixed places, each the opposite of the bit
+        before it.
+        """
         for i, bit in enumerate(bits):
             if i % 4 == 0:
                 self.raw(1 - self.wire[-1])

@@ -1,8 +1,11 @@
-"""``python -m benchmarks bus``: the rig and its bus in virtual time against real time, without and with errors on the wire, and for hours.
+"""``python -m benchmarks bus``: the rig and its bus in virtual time against real time, without and
+with errors on the wire, and for hours.
 
-All contestants run in turns in this process, bring-up and safe end included; times are CPU time, so a neighbour on the machine costs less.
-The noise hits each bit alike, so about as many bits of the idle wire as bits of frames, and each of both is played with its error frame. How many
-frames it destroyed is counted from what the controllers say, how many bits it hit from what the bus says, and both are printed.
+All contestants run in turns in this process, bring-up and safe end included; times are CPU time, so
+a neighbour on the machine costs less. The noise hits each bit alike, so about as many bits of the
+idle wire as bits of frames, and each of both is played with its error frame. How many frames it
+destroyed is counted from what the controllers say, how many bits it hit from what the bus says, and
+both are printed.
 """
 
 from __future__ import annotations
@@ -23,7 +26,10 @@ __all__ = ["bus"]
 SIMULATED_S = 120.0
 ROUNDS = 5
 NOISE = '[[fault]]\nkind = "noise"\nrate = 1.3e-4\n'
-"""About 1 frame of 100 is destroyed; as many strikes again hit the idle wire, and few an error frame or a bit that destroys nothing."""
+"""About 1 frame of 100 is destroyed.
+
+As many strikes again hit the idle wire, and few an error frame or a bit that destroys nothing.
+"""
 PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
 HOUR_S = 3600.0
 

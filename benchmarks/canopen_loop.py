@@ -1,7 +1,10 @@
-"""The classic loop: a `canopen` Network, its Notifier thread, PDO objects, and the law in Python; for comparison with the data plane.
+"""The classic loop: a `canopen` Network, its Notifier thread, PDO objects, and the law in Python.
 
-``python -m benchmarks.canopen_loop SETTINGS`` brings the nodes up, asks for the same real-time rights for both of its threads, cycles, and prints one
-line of JSON with the figures of `benchmarks.contestants.Run`.
+For comparison with the data plane.
+
+``python -m benchmarks.canopen_loop SETTINGS`` brings the nodes up, asks for the same real-time
+rights for both of its threads, cycles, and prints one line of JSON with the figures of
+`benchmarks.contestants.Run`.
 """
 
 from __future__ import annotations

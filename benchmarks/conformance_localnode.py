@@ -1,10 +1,11 @@
-"""The conformance run against canopen's LocalNode, on a bus of `coulombus sim`, beside our own nodes: a table of what it fails.
+"""The conformance run against canopen's LocalNode, on a bus of `coulombus sim`, beside our own
+nodes: a table of what it fails.
 
     coulombus sim --bus coulombus:compare &
     python -m benchmarks.conformance_localnode coulombus:compare
 
-The LocalNode has our EDS and another node id, and is used as its documentation does: `nmt.send_command(0)` after it was
-added, so that its boot-up goes out, and nothing else.
+The LocalNode has our EDS and another node id, and is used as its documentation does:
+`nmt.send_command(0)` after it was added, so that its boot-up goes out, and nothing else.
 """
 
 import sys

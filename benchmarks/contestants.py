@@ -1,4 +1,6 @@
-"""Who runs in the real-time benchmarks, each for so many seconds on the same bus and CPU, and returns a `Run`."""
+"""Who runs in the real-time benchmarks, each for so many seconds on the same bus and CPU, and
+returns a `Run`.
+"""
 
 from __future__ import annotations
 
@@ -170,7 +172,10 @@ class Bus:
 
 
 def bring_up_patiently(rig: Rig, control: RealControlPlane) -> None:
-    """Bring the nodes up; on a busy machine a heartbeat may come too late, and is waited for once more."""
+    """Bring the nodes up.
+
+    On a busy machine a heartbeat may come too late, and is waited for once more.
+    """
     controllers = Controllers(rig, MODE)
     for left in (4, 3, 2, 1, 0):
         try:
@@ -309,7 +314,9 @@ def has_cyclictest() -> str | None:
 def cyclictest(
     seconds: float, *, priority: int = HOST_PRIORITY, cpu: int = HOST_CPU, period_us: int = 1000, loaded: bool = False
 ) -> Run:
-    """The reference of wake-ups (rt-tests); `loaded`: beside a process with the threads that disturb."""
+    """The reference of wake-ups (rt-tests); `loaded`: beside a process with the threads that
+    disturb.
+    """
     options = ["-q", "-m", "-t1", f"-p{priority}", f"-a{cpu}", f"-i{period_us}", f"-h{BINS}"]
     other = None
     if loaded:
@@ -346,7 +353,8 @@ PROBE_ID, PROBE_DATA, PROBE_FRAMES = 0x555, b"\x55" * 8, 4
 def delivery(
     program: Path, bus: Bus, seconds: float, *, every: int = 0, extra_ns: int = 0
 ) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
-    """When the bus handed frames out, as a histogram in us after their ends of frame: all, and those that it had destroyed once.
+    """When the bus handed frames out, as a histogram in us after their ends of frame: all, and
+    those that it had destroyed once.
 
     With `every` each so manieth is destroyed once by the bus, which takes `extra_ns`.
     """
@@ -388,7 +396,9 @@ CROWD, CROWD_FRAMES = 8, 16
 
 
 def crowd_on_bus(program: Path, bus: Bus, rounds: int) -> float:
-    """Throughput [frames/s] of clients that all send, and all read what the others sent, on a bus without time."""
+    """Throughput [frames/s] of clients that all send, and all read what the others sent, on a bus
+    without time.
+    """
     with ExitStack() as stack:
         hello = Hello(filters=((0x400, 0x7F8),))
         clients = [stack.enter_context(Client(bus.address, hello)) for _ in range(CROWD)]

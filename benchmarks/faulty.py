@@ -1,8 +1,10 @@
-"""``python -m benchmarks faulty``: when a bus in real time delivers while 1 % of the frames are destroyed, against cyclictest's wake-ups.
+"""``python -m benchmarks faulty``: when a bus in real time delivers while 1 % of the frames are
+destroyed, against cyclictest's wake-ups.
 
-A client sends bursts of frames and knows when each ends. Of these frames the bus destroys each 101st in its 60th bit, so all places
-in a burst are hit: error flags, delimiter, and the frame once more. How long that takes is asked of the same bus in virtual time. So the
-frame's end is known to the nanosecond, and what is left of the kernel's stamp on it is how late it was handed out.
+A client sends bursts of frames and knows when each ends. Of these frames the bus destroys each
+101st in its 60th bit, so all places in a burst are hit: error flags, delimiter, and the frame once
+more. How long that takes is asked of the same bus in virtual time. So the frame's end is known to
+the nanosecond, and what is left of the kernel's stamp on it is how late it was handed out.
 """
 
 from __future__ import annotations

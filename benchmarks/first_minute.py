@@ -1,7 +1,9 @@
-"""The first minute, and each start after it: what compiling and starting cost, as multiples of a piece of work that is timed beside them.
+"""The first minute, and each start after it: what compiling and starting cost, as multiples of a
+piece of work that is timed beside them.
 
-Compiling is held against numba compiling one reference kernel, a start against `import numba`, each in a fresh process. All of it is processor
-time of that process and its children: other users of the machine stretch the wall clock. One cold start is enough, it is most of a minute.
+Compiling is held against numba compiling one reference kernel, a start against `import numba`, each
+in a fresh process. All of it is processor time of that process and its children: other users of the
+machine stretch the wall clock. One cold start is enough, it is most of a minute.
 """
 
 from __future__ import annotations

@@ -1,6 +1,8 @@
-"""What disturbs an interpreter: a busy Python thread, and one that makes garbage on a heap of a million objects.
+"""What disturbs an interpreter: a busy Python thread, and one that makes garbage on a heap of a
+million objects.
 
-``python -m benchmarks.load`` does it in a process of its own, beside something that has no interpreter.
+``python -m benchmarks.load`` does it in a process of its own, beside something that has no
+interpreter.
 """
 
 from __future__ import annotations

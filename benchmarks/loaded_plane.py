@@ -1,4 +1,6 @@
-"""The data plane's process (`host.realtime.process`) with the threads of `benchmarks.load` in it, which begin when the loop does."""
+"""The data plane's process (`host.realtime.process`) with the threads of `benchmarks.load` in it,
+which begin when the loop does.
+"""
 
 from __future__ import annotations
 

@@ -1,8 +1,9 @@
 """``python -m benchmarks loss``: a long run on a noisy bus, every frame of which is accounted for.
 
-Three witnesses that know nothing of each other: what a recording is made of; a station on the bus that hears every frame; and the
-stations' counters of what they sent again. Each frame stands in the recording once and as it was heard, each error frame has its
-cause, and the host and the nodes have sent so many frames as they had cycles.
+Three witnesses that know nothing of each other: what a recording is made of; a station on the bus
+that hears every frame; and the stations' counters of what they sent again. Each frame stands in the
+recording once and as it was heard, each error frame has its cause, and the host and the nodes have
+sent so many frames as they had cycles.
 """
 
 from __future__ import annotations
@@ -27,7 +28,10 @@ NOISE = 'seed = 3\n[[fault]]\nkind = "noise"\nrate = 1e-4\n'
 BUS_ERROR, OVERLOAD, SENDING, STUFF = 0x80, 0x20, 0x80, 0x04  # linux/can/error.h: class; type in data[2]
 END_OF_FRAME = 0x1A  # place in data[3]
 FALSE_START_NS = 9_000
-"""A dominant third bit of intermission is a start of frame; nobody sends, and with the sixth recessive bit each receiver finds a stuff error."""
+"""A dominant third bit of intermission is a start of frame.
+
+Nobody sends, and with the sixth recessive bit each receiver finds a stuff error.
+"""
 
 
 @dataclass
@@ -41,7 +45,9 @@ class Account:
     false_starts: int = 0
     """A disturbed bit of intermission, or of an idle wire: all take it for a start of frame."""
     twice: Counter[int] = field(default_factory=Counter)
-    """By identifier: disturbed in the last bit, so that the receivers had them and the sender sent them again."""
+    """By identifier: disturbed in the last bit, so that the receivers had them and the sender sent
+    them again.
+    """
     carried: Counter[int] = field(default_factory=Counter)
     differ: int = 0
     """Frames that the witness heard otherwise than the recording has them."""
@@ -50,7 +56,9 @@ class Account:
     _idle: set[int] = field(default_factory=set)
 
     def expected(self, cycles: int) -> dict[int, int]:
-        """Return how many of each cyclic frame so many cycles make; a SYNC that the nodes have twice asks for TPDOs twice."""
+        """Return how many of each cyclic frame so many cycles make; a SYNC that the nodes have
+        twice asks for TPDOs twice.
+        """
         by_host = {can_id: cycles + self.twice[can_id] for can_id in (0x080, 0x201, 0x202)}
         return by_host | {can_id: cycles + self.twice[0x080] + self.twice[can_id] for can_id in (0x181, 0x281, 0x182)}
 
@@ -89,7 +97,9 @@ class Account:
 def account(
     seconds: float, directory: Path, record: Path | None = None, progress: Callable[[float], None] | None = None
 ) -> tuple[Account, RunResult, VirtualRig]:
-    """Run the bench on a noisy bus and account for its frames; `progress` is called with the display's time in s."""
+    """Run the bench on a noisy bus and account for its frames; `progress` is called with the
+    display's time in s.
+    """
     found, worlds = Account(), []
 
     def watch(world: VirtualRig) -> None:

@@ -1,7 +1,9 @@
-"""Many nodes on one virtual bus: what a node and a frame cost, and what memory a node takes beside its dictionary.
+"""Many nodes on one virtual bus: what a node and a frame cost, and what memory a node takes beside
+its dictionary.
 
-Each node sends a heartbeat and a TPDO on SYNC, both at 100 Hz. The bus is as fast as the number of nodes needs, so that it is equally busy
-with 2 and with 126. The sizes take turns, and each figure is the median of the rounds.
+Each node sends a heartbeat and a TPDO on SYNC, both at 100 Hz. The bus is as fast as the number of
+nodes needs, so that it is equally busy with 2 and with 126. The sizes take turns, and each figure
+is the median of the rounds.
 """
 
 from __future__ import annotations
@@ -49,7 +51,9 @@ def operational(count: int) -> VirtualNetwork:
 
 
 def memory_bytes() -> tuple[float, float]:
-    """Return what one more node takes: its records, and all that Python allocates for it beside its dictionary."""
+    """Return what one more node takes: its records, and all that Python allocates for it beside its
+    dictionary.
+    """
     description = read_eds(EDS)
     network = VirtualNetwork(capacity=32)
     records = float(network.nodes.nbytes) / 32

@@ -1,4 +1,6 @@
-"""One node and one SDO client on an exact bus in virtual time: how much of the bus a block transfer uses."""
+"""One node and one SDO client on an exact bus in virtual time: how much of the bus a block transfer
+uses.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +45,9 @@ AccessType=rw
 
 @kernel
 def _carry(bus: Any, out: Any, log: Any, node: Any, until_ns: int) -> int:
-    """Go on until `until_ns` (0), or until the frame in `log[0]` is for Python's half of the node (1) or for the client (2)."""
+    """Go on until `until_ns` (0), or until the frame in `log[0]` is for Python's half of the node
+    (1) or for the client (2).
+    """
     while True:
         start = start_ns(bus[0], out)
         due = node.next_ns
@@ -65,7 +69,9 @@ def _carry(bus: Any, out: Any, log: Any, node: Any, until_ns: int) -> int:
 
 @dataclass(frozen=True)
 class Transfer:
-    """What a transfer took in virtual time; `busy` is the part of it in which the bus carried a frame."""
+    """What a transfer took in virtual time; `busy` is the part of it in which the bus carried a
+    frame.
+    """
 
     seconds: float
     busy: float

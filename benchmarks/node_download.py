@@ -1,4 +1,6 @@
-"""What a block download costs a live `coulombus node`, in processor time a frame, beside frames that nobody on its bus wants."""
+"""What a block download costs a live `coulombus node`, in processor time a frame, beside frames
+that nobody on its bus wants.
+"""
 
 from __future__ import annotations
 
@@ -30,14 +32,19 @@ _TIMEOUT_S = 30.0
 
 @dataclass(frozen=True)
 class Cost:
-    """Processor time of the node's process [us a frame]: a segment of a block download, and a frame that nobody wants."""
+    """Processor time of the node's process [us a frame]: a segment of a block download, and a frame
+    that nobody wants.
+    """
 
     segment_us: float
     unwanted_us: float
 
 
 def block_download(blocks: int = 60, turns: int = 5) -> Cost:
-    """Measure it at 1 Mbit/s, in turns; each turn sends `blocks` blocks of 127 frames of either sort, a response behind each."""
+    """Measure it at 1 Mbit/s, in turns.
+
+    Each turn sends `blocks` blocks of 127 frames of either sort, a response behind each.
+    """
     content = random.Random(1).randbytes(7 * _BLOCK * blocks)
     with _node() as (bus, processor_ns):
         segments = _Client(bus)
@@ -81,7 +88,9 @@ class _Client:
         self._ask(b"\xc1" + binascii.crc_hqx(content, 0).to_bytes(2, "little") + bytes(5))
 
     def unwanted(self, content: bytes) -> None:
-        """Send as many frames as a download of `content`, of an identifier that the node does not want."""
+        """Send as many frames as a download of `content`, of an identifier that the node does not
+        want.
+        """
         segments = len(content) // 7
         for first in range(0, segments, _BLOCK):
             count = min(_BLOCK, segments - first)
@@ -91,7 +100,9 @@ class _Client:
 
 @contextmanager
 def _node() -> Iterator[tuple[socket, Callable[[], int]]]:
-    """A live node on a bus of its own: a socket on it, and what its process has used of the processor [ns]."""
+    """A live node on a bus of its own: a socket on it, and what its process has used of the
+    processor [ns].
+    """
     with tempfile.TemporaryDirectory() as directory:
         eds = Path(directory) / "domain.eds"
         eds.write_bytes(EDS)

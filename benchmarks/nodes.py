@@ -1,4 +1,6 @@
-"""``python -m benchmarks nodes``: what a simulated device costs, against `canopen`'s LocalNode and against its bus."""
+"""``python -m benchmarks nodes``: what a simulated device costs, against `canopen`'s LocalNode and
+against its bus.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,10 @@ class _Deaf(canopen.Network):  # type: ignore[misc]  # canopen has no types
 
 
 def expedited_us() -> tuple[float, float]:
-    """Time of an expedited upload from the request to its response, in us: ours, LocalNode's. They take turns."""
+    """Time of an expedited upload from the request to its response, in us: ours, LocalNode's.
+
+    They take turns.
+    """
     nodes = new_nodes(1)
     out = new_queue()
     Device(read_eds(MOTOR), 1, DRIVE402, nodes[0]).power_on(0, out)
@@ -71,7 +76,10 @@ def _seconds(function: Callable[[], None]) -> float:
 
 
 def fuzz(frames: int, seed: int = 0) -> dict[str, int]:
-    """Send random and mutated frames to a node in virtual time and return its counters; any exception is a failure."""
+    """Send random and mutated frames to a node in virtual time and return its counters.
+
+    Any exception is a failure.
+    """
     rng = random.Random(seed)
     nodes = new_nodes(1)
     out = new_queue()
@@ -106,7 +114,9 @@ _IDS = (0x601, 0x601, 0x601, 0x601, 0x000, 0x080, 0x100, 0x201, 0x301, 0x7E5, 0x
 
 
 def random_frame(rng: random.Random) -> tuple[int, bytes]:
-    """Return a frame: of a service of the node, right, mutated or random, or of an identifier that may mean nothing."""
+    """Return a frame: of a service of the node, right, mutated or random, or of an identifier that
+    may mean nothing.
+    """
     can_id = rng.choice(_IDS) if rng.random() < 0.97 else rng.getrandbits(11)
     if can_id == 0x000:
         return can_id, bytes((rng.choice((1, 1, 1, 2, 128, 129, 130, rng.getrandbits(8))), rng.choice((0, 1, 2))))

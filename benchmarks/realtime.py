@@ -1,6 +1,8 @@
-"""The loop and the bus against the wall clock: ratios to cyclictest and to C, in rounds that take turns on one bus.
+"""The loop and the bus against the wall clock: ratios to cyclictest and to C, in rounds that take
+turns on one bus.
 
-Medians are over rounds; shares are of all rounds together. What cannot be measured here is skipped with its reason.
+Medians are over rounds; shares are of all rounds together. What cannot be measured here is skipped
+with its reason.
 """
 
 from __future__ import annotations
@@ -143,7 +145,10 @@ def against_cyclictest(loop: Run, reference: Run) -> None:
 
 
 def disturbed(seconds: float, rounds: int) -> None:
-    """Only the figure that matters: the loop beside busy threads, and cyclictest, in turns; long, for late cycles are few."""
+    """Only the figure that matters: the loop beside busy threads, and cyclictest, in turns.
+
+    Long, for late cycles are few.
+    """
     reason = c.has_cyclictest()
     if reason is not None:
         skipped("disturbed: late cycles", reason)

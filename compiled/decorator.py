@@ -1,18 +1,21 @@
 """The one way this project compiles a function, and where the machine code is kept.
 
-What is kept of a kernel is bound to its own source file and to all that it imports (`compiled.sources`); `compiled.kernel_cache` says
-where it stands, and what is removed; `compiled.kernel_files` lets no two processes compile the same.
+What is kept of a kernel is bound to its own source file and to all that it imports
+(`compiled.sources`); `compiled.kernel_cache` says where it stands, and what is removed;
+`compiled.kernel_files` lets no two processes compile the same.
 
-Import this module before `numba`. ``NUMBA_CACHE_DIR`` set by the user wins (ours are sub-directories of it all the same);
-``NUMBA_DISABLE_JIT=1`` runs every kernel as plain Python.
+Import this module before `numba`. ``NUMBA_CACHE_DIR`` set by the user wins (ours are
+sub-directories of it all the same); ``NUMBA_DISABLE_JIT=1`` runs every kernel as plain Python.
 
-Kernels take records: a record is one pointer, and an array in a record costs nothing to pass. What has no fixed size (a log, a row of devices) comes
-as an array in a named tuple; 23 of them take `Entry` 10 us (6 us one by one), which only Python's rare calls pay. A law's function stands beside the
-tuples: in a tuple numba would type it as a value that the disk cache cannot keep.
+Kernels take records: a record is one pointer, and an array in a record costs nothing to pass. What
+has no fixed size (a log, a row of devices) comes as an array in a named tuple; 23 of them take
+`Entry` 10 us (6 us one by one), which only Python's rare calls pay. A law's function stands beside
+the tuples: in a tuple numba would type it as a value that the disk cache cannot keep.
 
-Two ways make a call cheap for the few calls that every frame makes. A call that passes five arrays costs about 25 ns: an array is a structure of
-seven words, and its reference is counted atomically on the way in and out. `inlined` makes a kernel part of its caller; `borrowed` returns
-arrays whose references are not counted.
+Two ways make a call cheap for the few calls that every frame makes. A call that passes five arrays
+costs about 25 ns: an array is a structure of seven words, and its reference is counted atomically
+on the way in and out. `inlined` makes a kernel part of its caller; `borrowed` returns arrays whose
+references are not counted.
 """
 
 from __future__ import annotations
@@ -82,8 +85,9 @@ def _variable(given: Any) -> Any:
 def _compiled(function: F, **options: Any) -> F:
     """Compile `function` on its first call, once for the types of its arguments.
 
-    Numba by itself compiles a function anew for each constant with which another kernel calls it, so a state or a length is one argument of many
-    signatures; a fifth of all compilations were such copies. Nobody takes a kernel's address, so its wrapper for C is left out.
+    Numba by itself compiles a function anew for each constant with which another kernel calls it,
+    so a state or a length is one argument of many signatures; a fifth of all compilations were such
+    copies. Nobody takes a kernel's address, so its wrapper for C is left out.
     """
     compiled: F = numba.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options)(function)
     if JIT_DISABLED:
@@ -99,7 +103,8 @@ def _compiled(function: F, **options: Any) -> F:
 
 
 def kernel(function: F) -> F:
-    """Compile `function` on its first call: no GIL, cached on disk, C's arithmetic errors (no exceptions).
+    """Compile `function` on its first call: no GIL, cached on disk, C's arithmetic errors (no
+    exceptions).
 
     Inside a kernel all integers are int64: mixing int64 with uint64 gives float64.
     """
@@ -121,7 +126,10 @@ else:
 
     @intrinsic  # type: ignore[untyped-decorator]
     def borrowed(typingctx: Any, arrays: Any) -> Any:
-        """Return the same array, or named tuple of arrays, without counting references; the caller's own keep them alive."""
+        """Return the same array, or named tuple of arrays, without counting references.
+
+        The caller's own keep them alive.
+        """
 
         def without_count(context: Any, builder: Any, kind: Any, value: Any) -> Any:
             view = make_array(kind)(context, builder, value=value)
@@ -145,7 +153,9 @@ else:
 
 
 def _kind(argument: Any) -> Any:
-    """Return what an argument's numba type follows from: equal for two arguments only if their types are the same."""
+    """Return what an argument's numba type follows from: equal for two arguments only if their
+    types are the same.
+    """
     if isinstance(argument, np.ndarray):
         flags = argument.flags
         return (
@@ -169,7 +179,10 @@ _entry_points: dict[Any, Callable[..., Any]] = {}
 
 
 def _entry_point(function: Callable[..., Any], arguments: tuple[Any, ...]) -> Callable[..., Any]:
-    """Return the compiled function for arguments like these. Numba's types of a world's records take 5 ms: once a process."""
+    """Return the compiled function for arguments like these.
+
+    Numba's types of a world's records take 5 ms: once a process.
+    """
     key = function, tuple(map(_kind, arguments))
     if key not in _entry_points:
         dispatcher: Any = function
@@ -182,8 +195,8 @@ def _entry_point(function: Callable[..., Any], arguments: tuple[Any, ...]) -> Ca
 class Entry:
     """A kernel that Python calls often, always with arguments of the same types.
 
-    The dispatcher looks at the type of each argument at each call, which takes 40 us for a dozen arrays of records;
-    after the first call this goes past it.
+    The dispatcher looks at the type of each argument at each call, which takes 40 us for a dozen
+    arrays of records; after the first call this goes past it.
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:
@@ -191,7 +204,10 @@ class Entry:
         self._entry: Callable[..., Any] | None = function if JIT_DISABLED else None
 
     def load(self, *arguments: Any) -> Callable[..., Any]:
-        """Compile the kernel for arguments like these, or load it out of the cache; it is not called. Return what is called then."""
+        """Compile the kernel for arguments like these, or load it out of the cache.
+
+        It is not called. Return what is called then.
+        """
         if self._entry is None:
             self._entry = _entry_point(self._function, arguments)
         return self._entry

@@ -1,4 +1,5 @@
-"""Where the machine code of the kernels is kept: a directory for each state of the sources, and which of them are removed.
+"""Where the machine code of the kernels is kept: a directory for each state of the sources, and
+which of them are removed.
 
 ::
 
@@ -6,9 +7,10 @@
     BASE/coulombus/kernels-0123456789abcdef/compiling              locked byte by byte by who compiles
     BASE/coulombus/kernels-0123456789abcdef/host_1a2b.../*.nbi     what numba keeps
 
-BASE is ``NUMBA_CACHE_DIR``, else ``$XDG_CACHE_HOME``, else ``~/.cache``. What is kept there is run, so a directory of another user is not used.
-Nothing is removed that was not made here: the name has our form, the marker stands in it and says the
-same name, no process uses it, and of its content only the marker and files with numba's endings go. No link is followed.
+BASE is ``NUMBA_CACHE_DIR``, else ``$XDG_CACHE_HOME``, else ``~/.cache``. What is kept there is run,
+so a directory of another user is not used. Nothing is removed that was not made here: the name has
+our form, the marker stands in it and says the same name, no process uses it, and of its content
+only the marker and files with numba's endings go. No link is followed.
 """
 
 from __future__ import annotations
@@ -30,7 +32,9 @@ __all__ = ["COMPILING", "KEPT", "MARKER", "choose", "others", "say"]
 OURS = "coulombus"
 MARKER = "coulombus-kernels"
 COMPILING = "compiling"
-"""The file whose bytes are locked, each for one kernel, by the process that compiles it (`compiled.kernel_files`)."""
+"""The file whose bytes are locked, each for one kernel, by the process that compiles it
+(`compiled.kernel_files`).
+"""
 KEPT = 4
 """Directories that stay, the newest ones; one that a process uses stays in any case."""
 
@@ -48,7 +52,8 @@ def say(text: str) -> None:
 
 
 def choose(key: str) -> Path | None:
-    """Return the directory for the sources whose hash is `key`, made and marked as used; None where no place can be written.
+    """Return the directory for the sources whose hash is `key`, made and marked as used; None where
+    no place can be written.
 
     The variable ``NUMBA_CACHE_DIR`` is set to it, so that a child process takes the same.
     """
@@ -126,7 +131,10 @@ def _remove_at_exit(path: Path) -> None:
 
 
 def _usable(directory: Path) -> bool:
-    """Make the directory and its marker, hold the marker's lock; tell whether all that, and writing, works."""
+    """Make the directory and its marker, hold the marker's lock.
+
+    Tell whether all that, and writing, works.
+    """
     for _ in range(_TRIES):  # another process may remove it between two of these calls
         try:
             directory.mkdir(parents=True, exist_ok=True)
@@ -149,7 +157,10 @@ def _usable(directory: Path) -> bool:
 
 
 def _marker(directory: Path, *, create: bool = False) -> int | None:
-    """Open the marker; None where it is not ours. It tells the directory's name, so that a copied one counts for nothing."""
+    """Open the marker; None where it is not ours.
+
+    It tells the directory's name, so that a copied one counts for nothing.
+    """
     flags = os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK | (os.O_CREAT if create else 0)
     told = f"{directory.name}\n".encode()
     lock = os.open(directory / MARKER, flags, 0o600)
@@ -200,7 +211,10 @@ def _used_ns(directory: Path) -> int:
 
 
 def _remove(directory: Path) -> None:
-    """Remove a directory of ours that no process uses; what is not ours in it stays, and then the directory with it."""
+    """Remove a directory of ours that no process uses.
+
+    What is not ours in it stays, and then the directory with it.
+    """
     lock = _marker(directory)
     if lock is None:
         return

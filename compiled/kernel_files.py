@@ -1,15 +1,17 @@
-"""Numba's files of machine code, held against damage; and Ctrl-C, held against numba. `compiled.decorator` imports this, after it has chosen the
-place.
+"""Numba's files of machine code, held against damage; and Ctrl-C, held against numba.
+`compiled.decorator` imports this, after it has chosen the place.
 
-A file that a full disk or a power cut has cut short would end every start with an exception, and two processes that save at the same time may
-name the same file for different signatures. So each file carries a CRC-32 and its key: what does not fit is told once, dropped and compiled
-again. A place that takes no more is told once, too.
+A file that a full disk or a power cut has cut short would end every start with an exception, and
+two processes that save at the same time may name the same file for different signatures. So each
+file carries a CRC-32 and its key: what does not fit is told once, dropped and compiled again. A
+place that takes no more is told once, too.
 
-Only one process compiles a kernel (`_wait_for_turn`): the others wait, and load what it has saved. What a directory of other sources has kept of a
-kernel whose own sources are the same is taken from there.
+Only one process compiles a kernel (`_wait_for_turn`): the others wait, and load what it has saved.
+What a directory of other sources has kept of a kernel whose own sources are the same is taken from
+there.
 
-LLVM calls back into Python; an exception of a signal's handler that is raised there is printed and lost. While a kernel is compiled or loaded such
-an exception is kept, and raised behind it.
+LLVM calls back into Python; an exception of a signal's handler that is raised there is printed and
+lost. While a kernel is compiled or loaded such an exception is kept, and raised behind it.
 """
 
 from __future__ import annotations
@@ -40,7 +42,8 @@ __all__ = ["KernelCache", "interrupts_kept", "keep_interrupts"]
 
 
 PATIENCE_S, PAUSE_S = 300.0, 0.02
-"""How long a process waits for another one that compiles what it needs, before it does so itself."""
+"""How long a process waits for another one that compiles what it needs, before it does so itself.
+"""
 
 
 class DamagedError(ValueError):
@@ -57,9 +60,11 @@ def _tell_once(text: str) -> None:
 
 
 class _Files(IndexDataCacheFile):  # type: ignore[misc]
-    """The index of one function and its data files, each pickle behind its CRC-32, the data with their key.
+    """The index of one function and its data files, each pickle behind its CRC-32, the data with
+    their key.
 
-    The index carries the `stamp` of the sources. It is asked for only where it matters: to read all the sources costs more than to load the code.
+    The index carries the `stamp` of the sources. It is asked for only where it matters: to read all
+    the sources costs more than to load the code.
     """
 
     def __init__(self, directory: str, base: str, stamp: Callable[[], Any], any_stamp: bool) -> None:
@@ -116,7 +121,8 @@ def _whole(raw: bytes) -> Any:
 class KernelCache:
     """The cache of one kernel: numba's own, made when it is first needed.
 
-    The options are in the files' names: the same function may be a law, whose address is taken, and a kernel, which has none.
+    The options are in the files' names: the same function may be a law, whose address is taken, and
+    a kernel, which has none.
     """
 
     def __init__(self, function: Callable[..., Any], options: Mapping[str, Any]) -> None:
@@ -148,7 +154,9 @@ class KernelCache:
         return stamp(self._file) if ours(self._file) else self._locator.get_source_stamp()
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return the compiled function; None where there is none, or none that is whole: the caller compiles it then, and nobody else."""
+        """Return the compiled function; None where there is none, or none that is whole: the caller
+        compiles it then, and nobody else.
+        """
         _import_arraymath()
         if self._numbas is None:
             return None
@@ -170,7 +178,9 @@ class KernelCache:
             raise
 
     def _adopt(self, place: Path) -> None:
-        """Take over what another state of the sources has kept, where this kernel is the same in both."""
+        """Take over what another state of the sources has kept, where this kernel is the same in
+        both.
+        """
         if not ours(self._file) or (place / f"{self._base}.nbi").exists():
             return
         for other in others(place.parent):
@@ -217,9 +227,12 @@ class KernelCache:
 
 
 def _wait_for_turn(place: Path, base: str) -> int | None:
-    """Wait until no other process compiles the kernel whose files are `base` in `place`; return the lock, None where there is none to be had.
+    """Wait until no other process compiles the kernel whose files are `base` in `place`.
 
-    A kernel's callees are compiled within its own turn. Calls make no circle, so no two processes wait for each other.
+    Return the lock, None where there is none to be had.
+
+    A kernel's callees are compiled within its own turn. Calls make no circle, so no two processes
+    wait for each other.
     """
     at = zlib.crc32(f"{place.name}/{base}".encode())
     try:
@@ -243,9 +256,11 @@ def _wait_for_turn(place: Path, base: str) -> int | None:
 
 
 def _import_arraymath() -> None:
-    """Import what numba imports before it first loads or compiles, without scipy's BLAS: that would take half as long as all the rest.
+    """Import what numba imports before it first loads or compiles, without scipy's BLAS: that would
+    take half as long as all the rest.
 
-    Without it numba computes `numpy.cov` by a loop of its own; matrix products ask for BLAS when they are compiled.
+    Without it numba computes `numpy.cov` by a loop of its own; matrix products ask for BLAS when
+    they are compiled.
     """
     if "numba.np.arraymath" in sys.modules:
         return

@@ -1,12 +1,15 @@
 """System calls for kernels, and flags that a kernel shares with Python.
 
-The C library is reached by the names of its symbols (numba's ``ExternalFunction``), which the disk cache keeps; pointers of ctypes and cffi
-would not be cached. A missing symbol would be a crash at the first call, so the names are checked on import. Addresses are plain
-integers (``array.ctypes.data``). All results are int64; -1 means: ask `errno`.
+The C library is reached by the names of its symbols (numba's ``ExternalFunction``), which the disk
+cache keeps; pointers of ctypes and cffi would not be cached. A missing symbol would be a crash at
+the first call, so the names are checked on import. Addresses are plain integers
+(``array.ctypes.data``). All results are int64; -1 means: ask `errno`.
 
-With NUMBA_DISABLE_JIT=1 the same names are ctypes calls, so that kernels which use them run as plain Python too.
+With NUMBA_DISABLE_JIT=1 the same names are ctypes calls, so that kernels which use them run as
+plain Python too.
 
-`load_acquire` and `store_release` work on an int64 at an address: an ordinary read of a flag would be hoisted out of the loop.
+`load_acquire` and `store_release` work on an int64 at an address: an ordinary read of a flag would
+be hoisted out of the loop.
 """
 
 from __future__ import annotations
@@ -112,12 +115,17 @@ if JIT_DISABLED:
         return time.monotonic_ns()
 
     def sleep_until(t_ns: int) -> int:
-        """Sleep to CLOCK_MONOTONIC = `t_ns`; return 0, or the error number (EINTR: a signal came)."""
+        """Sleep to CLOCK_MONOTONIC = `t_ns`.
+
+        Return 0, or the error number (EINTR: a signal came).
+        """
         spec = (ctypes.c_int64 * 2)(t_ns // SECOND_NS, t_ns % SECOND_NS)
         return int(_c["clock_nanosleep"](CLOCK_MONOTONIC, TIMER_ABSTIME, spec, None))
 
     def ppoll_ns(address: int, count: int, timeout_ns: int) -> int:
-        """Wait for the `count` struct pollfd at `address`, at most `timeout_ns` (negative: for ever); return how many are ready."""
+        """Wait for the `count` struct pollfd at `address`, at most `timeout_ns` (negative: for
+        ever); return how many are ready.
+        """
         spec = (ctypes.c_int64 * 2)(timeout_ns // SECOND_NS, timeout_ns % SECOND_NS) if timeout_ns >= 0 else None
         return int(_c["ppoll"](ctypes.c_void_p(address), ctypes.c_ulong(count), spec, None))
 
@@ -180,7 +188,9 @@ else:
         return builder.add(builder.mul(seconds, ir.Constant(_I64, SECOND_NS)), rest)
 
     def _system_call(name: str, result: Any, widths: tuple[Any, ...], text: str) -> Any:
-        """Return an intrinsic that takes int64 arguments and calls the symbol `name` with integers of these widths."""
+        """Return an intrinsic that takes int64 arguments and calls the symbol `name` with integers
+        of these widths.
+        """
 
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             given = [a if w == _I64 else builder.trunc(a, w) for a, w in zip(args, widths, strict=True)]
@@ -258,7 +268,10 @@ else:
 
     @intrinsic  # type: ignore[untyped-decorator]
     def sleep_until(typingctx: Any, t_ns: Any) -> Any:
-        """Sleep to CLOCK_MONOTONIC = `t_ns`; return 0, or the error number (EINTR: a signal came)."""
+        """Sleep to CLOCK_MONOTONIC = `t_ns`.
+
+        Return 0, or the error number (EINTR: a signal came).
+        """
 
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             clock, flags = ir.Constant(_I32, CLOCK_MONOTONIC), ir.Constant(_I32, TIMER_ABSTIME)
@@ -268,7 +281,9 @@ else:
 
     @intrinsic  # type: ignore[untyped-decorator]
     def ppoll_ns(typingctx: Any, address: Any, count: Any, timeout_ns: Any) -> Any:
-        """Wait for the `count` struct pollfd at `address`, at most `timeout_ns` (negative: for ever); return how many are ready."""
+        """Wait for the `count` struct pollfd at `address`, at most `timeout_ns` (negative: for
+        ever); return how many are ready.
+        """
 
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             forever = builder.icmp_signed("<", args[2], _NULL)

@@ -1,9 +1,11 @@
-"""Which source files a kernel depends on: its own, and those that it imports from this project, and so on.
+"""Which source files a kernel depends on: its own, and those that it imports from this project, and
+so on.
 
-Numba's disk cache looks at the file of the function that it compiles, not at the files of the functions which that one calls: an edited
-callee would be served stale. So what is kept of a kernel carries the hash of all these files (`stamp`), and all of a state of the sources
-stands in a directory of its own (`source_key`). Imports are read from the text, wherever they stand: a docstring that shows one
-costs a compilation too many, never one too few.
+Numba's disk cache looks at the file of the function that it compiles, not at the files of the
+functions which that one calls: an edited callee would be served stale. So what is kept of a kernel
+carries the hash of all these files (`stamp`), and all of a state of the sources stands in a
+directory of its own (`source_key`). Imports are read from the text, wherever they stand: a
+docstring that shows one costs a compilation too many, never one too few.
 """
 
 from __future__ import annotations
@@ -28,7 +30,9 @@ _WORD = re.compile(r"\w+")
 
 
 def source_key(root: Path) -> str:
-    """Hash of all Python sources under `root` that may hold or feed a kernel, with the interpreter's version."""
+    """Hash of all Python sources under `root` that may hold or feed a kernel, with the
+    interpreter's version.
+    """
     digest = hashlib.sha256(sys.version.encode())
     for package in KERNEL_PACKAGES:
         folder = root / package
@@ -45,7 +49,9 @@ def ours(file: str) -> bool:
 
 @cache
 def stamp(file: str, root: Path = ROOT) -> str:
-    """Hash of the source `file` and of all that it imports from the packages under `root`, with the interpreter's version."""
+    """Hash of the source `file` and of all that it imports from the packages under `root`, with the
+    interpreter's version.
+    """
     digest = hashlib.sha256(sys.version.encode())
     for one in sorted(_closure(Path(file).resolve(), root)):
         digest.update(str(one.relative_to(root)).encode() + b"\0" + _hash(one))

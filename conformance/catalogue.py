@@ -12,9 +12,11 @@ __all__ = ["Case", "catalogue"]
 
 @dataclass(frozen=True)
 class Case:
-    """One case: its number as text ("2.10" is not "2.1"), what it is about, and the abort codes that it accepts.
+    """One case: its number as text ("2.10" is not "2.1"), what it is about, and the abort codes
+    that it accepts.
 
-    Numbers that begin with a letter are this project's own. Without `codes` any abort code is accepted where one is due.
+    Numbers that begin with a letter are this project's own. Without `codes` any abort code is
+    accepted where one is due.
     """
 
     id: str

@@ -82,7 +82,8 @@ class UnknownCase(ValueError):
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a case: result, the reason or a remark, and the last frames of a failure or an error.
+    """What became of a case: result, the reason or a remark, and the last frames of a failure or an
+    error.
 
     An `error` is the tester's own: it says nothing about the device.
     """
@@ -189,9 +190,10 @@ def _check_identity(unit: Unit) -> None:
 def run(unit: Unit, cases: Sequence[Case], progress: Callable[[int, Case], None] = lambda n, case: None) -> Report:
     """Run the cases, and leave the device reset, with its defaults where something was stored.
 
-    A case that raises what it should not is an error of the tester in that case, never the end of the run; when the device does
-    not answer any more, the cases that follow fail at once. An interrupt and a bus that goes away end the run; what
-    came of the cases before is returned, with what ended it.
+    A case that raises what it should not is an error of the tester in that case, never the end of
+    the run; when the device does not answer any more, the cases that follow fail at once. An
+    interrupt and a bus that goes away end the run; what came of the cases before is returned, with
+    what ended it.
     """
     device = str(unit.description.info.get("ProductName", "")) or unit.description.path
     outcomes: list[Outcome] = []

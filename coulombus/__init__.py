@@ -4,7 +4,8 @@ What a script needs, imported only when it is asked for::
 
     from coulombus import read, simulate
 
-The packages below are links to the folders beside this one: `coulombus.node` is ``node/``. Import them by this name only.
+The packages below are links to the folders beside this one: `coulombus.node` is ``node/``. Import
+them by this name only.
 """
 
 from __future__ import annotations

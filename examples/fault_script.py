@@ -1,4 +1,6 @@
-"""Plan a fault: the motor drive loses its power in mid-stroke. Who notices, and what does the brake do?
+"""Plan a fault: the motor drive loses its power in mid-stroke.
+
+Who notices, and what does the brake do?
 
 python examples/fault_script.py
 """

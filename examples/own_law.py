@@ -1,8 +1,10 @@
-"""A friction law of one's own: Stribeck friction, which falls from F_s to F_d as the handle gets faster.
+"""A friction law of one's own: Stribeck friction, which falls from F_s to F_d as the handle gets
+faster.
 
     python examples/own_law.py
 
-The command line runs the same law: coulombus simulate --set law.function=$PWD/examples/own_law.py:stribeck --set law.user=[0.5]
+The command line runs the same law: coulombus simulate --set
+law.function=$PWD/examples/own_law.py:stribeck --set law.user=[0.5]
 """
 
 from __future__ import annotations

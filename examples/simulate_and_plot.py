@@ -1,4 +1,6 @@
-"""Run the bench rig in one mode, read its recording, print the figures; with --png draw torque and velocity.
+"""Run the bench rig in one mode, read its recording, print the figures.
+
+With --png draw torque and velocity.
 
 python examples/simulate_and_plot.py --mode active --png
 """

@@ -1,6 +1,8 @@
-"""A CANopen network for one's own tests, in virtual time: two devices from an EDS, a master and a monitor.
+"""A CANopen network for one's own tests, in virtual time: two devices from an EDS, a master and a
+monitor.
 
-Nothing sleeps: a second passes as fast as it is computed, and the same program prints the same times to the nanosecond.
+Nothing sleeps: a second passes as fast as it is computed, and the same program prints the same
+times to the nanosecond.
 """
 
 from __future__ import annotations

@@ -9,6 +9,8 @@ __all__ = ["switch_on"]
 
 
 def switch_on(world: VirtualRig) -> tuple[str, ...]:
-    """Switch the nodes of `world` on and bring them up over SDO, as `host.setup.bringup` does on a rig; return what was left out."""
+    """Switch the nodes of `world` on and bring them up over SDO, as `host.setup.bringup` does on a
+    rig; return what was left out.
+    """
     world.boot()
     return bring_up(world.controllers, world)

@@ -1,4 +1,6 @@
-"""One run of the rig in virtual time: bring-up, arming, display, safe end - over real PDOs, recorded like a real one."""
+"""One run of the rig in virtual time: bring-up, arming, display, safe end - over real PDOs,
+recorded like a real one.
+"""
 
 from __future__ import annotations
 
@@ -155,7 +157,8 @@ def simulate(
     seconds : length of the display, from Operation Enabled on
     record : write a pcapng recording there; the display's figures are computed from it
     seed : of everything random; same seed, same bytes
-    truth : save the plant's true course there (npz, the arrays of `sim_bus.rig.plant.TRUTH_COLUMNS`)
+    truth : save the plant's true course there (npz, the arrays of
+        `sim_bus.rig.plant.TRUTH_COLUMNS`)
     overrides : ``SECTION.KEY=VALUE`` of the rig file
     script : called before power-on; plans faults with ``world.at(t_ns, action)``
     faults : a fault file (docs/bus.md): what goes wrong on the bus, and when
@@ -166,7 +169,8 @@ def simulate(
     ------
     coulombus.host.errors.HostError
         a node is missing, refuses a value or is not what the rig file says; nothing was armed
-    coulombus.rigs.rig.RigError, coulombus.host.laws.laws.LawError, coulombus.recording.pcapng_blocks.RecordingError
+    coulombus.rigs.rig.RigError, coulombus.host.laws.laws.LawError,
+    coulombus.recording.pcapng_blocks.RecordingError
         the rig file, the law or the recording's path is wrong, or a limit would cut the law off
     FileExistsError
         `record` or `truth` exists, and `force` was not given; nothing was run
@@ -223,7 +227,10 @@ class _Order:
     force: bool
 
     def on(self, channel: str, stop_ns: int | None) -> _Order:
-        """Return what that is on one bus, whose host is stopped at `stop_ns`; it has files of its own."""
+        """Return what that is on one bus, whose host is stopped at `stop_ns`.
+
+        It has files of its own.
+        """
 
         def script(world: VirtualRig) -> None:
             if self.script is not None:
@@ -238,7 +245,9 @@ class _Order:
 
 
 def _simulate_buses(order: _Order) -> RunResult:
-    """Run each bus of the rig; where one trips, the others are run once more and stopped at that instant.
+    """Run each bus of the rig.
+
+    Where one trips, the others are run once more and stopped at that instant.
 
     The buses share nothing but that, so one after the other is exact.
     """

@@ -1,7 +1,9 @@
-"""pcapng files for python-can's programs: ``can_logger -f run.pcapng``, ``can_player run.pcapng``, ``can_logconvert``.
+"""pcapng files for python-can's programs: ``can_logger -f run.pcapng``, ``can_player run.pcapng``,
+``can_logconvert``.
 
-Found by the entry points ``can.io.message_writer`` and ``can.io.message_reader``, whose keys carry the dot. python-can
-loads every plug-in for each file it opens, of whatever kind, so the compiled modules are imported only for a pcapng file.
+Found by the entry points ``can.io.message_writer`` and ``can.io.message_reader``, whose keys carry
+the dot. python-can loads every plug-in for each file it opens, of whatever kind, so the compiled
+modules are imported only for a pcapng file.
 """
 
 from __future__ import annotations
@@ -27,7 +29,8 @@ _log = logging.getLogger(__name__)
 
 
 class PcapngMessageReader(MessageReader):
-    """The frames of a pcapng file (link type SocketCAN) as python-can's messages; `channel` is the interface's number.
+    """The frames of a pcapng file (link type SocketCAN) as python-can's messages; `channel` is the
+    interface's number.
 
     Raises
     ------
@@ -52,10 +55,12 @@ class PcapngMessageReader(MessageReader):
 
 
 class PcapngMessageWriter(SizedMessageWriter):
-    """Write python-can's messages to a pcapng file that Wireshark and ``coulombus decode --rig R`` read.
+    """Write python-can's messages to a pcapng file that Wireshark and ``coulombus decode --rig R``
+    read.
 
-    A file that exists is replaced, as python-can's own writers do. Messages are handed over in batches of 0.1 s, so of a killed program no more
-    than that is missing. CAN FD frames are left out, counted (`skipped`) and told at the end.
+    A file that exists is replaced, as python-can's own writers do. Messages are handed over in
+    batches of 0.1 s, so of a killed program no more than that is missing. CAN FD frames are left
+    out, counted (`skipped`) and told at the end.
 
     Raises
     ------

@@ -1,4 +1,6 @@
-"""Logs of other tools, as python-can reads them by their names: candump's .log, .asc, .blf, .trc, .csv, .mf4, .db, each also .gz."""
+"""Logs of other tools, as python-can reads them by their names: candump's .log, .asc, .blf, .trc,
+.csv, .mf4, .db, each also .gz.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,9 @@ class LogError(Exception):
 
 
 def is_pcapng(path: str | Path) -> bool:
-    """Tell whether a file begins as a pcapng file does; OSError where it is none, but a pipe or a device."""
+    """Tell whether a file begins as a pcapng file does; OSError where it is none, but a pipe or a
+    device.
+    """
     require_regular(path)
     with Path(path).open("rb") as file:
         return file.read(4) == b"\x0a\x0d\x0d\x0a"
@@ -70,5 +74,7 @@ def read_log(path: str | Path) -> tuple[Records, list[str]]:
 
 
 def _stamp_ns(timestamp: float) -> int:
-    """Return python-can's stamp [s]: a clock's in whole us, which is what files have and as much as its float still tells."""
+    """Return python-can's stamp [s]: a clock's in whole us, which is what files have and as much as
+    its float still tells.
+    """
     return round(timestamp * 1e6) * 1000 if timestamp * 1e9 >= WALL_CLOCK_NS else round(timestamp * 1e9)

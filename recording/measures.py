@@ -1,11 +1,14 @@
 """The figures that tell a chattering display from a still one, all computed from a recording alone.
 
-Velocity is the backward difference of the decoded 6064h at the handle, unfiltered. The windows are those of the markers that the recording
-carries: the hold from 0.8 s after it begins to 0.02 s before it ends, and of the stroke each dwell from 0.35 s to 0.95 s.
+Velocity is the backward difference of the decoded 6064h at the handle, unfiltered. The windows are
+those of the markers that the recording carries: the hold from 0.8 s after it begins to 0.02 s
+before it ends, and of the stroke each dwell from 0.35 s to 0.95 s.
 
-A recording is gone through twice, for its phases and for its figures, block by block (`recording.signals.blocks`): the memory does not grow with it.
-Counts, flips and peaks are the same in any blocks, bit for bit. An RMS is the root of a sum of the blocks' sums, and the spectrum a mean of
-their means: against one sum over everything they are rounded differently, by less than 1e-12 of their value.
+A recording is gone through twice, for its phases and for its figures, block by block
+(`recording.signals.blocks`): the memory does not grow with it. Counts, flips and peaks are the same
+in any blocks, bit for bit. An RMS is the root of a sum of the blocks' sums, and the spectrum a mean
+of their means: against one sum over everything they are rounded differently, by less than 1e-12 of
+their value.
 """
 
 from __future__ import annotations
@@ -31,7 +34,9 @@ SPECTRUM_SAMPLES = 512
 
 @dataclass(frozen=True)
 class PhaseSpan:
-    """One phase of the operator's schedule, as the recording's markers tell it; `index` is its place in the rig file."""
+    """One phase of the operator's schedule, as the recording's markers tell it; `index` is its
+    place in the rig file.
+    """
 
     index: int
     kind: str
@@ -48,13 +53,18 @@ class Measures:
     torque_flips_per_s: float | None = None
     stick_velocity_rms_rad_s: float | None = None
     hold_peak_Hz: float | None = None
-    """Frequency of the largest peak in the averaged spectrum (Welch) of the velocity in the hold window."""
+    """Frequency of the largest peak in the averaged spectrum (Welch) of the velocity in the hold
+    window.
+    """
     hold_push_Nm: float | None = None
     """Largest handle torque that the transducer shows in the hold window."""
 
 
 def phases(recording: Source) -> list[PhaseSpan]:
-    """Return the phases of the schedule from the markers ``phase KIND``; the last one ends at ``phase end`` or with the recording."""
+    """Return the phases of the schedule from the markers ``phase KIND``.
+
+    The last one ends at ``phase end`` or with the recording.
+    """
     begins: list[tuple[float, str]] = []
     end = 0.0
     for block in recording:
@@ -66,13 +76,17 @@ def phases(recording: Source) -> list[PhaseSpan]:
 
 
 def velocity(t_s: Floats, angle_rad: Floats, period_s: float) -> tuple[Floats, Floats]:
-    """Return times [s] and backward difference [rad/s] of the angle; a gap of several periods is divided by its whole periods."""
+    """Return times [s] and backward difference [rad/s] of the angle; a gap of several periods is
+    divided by its whole periods.
+    """
     periods = np.maximum(np.rint(np.diff(t_s) / period_s), 1.0)
     return t_s[1:], np.diff(angle_rad) / (periods * period_s)
 
 
 def _windows(recording: Source, spans: list[PhaseSpan]) -> tuple[list[Window], list[Window]]:
-    """Return the hold windows and the stick windows [s]; a stick window ends with its dwell at the latest."""
+    """Return the hold windows and the stick windows [s]; a stick window ends with its dwell at the
+    latest.
+    """
     holds = [(s.begin_s + HOLD_LEAD_S, s.end_s - HOLD_TAIL_S) for s in spans if s.kind == "hold"]
     sticks = []
     for span in spans:
@@ -87,7 +101,10 @@ def _windows(recording: Source, spans: list[PhaseSpan]) -> tuple[list[Window], l
 
 
 def _inside(t: Floats, windows: list[Window]) -> npt.NDArray[np.bool_]:
-    """Tell which times are in one of the windows, which follow each other; one that ends before it begins holds nothing."""
+    """Tell which times are in one of the windows, which follow each other.
+
+    One that ends before it begins holds nothing.
+    """
     edges = [edge for begin, end in windows if begin < end for edge in (begin, end)]
     inside: npt.NDArray[np.bool_] = np.searchsorted(edges, t, "right") % 2 == 1
     return inside
@@ -158,7 +175,9 @@ class _Flips:
 
 @dataclass
 class _Spectrum:
-    """Welch's averaged spectrum of what is added, in segments of `SPECTRUM_SAMPLES` that overlap by half."""
+    """Welch's averaged spectrum of what is added, in segments of `SPECTRUM_SAMPLES` that overlap by
+    half.
+    """
 
     period_s: float
     frequency: Floats = field(default_factory=lambda: np.zeros(0))
@@ -177,7 +196,10 @@ class _Spectrum:
 
     @property
     def peak_Hz(self) -> float:
-        """The frequency of the largest mean; of fewer samples than a segment's, that of their spectrum."""
+        """The frequency of the largest mean.
+
+        Of fewer samples than a segment's, that of their spectrum.
+        """
         if not len(self.frequency):
             self.frequency, self.power = _welch(self.rest, self.period_s, len(self.rest))
         return float(self.frequency[np.argmax(self.power)])

@@ -1,7 +1,9 @@
-"""How a file is written that the user has named: nothing that stands there is replaced, unless that was asked for.
+"""How a file is written that the user has named: nothing that stands there is replaced, unless that
+was asked for.
 
-`check` tells before anything is run; `open_new` and `new_file` hold it at the instant of writing, whatever another process does meanwhile. Named
-pipes and character devices (/dev/null, /dev/stdout) are no files and take what they get.
+`check` tells before anything is run; `open_new` and `new_file` hold it at the instant of writing,
+whatever another process does meanwhile. Named pipes and character devices (/dev/null, /dev/stdout)
+are no files and take what they get.
 """
 
 from __future__ import annotations
@@ -70,7 +72,9 @@ def open_new(path: Path, *, force: bool) -> int:
 
 @contextmanager
 def new_file(path: Path, *, force: bool) -> Iterator[Path]:
-    """Yield the name under which the file is to be written; at the end of the block it gets its own, as a whole or not at all.
+    """Yield the name under which the file is to be written.
+
+    At the end of the block it gets its own, as a whole or not at all.
 
     Raises
     ------

@@ -1,12 +1,15 @@
-"""The pieces of a pcapng file (draft-ietf-opsawg-pcapng): blocks, options, our attachment block, and the errors.
+"""The pieces of a pcapng file (draft-ietf-opsawg-pcapng): blocks, options, our attachment block,
+and the errors.
 
-Every block is ``type, total length, body, total length``, in multiples of four bytes, in its section's byte order::
+Every block is ``type, total length, body, total length``, in multiples of four bytes, in its
+section's byte order::
 
     section header  0A0D0D0A | length | 1A2B3C4D (byte order) | 1.0 | section length | options | length
     interface       00000001 | length | link type, reserved | snapshot length | options | length
     packet          00000006 | length | interface, stamp high, low, captured, original | bytes | options | length
 
-A packet of link type 227 (SocketCAN) is Linux's ``struct can_frame`` with the identifier's word in big-endian order::
+A packet of link type 227 (SocketCAN) is Linux's ``struct can_frame`` with the identifier's word in
+big-endian order::
 
     byte  0 1 2 3      4        5       6 7        8 ... 15
          identifier  length  FD flags  reserved   data bytes
@@ -63,13 +66,19 @@ ATTACHMENT_MAGIC = b"CoulAtt1"
 
 
 class PcapngError(Exception):
-    """The file is not a pcapng recording that can be read; the text names file, offset, what is wrong, what to do."""
+    """The file is not a pcapng recording that can be read.
+
+    The text names file, offset, what is wrong, what to do.
+    """
 
     exit_status: ClassVar[int] = 2
 
 
 class RecordingError(OSError):
-    """The recording cannot be written any further (disk full, limit reached); what was written stays readable."""
+    """The recording cannot be written any further (disk full, limit reached).
+
+    What was written stays readable.
+    """
 
     exit_status: ClassVar[int] = 2
 
@@ -89,7 +98,10 @@ def option(code: int, value: bytes) -> bytes:
 
 
 def iter_options(data: bytes, order: str) -> Iterator[tuple[int, bytes]]:
-    """Yield (code, value) of the options in `data`; a torn last one ends the walk. `order` is "<" or ">"."""
+    """Yield (code, value) of the options in `data`; a torn last one ends the walk.
+
+    `order` is "<" or ">".
+    """
     at = 0
     while at + 4 <= len(data):
         code, size = struct.unpack_from(order + "HH", data, at)
@@ -121,7 +133,8 @@ class TooLarge:
 
 
 def read_attachment(body: bytes, most: int = 4 * MAX_BLOCK) -> tuple[str, bytes] | str | TooLarge | None:
-    """Return name and content of an attachment; a sentence where it is damaged; None where it is not one of ours.
+    """Return name and content of an attachment; a sentence where it is damaged; None where it is
+    not one of ours.
 
     One that has more than `most` bytes, uncompressed, is `TooLarge`, and is not unpacked.
     """

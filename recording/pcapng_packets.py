@@ -1,4 +1,6 @@
-"""Decode the packets of a pcapng file as columns: stamps of any resolution, frames of link type 227."""
+"""Decode the packets of a pcapng file as columns: stamps of any resolution, frames of link type
+227.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,9 @@ class BadPacketError(Exception):
 
 @dataclass(frozen=True)
 class Interface:
-    """An interface block: link type, time resolution as in the file (9: ns, 0x80 + n: 2^-n s), stamps' offset."""
+    """An interface block: link type, time resolution as in the file (9: ns, 0x80 + n: 2^-n s),
+    stamps' offset.
+    """
 
     linktype: int
     resolution: int = 6
@@ -41,7 +45,9 @@ class Interface:
 
 @dataclass(frozen=True)
 class Packets:
-    """The classical CAN frames among some packets; `options` are (row of `frames`, first byte, end) in the file."""
+    """The classical CAN frames among some packets; `options` are (row of `frames`, first byte, end)
+    in the file.
+    """
 
     frames: Records
     options: list[tuple[int, int, int]]
@@ -54,14 +60,17 @@ def column(words: Words, at: Integers, order: str) -> Integers:
 
 
 def decode_packets(words: Words, at: Integers, order: str, interfaces: Sequence[Interface], earlier: int) -> Packets:
-    """Decode the enhanced packet blocks that begin at the words `at`; what is no classical CAN frame is left out.
+    """Decode the enhanced packet blocks that begin at the words `at`.
+
+    What is no classical CAN frame is left out.
 
     `earlier` is added to the interface's number for the frames' `source`.
 
     Raises
     ------
     BadPacketError
-        Lengths that do not agree, an interface that is not described, a stamp beyond 64 bits of nanoseconds.
+        Lengths that do not agree, an interface that is not described, a stamp beyond 64 bits of
+        nanoseconds.
     """
     total, interface, captured = (column(words, at + i, order) for i in (1, 2, 5))
     for bad in np.flatnonzero((captured + HEAD + 4 > total) | (interface >= len(interfaces)))[:1]:

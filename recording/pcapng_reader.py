@@ -1,8 +1,10 @@
-"""Read pcapng files of link type 227: our recordings, and what dumpcap, tcpdump -w, editcap and the like leave.
+"""Read pcapng files of link type 227: our recordings, and what dumpcap, tcpdump -w, editcap and the
+like leave.
 
-A file is read `CHUNK` bytes at a time, so that its length costs no memory (`iter_pcapng`). A kernel walks from block to block, and packets are
-decoded as whole columns. Sections may have either byte order and any time resolution; captured packets may be 16 bytes (as the kernel gives
-them) or 8 + length.
+A file is read `CHUNK` bytes at a time, so that its length costs no memory (`iter_pcapng`). A kernel
+walks from block to block, and packets are decoded as whole columns. Sections may have either byte
+order and any time resolution; captured packets may be 16 bytes (as the kernel gives them) or 8 +
+length.
 """
 
 from __future__ import annotations
@@ -45,7 +47,9 @@ __all__ = ["Capture", "iter_pcapng", "read_pcapng"]
 CHUNK = 1 << 20
 """Bytes read at a time: 22,000 frames, 3.6 s of a rig with one axis at 1 kHz."""
 MOST_ATTACHED, ATTACHED_SHARE = 128 << 20, 4
-"""All attachments together have so many bytes at most, and 4 more for each byte of the file before them: a trace is shorter than its frames."""
+"""All attachments together have so many bytes at most, and 4 more for each byte of the file before
+them: a trace is shorter than its frames.
+"""
 BLOCKS = 1 << 15  # walked at a time
 END, FULL, SECTION, BAD = range(4)
 OTHER_FORMATS = {
@@ -62,8 +66,9 @@ OTHER_FORMATS = {
 class Capture:
     """What a file holds, or a stretch of it.
 
-    `frames` are records of `FRAME`: `t_ns` since 1970 (or since the run's start, in virtual time), `source` the number
-    of the interface, in the file's order. `comments` are (row of `frames`, text).
+    `frames` are records of `FRAME`: `t_ns` since 1970 (or since the run's start, in virtual time),
+    `source` the number of the interface, in the file's order. `comments` are (row of `frames`,
+    text).
     """
 
     path: str
@@ -134,15 +139,18 @@ class _Reader:
 
 
 def iter_pcapng(path: str | Path) -> Iterator[Capture]:
-    """Read a pcapng file of SocketCAN frames stretch by stretch: the memory does not grow with the file.
+    """Read a pcapng file of SocketCAN frames stretch by stretch: the memory does not grow with the
+    file.
 
-    Each stretch has what stands in it; the section's texts are those read so far. The last one, perhaps without a frame, tells of an
-    unfinished last block, which is left out (`Capture.torn`). A file that is still being written is read to its present end.
+    Each stretch has what stands in it; the section's texts are those read so far. The last one,
+    perhaps without a frame, tells of an unfinished last block, which is left out (`Capture.torn`).
+    A file that is still being written is read to its present end.
 
     Raises
     ------
     PcapngError
-        The file is empty, of another format, damaged in its midst, or holds no CAN interface: at the stretch where that shows.
+        The file is empty, of another format, damaged in its midst, or holds no CAN interface: at
+        the stretch where that shows.
     OSError
         It cannot be opened or read.
     """
@@ -171,7 +179,10 @@ def iter_pcapng(path: str | Path) -> Iterator[Capture]:
 
 
 def read_pcapng(path: str | Path) -> Capture:
-    """Read a whole pcapng file of SocketCAN frames, 40 bytes of memory for each; raises as `iter_pcapng`."""
+    """Read a whole pcapng file of SocketCAN frames, 40 bytes of memory for each.
+
+    Raises as `iter_pcapng`.
+    """
     parts = list(iter_pcapng(path))
     first = np.cumsum([0, *(len(part.frames) for part in parts)]).tolist()
     attachments: dict[str, bytes] = {}
@@ -194,7 +205,10 @@ def _swapped(word: int) -> int:
 
 @kernel
 def _walk(words: Any, at: int, swap: int, offsets: Any) -> tuple[int, int, int]:
-    """Note where blocks begin (in words), from `at` on; return their number, where the walk stopped, and why."""
+    """Note where blocks begin (in words), from `at` on.
+
+    Return their number, where the walk stopped, and why.
+    """
     size = words.shape[0]
     count = 0
     while True:
@@ -252,7 +266,10 @@ def _what_is_bad(reader: _Reader, at: int) -> str:
 
 
 def _section(reader: _Reader, at: int) -> tuple[int, int]:
-    """Take the section header at word `at`; return where the next block begins and FULL, `at` and END where more must be read first."""
+    """Take the section header at word `at`.
+
+    Return where the next block begins and FULL, `at` and END where more must be read first.
+    """
     start = 4 * at
     if len(reader.data) < start + 12:
         return at, END
@@ -281,7 +298,9 @@ def _section(reader: _Reader, at: int) -> tuple[int, int]:
 
 
 def _zeros(reader: _Reader, at: int) -> int:
-    """Return the number of bytes from word `at` on, which must be zeros to the file's end: what a power cut leaves on some file systems."""
+    """Return the number of bytes from word `at` on, which must be zeros to the file's end: what a
+    power cut leaves on some file systems.
+    """
     what, offset, torn = _what_is_bad(reader, at), 4 * at, len(reader.data) - 4 * at
     tail = reader.data[offset:]
     while tail:

@@ -1,7 +1,8 @@
-"""Recordings: pcapng files of link type 227 (SocketCAN) with nanosecond stamps, as Wireshark reads them.
+"""Recordings: pcapng files of link type 227 (SocketCAN) with nanosecond stamps, as Wireshark reads
+them.
 
-Every `PcapngWriter.write` hands over whole blocks with one system call, so a killed process leaves a readable file. The
-file holds no clock reading and no machine's name: same input, same bytes.
+Every `PcapngWriter.write` hands over whole blocks with one system call, so a killed process leaves
+a readable file. The file holds no clock reading and no machine's name: same input, same bytes.
 """
 
 from __future__ import annotations
@@ -129,7 +130,8 @@ class PcapngWriter:
         Raises
         ------
         RecordingError
-            Nothing of the batch, or its first whole blocks, stand in the file; nothing more is written after that.
+            Nothing of the batch, or its first whole blocks, stand in the file; nothing more is
+            written after that.
         ValueError
             A row that does not exist, a stamp before 1970, a length beyond 8.
         """
@@ -152,11 +154,15 @@ class PcapngWriter:
         self.frames += count
 
     def attach(self, name: str, content: bytes) -> None:
-        """Add an attachment between the frames: what is known only now; RecordingError as from `write`."""
+        """Add an attachment between the frames: what is known only now; RecordingError as from
+        `write`.
+        """
         self._write(attachment_block(name, content))
 
     def flush(self) -> None:
-        """Ask the kernel to bring the file to the disk (a power cut; a killed process needs no flush)."""
+        """Ask the kernel to bring the file to the disk (a power cut; a killed process needs no
+        flush).
+        """
         try:
             os.fsync(self._fd)
         except OSError as error:

@@ -1,4 +1,6 @@
-"""A run's recording: frames as they come, the rig, EDS files and the law attached, markers as comments of the frames that follow them."""
+"""A run's recording: frames as they come, the rig, EDS files and the law attached, markers as
+comments of the frames that follow them.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ NO_LAW: Mapping[str, bytes] = MappingProxyType({})
 """What a bus attaches of the law: nobody asked it for one."""
 
 PACED = "paced"
-"""Attachment ``bus`` of a recording that the bus itself made in real time: no host was in its process."""
+"""Attachment ``bus`` of a recording that the bus itself made in real time: no host was in its
+process.
+"""
 
 TRACE_BATCH = 2000
 """Rows, and frames, that an attachment of the trace tells of: some tenths of a second at 1 kHz."""
@@ -36,12 +40,14 @@ def project_version() -> str:
 
 
 class Recorder:
-    """Writes frames to a pcapng file, a new one unless `force` is given; a marker is the comment of the first frame at or after its time.
+    """Writes frames to a pcapng file, a new one unless `force` is given; a marker is the comment of
+    the first frame at or after its time.
 
     Raises
     ------
     coulombus.recording.pcapng_blocks.RecordingError
-        the file cannot be written (from the constructor, `write` and `close`); what was written before stays readable
+        the file cannot be written (from the constructor, `write` and `close`); what was written
+        before stays readable
     """
 
     def __init__(
@@ -91,7 +97,9 @@ class Recorder:
         self._writer.write(frames, comments)
 
     def trace(self, own: Records, rows: Records, sent: Records | None = None) -> None:
-        """Keep what `recording.trace` keeps: whether each frame of the batch just written was none that the host received; rows; what it sent."""
+        """Keep what `recording.trace` keeps: whether each frame of the batch just written was none
+        that the host received; rows; what it sent.
+        """
         self._own.append(own)
         self._rows.append(rows)
         if sent is not None and len(sent):

@@ -1,4 +1,7 @@
-"""Who sent a recorded frame: a node, or the host. The frame does not tell; its identifier does, by the rig or by CiA 301's predefined set."""
+"""Who sent a recorded frame: a node, or the host.
+
+The frame does not tell; its identifier does, by the rig or by CiA 301's predefined set.
+"""
 
 from __future__ import annotations
 
@@ -16,13 +19,16 @@ FROM_NODES = (
     *(CobId.EMCY, CobId.TPDO1, CobId.TPDO2, CobId.TPDO3, CobId.TPDO4),
     *(CobId.SDO_TX, CobId.HEARTBEAT),
 )
-"""Function codes of what a node sends: EMCY, TPDO1 to 4, SDO response, heartbeat (CiA 301, 7.3.3)."""
+"""Function codes of what a node sends: EMCY, TPDO1 to 4, SDO response, heartbeat (CiA 301, 7.3.3).
+"""
 TO_NODES = (CobId.RPDO1, CobId.RPDO2, CobId.RPDO3, CobId.RPDO4, CobId.SDO_RX)
 """RPDO1 to 4, SDO request."""
 
 
 def senders(can_ids: npt.NDArray[np.int64], rig: Rig | None = None) -> npt.NDArray[np.int64]:
-    """Return the node id of each frame's sender, 0 for the host, -1 where the identifier (with flags) tells nothing."""
+    """Return the node id of each frame's sender, 0 for the host, -1 where the identifier (with
+    flags) tells nothing.
+    """
     table = np.full(0x800, NOBODY, np.int64)
     nodes = np.arange(1, 128)
     for code in FROM_NODES:

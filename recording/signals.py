@@ -7,12 +7,12 @@
     angle.t_s, angle.values, angle.unit          # two arrays and "rad"
     recording.markers                            # [(1.004, "phase hold"), ...]
 
-What the bits mean comes from the rig file and the EDS files attached to the recording; of a file without them (candump's,
-Wireshark's, or one that editcap has rewritten) from the rig that is given.
+What the bits mean comes from the rig file and the EDS files attached to the recording; of a file
+without them (candump's, Wireshark's, or one that editcap has rewritten) from the rig that is given.
 
-`read` keeps everything: 40 bytes for each frame and about 8 for each of its signals. `blocks` goes through the file without keeping it, a
-`Recording` of some seconds at a time; figures and rows come of that, in a memory that does not grow with the run. `series` gathers single
-signals on the way.
+`read` keeps everything: 40 bytes for each frame and about 8 for each of its signals. `blocks` goes
+through the file without keeping it, a `Recording` of some seconds at a time; figures and rows come
+of that, in a memory that does not grow with the run. `series` gathers single signals on the way.
 """
 
 from __future__ import annotations
@@ -47,7 +47,10 @@ HOST = "host."  # begins the names of what only the host's replay reads: many, a
 
 @dataclass(frozen=True)
 class Series:
-    """One signal: times [s], values in `unit`. Words of bits (unit "") are integers, the rest is float64."""
+    """One signal: times [s], values in `unit`.
+
+    Words of bits (unit "") are integers, the rest is float64.
+    """
 
     t_s: Floats
     values: Array
@@ -59,7 +62,9 @@ class Series:
 
 @dataclass(frozen=True)
 class PdoTable:
-    """The frames of one PDO: their rows in `Recording.frames`, and one column of SI values for each signal."""
+    """The frames of one PDO: their rows in `Recording.frames`, and one column of SI values for each
+    signal.
+    """
 
     pdo: RigPdo
     name: str
@@ -69,7 +74,9 @@ class PdoTable:
 
 
 class Source:
-    """What figures are computed from: the recording's blocks, one after another, each a `Recording` with the times of the whole."""
+    """What figures are computed from: the recording's blocks, one after another, each a `Recording`
+    with the times of the whole.
+    """
 
     path: str
     rig: Rig
@@ -79,11 +86,16 @@ class Source:
         raise NotImplementedError
 
     def seen_by(self, axis: str) -> Self:
-        """Return the recording as the axis of this name sees it, with the signals' plain names; markers of other axes are left out."""
+        """Return the recording as the axis of this name sees it, with the signals' plain names.
+
+        Markers of other axes are left out.
+        """
         raise NotImplementedError
 
     def one_axis(self, name: str | None) -> Self:
-        """Return the recording as the axis `name` sees it; without a name the rig must have one axis only.
+        """Return the recording as the axis `name` sees it.
+
+        Without a name the rig must have one axis only.
 
         Raises
         ------
@@ -101,7 +113,9 @@ class Source:
         return tuple(self.seen_by(name) for name in self.rig.axis_names)
 
     def signal(self, name: str) -> Signal:
-        """Return what the rig says of a signal: object, scale, offset, unit; KeyError names the nearest ones."""
+        """Return what the rig says of a signal: object, scale, offset, unit; KeyError names the
+        nearest ones.
+        """
         signals = {signal.name: signal for pdo in self.rig.pdos() for signal in pdo.signals}
         if name not in signals:
             near = difflib.get_close_matches(name, signals, 3, 0.4) or list(signals)
@@ -126,7 +140,8 @@ class Recording(Source):
     capture
         The file's content as it stands: frames, comments, attachments, torn bytes.
     epoch_ns
-        Time 0 of all `t_s`: 0 in virtual time; the first frame's stamp where stamps come from a clock.
+        Time 0 of all `t_s`: 0 in virtual time; the first frame's stamp where stamps come from a
+        clock.
     signals
         Name -> `Series`, in the order of the rig's PDOs. A PDO that never came gives empty ones.
     markers
@@ -149,7 +164,10 @@ class Recording(Source):
         yield self
 
     def seen_by(self, axis: str) -> Recording:
-        """Return the recording as the axis of this name sees it, with the signals' plain names; markers of other axes are left out."""
+        """Return the recording as the axis of this name sees it, with the signals' plain names.
+
+        Markers of other axes are left out.
+        """
         if not axis:
             return self
         seen = decode(self.capture, self.rig.alone(axis), self.epoch_ns)
@@ -167,7 +185,9 @@ class Recording(Source):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Sentences on what was left out: a torn end, damaged attachments, other packets, malformed PDOs."""
+        """Sentences on what was left out: a torn end, damaged attachments, other packets, malformed
+        PDOs.
+        """
         return _remarks(self.path, self.capture.warnings, _left_out(self))
 
     def __getitem__(self, name: str) -> Series:
@@ -179,7 +199,9 @@ class Recording(Source):
 
 @dataclass
 class Blocks(Source):
-    """A recording that is not kept: each iteration goes through the file, a `Recording` of some seconds at a time (see `blocks`)."""
+    """A recording that is not kept: each iteration goes through the file, a `Recording` of some
+    seconds at a time (see `blocks`).
+    """
 
     path: str
     rig: Rig
@@ -187,7 +209,8 @@ class Blocks(Source):
     """As `Recording.remarks`, of the last iteration that came to its end."""
 
     axis: str = ""
-    """The axis of `rig` whose view this is, with the signals' plain names; "": of all that it has."""
+    """The axis of `rig` whose view this is, with the signals' plain names; "": of all that it has.
+    """
 
     def __post_init__(self) -> None:
         self._whole, self.rig = self.rig, self.rig.alone(self.axis) if self.axis else self.rig
@@ -206,12 +229,17 @@ class Blocks(Source):
         self.remarks = _remarks(self.path, warnings, left_out)
 
     def seen_by(self, axis: str) -> Blocks:
-        """Return the recording as the axis of this name sees it, with the signals' plain names; markers of other axes are left out."""
+        """Return the recording as the axis of this name sees it, with the signals' plain names.
+
+        Markers of other axes are left out.
+        """
         return Blocks(self.path, self.rig, axis) if axis else self
 
 
 def _markers_of(axis: str, rig: Rig, markers: list[tuple[float, str]]) -> list[tuple[float, str]]:
-    """Return the markers as an axis of `rig` sees them: its own phases by their plain names, those of the others not at all."""
+    """Return the markers as an axis of `rig` sees them: its own phases by their plain names, those
+    of the others not at all.
+    """
     own = f"{axis}.phase "
     others = tuple(f"{other}.phase " for other in rig.axis_names if other != axis)
     return [
@@ -222,7 +250,9 @@ def _markers_of(axis: str, rig: Rig, markers: list[tuple[float, str]]) -> list[t
 
 
 def series(source: Source, *names: str) -> tuple[Series, ...]:
-    """Gather signals on one way through the recording: 16 bytes for each sample, at 1 kHz 16 kB for each second of each signal."""
+    """Gather signals on one way through the recording: 16 bytes for each sample, at 1 kHz 16 kB for
+    each second of each signal.
+    """
     found = [[block[name] for name in names] for block in source]
     return tuple(
         Series(
@@ -238,9 +268,11 @@ def read(path: str | Path, rig: Rig | str | None = None) -> Recording:
     Parameters
     ----------
     path
-        A pcapng file of SocketCAN frames, or a log that python-can reads (.log, .asc, .blf, .trc, .csv), which has no rig.
+        A pcapng file of SocketCAN frames, or a log that python-can reads (.log, .asc, .blf, .trc,
+        .csv), which has no rig.
     rig
-        Decode with this rig (a `Rig`, a packaged rig's name, or a rig file's path) and not with the attached one.
+        Decode with this rig (a `Rig`, a packaged rig's name, or a rig file's path) and not with the
+        attached one.
 
     Raises
     ------
@@ -254,9 +286,12 @@ def read(path: str | Path, rig: Rig | str | None = None) -> Recording:
 
 
 def blocks(path: str | Path, rig: Rig | str | None = None) -> Blocks:
-    """Return a recording to go through, as often as needed, in a memory that does not grow with it; parameters and errors as `read`.
+    """Return a recording to go through, as often as needed, in a memory that does not grow with it.
 
-    The file is read anew each time: it must stay as it is meanwhile, and a pipe is refused (LogError).
+    Parameters and errors as `read`.
+
+    The file is read anew each time: it must stay as it is meanwhile, and a pipe is refused
+    (LogError).
     """
     if Path(path).exists() and not Path(path).is_file():
         raise LogError(f"{path}: it is no file, and a recording is read more than once; save it to a file first")
@@ -281,7 +316,9 @@ def _epoch_ns(frames: Records) -> int:
 
 
 def decode(capture: Capture, rig: Rig, epoch_ns: int | None = None) -> Recording:
-    """Return the capture with the signals of the rig's PDOs; `epoch_ns` where it is a stretch of a longer one."""
+    """Return the capture with the signals of the rig's PDOs; `epoch_ns` where it is a stretch of a
+    longer one.
+    """
     frames = capture.frames
     epoch_ns = _epoch_ns(frames) if epoch_ns is None else epoch_ns
     t_s: Floats = (frames["t_ns"] - epoch_ns) / 1e9
@@ -360,7 +397,9 @@ def _si(raw: Array, signal: Signal) -> Array:
 
 
 def decode_field(words: Integers, start: int, entry: Entry) -> Array:
-    """Return the field that begins at bit `start` of each data word: integers, or numbers of an IEEE 754 pattern."""
+    """Return the field that begins at bit `start` of each data word: integers, or numbers of an
+    IEEE 754 pattern.
+    """
     left, right = 64 - start - entry.bits, 64 - entry.bits
     if entry.kind == "real":
         pattern = words.view(np.uint64) << np.uint64(left) >> np.uint64(right)

@@ -1,7 +1,8 @@
-"""``coulombus watch --pcapng F``: a bus as a pcapng stream while it runs, for ``wireshark -k -i -`` or a named pipe.
+"""``coulombus watch --pcapng F``: a bus as a pcapng stream while it runs, for ``wireshark -k -i -``
+or a named pipe.
 
-Every batch of frames is written with one system call as soon as it has come. Nothing is ever sent. A reader that is slow holds up only this client:
-the bus counts what it loses.
+Every batch of frames is written with one system call as soon as it has come. Nothing is ever sent.
+A reader that is slow holds up only this client: the bus counts what it loses.
 """
 
 from __future__ import annotations
@@ -36,11 +37,13 @@ def stream(
     say: Callable[[str], None] = lambda text: None,
     force: bool = False,
 ) -> int:
-    """Write what the bus carries until a signal, for `seconds`, or until the reader of a pipe goes away; return the number of frames.
+    """Write what the bus carries until a signal, for `seconds`, or until the reader of a pipe goes
+    away; return the number of frames.
 
     Parameters
     ----------
-    path : a file, a named pipe, or ``-`` for the standard output; rig and EDS files are attached in front
+    path : a file, a named pipe, or ``-`` for the standard output; rig and EDS files are attached in
+        front
     force : replace a file that exists
 
     Raises

@@ -1,14 +1,18 @@
-"""What the loop in real time did when: the part of a run that its frames do not tell, and that a replay needs.
+"""What the loop in real time did when: the part of a run that its frames do not tell, and that a
+replay needs.
 
-The step is a function of frames and times. In virtual time both are in the recording, since all happens at the stamps' own times. In real time
-a frame that came while the loop was computing is older than the RPDO that the loop sent then, and yet the step saw it only in the next
-cycle; a window that ended by time leaves no trace on the bus, nor does a wish to stop. So the loop keeps a row for each `Moment`, and the
-recording carries them as attachments (``host.trace.0``, ``host.trace.1`` ...; `pack`, `unpack`).
+The step is a function of frames and times. In virtual time both are in the recording, since all
+happens at the stamps' own times. In real time a frame that came while the loop was computing is
+older than the RPDO that the loop sent then, and yet the step saw it only in the next cycle; a
+window that ended by time leaves no trace on the bus, nor does a wish to stop. So the loop keeps a
+row for each `Moment`, and the recording carries them as attachments (``host.trace.0``,
+``host.trace.1`` ...; `pack`, `unpack`).
 
-In virtual time frames and stamps tell when the host did what. They do not tell which frames it had: it may be in bus-off or behind a cut
-cable, and a fault may have kept a frame from it alone. Nor do they tell how its clock ran, or that it was asked to stop. That is in the same
-attachments, with rows of EVENT. With a fault file they do not even tell what the host has sent: a frame may never come to the bus, or
-twice. Then what it asked for is kept, too (``host.sent.0`` ...; `pack_sent`).
+In virtual time frames and stamps tell when the host did what. They do not tell which frames it had:
+it may be in bus-off or behind a cut cable, and a fault may have kept a frame from it alone. Nor do
+they tell how its clock ran, or that it was asked to stop. That is in the same attachments, with
+rows of EVENT. With a fault file they do not even tell what the host has sent: a frame may never
+come to the bus, or twice. Then what it asked for is kept, too (``host.sent.0`` ...; `pack_sent`).
 """
 
 from __future__ import annotations
@@ -83,7 +87,8 @@ Table = npt.NDArray[Any]
 
 
 def pack(own: npt.NDArray[np.bool_], trace: Table) -> bytes:
-    """Return the content of an attachment: whether each of the frames written since the last one was none that the host received; and rows.
+    """Return the content of an attachment: whether each of the frames written since the last one
+    was none that the host received; and rows.
 
     ::
 
@@ -93,7 +98,9 @@ def pack(own: npt.NDArray[np.bool_], trace: Table) -> bytes:
 
 
 def pack_sent(frames: Table) -> bytes:
-    """Return the content of an attachment: what the host asked for since the last one (FRAME records, stamped with when it was ready)."""
+    """Return the content of an attachment: what the host asked for since the last one (FRAME
+    records, stamped with when it was ready).
+    """
     rows = np.zeros(len(frames), _SENT)
     for name in _SENT.names or ():
         rows[name] = frames[name]
@@ -117,7 +124,8 @@ def unpack_sent(attachments: Mapping[str, bytes]) -> Records | None:
 def unpack(
     attachments: Mapping[str, bytes], dtype: np.dtype[Any] = TRACE
 ) -> tuple[npt.NDArray[np.bool_], Table] | None:
-    """Return all that a recording's attachments tell: which frames the host did not receive, rows of `dtype`; None when there are none.
+    """Return all that a recording's attachments tell: which frames the host did not receive, rows
+    of `dtype`; None when there are none.
 
     What stands behind a missing or damaged attachment is left out.
     """

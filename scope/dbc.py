@@ -1,13 +1,14 @@
-"""The rig's messages as a DBC file, for the tools that read one: cantools, SavvyCAN, PlotJuggler, CANdevStudio.
+"""The rig's messages as a DBC file, for the tools that read one: cantools, SavvyCAN, PlotJuggler,
+CANdevStudio.
 
 ::
 
     coulombus dbc --rig bench -o bench.dbc
     cantools monitor -i coulombus -c bench bench.dbc
 
-The five PDOs are messages ``motor_TPDO1``, ..., with the signals' names, scales and units of the rig. SYNC, NMT, heartbeats
-and emergencies are in it too, so that nothing cyclic on the bus is left undecoded. SDO is no message of fixed layout, and
-is not.
+The five PDOs are messages ``motor_TPDO1``, ..., with the signals' names, scales and units of the
+rig. SYNC, NMT, heartbeats and emergencies are in it too, so that nothing cyclic on the bus is left
+undecoded. SDO is no message of fixed layout, and is not.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
-"""A recording row by row: each frame as a dict for ``coulombus decode --json``, or as a line for the eye.
+"""A recording row by row: each frame as a dict for ``coulombus decode --json``, or as a line for
+the eye.
 
-Every row has `t_s`, `can_id`, `node` (a name of the rig, a node id's number as text, or None) and `pdo` ("TPDO1" or
-None). A PDO of the rig adds its signals by name in SI units; any other frame adds `service`, `data` (hexadecimal) and what
-the service says; a comment adds `marker`.
+Every row has `t_s`, `can_id`, `node` (a name of the rig, a node id's number as text, or None) and
+`pdo` ("TPDO1" or None). A PDO of the rig adds its signals by name in SI units; any other frame adds
+`service`, `data` (hexadecimal) and what the service says; a comment adds `marker`.
 """
 
 from __future__ import annotations
@@ -35,7 +36,10 @@ WIDTH = 11
 
 
 def rows(recording: Source) -> Iterator[Row]:
-    """Yield one dict for each frame, in the file's order; the PDOs of a block are decoded beforehand, as whole columns."""
+    """Yield one dict for each frame, in the file's order.
+
+    The PDOs of a block are decoded beforehand, as whole columns.
+    """
     services = _Services(recording.rig)
     for block in recording:
         yield from _block_rows(block, services)
@@ -135,7 +139,9 @@ class _Services:
 
 
 def as_json(row: Row) -> str:
-    """Return a row as one line of JSON; a number that is none (of a REAL object) as text, for JSON has no word for it."""
+    """Return a row as one line of JSON; a number that is none (of a REAL object) as text, for JSON
+    has no word for it.
+    """
     try:
         return json.dumps(row, allow_nan=False)
     except ValueError:
@@ -144,7 +150,8 @@ def as_json(row: Row) -> str:
 
 
 def as_text(row: Row) -> str:
-    """Return a row as one line, columns aligned: time [s], identifier, node, PDO or service, content, marker.
+    """Return a row as one line, columns aligned: time [s], identifier, node, PDO or service,
+    content, marker.
 
     ::
 

@@ -1,4 +1,5 @@
-"""Error frames in words: what a CAN controller tells of itself and of its wire, as ``linux/can/error.h`` lays it out.
+"""Error frames in words: what a CAN controller tells of itself and of its wire, as
+``linux/can/error.h`` lays it out.
 
 ::
 
@@ -45,8 +46,9 @@ CANL = {
 
 
 def error_frame(can_id: int, data: bytes) -> Row:
-    """Return what an error frame says: `classes` and, where it tells them, `lost_at_bit`, `controller`, `violation`, `place`, `transceiver`,
-    `tec` and `rec`; `text` has it all in words."""
+    """Return what an error frame says: `classes` and, where it tells them, `lost_at_bit`,
+    `controller`, `violation`, `place`, `transceiver`, `tec` and `rec`; `text` has it all in words.
+    """
     b = data.ljust(8, b"\0")
     row: Row = {"classes": _named(CLASSES, can_id)}
     if can_id & LOST_ARBITRATION and b[0]:

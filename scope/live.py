@@ -1,7 +1,9 @@
-"""What is on a bus right now: the last value of every PDO, rates, ages, the nodes' states, and what happened.
+"""What is on a bus right now: the last value of every PDO, rates, ages, the nodes' states, and what
+happened.
 
-Taking a frame is a dictionary's look-up and a few stores, so a reader keeps up with a full bus; decoding is done when
-somebody looks (`Live.snapshot`). Time is an argument: nanoseconds since 1970, as the frames' stamps.
+Taking a frame is a dictionary's look-up and a few stores, so a reader keeps up with a full bus;
+decoding is done when somebody looks (`Live.snapshot`). Time is an argument: nanoseconds since 1970,
+as the frames' stamps.
 """
 
 from __future__ import annotations
@@ -67,10 +69,11 @@ class PdoRow:
 
 @dataclass(frozen=True)
 class NodeRow:
-    """One node: NMT state (None: never heard), age of its heartbeat [s], power state and last emergency, if any.
+    """One node: NMT state (None: never heard), age of its heartbeat [s], power state and last
+    emergency, if any.
 
-    `frames` are those that it sent: PDOs, SDO responses, emergencies, heartbeats, the host's SYNC. A node that the rig does not have (not `known`) is
-    called by its number.
+    `frames` are those that it sent: PDOs, SDO responses, emergencies, heartbeats, the host's SYNC.
+    A node that the rig does not have (not `known`) is called by its number.
     """
 
     name: str
@@ -157,7 +160,10 @@ class Live:
         self.frames = self.error_frames = self.unknown = 0
 
     def take(self, received: Iterable[tuple[int, int, int, bytes]]) -> None:
-        """Take frames: (stamp, identifier with flags, length, eight data bytes) each; nothing in them raises."""
+        """Take frames: (stamp, identifier with flags, length, eight data bytes) each.
+
+        Nothing in them raises.
+        """
         lines = self._lines
         for t_ns, can_id, length, data in received:
             self.frames += 1
@@ -220,7 +226,10 @@ class Live:
             self.unknown += 1
 
     def _stranger(self, node_id: int) -> _Node:
-        """Take up a node that the rig does not have; how often its heartbeat comes is not known, so it is not watched."""
+        """Take up a node that the rig does not have.
+
+        How often its heartbeat comes is not known, so it is not watched.
+        """
         node = self._by_id[node_id] = _Node(str(node_id), node_id, timeout_ns=0, known=False)
         self._sends[node_id] = []
         self._nodes.append(node)

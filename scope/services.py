@@ -1,7 +1,7 @@
 """What a frame says that is no PDO: NMT, SYNC, EMCY, TIME, SDO, heartbeat, LSS (CiA 301, CiA 305).
 
-Each decoder turns eight bytes into the keys of a row; a frame too short for its service says so under "malformed". SDO
-block transfers are known by their first frames only.
+Each decoder turns eight bytes into the keys of a row; a frame too short for its service says so
+under "malformed". SDO block transfers are known by their first frames only.
 """
 
 from __future__ import annotations
@@ -54,7 +54,9 @@ def emcy(data: bytes) -> Row:
 
 
 class Sdo:
-    """The SDO traffic of one server; it remembers which object the segments of a transfer belong to.
+    """The SDO traffic of one server.
+
+    It remembers which object the segments of a transfer belong to.
 
     Parameters
     ----------

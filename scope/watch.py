@@ -1,7 +1,7 @@
 """``coulombus watch``: a bus in one live table, or line by line where no terminal is.
 
-The bus is read in a thread of its own, so that frames do not wait for the drawing; the main thread draws and takes the
-signals. Nothing is ever sent.
+The bus is read in a thread of its own, so that frames do not wait for the drawing; the main thread
+draws and takes the signals. Nothing is ever sent.
 """
 
 from __future__ import annotations
@@ -231,7 +231,8 @@ def _head(snapshot: Snapshot, facts: dict[str, Any]) -> str:
 
 @dataclass(frozen=True)
 class Screen:
-    """What the terminal shows, made to fit: columns go by their importance, no number is cut, and the newest events are always there.
+    """What the terminal shows, made to fit: columns go by their importance, no number is cut, and
+    the newest events are always there.
 
     Attributes
     ----------
@@ -288,7 +289,9 @@ class _Column:
     key: int
     """Place in the row's cells."""
     least: int = 0
-    """Width that is kept also while the cells are narrower, so that columns do not come and go with a value."""
+    """Width that is kept also while the cells are narrower, so that columns do not come and go with
+    a value.
+    """
     right: bool = False
     order: int = 0
     """0: always there; the others in this order, as long as they fit."""
@@ -306,7 +309,10 @@ SPACE = 2
 
 
 def _table(columns: Sequence[_Column], rows: list[tuple[tuple[str, ...], str]], width: int) -> list[Text]:
-    """Return the rows (cells, style) under their titles, with the columns for which there is room; nothing for no row."""
+    """Return the rows (cells, style) under their titles, with the columns for which there is room.
+
+    Nothing for no row.
+    """
     wide = {c: max(len(c.title), c.least, *(len(cells[c.key]) for cells, _ in rows)) for c in columns} if rows else {}
     kept: set[_Column] = set()
     for column in sorted(wide, key=lambda c: c.order):

@@ -1,7 +1,9 @@
-"""Run mutants against tests: pytest collects once, then each mutant is a forked child that stops at the first failure.
+"""Run mutants against tests: pytest collects once, then each mutant is a forked child that stops at
+the first failure.
 
-The kernels are plain Python (NUMBA_DISABLE_JIT=1), so a child exchanges the code of one function in memory and runs the tests that
-cover the edited lines, the shortest first. The checkout is never edited.
+The kernels are plain Python (NUMBA_DISABLE_JIT=1), so a child exchanges the code of one function in
+memory and runs the tests that cover the edited lines, the shortest first. The checkout is never
+edited.
 """
 
 from __future__ import annotations
@@ -33,7 +35,9 @@ HEADROOM = 1 << 30  # bytes that a mutant may allocate beyond what the tests hav
 
 @dataclass(frozen=True)
 class Verdict:
-    """What became of a mutant: killed, timeout (killed by its time), survived, or no test covers it."""
+    """What became of a mutant: killed, timeout (killed by its time), survived, or no test covers
+    it.
+    """
 
     status: str
     by: str
@@ -87,7 +91,9 @@ class _Runner:
         return True
 
     def _control(self) -> None:
-        """Run all tests as for a mutant, but without one: a child that fails for another reason kills nothing."""
+        """Run all tests as for a mutant, but without one: a child that fails for another reason
+        kills nothing.
+        """
         pipe, pid = self._fork(self._mutant_run(None, self.items, 3600.0))
         self.error = _read_all(pipe).decode().partition(" ")[2]
         if os.waitpid(pid, 0)[1] and not self.error:
@@ -223,7 +229,10 @@ def run(
     factor: float,
     tell: Callable[[int, Verdict], None],
 ) -> str:
-    """Run `mutants` of `source` against `tests`; `tell` gets each one's number and verdict. Return what went wrong, or ""."""
+    """Run `mutants` of `source` against `tests`; `tell` gets each one's number and verdict.
+
+    Return what went wrong, or "".
+    """
     runner = _Runner(source, mutants, jobs, factor)
     runner.tell = tell
     arguments = [

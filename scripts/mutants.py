@@ -1,6 +1,8 @@
-"""Mutants of a module: each is one small edit of its syntax tree, such as an `abs` dropped or a comparison turned.
+"""Mutants of a module: each is one small edit of its syntax tree, such as an `abs` dropped or a
+comparison turned.
 
-A mutant is applied in memory only. Its line numbers are the module's own, and nothing on the disk is touched.
+A mutant is applied in memory only. Its line numbers are the module's own, and nothing on the disk
+is touched.
 """
 
 from __future__ import annotations
@@ -52,7 +54,9 @@ LARGE = 100.0
 
 @dataclass
 class Mutant:
-    """One edit: `new` in place of what stands in `field` of `parent` (at `index`, where that is a list)."""
+    """One edit: `new` in place of what stands in `field` of `parent` (at `index`, where that is a
+    list).
+    """
 
     unit: str  # the function or method, "" for the module's constants
     line: int
@@ -100,7 +104,9 @@ def _constants(node: ast.Constant, parent: ast.AST) -> Iterator[tuple[str, ast.e
 
 
 def _stands_alone(parent: ast.AST) -> bool:
-    """Whether 0 and 1 are flags here, of which there is no third: assigned, returned, or asked for by == and !=."""
+    """Whether 0 and 1 are flags here, of which there is no third: assigned, returned, or asked for
+    by == and !=.
+    """
     if isinstance(parent, ast.Compare):
         return all(isinstance(op, ast.Eq | ast.NotEq) for op in parent.ops)
     return isinstance(parent, ast.Assign | ast.Return | ast.IfExp)
@@ -181,7 +187,9 @@ class Source:
         self._statement = range(0)
 
     def mutants(self) -> list[Mutant]:
-        """Return every mutant that differs from the module and from the ones before it, in the order of the lines."""
+        """Return every mutant that differs from the module and from the ones before it, in the
+        order of the lines.
+        """
         found, seen = [], {"": {self._code("")}}
         for mutant in self._walk_module():
             if mutant.unit not in seen:
@@ -275,7 +283,9 @@ class Source:
         return mutant
 
     def install(self, module: ModuleType, unit: str) -> None:
-        """Let the loaded `module` run the tree as it is now: its function's code is exchanged where it stands."""
+        """Let the loaded `module` run the tree as it is now: its function's code is exchanged where
+        it stands.
+        """
         code = self.compiled()
         if unit:
             function: Any = module

@@ -1,16 +1,18 @@
 #!/usr/bin/env python3
 """Mutation test of all that decides about torque, brake and arming: how well do the tests hold it?
 
-Each mutant is one small edit of a module (`mutants.py` has the operators). The tests that are named for the module have to fail with it.
-A survivor is a hole in the tests, or equivalent: then `mutants_equivalent.toml` lists it with its proof.
+Each mutant is one small edit of a module (`mutants.py` has the operators). The tests that are named
+for the module have to fail with it. A survivor is a hole in the tests, or equivalent: then
+`mutants_equivalent.toml` lists it with its proof.
 
     .venv/bin/python scripts/mutate.py                         # everything
     .venv/bin/python scripts/mutate.py --module host/cycle/watch.py
     .venv/bin/python scripts/mutate.py --sample 100 --seed 3
     .venv/bin/python scripts/mutate.py --list --module host/cycle/step.py
 
-A run that was broken off goes on where it was: the results are in `out/mutants.jsonl`, and one is used again while the module, and for a
-survivor the tests, are the same. Exit status: 0, all survivors are listed; 1, one is not, or the list holds one that is none; 2, usage.
+A run that was broken off goes on where it was: the results are in `out/mutants.jsonl`, and one is
+used again while the module, and for a survivor the tests, are the same. Exit status: 0, all
+survivors are listed; 1, one is not, or the list holds one that is none; 2, usage.
 """
 
 from __future__ import annotations
@@ -101,7 +103,10 @@ class Tally:
 
 
 class Equivalents:
-    """The list of equivalent mutants: `[[equivalent]]` with module, line, changes, proof; where that is not enough, function and nth of it."""
+    """The list of equivalent mutants: `[[equivalent]]` with module, line, changes, proof.
+
+    Where that is not enough, function and nth of it.
+    """
 
     def __init__(self, path: Path) -> None:
         self.proofs: dict[tuple[str | int, ...], str] = {}
@@ -161,7 +166,9 @@ def _digest(paths: list[Path]) -> str:
 
 
 def _keys(name: str, mutants: list[Mutant]) -> tuple[list[str], list[int]]:
-    """Return a name for each mutant that lasts while its line does, and the how many-th such one it is."""
+    """Return a name for each mutant that lasts while its line does, and the how many-th such one it
+    is.
+    """
     met: Counter[str] = Counter()
     keys, nths = [], []
     for mutant in mutants:

@@ -1,4 +1,7 @@
-"""Property tests draw the same examples in every run. Real-time tests are done again if the machine stood still when they failed."""
+"""Property tests draw the same examples in every run.
+
+Real-time tests are done again if the machine stood still when they failed.
+"""
 
 import sys
 from pathlib import Path
@@ -16,7 +19,9 @@ ROOMS = {path.name for path in (Path(__file__).resolve().parents[1] / "coulombus
 
 
 class OneName:
-    """A module has one name, as `coulombus.node.core`: as `node.core` it would be loaded a second time, with classes of its own."""
+    """A module has one name, as `coulombus.node.core`: as `node.core` it would be loaded a second
+    time, with classes of its own.
+    """
 
     @staticmethod
     def find_spec(name, path=None, target=None):
@@ -42,7 +47,9 @@ def bus(private_sockets):
 
 
 def pytest_collection_modifyitems(session, items):
-    """A real-time test that fails while the machine stood still is no evidence: it is done again, up to three times."""
+    """A real-time test that fails while the machine stood still is no evidence: it is done again,
+    up to three times.
+    """
 
     def stood_still():
         return session.stash[watchers].longest_s() > LIMIT_S

@@ -1,4 +1,6 @@
-"""The folders and the import name `coulombus.*`: each module has one name, and each folder its link."""
+"""The folders and the import name `coulombus.*`: each module has one name, and each folder its
+link.
+"""
 
 from __future__ import annotations
 

@@ -154,8 +154,9 @@ def _steps(count: int) -> Iterator[Callable[[str], None]]:
 def analyse(ctx: click.Context, /, **options: Any) -> None:
     """Compute the paper, equation by equation and figure by figure, and past it.
 
-    Without a verb all of it, with the paper's parameters as defaults; each part is also a verb. The rig is the one whose friction is
-    identified and compensated; the limit cycle through the bus is that of the rig "paper".
+    Without a verb all of it, with the paper's parameters as defaults; each part is also a verb. The
+    rig is the one whose friction is identified and compensated; the limit cycle through the bus is
+    that of the rig "paper".
 
     \b
     Examples:
@@ -249,7 +250,9 @@ def limit_cycle(**options: Any) -> None:
 @figures_option
 @json_option
 def fig10(**options: Any) -> None:
-    """Fig. 10: the paper's force on active and passive friction, exact between samples and to the event."""
+    """Fig. 10: the paper's force on active and passive friction, exact between samples and to the
+    event.
+    """
     with errors():
         from coulombus.analysis.figures.report import fig10_json, fig10_lines
         from coulombus.analysis.loop.fig10 import figure_10
@@ -274,7 +277,9 @@ def fig10(**options: Any) -> None:
 @figures_option
 @json_option
 def hold(**options: Any) -> None:
-    """Hold and stroke tests for active and hybrid display on the rig (Fig. 14), and hybrid's dependence on stick entry."""
+    """Hold and stroke tests for active and hybrid display on the rig (Fig. 14), and hybrid's
+    dependence on stick entry.
+    """
     with errors():
         _hold(_rig(options), options["figures"], options["as_json"])
 
@@ -298,7 +303,8 @@ def hold(**options: Any) -> None:
 @figures_option
 @json_option
 def map_command(**options: Any) -> None:
-    """Map where the active display oscillates and where it is quiet, with the bounds from the literature beside it.
+    """Map where the active display oscillates and where it is quiet, with the bounds from the
+    literature beside it.
 
     \b
     Examples:
@@ -375,10 +381,12 @@ def _map(rig: Rig, options: dict[str, Any]) -> None:
 def identify_command(
     file: Path, rig_name: str | None, figure: Path | None, overwrite: bool, axis: str | None, as_json: bool
 ) -> None:
-    """Identify friction from a recording by least squares: Coulomb, viscous, and Stribeck where the data carry it.
+    """Identify friction from a recording by least squares: Coulomb, viscous, and Stribeck where the
+    data carry it.
 
-    What is felt at the handle comes first, the device's own friction (the motor's torque added) second, each with its 95 % confidence
-    interval. The recording needs strokes, to and fro, best at several speeds and with the coil off.
+    What is felt at the handle comes first, the device's own friction (the motor's torque added)
+    second, each with its 95 % confidence interval. The recording needs strokes, to and fro, best at
+    several speeds and with the coil off.
 
     \b
     Examples:

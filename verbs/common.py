@@ -1,4 +1,6 @@
-"""What the verbs of the command line have in common: options, exit statuses, errors as texts, progress."""
+"""What the verbs of the command line have in common: options, exit statuses, errors as texts,
+progress.
+"""
 
 from __future__ import annotations
 
@@ -69,7 +71,9 @@ EXIT_STATUS = (
 )
 
 WORDS, RESULT, OUTPUTS = f"{__name__}.words", f"{__name__}.result", f"{__name__}.outputs"
-"""What a context keeps: the words behind the verb, that the result has been printed, and which option writes which file."""
+"""What a context keeps: the words behind the verb, that the result has been printed, and which
+option writes which file.
+"""
 MODES = ("active", "passive", "hybrid")
 
 
@@ -85,16 +89,21 @@ class Failure(Exception):
 
 
 class Verbs(click.Group):
-    """The verbs. What ends one before its result is told on stderr; with --json it is an object on stdout, too.
+    """The verbs. What ends one before its result is told on stderr.
 
-    Ctrl-C is exit status 130 at any time, also while a verb still loads what it needs; so with the other signals of `wire.stopping`.
-    What no verb foresees is a mistake of this program: it is told with its place, and is no "a check failed".
+    With --json it is an object on stdout, too.
+
+    Ctrl-C is exit status 130 at any time, also while a verb still loads what it needs; so with the
+    other signals of `wire.stopping`. What no verb foresees is a mistake of this program: it is told
+    with its place, and is no "a check failed".
     """
 
     def make_context(
         self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
     ) -> click.Context:
-        """Read the words up to the verb; ``--help`` and ``--version`` print here, on a stdout that may take nothing."""
+        """Read the words up to the verb; ``--help`` and ``--version`` print here, on a stdout that
+        may take nothing.
+        """
         try:
             with _failures():
                 return super().make_context(info_name, args, parent, **extra)
@@ -135,7 +144,10 @@ class Verbs(click.Group):
 
 @contextmanager
 def errors() -> Iterator[None]:
-    """Turn every error into its text and its exit status; tell on a terminal when something has to be compiled first."""
+    """Turn every error into its text and its exit status.
+
+    Tell on a terminal when something has to be compiled first.
+    """
     if sys.stderr.isatty():
         from coulombus.compiled.notice import on_compiling
 
@@ -146,7 +158,9 @@ def errors() -> Iterator[None]:
 
 @contextmanager
 def _failures() -> Iterator[None]:
-    """Turn an error into a `Failure`: one that a user can cause by its attribute `exit_status` or what it is, all else by FAULT."""
+    """Turn an error into a `Failure`: one that a user can cause by its attribute `exit_status` or
+    what it is, all else by FAULT.
+    """
     try:
         yield
     except (Failure, click.ClickException, click.exceptions.Exit, click.Abort):
@@ -174,7 +188,9 @@ def _failure(error: Exception) -> Failure:
 
 
 def _end(failure: Failure) -> NoReturn:
-    """Tell what ended a verb, a mistake of this program with its traceback, and end with its status."""
+    """Tell what ended a verb, a mistake of this program with its traceback, and end with its
+    status.
+    """
     with verdict(failure.status):
         if failure.status == FAULT and failure.__cause__ is not None:
             say("".join(traceback.format_exception(failure.__cause__)).rstrip())
@@ -183,12 +199,16 @@ def _end(failure: Failure) -> NoReturn:
 
 
 def printable(text: str) -> str:
-    """Return a text without control characters, by which a stranger's file would command the terminal."""
+    """Return a text without control characters, by which a stranger's file would command the
+    terminal.
+    """
     return _CONTROL.sub(lambda found: f"\\x{ord(found[0]):02x}", text)
 
 
 def _open_all_streams() -> None:
-    """Put /dev/null where the shell has closed stdin, stdout or stderr (``>&-``): else the next file that is opened gets its number."""
+    """Put /dev/null where the shell has closed stdin, stdout or stderr (``>&-``): else the next
+    file that is opened gets its number.
+    """
     for fd, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
         if getattr(sys, name) is None:
             null = os.open(os.devnull, os.O_RDWR)  # the lowest number that is free
@@ -199,7 +219,9 @@ def _open_all_streams() -> None:
 
 
 def remark(texts: Iterable[str]) -> None:
-    """Say on stderr what a recording or a run lacks, sentence by sentence (`recording.signals.Recording.remarks`, `RunResult.losses`)."""
+    """Say on stderr what a recording or a run lacks, sentence by sentence
+    (`recording.signals.Recording.remarks`, `RunResult.losses`).
+    """
     for text in texts:
         say(f"coulombus: {printable(text)}")
 
@@ -239,7 +261,9 @@ def print_json(value: Any) -> None:
 
 
 class OutputFile(click.Path):
-    """A file that will be written: what forbids it is told before anything is run for it. See `recording.output_file`.
+    """A file that will be written: what forbids it is told before anything is run for it.
+
+    See `recording.output_file`.
 
     A file that exists is refused unless the verb's parameter `overwrite` is given (`force_option`).
 
@@ -281,7 +305,10 @@ class OutputFile(click.Path):
 
 
 class OutputDirectory(click.Path):
-    """A directory, made where it is not there yet; what forbids it is told before anything is run for it."""
+    """A directory, made where it is not there yet.
+
+    What forbids it is told before anything is run for it.
+    """
 
     def __init__(self) -> None:
         super().__init__(file_okay=False, path_type=Path)
@@ -392,7 +419,9 @@ json_option = click.option("--json", "as_json", is_flag=True, help="Print the re
 
 
 def table_console(width: int) -> Console:
-    """Return the console for a table on stdout: the terminal, or so many columns of a file or a pipe."""
+    """Return the console for a table on stdout: the terminal, or so many columns of a file or a
+    pipe.
+    """
     from rich.console import Console
 
     console = Console()
@@ -401,7 +430,9 @@ def table_console(width: int) -> Console:
 
 @contextmanager
 def progress(enabled: bool) -> Iterator[Callable[[str, float, float], None]]:
-    """Show live bars on stderr: call what is yielded with a label, the time reached and the whole time."""
+    """Show live bars on stderr: call what is yielded with a label, the time reached and the whole
+    time.
+    """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 

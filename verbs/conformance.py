@@ -69,15 +69,18 @@ def conformance(
 ) -> None:
     """Test a CANopen device against its EDS and CiA 301, 305 and 402, over its bus alone.
 
-    127 cases of a conformance test plan and cases of our own (ids that begin with a letter): pass, fail, or not applicable with the
-    reason. The run resets the device, changes its objects, stores and restores them; at the end it has its defaults. Nothing is
-    moved: target torque stays 0. Exits with 1 when a case failed, or the tester itself did in one. What an interrupted run has is written.
+    127 cases of a conformance test plan and cases of our own (ids that begin with a letter): pass,
+    fail, or not applicable with the reason. The run resets the device, changes its objects, stores
+    and restores them; at the end it has its defaults. Nothing is moved: target torque stays 0.
+    Exits with 1 when a case failed, or the tester itself did in one. What an interrupted run has is
+    written.
 
     \b
     Examples:
       coulombus conformance --bus coulombus:bench --node 1 --eds eds/motor.eds
       coulombus conformance --bus socketcan:can0 --node 5 --eds drive.eds --report drive.html
-      coulombus conformance --bus coulombus:bench --node 2 --eds eds/mr_brake.eds --case 2.10 --case 3.6
+      coulombus conformance --bus coulombus:bench --node 2 --eds eds/mr_brake.eds --case 2.10 --case
+      3.6
     """
     with errors():
         from coulombus.conformance.report import as_dict, write_junit, write_report

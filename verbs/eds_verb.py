@@ -32,9 +32,11 @@ def eds() -> None:
 def check_command(files: Sequence[str], node_id: int, pdos: bool, as_json: bool) -> None:
     """Say everything that is wrong with EDS or DCF files, and what is assumed instead.
 
-    A line is FILE:LINE: SEVERITY: what; assumed what. A warning has one sensible reading; after an error something is missing;
-    "refused" is what cannot be read right and is never guessed: a PDO, which is then not valid at start while everything else is used, or a
-    file without objects. Ends with 0 when every file can be used, warnings or not, and with 3 when one is refused or cannot be opened.
+    A line is FILE:LINE: SEVERITY: what; assumed what. A warning has one sensible reading; after an
+    error something is missing; "refused" is what cannot be read right and is never guessed: a PDO,
+    which is then not valid at start while everything else is used, or a file without objects. Ends
+    with 0 when every file can be used, warnings or not, and with 3 when one is refused or cannot be
+    opened.
 
     \b
     Examples:

@@ -1,7 +1,10 @@
-"""The exit statuses of all verbs: the one place where they are said. An exception that ends a verb has its own as `exit_status`.
+"""The exit statuses of all verbs: the one place where they are said.
 
-A reader of stdout that goes away (``| head``) changes no status: a verb that has a verdict still ends with it, and one that only prints (`decode`,
-`watch`, `dbc`) with 0, as it was read for as long as somebody read. `sim` and `node` go on until they are ended.
+An exception that ends a verb has its own as `exit_status`.
+
+A reader of stdout that goes away (``| head``) changes no status: a verb that has a verdict still
+ends with it, and one that only prints (`decode`, `watch`, `dbc`) with 0, as it was read for as long
+as somebody read. `sim` and `node` go on until they are ended.
 """
 
 from __future__ import annotations
@@ -12,7 +15,10 @@ from types import MappingProxyType
 __all__ = ["FAULT", "STATUSES"]
 
 FAULT = 70
-"""A mistake of this program: EX_SOFTWARE of sysexits.h. It is none of the statuses that say something of a rig or a file."""
+"""A mistake of this program: EX_SOFTWARE of sysexits.h.
+
+It is none of the statuses that say something of a rig or a file.
+"""
 
 STATUSES: Mapping[int, str] = MappingProxyType(
     {

@@ -91,9 +91,11 @@ def watch(
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    """Show a bus live: PDOs by name in SI units with rate and age, states of the nodes, emergencies, losses.
+    """Show a bus live: PDOs by name in SI units with rate and age, states of the nodes,
+    emergencies, losses.
 
-    Nothing is sent. A live table in a terminal, else lines. Ends with 0 on Ctrl-C, SIGTERM, SIGHUP or SIGQUIT, with 4 when the bus goes away.
+    Nothing is sent. A live table in a terminal, else lines. Ends with 0 on Ctrl-C, SIGTERM, SIGHUP
+    or SIGQUIT, with 4 when the bus goes away.
 
     \b
     Examples:

@@ -211,10 +211,11 @@ def plan_command(
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    """Compute whether a rig's messages fit on its bus: worst-case response times, SYNC window, latest RPDO, slack.
+    """Compute whether a rig's messages fit on its bus: worst-case response times, SYNC window,
+    latest RPDO, slack.
 
-    Exit status 0 when the plan fits, 1 when it does not; the late frames are named. docs/planner.md has the equations and how to read
-    the table.
+    Exit status 0 when the plan fits, 1 when it does not; the late frames are named. docs/planner.md
+    has the equations and how to read the table.
 
     \b
     Examples:

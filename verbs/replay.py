@@ -1,4 +1,6 @@
-"""``coulombus replay`` and ``coulombus bridge``: what the command line says, and what is printed of what came of it."""
+"""``coulombus replay`` and ``coulombus bridge``: what the command line says, and what is printed of
+what came of it.
+"""
 
 from __future__ import annotations
 
@@ -49,10 +51,12 @@ class NotToTheRig(Exception):
 @click.option("--set", "overrides", multiple=True, metavar="SECTION.KEY=V", help="With --host: other values.")
 @json_option
 def replay(**options: Any) -> None:
-    """Play a recording onto a bus, or hold the host (--host) or the bus model (--virtual) against it.
+    """Play a recording onto a bus, or hold the host (--host) or the bus model (--virtual) against
+    it.
 
-    Plays pcapng and what python-can reads: candump's .log, .asc, .blf, .trc, .csv. A torn file plays to its last whole block. With --host
-    and --virtual it exits with 1 when something comes out otherwise, and shows the first difference.
+    Plays pcapng and what python-can reads: candump's .log, .asc, .blf, .trc, .csv. A torn file
+    plays to its last whole block. With --host and --virtual it exits with 1 when something comes
+    out otherwise, and shows the first difference.
 
     \b
     Examples:
@@ -237,7 +241,9 @@ def _moves(tape: Tape) -> bool:
 
 
 def _is_virtual(interface: str) -> bool:
-    """Tell whether an interface of Linux has no hardware behind it (vcan, vxcan; slcan is a serial adapter and has)."""
+    """Tell whether an interface of Linux has no hardware behind it (vcan, vxcan; slcan is a serial
+    adapter and has).
+    """
     place = Path("/sys/class/net", interface).resolve()
     return "virtual" in place.parts and not interface.startswith("slcan")
 

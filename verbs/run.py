@@ -72,11 +72,13 @@ def run_command(
     cpu: int | None,
     as_json: bool,
 ) -> None:
-    """Run the host alone, in real time, on a bus where the nodes are: simulated ones (`coulombus sim`) or a rig.
+    """Run the host alone, in real time, on a bus where the nodes are: simulated ones
+    (`coulombus sim`) or a rig.
 
-    Ends safely when the time is over, on Ctrl-C (exit status 130), SIGTERM (143), when the terminal is closed (129), on Ctrl-Backslash (131),
-    `coulombus stop` (0), or a trip (7). After a trip nothing re-arms by itself. Real-time rights are asked for; what is refused is told with
-    the command that grants it.
+    Ends safely when the time is over, on Ctrl-C (exit status 130), SIGTERM (143), when the terminal
+    is closed (129), on Ctrl-Backslash (131), `coulombus stop` (0), or a trip (7). After a trip
+    nothing re-arms by itself. Real-time rights are asked for; what is refused is told with the
+    command that grants it.
 
     \b
     Examples:
@@ -166,10 +168,13 @@ def _run_buses(
 @rig_option
 @buses_option
 def stop(rig_name: str, bus_names: tuple[str, ...]) -> None:
-    """Stop the host that runs on a bus safely: motor torque 0, brake ramped off, drive disabled. Waits for its end.
+    """Stop the host that runs on a bus safely: motor torque 0, brake ramped off, drive disabled.
 
-    Ends with 0 when each host that was asked has taken the request and has ended, tripped or not. Else with 4: none runs there, it cannot be
-    reached, it does not take the request, or it does not end in time. Then the rig may be armed still.
+    Waits for its end.
+
+    Ends with 0 when each host that was asked has taken the request and has ended, tripped or not.
+    Else with 4: none runs there, it cannot be reached, it does not take the request, or it does not
+    end in time. Then the rig may be armed still.
 
     \b
     Examples:

@@ -71,8 +71,8 @@ def simulate_command(
 ) -> None:
     """Run the rig in virtual time: bring-up, arming, display, safe end - over real PDOs.
 
-    The run lasts from the drive's Operation Enabled, where the operator's schedule begins. The display's figures are computed from the
-    recording, so without --record they are null.
+    The run lasts from the drive's Operation Enabled, where the operator's schedule begins. The
+    display's figures are computed from the recording, so without --record they are null.
 
     \b
     Examples:
@@ -133,11 +133,13 @@ def simulate_command(
 )
 @json_option
 def demo(rig_name: str, overrides: tuple[str, ...], seed: int, out: Path, virtual: bool, as_json: bool) -> None:
-    """Show the paper's experiment: active force feedback chatters, hybrid force feedback holds still.
+    """Show the paper's experiment: active force feedback chatters, hybrid force feedback holds
+    still.
 
-    Runs both modes through the rig's schedule, each with the hold and the stroke, in real time: the simulated rig in one process, the host in
-    others, PDOs at 1 kHz between them. Writes active.pcapng, hybrid.pcapng, demo.json and the figure demo.png. Exits with 1 unless
-    active oscillates and hybrid holds still.
+    Runs both modes through the rig's schedule, each with the hold and the stroke, in real time: the
+    simulated rig in one process, the host in others, PDOs at 1 kHz between them. Writes
+    active.pcapng, hybrid.pcapng, demo.json and the figure demo.png. Exits with 1 unless active
+    oscillates and hybrid holds still.
 
     \b
     Examples:

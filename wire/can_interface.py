@@ -94,7 +94,8 @@ class CoulombusBus(can.BusABC):
         self.channel_info = str(address)
         self._gone = False
         self._waiting: deque[Received] = deque()
-        # What select() sees must stay readable while frames of a message wait here, so it is an epoll descriptor:
+        # What select() sees must stay readable while frames of a message wait here, so it is an
+        # epoll descriptor:
         # of the socket, and of an eventfd that is set as long as `_waiting` holds something.
         self._more = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._readable = select.epoll()

@@ -116,7 +116,10 @@ class Hello:
 
     @classmethod
     def unpack(cls, message: bytes) -> Hello | Status:
-        """Return the greeting in `message`, or with which status the bus refuses it; never raises."""
+        """Return the greeting in `message`, or with which status the bus refuses it.
+
+        Never raises.
+        """
         if len(message) < _HELLO.size:
             return Status.BAD_HELLO
         magic, version, flags, count = _HELLO.unpack_from(message)

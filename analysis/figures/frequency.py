@@ -35,7 +35,9 @@ SHOWN_DISKS = 9
 
 @dataclass(frozen=True)
 class Loci:
-    """Nyquist data: the passive set's disks, the concrete operator's curve with and without sampling."""
+    """Nyquist data: the passive set's disks, the concrete operator's curve with and without
+    sampling.
+    """
 
     frequency_Hz: Floats
     sampled: Complexes
@@ -114,7 +116,9 @@ def draw_passive_region(axes: Axes, data: Loci, b: float) -> None:
 
 
 def draw_sampled_disks(axes: Axes, data: Loci) -> None:
-    """Draw Fig. 7 as corrected: the disk turns by r(jw), once clockwise over all frequencies for each two cycles of lag."""
+    """Draw Fig. 7 as corrected: the disk turns by r(jw), once clockwise over all frequencies for
+    each two cycles of lag.
+    """
     if data.disks is not None:
         last = len(data.disks.frequency_Hz) - 1
         for i, (f, center, radius) in enumerate(
@@ -177,7 +181,9 @@ def draw_zoom(axes: Axes, data: Loci, found: Crossings) -> None:
 
 
 def draw_certificate(axes: Axes, data: Loci, absolute: AbsoluteStability, period_s: float) -> None:
-    """Draw Re{M (1 + k H*)} over frequency: without and with the multiplier, at the slope that the multiplier certifies."""
+    """Draw Re{M (1 + k H*)} over frequency: without and with the multiplier, at the slope that the
+    multiplier certifies.
+    """
     certificate = absolute.certificate
     if certificate is None:
         axes.annotate(absolute.text, (0.05, 0.5), xycoords="axes fraction")

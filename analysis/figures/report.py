@@ -71,8 +71,9 @@ def disk_of(parameters: Parameters) -> Disk | None:
 def study(parameters: Parameters, rig: Rig, *, seed: int = 0, step: Step = lambda name: None) -> Study:
     """Compute everything; `step` is called with the name of what comes next.
 
-    `parameters` are the loop's on paper; `rig` is the one whose friction is identified, that holds and strokes, and that the map is about. The
-    limit cycle through the bus is that of the rig "paper".
+    `parameters` are the loop's on paper; `rig` is the one whose friction is identified, that holds
+    and strokes, and that the map is about. The limit cycle through the bus is that of the rig
+    "paper".
     """
     step("describing function")
     found = crossings(parameters)
@@ -98,7 +99,9 @@ def study(parameters: Parameters, rig: Rig, *, seed: int = 0, step: Step = lambd
 
 
 def plain(value: Any) -> Any:
-    """Return `value` as what JSON knows: dataclasses as objects, arrays as lists, NaN and infinity as null, complex as [re, im]."""
+    """Return `value` as what JSON knows: dataclasses as objects, arrays as lists, NaN and infinity
+    as null, complex as [re, im].
+    """
     if is_dataclass(value) and not isinstance(value, type):
         own = getattr(value, "as_dict", None)
         return plain(own()) if callable(own) else {f.name: plain(getattr(value, f.name)) for f in fields(value)}

@@ -37,7 +37,9 @@ SCATTER = 4000
 
 
 def write_fig12(directory: Path, data: KarnoppStudy | None = None) -> list[Path]:
-    """Fig. 12: Karnopp's model, in slip and in stick, and both readings of eq. (20) on a handle at rest."""
+    """Fig. 12: Karnopp's model, in slip and in stick, and both readings of eq. (20) on a handle at
+    rest.
+    """
     data = karnopp_study() if data is None else data
     with figure(10.5, 3.2, 1, 3) as (made, axes):
         slip, stick, rest = axes
@@ -63,7 +65,9 @@ def write_fig12(directory: Path, data: KarnoppStudy | None = None) -> list[Path]
 
 
 def draw_identification(axes: Axes, found: Identification, title: str) -> None:
-    """Draw the samples (inertia and bias taken off), the fit, and the fitted Coulomb friction with its interval."""
+    """Draw the samples (inertia and bias taken off), the fit, and the fitted Coulomb friction with
+    its interval.
+    """
     every = max(1, len(found.v_rad_s) // SCATTER)
     v, felt, fit = found.v_rad_s[::every], found.felt_Nm[::every], found.felt
     axes.plot(v, felt, ".", ms=2, color=GREY, alpha=0.5, rasterized=True, label="samples that slide")
@@ -177,7 +181,9 @@ def draw_bus_cycle(axes: Axes, cycle: BusCycle, colour: str, dash: Any, show_s: 
 
 
 def write_bus_figure(directory: Path, cycles: Sequence[BusCycle]) -> list[Path]:
-    """The limit cycle through the bus: traces for each hardware, and frequency against delay beside the loop without a bus."""
+    """The limit cycle through the bus: traces for each hardware, and frequency against delay beside
+    the loop without a bus.
+    """
     names = list(dict.fromkeys(cycle.hardware for cycle in cycles))
     with figure(11, 3.4, 1, len(names) + 1) as (made, axes):
         for place, name in zip(axes, names, strict=False):
@@ -237,7 +243,8 @@ def _name(field: str) -> str:
 
 
 def write_map(directory: Path, found: OscillationMap) -> list[Path]:
-    """The map, one panel for each rate and delay: operator's inertia against its damping, and the bounds' lines where they fall.
+    """The map, one panel for each rate and delay: operator's inertia against its damping, and the
+    bounds' lines where they fall.
 
     Raises
     ------

@@ -1,4 +1,6 @@
-"""One style for all figures: Okabe-Ito colours, line styles that tell curves apart in grey, deterministic PNG and SVG."""
+"""One style for all figures: Okabe-Ito colours, line styles that tell curves apart in grey,
+deterministic PNG and SVG.
+"""
 
 from __future__ import annotations
 
@@ -65,7 +67,10 @@ SETTINGS: Any = {
 def figure(
     width: float, height: float, rows: int = 1, columns: int = 1, **options: Any
 ) -> Iterator[tuple[Figure, Any]]:
-    """Yield a figure in the common style and its axes (an array if there are several); no window, no global state left behind."""
+    """Yield a figure in the common style and its axes (an array if there are several).
+
+    No window, no global state left behind.
+    """
     import matplotlib
     from matplotlib.figure import Figure
 
@@ -75,7 +80,10 @@ def figure(
 
 
 def save(made: Figure, directory: Path, name: str) -> tuple[Path, Path]:
-    """Write `name`.png and `name`.svg, the same bytes for the same figure; call it within `figure`."""
+    """Write `name`.png and `name`.svg, the same bytes for the same figure.
+
+    Call it within `figure`.
+    """
     directory.mkdir(parents=True, exist_ok=True)
     png, svg = directory / f"{name}.png", directory / f"{name}.svg"
     made.savefig(png, metadata={"Software": None})

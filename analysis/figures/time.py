@@ -1,4 +1,6 @@
-"""Figures of the time domain: Fig. 10, the exact orbits, and the limit cycle against rate and delay."""
+"""Figures of the time domain: Fig. 10, the exact orbits, and the limit cycle against rate and
+delay.
+"""
 
 from __future__ import annotations
 
@@ -92,7 +94,9 @@ def draw_orbit(axes: Axes, orbit: Orbit, parameters: Parameters) -> None:
 
 
 def draw_delay(frequency: Axes, amplitude: Axes, rows: Sequence[DelayRow]) -> None:
-    """Draw frequency and amplitude against delay, a colour, dash and marker for each rate: lines predicted, markers simulated."""
+    """Draw frequency and amplitude against delay, a colour, dash and marker for each rate: lines
+    predicted, markers simulated.
+    """
     rates = sorted({row.sample_rate_Hz for row in rows})
     for i, rate in enumerate(rates):
         mine = sorted((row for row in rows if row.sample_rate_Hz == rate), key=lambda row: row.delay_s)

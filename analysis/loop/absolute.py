@@ -1,15 +1,18 @@
 r"""Absolute stability: what is certified, and what is not, for a friction whose slope is at most k.
 
-Tsypkin's criterion for a memoryless friction in the sector [0, k], eq. (17) for an ideal one (k to infinity):
+Tsypkin's criterion for a memoryless friction in the sector [0, k], eq. (17) for an ideal one (k to
+infinity):
 
 .. math:: \mathrm{Re}\,H^*(j\omega) + 1/k > 0 \quad \forall\,\omega \qquad\Rightarrow\qquad k < 1/|\min_\omega \mathrm{Re}\,H^*|
 
-The circle criterion of the sampled loop is the same inequality. For the passive set, the least real part of a disk counts:
-:math:`\mathrm{Re}\,r(j\omega)/(2b) - 1/(2b)`, which is :math:`-1/b` at fs/2; so k < b. In continuous time, eq. (15), the disk lies in the closed
-right half plane, and every slope is certified.
+The circle criterion of the sampled loop is the same inequality. For the passive set, the least real
+part of a disk counts: :math:`\mathrm{Re}\,r(j\omega)/(2b) - 1/(2b)`, which is :math:`-1/b` at fs/2;
+so k < b. In continuous time, eq. (15), the disk lies in the closed right half plane, and every
+slope is certified.
 
-Tsypkin's criterion is sufficient. A loop that violates it is *not certified*; it is shown to oscillate only by a motion that does
-(`analysis.loop.orbits`). Eq. (17) as printed is strict, yet H*(0) = 0 with a spring: so ideal Coulomb friction is never certified by it.
+Tsypkin's criterion is sufficient. A loop that violates it is *not certified*; it is shown to
+oscillate only by a motion that does (`analysis.loop.orbits`). Eq. (17) as printed is strict, yet
+H*(0) = 0 with a spring: so ideal Coulomb friction is never certified by it.
 """
 
 from __future__ import annotations
@@ -48,14 +51,18 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True)
 class AbsoluteStability:
-    """Largest certified slopes [Ns/m] of a regularised friction; None where every slope is certified."""
+    """Largest certified slopes [Ns/m] of a regularised friction; None where every slope is
+    certified.
+    """
 
     passive_set: float
     """For every passive operator, by Tsypkin's criterion; 0: none."""
     tsypkin: float | None
     """For the concrete operator, sector [0, k], no multiplier."""
     zames_falb: float | None
-    """For the concrete operator and an odd friction with slopes in [0, k], by the multiplier of `certificate`."""
+    """For the concrete operator and an odd friction with slopes in [0, k], by the multiplier of
+    `certificate`.
+    """
     nyquist: float | None
     """The linear loop's own limit: at this gain it oscillates. No certificate can exceed it."""
     passive_brake: float | None
@@ -72,7 +79,9 @@ def _z(frequency_Hz: Floats, period_s: float) -> Complexes:
 
 
 def tsypkin_slope(parameters: Parameters) -> float | None:
-    """Return 1/|min Re H*| over (0, fs/2], refined between grid points; None if Re H* is nowhere negative."""
+    """Return 1/|min Re H*| over (0, fs/2], refined between grid points; None if Re H* is nowhere
+    negative.
+    """
     linear = sample(parameters)
     grid = np.append(frequency_grid(parameters), parameters.nyquist_Hz)
     real = linear.response(_z(grid, parameters.period_s)).real
@@ -90,7 +99,9 @@ def tsypkin_slope(parameters: Parameters) -> float | None:
 
 
 def passive_set_slope(parameters: Parameters) -> float:
-    """Return the slope [Ns/m] that Tsypkin's criterion certifies for every passive operator: b without a delay; 0 for b = 0."""
+    """Return the slope [Ns/m] that Tsypkin's criterion certifies for every passive operator: b
+    without a delay; 0 for b = 0.
+    """
     b = parameters.damping_Ns_m
     grid = np.append(frequency_grid(parameters), parameters.nyquist_Hz)
     _, late = parameters.delay_cycles
@@ -108,7 +119,9 @@ def passive_set_slope(parameters: Parameters) -> float:
 
 
 def circle_slope(parameters: Parameters) -> float | None:
-    """Return the slope that the circle criterion certifies for the brake, eq. (15): None (all), as Re P(jw) >= 0 for a passive hand."""
+    """Return the slope that the circle criterion certifies for the brake, eq. (15): None (all), as
+    Re P(jw) >= 0 for a passive hand.
+    """
     s = np.zeros(4000, dtype=np.complex128)
     s.imag = np.geomspace(1e-3, 1e6, len(s))
     lowest = float(np.min(plant(s, parameters).real))
@@ -116,7 +129,9 @@ def circle_slope(parameters: Parameters) -> float | None:
 
 
 def nyquist_slope(found: Crossings) -> float | None:
-    """Return the least gain at which the linear loop is on the edge: 1/|H*| at the crossing furthest left; None without one."""
+    """Return the least gain at which the linear loop is on the edge: 1/|H*| at the crossing
+    furthest left; None without one.
+    """
     return min((-1.0 / c.h_real for c in found.found), default=None)
 
 

@@ -1,19 +1,24 @@
-r"""Bounds from the literature for a virtual spring of stiffness K, on a device with viscous friction b and Coulomb friction c.
+r"""Bounds from the literature for a virtual spring of stiffness K, on a device with viscous
+friction b and Coulomb friction c.
 
-Karnopp's friction is such a spring whenever it sticks (K = K_p). The bounds know a sampling time T, a delay :math:`\tau`, an encoder resolution
-:math:`\Delta`, and make no assumption on the hand but that it is passive. All are about a spring; none of them certifies the *slip* phase, whose
-relay is of infinite slope. They stand next to a map of what the loop does, not in its place.
+Karnopp's friction is such a spring whenever it sticks (K = K_p). The bounds know a sampling time T,
+a delay :math:`\tau`, an encoder resolution :math:`\Delta`, and make no assumption on the hand but
+that it is passive. All are about a spring; none of them certifies the *slip* phase, whose relay is
+of infinite slope. They stand next to a map of what the loop does, not in its place.
 
-Where they come from: a held spring force lags the true one by T/2 on average, and a quantised one is off by at most
-:math:`\Delta/2`, so the most that the spring gives back too much at speed v is the power
+Where they come from: a held spring force lags the true one by T/2 on average, and a quantised one
+is off by at most :math:`\Delta/2`, so the most that the spring gives back too much at speed v is
+the power
 
 .. math:: K\,(T/2 + \tau)\,v^2 + \tfrac12 K \Delta\,|v|, \qquad \text{and the device burns}\quad b\,v^2 + c\,|v|.
 
-Comparing by powers of v gives them all (and the speed below which a device with enough c, but too little b, is quiet).
+Comparing by powers of v gives them all (and the speed below which a device with enough c, but too
+little b, is quiet).
 
-Sources: J. E. Colgate, G. G. Schenkel, J. Robotic Systems 14(1):37-47, 1997, doi:10.1002/(SICI)1097-4563(199701)14:1<37::AID-ROB4>3.0.CO;2-V;
-J. J. Abbott, A. M. Okamura, IEEE T-RO 21(5):952-964, 2005, doi:10.1109/TRO.2005.851377; N. Diolaiti, G. Niemeyer, F. Barbagli, J. K. Salisbury, IEEE
-T-RO 22(2):256-268, 2006, doi:10.1109/TRO.2005.862487.
+Sources: J. E. Colgate, G. G. Schenkel, J. Robotic Systems 14(1):37-47, 1997,
+doi:10.1002/(SICI)1097-4563(199701)14:1<37::AID-ROB4>3.0.CO;2-V; J. J. Abbott, A. M. Okamura, IEEE
+T-RO 21(5):952-964, 2005, doi:10.1109/TRO.2005.851377; N. Diolaiti, G. Niemeyer, F. Barbagli, J. K.
+Salisbury, IEEE T-RO 22(2):256-268, 2006, doi:10.1109/TRO.2005.862487.
 """
 
 from __future__ import annotations
@@ -33,11 +38,15 @@ class Bounds:
     abbott_okamura_Nm_rad: float
     diolaiti_Nm_rad: float
     diolaiti_quiet_below_rad_s: float
-    """Speed below which friction burns all that the spring gives: infinite within the bound, 0 where quantisation alone beats c."""
+    """Speed below which friction burns all that the spring gives: infinite within the bound, 0
+    where quantisation alone beats c.
+    """
 
     @property
     def certified(self) -> dict[str, bool]:
-        """Return for each bound whether the stiffness is certified by it; False is "not certified", not "unstable"."""
+        """Return for each bound whether the stiffness is certified by it; False is "not certified",
+        not "unstable".
+        """
         return {
             "colgate": self.stiffness_Nm_rad <= self.colgate_Nm_rad,
             "abbott_okamura": self.stiffness_Nm_rad <= self.abbott_okamura_Nm_rad,
@@ -54,20 +63,26 @@ def _check(**values: float) -> None:
 
 
 def colgate_stiffness(viscous: float, period_s: float, virtual_damping: float = 0.0) -> float:
-    r"""Return the largest passive stiffness :math:`K = 2 (b - |B|) / T` of a sampled wall (Colgate, Schenkel 1997; no delay, no quantisation)."""
+    r"""Return the largest passive stiffness :math:`K = 2 (b - |B|) / T` of a sampled wall (Colgate,
+    Schenkel 1997; no delay, no quantisation).
+    """
     _check(viscous=viscous, period_s=period_s)
     return max(2.0 * (viscous - abs(virtual_damping)) / period_s, 0.0)
 
 
 def abbott_okamura_stiffness(viscous: float, coulomb: float, period_s: float, count: float) -> float:
-    r"""Return :math:`K = \min(2b/T,\; 2c/\Delta)`, necessary and sufficient for a passive wall (Abbott, Okamura 2005; no delay)."""
+    r"""Return :math:`K = \min(2b/T,\; 2c/\Delta)`, necessary and sufficient for a passive wall
+    (Abbott, Okamura 2005; no delay).
+    """
     _check(viscous=viscous, coulomb=coulomb, period_s=period_s, count=count)
     quantised = 2.0 * coulomb / count if count > 0 else math.inf
     return min(2.0 * viscous / period_s, quantised)
 
 
 def diolaiti_stiffness(viscous: float, coulomb: float, period_s: float, delay_s: float, count: float) -> float:
-    r"""Return :math:`K = \min(b/(T/2 + \tau),\; 2c/\Delta)`: delay counted as well (after Diolaiti et al. 2006); quiet at any speed."""
+    r"""Return :math:`K = \min(b/(T/2 + \tau),\; 2c/\Delta)`: delay counted as well (after Diolaiti
+    et al. 2006); quiet at any speed.
+    """
     _check(viscous=viscous, coulomb=coulomb, period_s=period_s, delay_s=delay_s, count=count)
     quantised = 2.0 * coulomb / count if count > 0 else math.inf
     return min(viscous / (0.5 * period_s + delay_s), quantised)
@@ -76,11 +91,13 @@ def diolaiti_stiffness(viscous: float, coulomb: float, period_s: float, delay_s:
 def diolaiti_speed(
     stiffness: float, viscous: float, coulomb: float, period_s: float, delay_s: float, count: float
 ) -> float:
-    r"""Return the speed [rad/s] below which the device burns more than the spring gives back too much.
+    r"""Return the speed [rad/s] below which the device burns more than the spring gives back too
+    much.
 
     .. math:: v^* = \frac{c - K\Delta/2}{K (T/2 + \tau) - b}
 
-    Infinite when b alone is enough; 0 when the quantisation gives more than c burns. Beyond v* nothing is certified.
+    Infinite when b alone is enough; 0 when the quantisation gives more than c burns. Beyond v*
+    nothing is certified.
     """
     _check(stiffness=stiffness, viscous=viscous, coulomb=coulomb, period_s=period_s, delay_s=delay_s, count=count)
     left = coulomb - 0.5 * stiffness * count
@@ -93,7 +110,10 @@ def diolaiti_speed(
 def bounds(
     stiffness: float, viscous: float, coulomb: float, period_s: float, delay_s: float = 0.0, count: float = 0.0
 ) -> Bounds:
-    """Return all bounds for one loop; the friction c is what is left of the device's own after compensation."""
+    """Return all bounds for one loop.
+
+    The friction c is what is left of the device's own after compensation.
+    """
     return Bounds(
         stiffness_Nm_rad=stiffness,
         colgate_Nm_rad=colgate_stiffness(viscous, period_s),

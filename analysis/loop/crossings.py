@@ -1,13 +1,14 @@
 r"""Where H*(jw) meets -1/Psi(a): the limit cycles that the describing function predicts, eq. (3).
 
-For any real :math:`\Psi` the locus of :math:`-1/\Psi(a)` is on the negative real axis, so the frequencies follow from
-:math:`\mathrm{Im}\,H^* = 0,\ \mathrm{Re}\,H^* < 0` alone, on the open interval (0, fs/2). For Coulomb friction
-:math:`a = 4c|H^*|/\pi`.
+For any real :math:`\Psi` the locus of :math:`-1/\Psi(a)` is on the negative real axis, so the
+frequencies follow from :math:`\mathrm{Im}\,H^* = 0,\ \mathrm{Re}\,H^* < 0` alone, on the open
+interval (0, fs/2). For Coulomb friction :math:`a = 4c|H^*|/\pi`.
 
-Stability, by Nyquist's criterion with the gain :math:`\Psi(a)` frozen: an amplitude grows where H* encircles :math:`-1/\Psi(a)` and decays
-where it does not. Coulomb's locus goes left as a grows, so a crossing is stable if H* passes upwards there and if nothing further left encircles
-it. (The perturbation :math:`s = j\omega + \sigma` of the harmonic balance alone gives "upwards" only: it sees the one root near the axis.)
-It is a prediction: `analysis.loop.orbits` has the exact motions.
+Stability, by Nyquist's criterion with the gain :math:`\Psi(a)` frozen: an amplitude grows where H*
+encircles :math:`-1/\Psi(a)` and decays where it does not. Coulomb's locus goes left as a grows, so
+a crossing is stable if H* passes upwards there and if nothing further left encircles it. (The
+perturbation :math:`s = j\omega + \sigma` of the harmonic balance alone gives "upwards" only: it
+sees the one root near the axis.) It is a prediction: `analysis.loop.orbits` has the exact motions.
 """
 
 from __future__ import annotations
@@ -64,7 +65,9 @@ class Crossings:
 
 
 def frequency_grid(parameters: Parameters) -> Floats:
-    """Return frequencies in (0, fs/2) [Hz], fine enough for the loop's delay: at least 100 on a turn of the locus."""
+    """Return frequencies in (0, fs/2) [Hz], fine enough for the loop's delay: at least 100 on a
+    turn of the locus.
+    """
     whole, _ = parameters.delay_cycles
     fs = 1.0 / parameters.period_s
     points = 2000 + 200 * (whole + 1)
@@ -73,7 +76,9 @@ def frequency_grid(parameters: Parameters) -> Floats:
 
 
 def crossings(parameters: Parameters) -> Crossings:
-    """Return the crossings of H*(jw) with the negative real axis, refined to 1e-12 of the frequency."""
+    """Return the crossings of H*(jw) with the negative real axis, refined to 1e-12 of the
+    frequency.
+    """
     linear = sample(parameters)
     grid = frequency_grid(parameters)
     response = linear.response(_z(grid, parameters.period_s))

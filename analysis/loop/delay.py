@@ -1,7 +1,8 @@
 r"""What CANopen adds: frequency and amplitude of the limit cycle against sampling rate and delay.
 
-Predicted by the describing function (`analysis.loop.crossings`, the crossing of largest amplitude) and simulated by the exact recursion
-(`analysis.loop.relay_loop`) from random starts. PDOs on the next SYNC add one cycle of delay, on reception what the frames take on the bus.
+Predicted by the describing function (`analysis.loop.crossings`, the crossing of largest amplitude)
+and simulated by the exact recursion (`analysis.loop.relay_loop`) from random starts. PDOs on the
+next SYNC add one cycle of delay, on reception what the frames take on the bus.
 """
 
 from __future__ import annotations
@@ -23,7 +24,9 @@ STARTS, SECONDS, KEPT_S = 21, 40.0, 2.0
 
 @dataclass(frozen=True)
 class DelayRow:
-    """One pair of sampling rate and delay; None where the describing function predicts no limit cycle."""
+    """One pair of sampling rate and delay; None where the describing function predicts no limit
+    cycle.
+    """
 
     sample_rate_Hz: float
     delay_s: float
@@ -50,7 +53,9 @@ def _frequency_Hz(motion: SteadyMotion) -> float:
 
 
 def delay_row(parameters: Parameters, *, seed: int = 0) -> DelayRow:
-    """Return predicted and simulated limit cycle of one loop: 21 starts of 40 s, the last 2 s of each."""
+    """Return predicted and simulated limit cycle of one loop: 21 starts of 40 s, the last 2 s of
+    each.
+    """
     predicted = crossings(parameters).largest
     motions = settle(parameters, starts=STARTS, seconds=SECONDS, kept_s=KEPT_S + parameters.period_s, seed=seed)
     frequencies = [_frequency_Hz(motion) for motion in motions]

@@ -1,10 +1,12 @@
-r"""Describing functions, eq. (2): numerically for any friction law, analytically where one is known.
+r"""Describing functions, eq. (2): numerically for any friction law, analytically where one is
+known.
 
-For :math:`v = a\sin\theta` the law's fundamental is :math:`p\sin\theta + q\cos\theta` and :math:`\Psi = (p + jq)/a`. A law without memory has
-q = 0 and eq. (2); a law with memory, such as Karnopp's with its spring, also depends on the frequency.
+For :math:`v = a\sin\theta` the law's fundamental is :math:`p\sin\theta + q\cos\theta` and
+:math:`\Psi = (p + jq)/a`. A law without memory has q = 0 and eq. (2); a law with memory, such as
+Karnopp's with its spring, also depends on the frequency.
 
-Every law is paired with its analytic :math:`\Psi` in `ANALYTIC` (keyed by the law's function, as python-control's nonlinearities carry
-theirs); a test holds the pairs together.
+Every law is paired with its analytic :math:`\Psi` in `ANALYTIC` (keyed by the law's function, as
+python-control's nonlinearities carry theirs); a test holds the pairs together.
 """
 
 from __future__ import annotations
@@ -38,7 +40,9 @@ SAMPLES = 10_000
 
 @dataclass(frozen=True)
 class LawParameters:
-    """What a law is given, on a linear or a rotary axis: the mode's numbers of a rig file, and the encoder's resolution."""
+    """What a law is given, on a linear or a rotary axis: the mode's numbers of a rig file, and the
+    encoder's resolution.
+    """
 
     F_d: float = 10.0
     F_s: float = 10.0
@@ -49,7 +53,9 @@ class LawParameters:
     user: tuple[float, ...] = ()
 
     def record(self, count_v: float) -> Any:
-        """Return what a law reads of its record `host.laws.laws.LAW` when one encoder count in a cycle is the speed `count_v`."""
+        """Return what a law reads of its record `host.laws.laws.LAW` when one encoder count in a
+        cycle is the speed `count_v`.
+        """
         return SimpleNamespace(
             K_p=self.K_p,
             F_s=self.F_s,
@@ -62,16 +68,19 @@ class LawParameters:
 
 
 def coulomb_psi(a: float, frequency_Hz: float, law: LawParameters) -> complex:
-    r"""Return Psi of `host.laws.laws.coulomb`: :math:`\frac{4c}{\pi a}\sqrt{1-(\Delta v/a)^2}`, eq. (5) for no band; 0 within the band."""
+    r"""Return Psi of `host.laws.laws.coulomb`: :math:`\frac{4c}{\pi a}\sqrt{1-(\Delta v/a)^2}`, eq.
+    (5) for no band; 0 within the band.
+    """
     return 4 * law.F_d / (math.pi * a) * math.sqrt(1 - (law.band_v / a) ** 2) if a > law.band_v else 0.0
 
 
 def karnopp_psi(a: float, frequency_Hz: float, law: LawParameters) -> complex:
     r"""Return Psi of `host.laws.laws.karnopp` with a continuous stick entry, for a > Delta v.
 
-    Slip ends at :math:`\pi-\theta_0`, :math:`\sin\theta_0 = \Delta v/a`, and the spring is entered with F_d. It is wound by
-    :math:`A(-\cos\theta-\cos\theta_0)`, :math:`A = K_p a/\omega`, up to F_s, and unwound from the turning point on by
-    :math:`A(1+\cos\theta)`, down to -F_s, until slip begins at :math:`\pi+\theta_0`. The half period is made of pieces
+    Slip ends at :math:`\pi-\theta_0`, :math:`\sin\theta_0 = \Delta v/a`, and the spring is entered
+    with F_d. It is wound by :math:`A(-\cos\theta-\cos\theta_0)`, :math:`A = K_p a/\omega`, up to
+    F_s, and unwound from the turning point on by :math:`A(1+\cos\theta)`, down to -F_s, until slip
+    begins at :math:`\pi+\theta_0`. The half period is made of pieces
     :math:`\alpha+\beta\cos\theta`, whose fundamentals are known.
     """
     if a <= law.band_v:
@@ -103,7 +112,8 @@ def karnopp_psi(a: float, frequency_Hz: float, law: LawParameters) -> complex:
 
 
 def regularised(motion: Any, law: Any, state: Any) -> float:
-    r"""Coulomb friction with a slope: :math:`\psi = c\,\mathrm{sat}(v/\Delta)`, :math:`c` = F_d and :math:`\Delta` = the velocity band.
+    r"""Coulomb friction with a slope: :math:`\psi = c\,\mathrm{sat}(v/\Delta)`, :math:`c` = F_d and
+    :math:`\Delta` = the velocity band.
 
     Its slope :math:`c/\Delta` is what a certificate of `analysis.loop.absolute` is about.
     """
@@ -112,7 +122,9 @@ def regularised(motion: Any, law: Any, state: Any) -> float:
 
 
 def regularised_psi(a: float, frequency_Hz: float, law: LawParameters) -> complex:
-    r"""Return Psi of `regularised`: :math:`\frac{2k}{\pi}(\arcsin\rho + \rho\sqrt{1-\rho^2})`, :math:`\rho = \min(1, \Delta/a)`, k = c/Delta."""
+    r"""Return Psi of `regularised`: :math:`\frac{2k}{\pi}(\arcsin\rho + \rho\sqrt{1-\rho^2})`,
+    :math:`\rho = \min(1, \Delta/a)`, k = c/Delta.
+    """
     rho = min(1.0, law.band_v / a)
     return 2 * law.F_d / (math.pi * law.band_v) * (math.asin(rho) + rho * math.sqrt(1 - rho * rho))
 
@@ -152,8 +164,9 @@ def numeric(
 ) -> complex:
     """Return Psi(a, frequency) of any law `function(motion, law, state)`, in force per velocity.
 
-    The law is driven by v = a sin(theta) and its integral for `periods` periods; the fundamental of the last one counts, by the midpoint
-    rule. `function` is the plain Python function of a law, as `host.laws.laws.karnopp`.
+    The law is driven by v = a sin(theta) and its integral for `periods` periods; the fundamental of
+    the last one counts, by the midpoint rule. `function` is the plain Python function of a law, as
+    `host.laws.laws.karnopp`.
     """
     if not a > 0 or not frequency_Hz > 0:
         raise ParameterError(f"amplitude {a} and frequency {frequency_Hz}: must be positive")

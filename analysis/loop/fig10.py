@@ -1,7 +1,9 @@
-r"""Fig. 10: the paper's plant under the paper's force, with friction displayed actively and passively.
+r"""Fig. 10: the paper's plant under the paper's force, with friction displayed actively and
+passively.
 
-Active: the sampled law on a motor, exact between samples (`analysis.loop.relay_loop`). Passive: a brake with set-valued friction, exact to the event
-(`analysis.loop.stick_slip`). Both start at rest at t = 0.
+Active: the sampled law on a motor, exact between samples (`analysis.loop.relay_loop`). Passive: a
+brake with set-valued friction, exact to the event (`analysis.loop.stick_slip`). Both start at rest
+at t = 0.
 """
 
 from __future__ import annotations
@@ -41,7 +43,9 @@ class Run:
     force_rms_above_20Hz_N: float | None
     force_flips_per_s: float
     chatter_Hz: float | None
-    """Peak of the velocity's spectrum (Welch) above 20 Hz; None where the force changes its sign fewer than 20 times a second."""
+    """Peak of the velocity's spectrum (Welch) above 20 Hz; None where the force changes its sign
+    fewer than 20 times a second.
+    """
 
 
 @dataclass(frozen=True)
@@ -54,7 +58,9 @@ class Fig10:
 
 
 def rms_above(values: Floats, cutoff_Hz: float, rate_Hz: float) -> float | None:
-    """Return the RMS of `values` above a frequency: Butterworth of order 4, forwards and backwards, over all samples."""
+    """Return the RMS of `values` above a frequency: Butterworth of order 4, forwards and backwards,
+    over all samples.
+    """
     if cutoff_Hz >= rate_Hz / 2:
         return None
     sos = butter(4, cutoff_Hz, "highpass", fs=rate_Hz, output="sos")
@@ -86,7 +92,8 @@ def _run(
 
 
 def active_run(parameters: Parameters, force: HarmonicForce = PAPER_FORCE) -> Run:
-    """Return the run with the motor: psi_k = c sgn(v^_k), held for a period, with the parameters' delay and encoder.
+    """Return the run with the motor: psi_k = c sgn(v^_k), held for a period, with the parameters'
+    delay and encoder.
 
     A stick interval would be a span of at least two samples with a velocity of exactly zero.
     """
@@ -100,7 +107,10 @@ def active_run(parameters: Parameters, force: HarmonicForce = PAPER_FORCE) -> Ru
 
 
 def passive_run(parameters: Parameters, force: HarmonicForce = PAPER_FORCE) -> Run:
-    """Return the run with the brake: set-valued friction; sampling, delay and encoder play no part in it."""
+    """Return the run with the brake: set-valued friction.
+
+    Sampling, delay and encoder play no part in it.
+    """
     motion = passive_motion(parameters, force)
     return _run(motion.t_s, motion.x_m, motion.v_m_s, motion.force_N, motion.stick_intervals_s, parameters)
 

@@ -1,8 +1,10 @@
 r"""Fig. 12: Karnopp's model as the host runs it, beside eq. (20) as printed.
 
-In stick the paper prints max(F_s, F_a). It must be a saturation, sgn(F_a) min(|F_a|, F_s): friction holds what is applied, up to F_s. The literal
-maximum never is below F_s, so a handle at rest is pushed by F_s where nothing pushes at it: it is kicked, slips, stops and is kicked again,
-an oscillation from rest that walks away. `karnopp_study` shows both on a free handle, sampled and held, through `host.laws.laws.karnopp` itself.
+In stick the paper prints max(F_s, F_a). It must be a saturation, sgn(F_a) min(|F_a|, F_s): friction
+holds what is applied, up to F_s. The literal maximum never is below F_s, so a handle at rest is
+pushed by F_s where nothing pushes at it: it is kicked, slips, stops and is kicked again, an
+oscillation from rest that walks away. `karnopp_study` shows both on a free handle, sampled and
+held, through `host.laws.laws.karnopp` itself.
 """
 
 from __future__ import annotations
@@ -42,7 +44,9 @@ class KarnoppStudy:
 
 
 def literal_karnopp(motion: Any, law: Any, state: Any) -> float:
-    """Return eq. (20) as printed: in stick max(F_s, F_a), a number that is never below F_s; F_a = K_p (x - x_stuck)."""
+    """Return eq. (20) as printed: in stick max(F_s, F_a), a number that is never below F_s; F_a =
+    K_p (x - x_stuck).
+    """
     if abs(motion.v_counts) > law.velocity_band_counts:
         state.stuck = 0
         return float(law.F_d if motion.v_counts > 0.0 else -law.F_d)
@@ -55,7 +59,9 @@ def literal_karnopp(motion: Any, law: Any, state: Any) -> float:
 def _from_rest(
     law_function: Any, law: Any, count: float, period: float, inertia: float, viscous: float, cycles: int
 ) -> Floats:
-    """Return the angle at each sample of a handle at rest: J v' + b v = -psi, held over a period and solved exactly."""
+    """Return the angle at each sample of a handle at rest: J v' + b v = -psi, held over a period
+    and solved exactly.
+    """
     motion, state = (np.zeros(1, dtype).view(np.recarray)[0] for dtype in (laws.MOTION, laws.LAW_STATE))
     state.stuck = 1
     x = v = 0.0
@@ -86,7 +92,10 @@ def karnopp_study(
     inertia_kg_m2: float = 3e-3,
     viscous_Nms_rad: float = 0.105,
 ) -> KarnoppStudy:
-    """Compute Fig. 12; defaults are the paper's active display on the bench rig's handle with its hand."""
+    """Compute Fig. 12.
+
+    Defaults are the paper's active display on the bench rig's handle with its hand.
+    """
     law = np.zeros(1, laws.LAW).view(np.recarray)[0]
     law.K_p, law.F_s, law.F_d, law.velocity_band_counts = K_p_Nm_rad, F_s_Nm, F_d_Nm, band_counts
     motion, state = (np.zeros(1, dtype).view(np.recarray)[0] for dtype in (laws.MOTION, laws.LAW_STATE))

@@ -3,13 +3,14 @@ r"""The loop's linear part: eqs. (6)-(14), in the z-domain exactly and as a sum 
 .. math:: G(s) = \frac{1-e^{-Ts}}{s^2}\,P(s)\,e^{-s\tau},\quad P(s) = \frac{1}{ms+b+Z_o(s)},\quad
           D^*(s) = \frac{1-e^{-Ts}}{T},\quad H^*(s) = D^*(s)\,G^*(s)
 
-`SampledPlant` steps the plant by matrix exponentials. With a delay :math:`\tau = qT + \delta` the force of the step is
-:math:`u_{k-q-1}` for :math:`\delta` and :math:`u_{k-q}` for the rest, which is the modified z-transform in state space:
+`SampledPlant` steps the plant by matrix exponentials. With a delay :math:`\tau = qT + \delta` the
+force of the step is :math:`u_{k-q-1}` for :math:`\delta` and :math:`u_{k-q}` for the rest, which is
+the modified z-transform in state space:
 
 .. math:: H(z) = \tfrac1T z^{-1}\,\bigl[R(zI-\Phi)^{-1}\Gamma(z) + g(z)\bigr],\quad \Gamma(z) = \Gamma_0 z^{-q} + \Gamma_1 z^{-q-1}
 
-with the state (v, operator) and the displacement over a step as the output; so the differentiator's zero at z = 1 and the
-integrator's pole are cancelled on paper, not in floating point.
+with the state (v, operator) and the displacement over a step as the output; so the differentiator's
+zero at z = 1 and the integrator's pole are cancelled on paper, not in floating point.
 """
 
 from __future__ import annotations
@@ -51,8 +52,8 @@ def plant(s: Complexes, parameters: Parameters) -> Complexes:
 def continuous_model(parameters: Parameters) -> tuple[Floats, Floats, Floats]:
     """Return A, B and the load row of the state (x, v, operator's states): y' = A y + B f.
 
-    The load row gives the operator's force without its mass and damper, the spring's for the paper's hand: with the handle held,
-    friction has to bear f_h - load @ y.
+    The load row gives the operator's force without its mass and damper, the spring's for the
+    paper's hand: with the handle held, friction has to bear f_h - load @ y.
     """
     parts = parameters.operator.parts()
     n = len(parts.B)
@@ -71,8 +72,8 @@ def continuous_model(parameters: Parameters) -> tuple[Floats, Floats, Floats]:
 def exponential(A: Floats) -> Floats:
     """Return exp(A) of a small matrix by scaling, the series, and squaring.
 
-    As scipy.linalg.expm to rounding (a test holds them together), but in microseconds: that one took 8 ms for a dozen rows where BLAS
-    has threads of its own.
+    As scipy.linalg.expm to rounding (a test holds them together), but in microseconds: that one
+    took 8 ms for a dozen rows where BLAS has threads of its own.
     """
     squarings = max(0, math.ceil(math.log2(max(float(np.linalg.norm(A, 1)), 1e-300))) + 1)
     scaled = A * 0.5**squarings
@@ -95,7 +96,9 @@ def _zoh(A: Floats, B: Floats, t: float) -> tuple[Floats, Floats]:
 
 @dataclass(frozen=True)
 class SampledPlant:
-    """One period of the plant: y_{k+1} = phi y_k + gamma_0 f_{k-q} + gamma_1 f_{k-q-1}, y = (x, v, operator's states)."""
+    """One period of the plant: y_{k+1} = phi y_k + gamma_0 f_{k-q} + gamma_1 f_{k-q-1}, y = (x, v,
+    operator's states).
+    """
 
     period_s: float
     phi: Floats
@@ -106,7 +109,9 @@ class SampledPlant:
 
     @property
     def velocity_states(self) -> Floats:
-        """Phi without the position: what decides whether a periodic motion of the velocity is attractive."""
+        """Phi without the position: what decides whether a periodic motion of the velocity is
+        attractive.
+        """
         return self.phi[1:, 1:]
 
     @property
@@ -144,11 +149,15 @@ def frequency_response(frequency_Hz: Floats, parameters: Parameters) -> Complexe
 
 
 def alias_sum(frequency_Hz: Floats, parameters: Parameters, aliases: int = ALIASES) -> Complexes:
-    r"""Return H*(jw) by eq. (10): the aliases -`aliases` ... `aliases` one by one, the tail by Hurwitz' zeta.
+    r"""Return H*(jw) by eq. (10): the aliases -`aliases` ...
 
-    Beyond the plant's poles :math:`P(s)/s^2 = \sum_j c_j s^{-j}`, and :math:`\sum_{k>N} (k+\omega/\omega_s)^{-j}` is
-    :math:`\zeta(j, N+1+\omega/\omega_s)`. With a fraction of a cycle of delay the aliases' phases turn, there is no such tail, and more
-    terms are summed instead: what is left out falls with the cube of their number. Not for w = 0, where single terms are infinite.
+    `aliases` one by one, the tail by Hurwitz' zeta.
+
+    Beyond the plant's poles :math:`P(s)/s^2 = \sum_j c_j s^{-j}`, and
+    :math:`\sum_{k>N} (k+\omega/\omega_s)^{-j}` is :math:`\zeta(j, N+1+\omega/\omega_s)`. With a
+    fraction of a cycle of delay the aliases' phases turn, there is no such tail, and more terms are
+    summed instead: what is left out falls with the cube of their number. Not for w = 0, where
+    single terms are infinite.
     """
     T, tau = parameters.period_s, parameters.delay_s
     w = 2 * np.pi * np.atleast_1d(np.asarray(frequency_Hz, dtype=np.float64))
@@ -171,7 +180,9 @@ def alias_sum(frequency_Hz: Floats, parameters: Parameters, aliases: int = ALIAS
 
 
 def _at_infinity(parameters: Parameters) -> Floats:
-    """Return c_2, c_3 ... of P(s)/s^2 = sum c_j s^-j by long division of P = D / ((m s + b) D + N) in 1/s."""
+    """Return c_2, c_3 ... of P(s)/s^2 = sum c_j s^-j by long division of P = D / ((m s + b) D + N)
+    in 1/s.
+    """
     operator = parameters.operator
     below = np.polyadd(
         np.polymul([parameters.mass_kg, parameters.damping_Ns_m], operator.denominator), operator.numerator
@@ -188,10 +199,12 @@ def _at_infinity(parameters: Parameters) -> Floats:
 
 
 def multiplier(frequency_Hz: Floats, parameters: Parameters) -> Complexes:
-    r"""Return r(jw) of eq. (12) in closed form: exp(-jwT), one period of pure lag, and the delay on top of it.
+    r"""Return r(jw) of eq. (12) in closed form: exp(-jwT), one period of pure lag, and the delay on
+    top of it.
 
-    :math:`\sum_k (\omega + k\omega_s)^{-2} = T^2 / (2(1-\cos\omega T))` turns eq. (12) into :math:`e^{-j\omega T}`; the sum sign that is
-    left over in eq. (13) is an error. A rest :math:`\delta` of the delay weights two periods:
+    :math:`\sum_k (\omega + k\omega_s)^{-2} = T^2 / (2(1-\cos\omega T))` turns eq. (12) into
+    :math:`e^{-j\omega T}`; the sum sign that is left over in eq. (13) is an error. A rest
+    :math:`\delta` of the delay weights two periods:
     :math:`(1-\delta/T) + (\delta/T)\,e^{-j\omega T}`.
     """
     q, late = parameters.delay_cycles
@@ -203,7 +216,9 @@ def multiplier(frequency_Hz: Floats, parameters: Parameters) -> Complexes:
 
 @dataclass(frozen=True)
 class Disk:
-    """Where H*(jw) can be for any passive operator: a disk at each frequency, eqs. (11)-(14) as corrected."""
+    """Where H*(jw) can be for any passive operator: a disk at each frequency, eqs. (11)-(14) as
+    corrected.
+    """
 
     frequency_Hz: Floats
     center: Complexes
@@ -213,7 +228,8 @@ class Disk:
 def passive_disk(frequency_Hz: Floats, parameters: Parameters) -> Disk:
     """Return centre r(jw)/(2b) and radius 1/(2b), both in m/(Ns).
 
-    The weights of eq. (10)'s terms add up to 1 in modulus, so the radius stays 1/(2b) with any delay.
+    The weights of eq. (10)'s terms add up to 1 in modulus, so the radius stays 1/(2b) with any
+    delay.
     """
     b = parameters.damping_Ns_m
     if b == 0:

@@ -1,8 +1,10 @@
-r"""The operator's muscle force :math:`f_h(t)` as the output of oscillators, so that it is integrated without error.
+r"""The operator's muscle force :math:`f_h(t)` as the output of oscillators, so that it is
+integrated without error.
 
 .. math:: f_h(t) = \sum_i \alpha_i s_i + \beta_i c_i, \qquad \dot s_i = \omega_i c_i,\quad \dot c_i = -\omega_i s_i,\quad s_i(0) = 0,\ c_i(0) = 1
 
-Plant and oscillators together are one autonomous linear system; its matrix exponential holds the plant's particular solution in closed form.
+Plant and oscillators together are one autonomous linear system; its matrix exponential holds the
+plant's particular solution in closed form.
 """
 
 from __future__ import annotations
@@ -21,7 +23,9 @@ __all__ = ["PAPER_FORCE", "HarmonicForce", "augmented", "work"]
 
 @dataclass(frozen=True)
 class HarmonicForce:
-    """f_h [N] as (sine's amplitude, cosine's amplitude, angular frequency [rad/s]); a constant is a cosine of frequency 0."""
+    """f_h [N] as (sine's amplitude, cosine's amplitude, angular frequency [rad/s]); a constant is a
+    cosine of frequency 0.
+    """
 
     terms: tuple[tuple[float, float, float], ...]
 
@@ -62,7 +66,8 @@ PAPER_FORCE = HarmonicForce(
 
 
 def augmented(parameters: Parameters, force: HarmonicForce) -> tuple[Floats, Floats]:
-    """Return the matrices of slip and of stick over (x, v, operator's states | oscillators | psi): Y' = A Y.
+    """Return the matrices of slip and of stick over (x, v, operator's states | oscillators | psi):
+    Y' = A Y.
 
     In slip psi is a constant; in stick x rests, v = 0, and only the operator's own states go on.
     """
@@ -80,7 +85,9 @@ def augmented(parameters: Parameters, force: HarmonicForce) -> tuple[Floats, Flo
 
 
 def work(linear: SampledPlant, parameters: Parameters, force: HarmonicForce, steps: int) -> Floats:
-    """Return what f_h adds to the state in each of `steps` periods (steps, states): exact, the oscillators' phases do not drift."""
+    """Return what f_h adds to the state in each of `steps` periods (steps, states): exact, the
+    oscillators' phases do not drift.
+    """
     slip, _ = augmented(parameters, force)
     n, m = len(linear.phi), 2 * len(force.terms)
     over = exponential(slip * parameters.period_s)[:n, n : n + m]

@@ -1,7 +1,7 @@
 r"""The operator's impedance :math:`Z_o(s)`: rational, passive, with a realisation for simulation.
 
-Polynomials are tuples of coefficients in descending powers of s. A mass, damper and spring, :math:`Z_o = m_o s + b_o + k_o/s`, is
-``(m_o, b_o, k_o)`` over ``(1, 0)``.
+Polynomials are tuples of coefficients in descending powers of s. A mass, damper and spring,
+:math:`Z_o = m_o s + b_o + k_o/s`, is ``(m_o, b_o, k_o)`` over ``(1, 0)``.
 """
 
 from __future__ import annotations
@@ -30,7 +30,9 @@ class ParameterError(ValueError):
 
 @dataclass(frozen=True)
 class OperatorParts:
-    """Z_o(s) = inertia s + damping + C (sI - A)^-1 B: what simulation needs, with v as the input and a force as the output."""
+    """Z_o(s) = inertia s + damping + C (sI - A)^-1 B: what simulation needs, with v as the input
+    and a force as the output.
+    """
 
     inertia: float
     damping: float
@@ -38,17 +40,22 @@ class OperatorParts:
     B: Floats
     C: Floats
     rest: Floats
-    """What the states become when the handle is moved by 1 m and held: a spring remembers, a Maxwell element forgets."""
+    """What the states become when the handle is moved by 1 m and held: a spring remembers, a
+    Maxwell element forgets.
+    """
 
 
 @dataclass(frozen=True)
 class Operator:
-    """A passive operator, Z_o(s) = numerator / denominator [Ns/m]; the default is the paper's, 1.287 s + 29.33 + 178/s.
+    """A passive operator, Z_o(s) = numerator / denominator [Ns/m].
+
+    The default is the paper's, 1.287 s + 29.33 + 178/s.
 
     Raises
     ------
     ParameterError
-        NaN, improper (more than one pole at infinity), or not passive (not positive real), with the reason
+        NaN, improper (more than one pole at infinity), or not passive (not positive real), with the
+        reason
     """
 
     numerator: tuple[float, ...] = (1.287, 29.33, 178.0)
@@ -77,7 +84,9 @@ class Operator:
 
     @classmethod
     def parse(cls, text: str) -> Operator:
-        """Return the operator of a text such as ``"1.287,29.33,178/1,0"``: coefficients in descending powers of s."""
+        """Return the operator of a text such as ``"1.287,29.33,178/1,0"``: coefficients in
+        descending powers of s.
+        """
         try:
             numerator, denominator = (tuple(float(part) for part in side.split(",")) for side in text.split("/"))
         except ValueError:
@@ -90,7 +99,9 @@ class Operator:
         return value
 
     def parts(self) -> OperatorParts:
-        """Return mass, damper and a state-space realisation of the rest (controllable companion form)."""
+        """Return mass, damper and a state-space realisation of the rest (controllable companion
+        form).
+        """
         denominator = np.array(self.denominator)
         quotient, remainder = np.polydiv(np.array(self.numerator), denominator)
         inertia, damping = (quotient[0], quotient[1]) if len(quotient) == 2 else (0.0, quotient[0])
@@ -119,7 +130,9 @@ def _text(polynomial: tuple[float, ...]) -> str:
 def _reduced(
     numerator: tuple[float, ...], denominator: tuple[float, ...]
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Strip leading zeros, cancel common factors s, and make the denominator's leading coefficient 1."""
+    """Strip leading zeros, cancel common factors s, and make the denominator's leading coefficient
+    1.
+    """
     n, d = list(map(float, numerator)), list(map(float, denominator))
     while len(n) > 1 and n[0] == 0.0:
         n.pop(0)
@@ -136,8 +149,9 @@ def _reduced(
 def _why_not_passive(n: Floats, d: Floats) -> str:
     """Return why n/d is not positive real, or an empty text.
 
-    Positive real: no pole in Re s > 0, poles on the imaginary axis and at infinity simple with a positive residue, Re Z(jw) >= 0.
-    Source: M. E. Van Valkenburg, Introduction to Modern Network Synthesis, 1960.
+    Positive real: no pole in Re s > 0, poles on the imaginary axis and at infinity simple with a
+    positive residue, Re Z(jw) >= 0. Source: M. E. Van Valkenburg, Introduction to Modern Network
+    Synthesis, 1960.
     """
     excess = len(n) - len(d)
     if excess > 1:
@@ -161,7 +175,9 @@ def _why_not_passive(n: Floats, d: Floats) -> str:
 
 
 def _where_resistance_is_negative(n: Floats, d: Floats) -> float | None:
-    """Return a w with Re Z(jw) < 0, or None: the sign of the polynomial Re(n(jw) d(-jw)) between its roots in w^2."""
+    """Return a w with Re Z(jw) < 0, or None: the sign of the polynomial Re(n(jw) d(-jw)) between
+    its roots in w^2.
+    """
 
     def split(p: Floats) -> tuple[Floats, Floats]:
         """Even and odd part as polynomials in x = w^2 (descending): p(jw) = even(x) + jw odd(x)."""

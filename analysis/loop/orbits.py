@@ -1,13 +1,16 @@
 r"""Periodic motions of the sampled relay loop, exactly: every switching pattern up to a period.
 
-A two-valued force :math:`\psi_k = c\,u_k` of period p drives a linear plant, so :math:`\hat v` has the period too and is known without
-simulation: its discrete spectrum is :math:`-H(z)\,c\,U` at the p-th roots of unity. The pattern is a motion of the loop if and only if the relay
-agrees with it, :math:`u_k = \mathrm{sgn}\,\hat v_k` for all k: the margin :math:`\min_k u_k\hat v_k` is positive.
+A two-valued force :math:`\psi_k = c\,u_k` of period p drives a linear plant, so :math:`\hat v` has
+the period too and is known without simulation: its discrete spectrum is :math:`-H(z)\,c\,U` at the
+p-th roots of unity. The pattern is a motion of the loop if and only if the relay agrees with it,
+:math:`u_k = \mathrm{sgn}\,\hat v_k` for all k: the margin :math:`\min_k u_k\hat v_k` is positive.
 
-Local stability is then no approximation either. A disturbance smaller than the margin changes no sign, so it evolves by the plant alone: the
-motion is attractive if and only if the plant's own :math:`\Phi` (without the position) has its eigenvalues inside the unit circle.
+Local stability is then no approximation either. A disturbance smaller than the margin changes no
+sign, so it evolves by the plant alone: the motion is attractive if and only if the plant's own
+:math:`\Phi` (without the position) has its eigenvalues inside the unit circle.
 
-Source: Y. Z. Tsypkin, Relay Control Systems, 1984, chapter 3 (continuous time); the sampled case needs no search for switching instants.
+Source: Y. Z. Tsypkin, Relay Control Systems, 1984, chapter 3 (continuous time); the sampled case
+needs no search for switching instants.
 """
 
 from __future__ import annotations
@@ -27,7 +30,8 @@ __all__ = ["LONGEST", "Orbit", "Orbits", "orbits", "pattern_of", "patterns"]
 
 LONGEST = 16
 ROUNDING = 1e-9
-"""A margin below this share of the largest response is rounding: "+" with a spring moves nothing."""
+"""A margin below this share of the largest response is rounding: "+" with a spring moves nothing.
+"""
 SETTLE_S, KEPT_SAMPLES = 20.0, 480
 PLUS, MINUS = "+", "-"
 
@@ -44,7 +48,9 @@ class Orbit:
     velocity_peak_m_s: float
     """max |v^_k|."""
     margin_m_s: float
-    """min u_k v^_k: it exists because this is positive, and it survives disturbances of v^ below this."""
+    """min u_k v^_k: it exists because this is positive, and it survives disturbances of v^ below
+    this.
+    """
     stable: bool
     """Locally attractive: exact, not a prediction."""
     share: float | None = None
@@ -75,7 +81,9 @@ class Orbits:
 
 @lru_cache(maxsize=32)
 def patterns(period: int) -> Floats:
-    """Return all patterns of +-1 whose shortest period is `period`, each once as its first rotation: Lyndon words (Duval, 1988)."""
+    """Return all patterns of +-1 whose shortest period is `period`, each once as its first
+    rotation: Lyndon words (Duval, 1988).
+    """
     words, word = [], [-1]
     while word:
         word[-1] += 1
@@ -90,7 +98,9 @@ def patterns(period: int) -> Floats:
 
 
 def pattern_of(signs: Floats, longest: int = LONGEST) -> str | None:
-    """Return the pattern that repeats in `signs` (its first rotation), or None if no period up to `longest` fits all of them."""
+    """Return the pattern that repeats in `signs` (its first rotation), or None if no period up to
+    `longest` fits all of them.
+    """
     for period in range(1, min(longest, len(signs) // 2) + 1):
         if np.array_equal(signs[period:], signs[:-period]) and np.all(signs != 0):
             word = "".join(PLUS if sign > 0 else MINUS for sign in signs[:period])
@@ -99,7 +109,8 @@ def pattern_of(signs: Floats, longest: int = LONGEST) -> str | None:
 
 
 def orbits(parameters: Parameters, *, longest: int = LONGEST, starts: int = 0, seed: int = 0) -> Orbits:
-    """Return every two-valued periodic motion of at most `longest` samples; `starts` random starts give each one's share.
+    """Return every two-valued periodic motion of at most `longest` samples; `starts` random starts
+    give each one's share.
 
     Without an encoder: its rounding would need the position's exact value as well.
     """

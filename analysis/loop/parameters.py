@@ -1,8 +1,10 @@
-r"""The parameters of the paper's loop, checked: device, operator, friction, sampling, delay, encoder.
+r"""The parameters of the paper's loop, checked: device, operator, friction, sampling, delay,
+encoder.
 
 .. math:: m\dot v + b v + Z_o v = f_h - \psi, \qquad \psi_k = c\,\mathrm{sgn}(\hat v_k), \qquad \hat v_k = (x_k - x_{k-1})/T
 
-:math:`\psi_k` acts from :math:`kT + \tau` on, for one period. The defaults are the paper's section 4.
+:math:`\psi_k` acts from :math:`kT + \tau` on, for one period. The defaults are the paper's section
+4.
 """
 
 from __future__ import annotations
@@ -25,8 +27,8 @@ class Parameters:
     Raises
     ------
     ParameterError
-        what is refused, with the reason: NaN, a negative mass or damping, no mass at all, a period or friction that is not
-        positive, a delay that is negative or not shorter than the window
+        what is refused, with the reason: NaN, a negative mass or damping, no mass at all, a period
+        or friction that is not positive, a delay that is negative or not shorter than the window
     """
 
     mass_kg: float = 0.1

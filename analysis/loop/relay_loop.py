@@ -1,11 +1,13 @@
-r"""The sampled relay loop, exact from sample to sample: compiled recursion and the figures of its steady motion.
+r"""The sampled relay loop, exact from sample to sample: compiled recursion and the figures of its
+steady motion.
 
 .. math:: y_{k+1} = \Phi y_k - \Gamma_0\psi_{k-q} - \Gamma_1\psi_{k-q-1} + w_k,\qquad
           \psi_k = c\,\mathrm{sgn}(\hat v_k),\quad \hat v_k = (x_k - x_{k-1})/T
 
-Between samples the force is constant and the plant linear, so the matrices of `analysis.loop.linear.sample` leave no integration error at the
-samples. :math:`w_k` is the operator's force over the period, integrated exactly by who calls (`analysis.loop.fig10`). With an encoder,
-:math:`x_k` is first rounded to its resolution.
+Between samples the force is constant and the plant linear, so the matrices of
+`analysis.loop.linear.sample` leave no integration error at the samples. :math:`w_k` is the
+operator's force over the period, integrated exactly by who calls (`analysis.loop.fig10`). With an
+encoder, :math:`x_k` is first rounded to its resolution.
 """
 
 from __future__ import annotations
@@ -124,7 +126,9 @@ class SteadyMotion:
 
 
 def random_starts(parameters: Parameters, count: int, seed: int) -> Floats:
-    """Return `count` states (x, v, operator's states) with |x| <= 3 mm and |v| <= 0.05 m/s, springs as wound as x says."""
+    """Return `count` states (x, v, operator's states) with |x| <= 3 mm and |v| <= 0.05 m/s, springs
+    as wound as x says.
+    """
     rest = parameters.operator.parts().rest
     x0, v0 = LARGEST_START
     draws = np.random.default_rng(seed).uniform(-1.0, 1.0, (count, 2))
@@ -141,7 +145,9 @@ def _loop(linear: SampledPlant, p: Parameters) -> Loop:
 
 
 def steady(linear: SampledPlant, parameters: Parameters, start: Floats, steps: int, kept: int) -> SteadyMotion:
-    """Run the loop without an operator's force from the state `start` and return its last `kept` samples."""
+    """Run the loop without an operator's force from the state `start` and return its last `kept`
+    samples.
+    """
     estimate, force = np.empty(kept), np.empty(kept)
     y = start.copy()
     before = start[0] - start[1] * parameters.period_s
@@ -158,7 +164,10 @@ def settle(parameters: Parameters, *, starts: int, seconds: float, kept_s: float
 
 
 def forced(linear: SampledPlant, parameters: Parameters, work: Floats) -> tuple[Floats, Floats, Floats]:
-    """Run the loop from rest under the operator's `work` (steps, states); return the path (steps, states), v^ and the force applied."""
+    """Run the loop from rest under the operator's `work` (steps, states).
+
+    Return the path (steps, states), v^ and the force applied.
+    """
     steps, n = work.shape
     path, estimate, force = np.empty((steps, n)), np.empty(steps), np.empty(steps)
     relay_steps(_loop(linear, parameters), np.zeros(n), 0.0, steps, Traces(work, path, estimate, force))

@@ -1,17 +1,22 @@
-r"""The rig's loop alone, compiled: plant, encoder, the host's own law, a delayed set-point. No bus, no nodes - what a map needs.
+r"""The rig's loop alone, compiled: plant, encoder, the host's own law, a delayed set-point.
+
+No bus, no nodes - what a map needs.
 
 .. math::
 
     (m + m_o)\,\dot v + (b + b_o)\,v + k_o x = u - \lambda, \qquad \lambda \in F\,\mathrm{Sgn}(v), \qquad \tau_m \dot u = u^* - u
 
-A sample at :math:`kT` gives :math:`n_k = \lfloor x/q + 1/2 \rfloor` counts. The law is `host.laws.laws`'s karnopp or coulomb itself, fed with
-counts; its torque :math:`u^*_k` acts from :math:`kT + \tau` on, with whole cycles and a fraction of one.
+A sample at :math:`kT` gives :math:`n_k = \lfloor x/q + 1/2 \rfloor` counts. The law is
+`host.laws.laws`'s karnopp or coulomb itself, fed with counts; its torque :math:`u^*_k` acts from
+:math:`kT + \tau` on, with whole cycles and a fraction of one.
 
-Between events the plant is linear, so it is stepped by its transition matrix, exactly and whatever the step. Where the inherent friction
-changes sides (v = 0), the crossing is found on the Taylor series of the solution: steps are short against the plant's rates, and what the series
-leaves out is less than 1e-9 of the step's motion. From there it sticks if the friction bears the load, and breaks away at the instant
-at which a lagging motor exceeds it. Without inherent friction there is no such event and nothing is approximated.
-Two crossings within one step are not seen; a step is at most a sample.
+Between events the plant is linear, so it is stepped by its transition matrix, exactly and whatever
+the step. Where the inherent friction changes sides (v = 0), the crossing is found on the Taylor
+series of the solution: steps are short against the plant's rates, and what the series leaves out is
+less than 1e-9 of the step's motion. From there it sticks if the friction bears the load, and breaks
+away at the instant at which a lagging motor exceeds it. Without inherent friction there is no such
+event and nothing is approximated. Two crossings within one step are not seen; a step is at most a
+sample.
 """
 
 from __future__ import annotations
@@ -80,7 +85,9 @@ _coulomb = kernel(laws.coulomb)
 
 @kernel
 def _transition(p: Any, h: float, out: Any) -> None:
-    """Fill `out` (4 x 4) with exp(A h) of (x, v, u - u*, acceleration input), by scaling and squaring."""
+    """Fill `out` (4 x 4) with exp(A h) of (x, v, u - u*, acceleration input), by scaling and
+    squaring.
+    """
     a = np.zeros((4, 4))
     a[0, 1] = 1.0
     a[1, 0] = -p.stiffness / p.inertia
@@ -126,7 +133,9 @@ def _product(a: Any, b: Any) -> Any:
 
 @kernel
 def _series(p: Any, y: Any, target: float, sign: float, cx: Any, cv: Any, cw: Any) -> None:
-    """Fill the Taylor coefficients of x, v and w = u - u* about the state `y` while v has the sign `sign`."""
+    """Fill the Taylor coefficients of x, v and w = u - u* about the state `y` while v has the sign
+    `sign`.
+    """
     cx[0], cv[0], cw[0] = y[0], y[1], y[2]
     push = target - sign * p.friction
     per_inertia = 1.0 / p.inertia
@@ -153,7 +162,9 @@ def _value(c: Any, t: float) -> float:
 
 @kernel
 def _crossing(cv: Any, from_rest: bool, t_end: float) -> float:
-    """Return when v, of another sign at `t_end`, reaches zero: Newton's rule, kept within its bracket by bisection."""
+    """Return when v, of another sign at `t_end`, reaches zero: Newton's rule, kept within its
+    bracket by bisection.
+    """
     low, high = 0.0, t_end
     first = 1 if from_rest else 0  # from rest v = t (c1 + c2 t + ...): the root is the bracket's
     start = cv[first]
@@ -178,7 +189,9 @@ def _crossing(cv: Any, from_rest: bool, t_end: float) -> float:
 
 @kernel
 def _events(p: Any, y: Any, target: float, h: float, series: Any) -> None:
-    """Advance `y` by `h` where v is zero or becomes zero: stick, break away, slip, as often as it takes."""
+    """Advance `y` by `h` where v is zero or becomes zero: stick, break away, slip, as often as it
+    takes.
+    """
     cx, cv, cw = series
     left = h
     for _ in range(16):
@@ -262,7 +275,10 @@ def _steps(p: Any, h: float) -> int:
 
 @kernel
 def _run(p: Any, motion: Any, law: Any, state: Any, out: Any, work: Any, trace: Any) -> None:
-    """Run one loop; `trace` (samples x 3: x, v, set-point) is filled as far as it goes. `work` is SCRATCH numbers."""
+    """Run one loop; `trace` (samples x 3: x, v, set-point) is filled as far as it goes.
+
+    `work` is SCRATCH numbers.
+    """
     T = p.period
     whole = math.floor(p.delay / T + 1e-9)
     early = min(max(p.delay - whole * T, 0.0), T)
@@ -346,12 +362,15 @@ def _run(p: Any, motion: Any, law: Any, state: Any, out: Any, work: Any, trace: 
 
 @kernel
 def run_loops(loops: Any, motion: Any, law: Any, state: Any, out: Any, trace: Any) -> None:
-    """Run each record of `loops` (LOOP) and write its figures to `out` (STATS); the last run leaves `trace`.
+    """Run each record of `loops` (LOOP) and write its figures to `out` (STATS).
+
+    The last run leaves `trace`.
 
     Parameters
     ----------
     motion, law, state : one record each of the law's MOTION, LAW, LAW_STATE
-    trace : float64 (samples, 3), x [rad], v [rad/s] and set-point [Nm] at the samples; length 0: none
+    trace : float64 (samples, 3), x [rad], v [rad/s] and set-point [Nm] at the samples; length 0:
+        none
     """
     work = np.zeros(SCRATCH)
     for i in range(loops.shape[0]):

@@ -1,15 +1,17 @@
-r"""A brake on a linear plant: set-valued Coulomb friction, solved event by event without a time-stepping error.
+r"""A brake on a linear plant: set-valued Coulomb friction, solved event by event without a
+time-stepping error.
 
 .. math:: M\dot v + Bv + (\text{operator's states}) = f_h(t) - \psi,\qquad \psi \in c\,\mathrm{Sgn}(v)
 
-Within a phase the system is linear and autonomous (`analysis.loop.operator_force.augmented`), so the state at any later instant is a matrix
-exponential away. A phase ends at
+Within a phase the system is linear and autonomous (`analysis.loop.operator_force.augmented`), so
+the state at any later instant is a matrix exponential away. A phase ends at
 
-- slip: the first zero of v. The handle sticks there if friction can bear the load, else it slips on with the load's sign.
+- slip: the first zero of v. The handle sticks there if friction can bear the load, else it slips on
+  with the load's sign.
 - stick: the first instant at which the load :math:`f_h - \text{spring}` exceeds c.
 
-Events are looked for on a grid much finer than the system's time constants, between grid points by the sign of the derivative (two zeros in a
-step are found too), and bisected to the last digit.
+Events are looked for on a grid much finer than the system's time constants, between grid points by
+the sign of the derivative (two zeros in a step are found too), and bisected to the last digit.
 """
 
 from __future__ import annotations
@@ -88,7 +90,9 @@ class _Motion(NamedTuple):
 
 @kernel
 def _run(model: _Model, period: float, finer: int, motion: _Motion) -> int:
-    """Run from rest; returns the number of stick intervals (the last one may still be open: its end is then the window's)."""
+    """Run from rest; returns the number of stick intervals (the last one may still be open: its end
+    is then the window's).
+    """
     slip, stick, slip_step, stick_step, frequencies, load, n, friction = model
     path, force, intervals = motion
     N = len(slip)
@@ -139,7 +143,8 @@ def _run(model: _Model, period: float, finer: int, motion: _Motion) -> int:
                         rise_end += toward_end * load[i] * _dot(A[i], at)
             else:
                 g_end = -sense * at[1]
-                # at breakaway dv/dt is 0 to rounding, of either sign: no maximum of g is looked for there
+                # at breakaway dv/dt is 0 to rounding, of either sign: no maximum of g is looked for
+                # there
                 rise = -sense * _dot(A[1], Y) if Y[1] != 0.0 else 0.0
                 rise_end = -sense * _dot(A[1], at)
             high = rest
@@ -229,7 +234,9 @@ class StickSlip:
 
 
 def passive_motion(parameters: Parameters, force: HarmonicForce) -> StickSlip:
-    """Return the motion from rest under `force` for the parameters' window, sampled with their period."""
+    """Return the motion from rest under `force` for the parameters' window, sampled with their
+    period.
+    """
     slip, stick = augmented(parameters, force)
     _, B, load_row = continuous_model(parameters)
     n = len(B)

@@ -1,15 +1,18 @@
-r"""Zames-Falb multipliers for the sampled loop: a tighter certificate than Tsypkin's, found by linear programming.
+r"""Zames-Falb multipliers for the sampled loop: a tighter certificate than Tsypkin's, found by
+linear programming.
 
 For an odd friction with slopes in [0, k] the loop is stable if there is an
 
 .. math:: M(z) = 1 - \sum_{0<|i|\le n} h_i z^{-i},\qquad \sum|h_i| < 1,\qquad
           \mathrm{Re}\,\{M(e^{j\theta})\,(H^* + 1/k)\} \ge \varepsilon > 0\ \ \forall\theta
 
-For a given k this is linear in :math:`h`, so a linear program finds the largest :math:`\varepsilon` on a grid, and k is bisected. What is
-reported is checked afterwards on a grid many times finer; the slope is lowered until it holds there.
+For a given k this is linear in :math:`h`, so a linear program finds the largest :math:`\varepsilon`
+on a grid, and k is bisected. What is reported is checked afterwards on a grid many times finer; the
+slope is lowered until it holds there.
 
-Source: J. C. Willems, R. W. Brockett, Some new rearrangement inequalities having application in stability analysis, IEEE T-AC 13, 1968;
-J. Carrasco et al., Convex searches for discrete-time Zames-Falb multipliers, IEEE T-AC 65, 2020.
+Source: J. C. Willems, R. W. Brockett, Some new rearrangement inequalities having application in
+stability analysis, IEEE T-AC 13, 1968; J. Carrasco et al., Convex searches for discrete-time
+Zames-Falb multipliers, IEEE T-AC 65, 2020.
 """
 
 from __future__ import annotations
@@ -63,7 +66,9 @@ def margin(response: Complexes, taps: Floats, slope: float, theta: Floats) -> fl
 
 
 def _best(response: Complexes, theta: Floats, slope: float, taps: int) -> tuple[Floats, float]:
-    """Return the taps of largest margin on `theta`, and this margin: h = p - q with p, q >= 0 and sum p + q <= NORM."""
+    """Return the taps of largest margin on `theta`, and this margin: h = p - q with p, q >= 0 and
+    sum p + q <= NORM.
+    """
     loop = 1.0 + slope * response
     # scaled by |loop| (at least 1e-3): where kH is large, so is the margin that rounding needs
     scale = np.maximum(np.abs(loop), 1e-3)
@@ -91,7 +96,8 @@ def verified(response: Complexes, taps: Floats, slope: float, theta: Floats) -> 
 def zames_falb(
     linear: SampledPlant, grid_Hz: Floats, certified: float, limit: float | None, taps: int = 10
 ) -> Certificate | None:
-    """Return the largest slope that a multiplier of 2 `taps` taps certifies, from `certified` (Tsypkin's) up to `limit` (Nyquist's).
+    """Return the largest slope that a multiplier of 2 `taps` taps certifies, from `certified`
+    (Tsypkin's) up to `limit` (Nyquist's).
 
     None if not even `certified` can be verified.
     """

@@ -1,14 +1,15 @@
-r"""The regression of `analysis.rig.identify`: coefficients, honest intervals, and whether the data bear Stribeck's term.
+r"""The regression of `analysis.rig.identify`: coefficients, honest intervals, and whether the data
+bear Stribeck's term.
 
 The encoder's quantisation makes v and a wrong by a known variance, which would shrink their
 coefficients: it is taken off the normal equations (W. A. Fuller, Measurement Error Models, 1987,
 section 2.2).
 
 Equations of neighbours share samples, the sensors' quantisation and whatever the model leaves out.
-So the covariance is that of clusters: a slide, or each `CLUSTER_EQUATIONS` of a long one. Each cluster's
-residuals are corrected for its own leverage (CR2), and the intervals are 95 % of Student's t with
-the degrees of freedom that the coefficient's clusters have (Satterthwaite): R. M. Bell, D. F.
-McCaffrey, Survey Methodology 28(2):169-181, 2002.
+So the covariance is that of clusters: a slide, or each `CLUSTER_EQUATIONS` of a long one. Each
+cluster's residuals are corrected for its own leverage (CR2), and the intervals are 95 % of
+Student's t with the degrees of freedom that the coefficient's clusters have (Satterthwaite): R. M.
+Bell, D. F. McCaffrey, Survey Methodology 28(2):169-181, 2002.
 
 Stribeck's term is the one of a grid of speeds v_S that fits best. The best of many is never 0 by
 chance alone, so it stays only if it lowers Schwarz's criterion clearly *and* its interval at
@@ -98,7 +99,10 @@ class Fit:
 
 @dataclass(frozen=True)
 class _Solution:
-    """Least squares with errors of known variance in the regressors; columns of Z have unit mean square."""
+    """Least squares with errors of known variance in the regressors.
+
+    Columns of Z have unit mean square.
+    """
 
     Z: Floats
     scale: Floats
@@ -171,7 +175,9 @@ def _shape(equations: Equations, v_s: float) -> Floats:
 
 
 def _stribeck(equations: Equations, X: Floats, y: Floats, variances: Floats) -> _Stribeck | None:
-    """Return the Stribeck term that fits best; None where no speed has enough slow samples, or Schwarz's criterion does not want it."""
+    """Return the Stribeck term that fits best; None where no speed has enough slow samples, or
+    Schwarz's criterion does not want it.
+    """
     speed = np.abs(equations.v)
     wide = np.append(variances, 0.0)
 
@@ -250,7 +256,8 @@ def fit_friction(equations: Equations, torque: Floats, remarks: list[str] | None
         tangent = (_shape(equations, stribeck.speed + step) - _shape(equations, stribeck.speed - step)) / (2 * step)
         height = chosen.beta[-1] / chosen.scale[-1]
         full = _solve(np.column_stack([wide, height * tangent]), torque, np.append(known, 0.0))
-        # at the optimum the tangent's own coefficient is 0: residuals and the others are those of `chosen`
+        # at the optimum the tangent's own coefficient is 0: residuals and the others are those of
+        # `chosen`
         wide_error, wide_freedom = _errors(full, clusters)
         low = height - student.ppf(0.5 + STRIBECK_LEVEL / 2, wide_freedom[-2]) * wide_error[-2]
         if low > 0.0:

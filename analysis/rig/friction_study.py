@@ -1,4 +1,6 @@
-"""Fig. 13: friction at the handle, identified, compensated from what was identified, and identified again."""
+"""Fig. 13: friction at the handle, identified, compensated from what was identified, and identified
+again.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ COMPENSATION = 0.97
 
 @dataclass(frozen=True)
 class FrictionStudy:
-    """Fig. 13: friction at the handle, identified, compensated from what was identified, identified again."""
+    """Fig. 13: friction at the handle, identified, compensated from what was identified, identified
+    again.
+    """
 
     before: Identification
     after: Identification
@@ -74,12 +78,14 @@ def _stroked(rig: Rig, directory: Path, name: str, seed: int) -> Identification:
 
 
 def friction_study(rig: Rig | None = None, *, seed: int = 0) -> FrictionStudy:
-    """Run the identification experiment before and after the compensation, through PDOs with the quantised encoder.
+    """Run the identification experiment before and after the compensation, through PDOs with the
+    quantised encoder.
 
-    The hand strokes the handle to and fro at three speeds, in mode hybrid with F_s = F_d = 0: the brake's coil is off, so what is felt is the
-    device's own friction, the brake's off-state torque included. In the first run the motor may give nothing, so no sign check drives, and no
-    belief in the friction is needed. In the second one the motor gives 97 % of the Coulomb friction that the first one identified - of the motor,
-    nothing is known but that value.
+    The hand strokes the handle to and fro at three speeds, in mode hybrid with F_s = F_d = 0: the
+    brake's coil is off, so what is felt is the device's own friction, the brake's off-state torque
+    included. In the first run the motor may give nothing, so no sign check drives, and no belief in
+    the friction is needed. In the second one the motor gives 97 % of the Coulomb friction that the
+    first one identified - of the motor, nothing is known but that value.
 
     Parameters
     ----------

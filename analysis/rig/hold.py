@@ -1,16 +1,20 @@
 r"""Hold and stroke, active against hybrid (Fig. 14), and what hybrid's stick phase does to it.
 
-All figures come from recordings of runs through bus, nodes and PDOs. The hold and the stroke are the rig's own schedule. A third experiment
-loads a stuck handle until it breaks away: a hand without a spring shoves once, lets go, and then pushes with a ramp to 1.15 F_s, slowly (1 s) and
-fast (50 ms).
+All figures come from recordings of runs through bus, nodes and PDOs. The hold and the stroke are
+the rig's own schedule. A third experiment loads a stuck handle until it breaks away: a hand without
+a spring shoves once, lets go, and then pushes with a ramp to 1.15 F_s, slowly (1 s) and fast (50
+ms).
 
-The stick phase of a brake can be handled in three ways, and it matters, because the fluid lags 15 ms behind its set-point:
+The stick phase of a brake can be handled in three ways, and it matters, because the fluid lags 15
+ms behind its set-point:
 
-- entry `paper`, brake `spring`: the set-point is :math:`|K_p (x - x_{stuck})|` with x_stuck = x at entry, as printed. The set-point falls to 0
-  when the handle stops, and the handle must move again before the brake knows that it is pushed: it lurches and breaks away at a fraction of F_s.
-- entry `continuous`, brake `spring`: x_stuck = x - F/K_p. It starts at the slip's F_d, and still must move to learn.
-- brake `hold`: F_s whenever stuck. A brake cannot push, so it may be told to bear more than the load: nothing moves until F_s is
-  exceeded. The entry then makes no difference to the brake.
+- entry `paper`, brake `spring`: the set-point is :math:`|K_p (x - x_{stuck})|` with x_stuck = x at
+  entry, as printed. The set-point falls to 0 when the handle stops, and the handle must move again
+  before the brake knows that it is pushed: it lurches and breaks away at a fraction of F_s.
+- entry `continuous`, brake `spring`: x_stuck = x - F/K_p. It starts at the slip's F_d, and still
+  must move to learn.
+- brake `hold`: F_s whenever stuck. A brake cannot push, so it may be told to bear more than the
+  load: nothing moves until F_s is exceeded. The entry then makes no difference to the brake.
 """
 
 from __future__ import annotations
@@ -115,7 +119,9 @@ def _recorded(rig: Rig, mode: str, directory: Path, name: str, seed: int) -> Rec
 
 
 def breakaway(recording: Recording, F_s_Nm: float, ramp_s: float) -> Breakaway:
-    """Return what the handle did under the push of the recording's last phase, a ramp of `ramp_s` to 1.15 F_s."""
+    """Return what the handle did under the push of the recording's last phase, a ramp of `ramp_s`
+    to 1.15 F_s.
+    """
     ramp = phases(recording)[-1]
     period = recording.rig.bus.period_s
     angle, handle = recording["motor.position_rad"], recording["brake.handle_torque_Nm"]
@@ -158,7 +164,9 @@ def _pushed(rig: Rig, ramp_s: float) -> Rig:
 def hold_study(
     rig: Rig | str | None = None, *, seed: int = 0, progress: Callable[[float], None] | None = None
 ) -> HoldStudy:
-    """Run active and hybrid through the rig's schedule, and hybrid's stick phase in each way; default rig: bench.
+    """Run active and hybrid through the rig's schedule, and hybrid's stick phase in each way.
+
+    Default rig: bench.
 
     Raises
     ------

@@ -1,4 +1,5 @@
-r"""Friction from a recording, by least squares: Coulomb, viscous, Stribeck where the data bear it, with confidence intervals.
+r"""Friction from a recording, by least squares: Coulomb, viscous, Stribeck where the data bear it,
+with confidence intervals.
 
 While the handle slides, the hand's torque on it (the transducer's) is
 

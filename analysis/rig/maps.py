@@ -1,16 +1,19 @@
-r"""Maps: where the displayed friction oscillates and where it is quiet, over operator, rate, delay and friction level.
+r"""Maps: where the displayed friction oscillates and where it is quiet, over operator, rate, delay
+and friction level.
 
-Each point is a full simulation of the sampled loop (`analysis.loop.sampled_loop`) after a tap. It is *quiet* when, at the end, the encoder stays
-within two counts (by which the hold test calls a display still), or moves on without turning back, or still swings but dies out. Otherwise a
-limit cycle was shown. Beside it stand the bounds of `analysis.loop.bounds`, which certify or do not.
+Each point is a full simulation of the sampled loop (`analysis.loop.sampled_loop`) after a tap. It
+is *quiet* when, at the end, the encoder stays within two counts (by which the hold test calls a
+display still), or moves on without turning back, or still swings but dies out. Otherwise a limit
+cycle was shown. Beside it stand the bounds of `analysis.loop.bounds`, which certify or do not.
 
 ::
 
     found = oscillation_map({"operator_inertia_kg_m2": np.geomspace(1e-4, 0.1, 20), "delay_s": np.array([0.0, 1e-3])})
     found.share            # share of the taps after which it oscillates, an axis for each of the dictionary's entries
 
-Points are independent and every one is computed by the same compiled code, so threads, processes on a cluster (`dask="tcp://..."`) and the order
-of the work change nothing: the numbers are the same bit for bit (on processors for which LLVM emits the same instructions).
+Points are independent and every one is computed by the same compiled code, so threads, processes on
+a cluster (`dask="tcp://..."`) and the order of the work change nothing: the numbers are the same
+bit for bit (on processors for which LLVM emits the same instructions).
 """
 
 from __future__ import annotations
@@ -72,13 +75,18 @@ class LoopParameters:
     velocity_band_counts: float = 2.0
     compensation_Nm: float = 0.97 * 0.14
     tap_rad_s: float = 2.0
-    """Speed right after the tap that starts it: what 0.6 Nm for 10 ms give a light hand. Below the velocity band nothing starts."""
+    """Speed right after the tap that starts it: what 0.6 Nm for 10 ms give a light hand.
+
+    Below the velocity band nothing starts.
+    """
     settle_s: float = 1.5
     window_s: float = 0.75
 
     @classmethod
     def of_axis(cls, axis: Axis, mode: str = "active", **changes: Any) -> LoopParameters:
-        """Return the loop of `axis` in `mode`: its plant, hand, law, encoder, set-point's resolution; next_sync's delay of one cycle."""
+        """Return the loop of `axis` in `mode`: its plant, hand, law, encoder, set-point's
+        resolution; next_sync's delay of one cycle.
+        """
         (plant, hand), chosen = axis.simulation, axis.mode[mode]
         scale = {signal.name: abs(signal.scale) for pdo in axis.pdos() for signal in pdo.signals}
         values: dict[str, Any] = {
@@ -103,7 +111,9 @@ class LoopParameters:
         return cls(**(values | changes))
 
     def bounds(self) -> Bounds:
-        """Return the literature's bounds for the stick spring K_p on this device, hand not counted (any passive one will do)."""
+        """Return the literature's bounds for the stick spring K_p on this device, hand not counted
+        (any passive one will do).
+        """
         return bounds(
             self.K_p_Nm_rad,
             self.viscous_Nms_rad,
@@ -135,7 +145,9 @@ class OscillationMap:
     base: LoopParameters
     taps_rad_s: tuple[float, ...]
     share: Floats
-    """Share of the taps after which it oscillates: 0 quiet after every one, 1 oscillating after every one."""
+    """Share of the taps after which it oscillates: 0 quiet after every one, 1 oscillating after
+    every one.
+    """
     velocity_rms_rad_s: Floats
     """Largest over the taps."""
     frequency_Hz: Floats
@@ -155,7 +167,9 @@ class OscillationMap:
         return self.simulated_s / self.elapsed_s if self.elapsed_s > 0 else math.inf
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the map as plain values for JSON: axes, the base, and the arrays as nested lists (NaN is null)."""
+        """Return the map as plain values for JSON: axes, the base, and the arrays as nested lists
+        (NaN is null).
+        """
         frequency = np.where(np.isnan(self.frequency_Hz), None, self.frequency_Hz)  # type: ignore[call-overload]
         return {
             "axes": {name: values.tolist() for name, values in self.axes.items()},
@@ -198,7 +212,10 @@ BOOLEAN_OR_SIGNED = ("relay", "tap_rad_s")
 
 
 def _loops(values: Mapping[str, Any], shape: tuple[int, ...]) -> Array:
-    """Return LOOP records (flat) of parameters that broadcast to `shape`; every mistake raises with its name."""
+    """Return LOOP records (flat) of parameters that broadcast to `shape`.
+
+    Every mistake raises with its name.
+    """
     flat: dict[str, Array] = {}
     for name, value in values.items():
         column = np.broadcast_to(np.asarray(value, np.float64), shape).ravel()
@@ -231,7 +248,9 @@ def _loops(values: Mapping[str, Any], shape: tuple[int, ...]) -> Array:
 
 
 def run_chunk(loops: Array) -> Array:
-    """Run LOOP records and return their STATS: the one task that threads and a cluster's workers carry out."""
+    """Run LOOP records and return their STATS: the one task that threads and a cluster's workers
+    carry out.
+    """
     out = new_records(STATS, len(loops))
     run_loops(
         np.array(loops).view(np.recarray),
@@ -306,13 +325,16 @@ def oscillation_map(
     Parameters
     ----------
     axes
-        Name of a field of `LoopParameters` -> its values; every combination is a point. Default: `DEFAULT_AXES`, 12,288 points.
+        Name of a field of `LoopParameters` -> its values; every combination is a point. Default:
+        `DEFAULT_AXES`, 12,288 points.
     base
-        What the other parameters are: a `LoopParameters`, or a rig (its mode active). Default: the bench rig.
+        What the other parameters are: a `LoopParameters`, or a rig (its mode active). Default: the
+        bench rig.
     taps_rad_s
         Speeds after a tap that start the runs; each point runs once for each.
     dask
-        Address of a dask.distributed scheduler, as in "tcp://127.0.0.1:8786"; its workers need this package. Default: threads here.
+        Address of a dask.distributed scheduler, as in "tcp://127.0.0.1:8786"; its workers need this
+        package. Default: threads here.
     workers
         Threads; default one for each processor.
     progress
@@ -375,7 +397,10 @@ def oscillation_map(
 
 
 def at(found: OscillationMap, **values: float) -> OscillationMap:
-    """Return the map's slice at the points nearest to `values` (axis=value); the other axes stay."""
+    """Return the map's slice at the points nearest to `values` (axis=value).
+
+    The other axes stay.
+    """
     index: list[Any] = []
     axes = {}
     changed: dict[str, Any] = {}

@@ -36,7 +36,9 @@ def need_modes(rig: Rig, *modes: str) -> None:
 
 
 def _belief(axis: Axis, mode: str) -> str:
-    """Return what to do where the controller believes in less friction than the simulated rig has; "" where it does not."""
+    """Return what to do where the controller believes in less friction than the simulated rig has;
+    "" where it does not.
+    """
     plant = axis.simulation.plant
     believed, true = axis.mechanics.friction_Nm, plant.coulomb_Nm + plant.brake_off_state_Nm
     if believed >= BELIEF_SHARE * true:

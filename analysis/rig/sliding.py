@@ -1,4 +1,5 @@
-r"""Which samples of a recording obey the regression of `analysis.rig.identify`, and the equations that come of them.
+r"""Which samples of a recording obey the regression of `analysis.rig.identify`, and the equations
+that come of them.
 
 The equation :math:`f = J\,\dot v + [c + b\,|v|]\,\mathrm{sgn}(v) + f_0` holds for what the hand
 feels only while the host displays one thing. So a sample is taken only
@@ -55,7 +56,10 @@ SETTLE_S = 0.05
 SETTLE_COUNTS = 1
 STILL_MARGIN_S = 0.05
 SPEED_SHARE = 0.8
-"""Of the speed limit; above it the host lets the motor only brake (`host.cycle.step.SPEED_TAPER`)."""
+"""Of the speed limit.
+
+Above it the host lets the motor only brake (`host.cycle.step.SPEED_TAPER`).
+"""
 LEAST_SAMPLES = 100
 ENABLED = int(PowerState.OPERATION_ENABLED)
 
@@ -133,8 +137,8 @@ def _runs(flags: Flags) -> list[tuple[int, int]]:
 def _armed(counts: Floats, target: Floats, settle: int) -> int | None:
     """Return the sample of an enabled stretch at which the law begins; None: it is not seen to.
 
-    Without any motor torque there was no sign check. Else the law begins when the handle has been still, without torque, for `settle`
-    samples after the check.
+    Without any motor torque there was no sign check. Else the law begins when the handle has been
+    still, without torque, for `settle` samples after the check.
     """
     driven = np.flatnonzero(target != 0.0)
     if not len(driven):
@@ -308,7 +312,8 @@ def weights(size: int, period_s: float) -> tuple[Floats, Floats, Floats]:
     second = np.asarray(savgol_coeffs(size, 2, deriv=2, delta=period_s, use="dot"), np.float64)
     window = np.cumsum(np.cumsum(second))[:-2] * period_s**2  # its second difference is `second`
     first = np.convolve(window, [-0.5, 0.0, 0.5]) / period_s
-    # a second difference is the mean of the acceleration under a triangle of +- one period: so is the torque's mean (Numerov)
+    # a second difference is the mean of the acceleration under a triangle of +- one period: so is
+    # the torque's mean (Numerov)
     return np.convolve(window, [1 / 12, 10 / 12, 1 / 12]), first, second
 
 

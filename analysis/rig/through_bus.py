@@ -1,16 +1,22 @@
-r"""CANopen's part: section 4's limit cycle through the virtual bus, its nodes and their PDOs, measured from the recording.
+r"""CANopen's part: section 4's limit cycle through the virtual bus, its nodes and their PDOs,
+measured from the recording.
 
-The loop of the paper acts at the instant at which it samples. Over a bus it cannot: 6064h is sampled at SYNC, travels in a TPDO, and the
-set-point that answers it travels in an RPDO, which acts on the next SYNC (`next_sync`: one cycle, exactly) or as soon as it has arrived
-(`on_reception`: the frames' own time on the wire). The delay :math:`\tau` is read off the recording's stamps, as is the frequency.
+The loop of the paper acts at the instant at which it samples. Over a bus it cannot: 6064h is
+sampled at SYNC, travels in a TPDO, and the set-point that answers it travels in an RPDO, which acts
+on the next SYNC (`next_sync`: one cycle, exactly) or as soon as it has arrived (`on_reception`: the
+frames' own time on the wire). The delay :math:`\tau` is read off the recording's stamps, as is the
+frequency.
 
-Two rigs run. `rigs/paper.toml` is section 4's plant with 0.1 um a count and no lag: its limit cycle must be the sampled loop's with that delay.
-The second is the same plant with the bench's encoder (80 urad a count) and the bench's motor lag (1 ms). It is *not* on that curve, for two reasons:
+Two rigs run. `rigs/paper.toml` is section 4's plant with 0.1 um a count and no lag: its limit cycle
+must be the sampled loop's with that delay. The second is the same plant with the bench's encoder
+(80 urad a count) and the bench's motor lag (1 ms). It is *not* on that curve, for two reasons:
 
-- a lag :math:`\tau_m` turns the phase by :math:`-\arctan(\omega\tau_m)` more, so the crossing of :math:`-1/\Psi` wanders to where
-  :math:`\omega(T + \tau) + \arctan(\omega\tau_m) \approx \pi/2`: a slower and a larger cycle;
-- with a coarse encoder v^ is a whole number of counts a cycle, and it is 0 for many cycles in a row as soon as the cycle's
-  amplitude :math:`a T` is not many counts. There sgn(0) = 0 takes the torque away. The relay has become one with a dead zone.
+- a lag :math:`\tau_m` turns the phase by :math:`-\arctan(\omega\tau_m)` more, so the crossing of
+  :math:`-1/\Psi` wanders to where :math:`\omega(T + \tau) + \arctan(\omega\tau_m) \approx \pi/2`: a
+  slower and a larger cycle;
+- with a coarse encoder v^ is a whole number of counts a cycle, and it is 0 for many cycles in a row
+  as soon as the cycle's amplitude :math:`a T` is not many counts. There sgn(0) = 0 takes the torque
+  away. The relay has become one with a dead zone.
 """
 
 from __future__ import annotations
@@ -102,8 +108,9 @@ class BusCycle:
 def loop_delay(recording: Recording, begin_s: float = 0.0, end_s: float = float("inf")) -> Delay:
     """Return the delay from sampling to actuation, from the frames' stamps alone.
 
-    The nodes sample when a SYNC has ended on the wire. What answers is the next RPDO to the motor, and it acts when it has ended
-    (transmission type 254, 255) or when the SYNC after it has (types 0 to 240).
+    The nodes sample when a SYNC has ended on the wire. What answers is the next RPDO to the motor,
+    and it acts when it has ended (transmission type 254, 255) or when the SYNC after it has (types
+    0 to 240).
 
     Raises
     ------
@@ -131,7 +138,9 @@ def loop_delay(recording: Recording, begin_s: float = 0.0, end_s: float = float(
 
 
 def reversal_frequency_Hz(t_s: Floats, values: Floats) -> float:
-    """Return half the sign changes of the non-zero values a second, from the first change to the last; 0 with fewer than two."""
+    """Return half the sign changes of the non-zero values a second, from the first change to the
+    last; 0 with fewer than two.
+    """
     moving = values != 0
     changed = np.flatnonzero(np.diff(np.sign(values[moving])))
     if len(changed) < 2:
@@ -141,7 +150,9 @@ def reversal_frequency_Hz(t_s: Floats, values: Floats) -> float:
 
 
 def loop_frequency_Hz(axis: Axis, delay_s: float) -> float:
-    """Return the frequency of the same loop without a bus, under the delay that the bus was found to add."""
+    """Return the frequency of the same loop without a bus, under the delay that the bus was found
+    to add.
+    """
     base = LoopParameters.of_axis(axis, "active", relay=axis.law.function == COULOMB)
     point = replace(base, delay_s=delay_s, tap_rad_s=TAP_M_S, settle_s=SETTLE_S, window_s=WINDOW_S)
     return simulate_point(point).frequency_Hz
@@ -150,7 +161,8 @@ def loop_frequency_Hz(axis: Axis, delay_s: float) -> float:
 def bus_cycle(
     rig: Rig, hardware: str, *, settle_s: float = SETTLE_S, window_s: float = WINDOW_S, seed: int = 0
 ) -> BusCycle:
-    """Run `rig` in mode active with a resting hand (f_h = 0) and measure the limit cycle from its recording.
+    """Run `rig` in mode active with a resting hand (f_h = 0) and measure the limit cycle from its
+    recording.
 
     Raises
     ------
@@ -205,7 +217,8 @@ def through_bus(
     bench: bool = True,
     progress: Callable[[float], None] | None = None,
 ) -> tuple[BusCycle, ...]:
-    """Return the limit cycle through bus and PDOs for each actuation, and after these the same with the bench's encoder and motor lag.
+    """Return the limit cycle through bus and PDOs for each actuation, and after these the same with
+    the bench's encoder and motor lag.
 
     Parameters
     ----------

@@ -1,7 +1,10 @@
-"""Own cases P.1 to P.10: the power state machine of a drive (CiA 402, IEC 61800-7-201). Target torque is 0 in all of them.
+"""Own cases P.1 to P.10: the power state machine of a drive (CiA 402, IEC 61800-7-201).
 
-The power stage is switched on in P.4, P.5, P.7 and P.9, in a torque mode and with target torque 0 and the least limit
-that the device takes. Who has no supply gets no further than Ready To Switch On, and those cases do not apply.
+Target torque is 0 in all of them.
+
+The power stage is switched on in P.4, P.5, P.7 and P.9, in a torque mode and with target torque 0
+and the least limit that the device takes. Who has no supply gets no further than Ready To Switch
+On, and those cases do not apply.
 """
 
 from __future__ import annotations
@@ -192,7 +195,9 @@ def enabled(unit: Unit) -> str:
 
 @case("P.5")
 def quick_stop(unit: Unit) -> str:
-    """Quick stop out of Operation Enabled: Switch On Disabled, or Quick Stop Active where 605Ah says so; then disable voltage."""
+    """Quick stop out of Operation Enabled: Switch On Disabled, or Quick Stop Active where 605Ah
+    says so; then disable voltage.
+    """
     no_torque(unit)
     unit.start()
     lead(unit, P.OPERATION_ENABLED)
@@ -210,7 +215,9 @@ def quick_stop(unit: Unit) -> str:
 
 @case("P.6")
 def out_of_turn(unit: Unit) -> None:
-    """Switch on and enable in Switch On Disabled, and a fault reset in Ready To Switch On: nothing happens."""
+    """Switch on and enable in Switch On Disabled, and a fault reset in Ready To Switch On: nothing
+    happens.
+    """
     no_torque(unit)
     lead(unit, P.SWITCH_ON_DISABLED)
     for command in (C.SWITCH_ON, C.ENABLE_OPERATION):
@@ -226,7 +233,10 @@ def out_of_turn(unit: Unit) -> None:
 
 @case("P.7")
 def fault(unit: Unit) -> str:
-    """Lose a watched heartbeat with the drive enabled: fault. Bit 7 held resets nothing; its rising edge does."""
+    """Lose a watched heartbeat with the drive enabled: fault.
+
+    Bit 7 held resets nothing; its rising edge does.
+    """
     no_torque(unit)
     heartbeat = HeartbeatOfTester(unit, 300)
     unit.start()
@@ -264,7 +274,9 @@ def _error_code(unit: Unit) -> None:
 
 @case("P.8")
 def modes(unit: Unit) -> str:
-    """Write every mode from -1 to 11 to 6060h: the ones of 6502h are taken and shown by 6061h, the others refused."""
+    """Write every mode from -1 to 11 to 6060h: the ones of 6502h are taken and shown by 6061h, the
+    others refused.
+    """
     need_drive(unit)
     for index in (0x6060, 0x6061, 0x6502):
         unit.need(index)

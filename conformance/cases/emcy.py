@@ -1,4 +1,6 @@
-"""Cases 5.1 to 5.6 and E.1 to E.3: EMCY, error register and history (CiA 301, sections 7.2.7, 7.5.2.2 and 7.5.2.4)."""
+"""Cases 5.1 to 5.6 and E.1 to E.3: EMCY, error register and history (CiA 301, sections 7.2.7,
+7.5.2.2 and 7.5.2.4).
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,10 @@ def identifier(unit: Unit) -> None:
 
 @case("5.2")
 def register(unit: Unit) -> str:
-    """Reset, and read 1001h: one byte. An error that is present is no fault of the device; its bit 0 tells of any."""
+    """Reset, and read 1001h: one byte.
+
+    An error that is present is no fault of the device; its bit 0 tells of any.
+    """
     unit.reset()
     data = unit.read(0x1001)
     if len(data) != 1:
@@ -36,7 +41,9 @@ def register(unit: Unit) -> str:
 
 @case("5.3")
 def history(unit: Unit) -> str | None:
-    """Reset, clear 1003h where it has entries and that is allowed, and read :01: what :00 says, an entry or none."""
+    """Reset, clear 1003h where it has entries and that is allowed, and read :01: what :00 says, an
+    entry or none.
+    """
     unit.need(0x1003, 1)
     unit.reset()
     count = unit.number(0x1003, 0)

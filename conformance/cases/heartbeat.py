@@ -1,4 +1,6 @@
-"""Cases 7.1 to 7.207: node guarding, heartbeat, and both (CiA 301, sections 7.2.8.2.2 and 7.2.8.3.2)."""
+"""Cases 7.1 to 7.207: node guarding, heartbeat, and both (CiA 301, sections 7.2.8.2.2 and
+7.2.8.3.2).
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ _STATES = (int(NmtState.PRE_OPERATIONAL), int(NmtState.OPERATIONAL), int(NmtStat
 
 
 def need_guarding(unit: Unit) -> None:
-    """Guarding takes both objects; a heartbeat that runs by default has precedence, and is switched off."""
+    """Guarding takes both objects; a heartbeat that runs by default has precedence, and is switched
+    off.
+    """
     unit.need(0x100C)
     unit.need(0x100D)
     no_heartbeat(unit)
@@ -55,7 +59,10 @@ def alternating(unit: Unit, state: NmtState, count: int = 6, toggle: int = 0) ->
 
 
 def check_heartbeats(unit: Unit, period_ms: int, *, ask: bool = False) -> int:
-    """Fail unless heartbeats come with their period, toggle bit 0, and nothing between them; with `ask`, remote frames go out."""
+    """Fail unless heartbeats come with their period, toggle bit 0, and nothing between them.
+
+    With `ask`, remote frames go out.
+    """
     text = ""
     for _ in range(3):  # the tester may be late itself
         unit.flush()
@@ -101,7 +108,10 @@ def guarding_answer(unit: Unit) -> None:
 
 @case("7.3")
 def guarding_toggle(unit: Unit) -> None:
-    """Reset the communication, and guard six times: 0, 1, 0, 1, 0, 1; after another reset 0 again."""
+    """Reset the communication, and guard six times: 0, 1, 0, 1, 0, 1.
+
+    After another reset 0 again.
+    """
     need_guarding(unit)
     for count in (5, 2):
         unit.reset(NmtCommand.RESET_COMMUNICATION)
@@ -203,7 +213,10 @@ def consumer_subs(unit: Unit) -> list[int]:
 
 @case("7.104")
 def same_node_twice(unit: Unit) -> str:
-    """Write one node-id and time to two entries of 1016h: the second is refused; twice to one entry is no error."""
+    """Write one node-id and time to two entries of 1016h: the second is refused.
+
+    Twice to one entry is no error.
+    """
     subs = consumer_subs(unit)
     entry = 99 << 16 | 1000
     unit.write(0x1016, subs[0], entry)
@@ -216,7 +229,9 @@ def same_node_twice(unit: Unit) -> str:
 @case("7.105", producer_ms=40, consumer_ms=200, lost=False)
 @case("7.106", producer_ms=300, consumer_ms=100, lost=True)
 def heartbeat_consumer(unit: Unit, producer_ms: int, consumer_ms: int, lost: bool) -> str | None:
-    """Send heartbeats faster or more slowly than 1016h allows: an EMCY comes in the second case only."""
+    """Send heartbeats faster or more slowly than 1016h allows: an EMCY comes in the second case
+    only.
+    """
     consumer_subs(unit)
     can_id = emcy_id(unit)
     heartbeat = HeartbeatOfTester(unit, consumer_ms)
@@ -242,7 +257,9 @@ def heartbeat_consumer(unit: Unit, producer_ms: int, consumer_ms: int, lost: boo
 
 @case("7.107")
 def consumer_after_reset(unit: Unit) -> None:
-    """Let it watch a heartbeat, reset the communication, and stop the heartbeat: no EMCY but for the reset itself."""
+    """Let it watch a heartbeat, reset the communication, and stop the heartbeat: no EMCY but for
+    the reset itself.
+    """
     consumer_subs(unit)
     can_id = emcy_id(unit)
     heartbeat = HeartbeatOfTester(unit, 100)
@@ -304,7 +321,9 @@ def both_guarding(unit: Unit) -> None:
 @case("7.206", guarding=True, ask=False)
 @case("7.207", guarding=True, ask=True)
 def heartbeat_first(unit: Unit, guarding: bool, ask: bool) -> str:
-    """Heartbeat on, guarding's parameters 0 or set, remote frames or none: heartbeats in their period, nothing else."""
+    """Heartbeat on, guarding's parameters 0 or set, remote frames or none: heartbeats in their
+    period, nothing else.
+    """
     need_both(unit)
     if guarding:
         _guarding_on(unit)

@@ -1,4 +1,7 @@
-"""Own cases L.1 to L.9: the LSS slave (CiA 305). Only services for one slave are used: others on the bus stay as they are."""
+"""Own cases L.1 to L.9: the LSS slave (CiA 305).
+
+Only services for one slave are used: others on the bus stay as they are.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +29,9 @@ IDENTIFY = (
 PARTS = ("vendor", "product", "revision", "serial number")
 WAITING = 0
 REFUSALS = (1, 0xFF)
-"""Error codes: out of range or not supported, and one of the manufacturer's, which the next byte names."""
+"""Error codes: out of range or not supported, and one of the manufacturer's, which the next byte
+names.
+"""
 
 
 def address(unit: Unit) -> list[int]:
@@ -135,7 +140,9 @@ def inquiry(unit: Unit) -> str:
 
 @case("L.2")
 def another_address(unit: Unit) -> None:
-    """Switch selectively with another serial number, revision, product and vendor, then inquire: silence each time."""
+    """Switch selectively with another serial number, revision, product and vendor, then inquire:
+    silence each time.
+    """
     found = address(unit)
     for part in reversed(range(4)):
         wait_state(unit)
@@ -153,7 +160,9 @@ def another_address(unit: Unit) -> None:
 
 @case("L.3")
 def identify(unit: Unit) -> None:
-    """Identify with a range of revisions and serial numbers that holds the device's, and with one that does not."""
+    """Identify with a range of revisions and serial numbers that holds the device's, and with one
+    that does not.
+    """
     vendor, product, revision, serial = address(unit)
     wait_state(unit)
     unit.flush()
@@ -183,7 +192,10 @@ def identify(unit: Unit) -> None:
 
 @case("L.4")
 def node_id(unit: Unit) -> None:
-    """Configure node-id 0 and 128: error 1, or the maker's own. The present one: no error, and it is inquired."""
+    """Configure node-id 0 and 128: error 1, or the maker's own.
+
+    The present one: no error, and it is inquired.
+    """
     configure(unit)
     try:
         for value, wanted in ((0, REFUSALS), (128, REFUSALS), (unit.node_id, (0,))):
@@ -198,7 +210,9 @@ def node_id(unit: Unit) -> None:
 
 @case("L.5")
 def bit_timing(unit: Unit) -> None:
-    """Configure entries of the bit timing table that do not exist, and one of a reserved table: error 1, or the maker's own."""
+    """Configure entries of the bit timing table that do not exist, and one of a reserved table:
+    error 1, or the maker's own.
+    """
     configure(unit)
     try:
         for table, entry in ((0, 200), (0, 5), (1, 0)):
@@ -214,7 +228,9 @@ def bit_timing(unit: Unit) -> None:
 
 @case("L.6")
 def fastscan(unit: Unit) -> str:
-    """Go through a fastscan with the device's own address: a device that has a node-id is silent, though others may answer."""
+    """Go through a fastscan with the device's own address: a device that has a node-id is silent,
+    though others may answer.
+    """
     found = address(unit)
     wait_state(unit)
     unit.flush()
@@ -233,7 +249,9 @@ def fastscan(unit: Unit) -> str:
 
 @case("L.7")
 def waiting(unit: Unit) -> None:
-    """Leave LSS configuration, by its service and by a reset: inquiries and configuration are not answered."""
+    """Leave LSS configuration, by its service and by a reset: inquiries and configuration are not
+    answered.
+    """
     ways: tuple[Callable[[Unit], object], ...] = (wait_state, Unit.reset)
     for leave in ways:
         configure(unit)
@@ -246,7 +264,10 @@ def waiting(unit: Unit) -> None:
 
 @case("L.8")
 def pending(unit: Unit) -> str:
-    """Configure another node-id: until the next reset communication the device keeps its own; it is set back before."""
+    """Configure another node-id: until the next reset communication the device keeps its own.
+
+    It is set back before.
+    """
     other = unit.node_id ^ 0x01 or 2
     found = configure(unit)
     try:
@@ -265,7 +286,10 @@ def pending(unit: Unit) -> str:
 
 @case("L.9")
 def without_node_id(unit: Unit) -> None:
-    """Configure node-id 255 and reset the communication: no boot-up and no SDO; the old node-id brings both back."""
+    """Configure node-id 255 and reset the communication: no boot-up and no SDO.
+
+    The old node-id brings both back.
+    """
     found = configure(unit)
     try:
         send(unit, S.CONFIGURE_NODE_ID, bytes((UNCONFIGURED,)))

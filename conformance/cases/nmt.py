@@ -25,7 +25,10 @@ def boot_up(unit: Unit, command: int = NmtCommand.RESET_NODE) -> None:
 
 
 def watch(unit: Unit) -> None:
-    """Let the device tell its state by heartbeats, where it has them; to be called in PRE-OPERATIONAL."""
+    """Let the device tell its state by heartbeats, where it has them.
+
+    To be called in PRE-OPERATIONAL.
+    """
     if unit.has(0x1017) and unit.variable(0x1017).access == "rw":
         unit.write(0x1017, 0, HEARTBEAT_MS)
 

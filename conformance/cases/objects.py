@@ -1,4 +1,6 @@
-"""Cases 1.0 and 4.1 to 4.9: the file, and every object against it (CiA 306-1; CiA 301, section 7.4)."""
+"""Cases 1.0 and 4.1 to 4.9: the file, and every object against it (CiA 306-1; CiA 301, section
+7.4).
+"""
 
 from __future__ import annotations
 
@@ -86,7 +88,9 @@ def defaults(unit: Unit) -> str:
 
 @case("4.8")
 def defaults_by_flags(unit: Unit) -> str:
-    """The same after reset communication, for [rw] and [ro] objects whose ObjFlags do not refuse a read on scan."""
+    """The same after reset communication, for [rw] and [ro] objects whose ObjFlags do not refuse a
+    read on scan.
+    """
     unit.reset(NmtCommand.RESET_COMMUNICATION)
     variables = [v for v in unit.variables() if is_parameter(v) and v.access in ("rw", "ro")]
     return _compare(unit, [v for v in variables if not unit.flags.get((v.index, v.subindex), 0) & NO_SCAN])
@@ -136,7 +140,10 @@ def read_write_only(unit: Unit) -> str:
 
 @case("4.5")
 def structure(unit: Unit) -> str:
-    """Read sub-index 255 of every object; where it answers, compare the object code and the data type with the EDS."""
+    """Read sub-index 255 of every object.
+
+    Where it answers, compare the object code and the data type with the EDS.
+    """
     count = 0
     for index, entry in sorted(unit.description.objects.items()):
         if index < 0x1000:
@@ -161,7 +168,9 @@ def structure(unit: Unit) -> str:
 
 @case("4.6")
 def limits(unit: Unit) -> str:
-    """Write the values next to the limits of every writable parameter, outputs excepted: refused, and nothing changes."""
+    """Write the values next to the limits of every writable parameter, outputs excepted: refused,
+    and nothing changes.
+    """
     count = 0
     for v in unit.variables(0x1000):
         if v.access not in RW or is_command(v) or is_output(v):
@@ -182,7 +191,9 @@ def limits(unit: Unit) -> str:
 
 @case("4.9")
 def write_back(unit: Unit) -> str:
-    """Write every [rw] parameter with its own value, outputs and commands excepted; ObjFlags bit 0 exempts too."""
+    """Write every [rw] parameter with its own value, outputs and commands excepted; ObjFlags bit 0
+    exempts too.
+    """
     count, refused = 0, 0
     for v in unit.variables(0x1000):
         exempt = unit.flags.get((v.index, v.subindex), 0) & NO_WRITE

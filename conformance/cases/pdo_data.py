@@ -30,7 +30,10 @@ INHIBIT_MS, TIMER_MS = 100, 20
 
 
 def harmless(unit: Unit, transmission: int) -> tuple[int, int, int, bytes]:
-    """Map one harmless object alone into an RPDO; return identifier, object, another value, and its bytes."""
+    """Map one harmless object alone into an RPDO.
+
+    Return identifier, object, another value, and its bytes.
+    """
     found = [unit.variable(i) for i in HARMLESS if unit.is_drive and unit.has(i) and unit.variable(i).pdo_mappable]
     if not found:
         raise NotApplicable("the EDS has no object that an RPDO may carry and that certainly moves nothing")
@@ -50,7 +53,10 @@ def harmless(unit: Unit, transmission: int) -> tuple[int, int, int, bytes]:
 
 @case("R.1")
 def rpdo_data(unit: Unit) -> str:
-    """Send an RPDO of type 255: its object has the value. Of type 1: after the next SYNC, not before."""
+    """Send an RPDO of type 255: its object has the value.
+
+    Of type 1: after the next SYNC, not before.
+    """
     can_id, index, value, data = harmless(unit, 255)
     unit.start()
     unit.send(can_id, data)

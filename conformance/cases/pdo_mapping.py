@@ -50,7 +50,9 @@ def either(unit: Unit) -> tuple[int, int]:
 
 @case("3.21")
 def default_maps(unit: Unit) -> str:
-    """Read every map and find each entry in the EDS: there, mappable in this direction, of this width, 64 bits in all."""
+    """Read every map and find each entry in the EDS: there, mappable in this direction, of this
+    width, 64 bits in all.
+    """
     entries = 0
     for direction, access in ((RPDO, WRITABLE), (TPDO, READABLE)):
         for k in numbers(unit, direction):
@@ -104,7 +106,9 @@ def other_map(unit: Unit, direction: int, k: int) -> list[int]:
 
 @case("3.22")
 def procedure(unit: Unit) -> str:
-    """Give the first PDOs another map in the prescribed order, read it back, and count the TPDO's bytes on the bus."""
+    """Give the first PDOs another map in the prescribed order, read it back, and count the TPDO's
+    bytes on the bus.
+    """
     done = []
     reason = "the EDS has no PDO whose map and COB-ID can be written"
     for direction in (RPDO, TPDO):
@@ -164,7 +168,9 @@ def without_clearing(unit: Unit) -> str:
 
 @case("3.24")
 def while_valid(unit: Unit) -> str:
-    """Give a valid PDO another map, without making it invalid: some step is refused, and the map stays."""
+    """Give a valid PDO another map, without making it invalid: some step is refused, and the map
+    stays.
+    """
     direction, k = either(unit)
     index = direction + 0x200 + k
     try:

@@ -1,4 +1,6 @@
-"""Cases 3.1 to 3.20: PDO parameters, and what makes a TPDO go in each NMT state (CiA 301, sections 7.2.2, 7.5.2.35, 7.5.2.37)."""
+"""Cases 3.1 to 3.20: PDO parameters, and what makes a TPDO go in each NMT state (CiA 301, sections
+7.2.2, 7.5.2.35, 7.5.2.37).
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ _EXTENDED, _INVALID = 1 << 29, 1 << 31
 @case("3.1", direction=RPDO)
 @case("3.2", direction=TPDO)
 def scan(unit: Unit, direction: int) -> str:
-    """Read all 512 communication parameters: those of the EDS are there and make sense, the others are refused."""
+    """Read all 512 communication parameters: those of the EDS are there and make sense, the others
+    are refused.
+    """
     present = 0
     for index in range(direction, direction + 0x200):
         if not unit.has(index):
@@ -52,7 +56,10 @@ def scan(unit: Unit, direction: int) -> str:
 
 
 def each_occasion(unit: Unit, stimulus: int, check: Callable[[Stimulus], str]) -> str:
-    """Set up each TPDO that can be, start the node and `check` what makes the TPDO go; return what the checks say."""
+    """Set up each TPDO that can be, start the node and `check` what makes the TPDO go.
+
+    Return what the checks say.
+    """
     reasons, done = [], []
     for k in candidates(unit):
         try:
@@ -76,7 +83,9 @@ def each_occasion(unit: Unit, stimulus: int, check: Callable[[Stimulus], str]) -
 @case("3.7", stimulus=4)
 @case("3.8", stimulus=5)
 def operational(unit: Unit, stimulus: int) -> str:
-    """Set up each TPDO that can be, start the node, and check that it comes when and only when it is due."""
+    """Set up each TPDO that can be, start the node, and check that it comes when and only when it
+    is due.
+    """
 
     def check(occasion: Stimulus) -> str:
         remark = occasion.check()
@@ -98,7 +107,10 @@ def operational(unit: Unit, stimulus: int) -> str:
 @case("3.19", stimulus=4, state=PRE_OPERATIONAL)
 @case("3.20", stimulus=5, state=PRE_OPERATIONAL)
 def silent(unit: Unit, stimulus: int, state: NmtState) -> str:
-    """Show in OPERATIONAL that the occasion makes the TPDO go; then that it does not in another state."""
+    """Show in OPERATIONAL that the occasion makes the TPDO go.
+
+    Then that it does not in another state.
+    """
 
     def check(occasion: Stimulus) -> str:
         if not occasion.control():

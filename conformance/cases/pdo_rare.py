@@ -1,4 +1,6 @@
-"""Own cases R.4 to R.10, T.3 to T.9 and M.1: what is rarely tried with PDOs and their maps (CiA 301, 7.2.2, 7.5.2.35 to 38)."""
+"""Own cases R.4 to R.10, T.3 to T.9 and M.1: what is rarely tried with PDOs and their maps (CiA
+301, 7.2.2, 7.5.2.35 to 38).
+"""
 
 from __future__ import annotations
 
@@ -78,7 +80,10 @@ class Harmless:
 
 @case("R.4")
 def too_long(unit: Unit) -> str:
-    """Send an RPDO of one byte more than is mapped: its first bytes are used; an EMCY, if one comes, is 8220h."""
+    """Send an RPDO of one byte more than is mapped: its first bytes are used.
+
+    An EMCY, if one comes, is 8220h.
+    """
     can_id = emcy_id(unit)
     rpdo = Harmless(unit, 255)
     unit.start()
@@ -102,7 +107,8 @@ def too_short(unit: Unit) -> None:
 
 @case("R.6")
 def synchronous_types(unit: Unit) -> str:
-    """Type 0 of the first RPDO and 240 of the last: two RPDOs before a SYNC act with it, the last one.
+    """Type 0 of the first RPDO and 240 of the last: two RPDOs before a SYNC act with it, the last
+    one.
 
     Whether one that waits outlives STOPPED is told, not judged: CiA 301 does not say it.
     """
@@ -143,7 +149,9 @@ def behind_a_dummy(unit: Unit) -> str:
 
 @case("R.8")
 def deadline(unit: Unit) -> str:
-    """Give an RPDO a deadline by its event timer, send it in time, then no more: EMCY 8250h, and not before the first RPDO."""
+    """Give an RPDO a deadline by its event timer, send it in time, then no more: EMCY 8250h, and
+    not before the first RPDO.
+    """
     can_id = emcy_id(unit)
     rpdo = Harmless(unit, 255, deadline_ms=DEADLINE_MS)
     unit.start()
@@ -165,7 +173,10 @@ def deadline(unit: Unit) -> str:
 
 @case("R.9")
 def window(unit: Unit) -> str:
-    """With 1007h at 20 ms, a synchronous RPDO 60 ms after the SYNC acts on no SYNC; one within the window does."""
+    """With 1007h at 20 ms, a synchronous RPDO 60 ms after the SYNC acts on no SYNC.
+
+    One within the window does.
+    """
     unit.need_writable(0x1007)
     rpdo = Harmless(unit, 1)
     try:
@@ -201,7 +212,10 @@ def reserved_types(unit: Unit) -> str:
 
 
 def armed(unit: Unit, transmission: int, *, rtr: bool = False) -> tuple[int, int, Event]:
-    """Set the first TPDO that can be up, with what an event changes; return its number, identifier and the event."""
+    """Set the first TPDO that can be up, with what an event changes.
+
+    Return its number, identifier and the event.
+    """
     reasons = []
     for k in candidates(unit):
         event = Event(unit, k)
@@ -243,7 +257,10 @@ def no_remote_frames(unit: Unit) -> str:
 @case("T.4", transmission=252)
 @case("T.5", transmission=253)
 def only_on_request(unit: Unit, transmission: int) -> str:
-    """Types 252 and 253: no TPDO with a SYNC or an event. Asked for, 252 has the sample of the SYNC, 253 the present value."""
+    """Types 252 and 253: no TPDO with a SYNC or an event.
+
+    Asked for, 252 has the sample of the SYNC, 253 the present value.
+    """
     k, can_id, event = armed(unit, transmission, rtr=True)
     unit.start()
     sync(unit)

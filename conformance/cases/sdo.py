@@ -1,4 +1,6 @@
-"""Cases 2.1 to 2.18 and 2.28 to 2.30: expedited and segmented transfers, further channels (CiA 301, section 7.2.4)."""
+"""Cases 2.1 to 2.18 and 2.28 to 2.30: expedited and segmented transfers, further channels (CiA 301,
+section 7.2.4).
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ RW = ("rw", "rwr", "rww")
 
 
 def short(unit: Unit, sizes: tuple[int, ...]) -> Variable:
-    """Return a harmless writable object of so many bytes, of the communication profile where there is one."""
+    """Return a harmless writable object of so many bytes, of the communication profile where there
+    is one.
+    """
     found = [
         v
         for v in unit.variables()
@@ -37,7 +41,9 @@ def short(unit: Unit, sizes: tuple[int, ...]) -> Variable:
 
 @case("2.1")
 def device_type(unit: Unit) -> None:
-    """Read 1000h:00: four bytes, expedited (with their number or without) or by segments, as the server likes; and the value."""
+    """Read 1000h:00: four bytes, expedited (with their number or without) or by segments, as the
+    server likes; and the value.
+    """
     data = unit.read(0x1000, 0)
     if len(data) != 4:
         raise CaseFailed(f"1000h:00 has {len(data)} bytes, expected 4")
@@ -49,7 +55,9 @@ def device_type(unit: Unit) -> None:
 
 @case("2.2")
 def write_back(unit: Unit) -> str:
-    """Choose up to 12 writable entries of 1000h to 1FFFh at random, write each with its own value and read it again."""
+    """Choose up to 12 writable entries of 1000h to 1FFFh at random, write each with its own value
+    and read it again.
+    """
     found = [v for v in unit.variables(0x1000, 0x1FFF) if keeps(v)]
     if not found:
         raise NotApplicable("the EDS has no such entry")
@@ -176,7 +184,10 @@ def server_identifiers(unit: Unit) -> None:
 
 @case("2.13")
 def segments_of_a_short_object(unit: Unit) -> str:
-    """Read 1000h:00 by segments if the server wants them; after an expedited answer a segment request is an error, or ignored."""
+    """Read 1000h:00 by segments if the server wants them.
+
+    After an expedited answer a segment request is an error, or ignored.
+    """
     answer = unit.sdo.initiate_upload(0x1000, 0)
     if not answer[0] & 0x02:
         data, last = unit.sdo.upload_segment(0x1000, 0, 0)
@@ -213,7 +224,10 @@ def segmented_download(unit: Unit, index: int) -> None:
 
 @case("2.16")
 def segmented_upload(unit: Unit) -> str:
-    """Read the shortest long object by segments; toggle bits and length are checked with every segment."""
+    """Read the shortest long object by segments.
+
+    Toggle bits and length are checked with every segment.
+    """
     variable, _ = long_object(unit)
     data, segmented = unit.sdo.upload_as(variable.index, variable.subindex)
     if not segmented:
@@ -245,7 +259,9 @@ def wrong_toggle(unit: Unit) -> str:
 
 @case("2.18")
 def all_long_objects(unit: Unit) -> str:
-    """Read every object of more than four bytes, twice, and compare it with itself and with a default of the EDS."""
+    """Read every object of more than four bytes, twice, and compare it with itself and with a
+    default of the EDS.
+    """
     found = long_objects(unit)
     for v, content in found:
         if unit.read(v.index, v.subindex) != content:
@@ -258,7 +274,10 @@ def all_long_objects(unit: Unit) -> str:
 
 
 def channels(unit: Unit, first: int, last: int) -> list[tuple[int, dict[int, bytes]]]:
-    """Read a range of SDO parameters; what is not in the EDS must be refused with an accepted code."""
+    """Read a range of SDO parameters.
+
+    What is not in the EDS must be refused with an accepted code.
+    """
     found = []
     for index in range(first, last + 1):
         if unit.has(index):
@@ -305,7 +324,10 @@ def further_servers_after_reset(unit: Unit) -> str:
 
 @case("2.30")
 def clients_after_storing(unit: Unit) -> str:
-    """Store all parameters, reset the communication, and find 1280h to 12FFh as they were; the rest is refused."""
+    """Store all parameters, reset the communication, and find 1280h to 12FFh as they were.
+
+    The rest is refused.
+    """
     unit.need_ability(0x1010)
     before = channels(unit, 0x1280, 0x12FF)
     unit.stored = unit.dirty = True

@@ -13,7 +13,9 @@ __all__ = ["need_block"]
 
 
 def need_block(unit: Unit) -> None:
-    """Make sure that the server knows block transfers: one that refuses the command has none, and that is allowed."""
+    """Make sure that the server knows block transfers: one that refuses the command has none, and
+    that is allowed.
+    """
     try:
         unit.sdo.initiate_block_upload(0x1000, 0, crc=False)
     except SdoAborted as abort:

@@ -1,4 +1,6 @@
-"""Own cases B.11 to B.13 and S.6 to S.12: requests out of turn, lengths that are not what was said, two servers at once."""
+"""Own cases B.11 to B.13 and S.6 to S.12: requests out of turn, lengths that are not what was said,
+two servers at once.
+"""
 
 from __future__ import annotations
 
@@ -33,8 +35,8 @@ STANDSTILL_MS = 2500
 def must_abort(unit: Unit, request: bytes, what: str, place: tuple[int, int] = (0x1000, 0)) -> str:
     """Send a request that has no place here: it is aborted or ignored; return which.
 
-    CiA 301 names abort codes, but does not say that a server answers what is not for it; so it may be silent, if it
-    serves afterwards. `place` is the open transfer's object.
+    CiA 301 names abort codes, but does not say that a server answers what is not for it; so it may
+    be silent, if it serves afterwards. `place` is the open transfer's object.
     """
     try:
         answer = unit.sdo.request(request, 0, 0, "unknown command")
@@ -54,7 +56,10 @@ def upload_segment(toggle: int) -> bytes:
 
 @case("B.11")
 def threshold(unit: Unit) -> str:
-    """A threshold of one byte less than the object has: a block transfer. Of as many: block, segments or expedited."""
+    """A threshold of one byte less than the object has: a block transfer.
+
+    Of as many: block, segments or expedited.
+    """
     need_block(unit)
     variable, content = long_object(unit)
     index, subindex, size = variable.index, variable.subindex, len(content)
@@ -79,7 +84,9 @@ def threshold(unit: Unit) -> str:
 
 @case("B.12")
 def after_the_end(unit: Unit) -> str:
-    """End a block upload: no answer, nothing later either, and an acknowledge is an error, or ignored."""
+    """End a block upload: no answer, nothing later either, and an acknowledge is an error, or
+    ignored.
+    """
     need_block(unit)
     variable, _ = long_object(unit)
     unit.sdo.block_upload(variable.index, variable.subindex, crc=True)
@@ -92,7 +99,10 @@ def after_the_end(unit: Unit) -> str:
 
 @case("B.13")
 def out_of_turn(unit: Unit) -> None:
-    """In a block upload: a second start, an end before the end, impossible acknowledges. Each is aborted, or ignored."""
+    """In a block upload: a second start, an end before the end, impossible acknowledges.
+
+    Each is aborted, or ignored.
+    """
     for what, request in (
         ("a second start", b"\xa3" + bytes(7)),
         ("the end before the end", b"\xa1" + bytes(7)),
@@ -133,8 +143,8 @@ def another_length(unit: Unit) -> str:
 def without_size(unit: Unit) -> str:
     """Write 1017h expedited and a text by segments, without telling their lengths: both are taken.
 
-    Expedited, the bytes are of an unspecified number then. A server that takes all four refuses them for 1017h, but not for an
-    object of four bytes.
+    Expedited, the bytes are of an unspecified number then. A server that takes all four refuses
+    them for 1017h, but not for an object of four bytes.
     """
     done = []
     if unit.has(0x1017) and unit.variable(0x1017).access == "rw":
@@ -164,7 +174,10 @@ def without_size(unit: Unit) -> str:
 
 
 def _four_bytes(unit: Unit) -> str:
-    """Write an object of four bytes with its own value, without telling its length; return where it is."""
+    """Write an object of four bytes with its own value, without telling its length.
+
+    Return where it is.
+    """
     variable = short(unit, (4,))
     place = (variable.index, variable.subindex)
     try:
@@ -201,7 +214,9 @@ def after_the_last_segment(unit: Unit) -> None:
 
 @case("S.9")
 def new_initiation(unit: Unit) -> str:
-    """Begin another transfer in the middle of an upload: it is served, or aborted in the name of either; the old one is over."""
+    """Begin another transfer in the middle of an upload: it is served, or aborted in the name of
+    either; the old one is over.
+    """
     index, subindex, value = volatile(unit)
     unit.undo_later(index, subindex, unit.read(index, subindex))
     data = encode(unit.variable(index, subindex), value)
@@ -230,7 +245,9 @@ def new_initiation(unit: Unit) -> str:
 
 @case("S.10")
 def other_direction(unit: Unit) -> None:
-    """A download segment in an upload, and an upload segment in a download: aborted or ignored, and nothing is written."""
+    """A download segment in an upload, and an upload segment in a download: aborted or ignored, and
+    nothing is written.
+    """
     variable, _ = long_object(unit, 8)
     place = (variable.index, variable.subindex)
     unit.sdo.initiate_upload(*place)
@@ -281,7 +298,8 @@ def reserved_bytes(unit: Unit) -> str | None:
 
 @case("S.12")
 def two_servers(unit: Unit) -> str:
-    """Give the first free further server identifiers, and read by both servers at once: neither disturbs the other.
+    """Give the first free further server identifiers, and read by both servers at once: neither
+    disturbs the other.
 
     Before that a restricted identifier is refused, and then another one, as the server is valid.
     """

@@ -1,4 +1,6 @@
-"""Own cases B.1 to B.10, B.14 and S.1 to S.5: what block and segmented transfers do when something goes wrong."""
+"""Own cases B.1 to B.10, B.14 and S.1 to S.5: what block and segmented transfers do when something
+goes wrong.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,10 @@ LENGTHS = (Abort.LENGTH, Abort.TOO_LONG, Abort.TOO_SHORT, Abort.MEMORY, Abort.GE
 
 
 def begin(unit: Unit, at_least: int, size: int) -> tuple[int, int, bytes, int | None, bool]:
-    """Begin a block upload with CRC of a long object; return index, sub-index, its bytes, the said length, the CRC."""
+    """Begin a block upload with CRC of a long object.
+
+    Return index, sub-index, its bytes, the said length, the CRC.
+    """
     need_block(unit)
     variable, content = long_object(unit, at_least)
     index, subindex = variable.index, variable.subindex
@@ -42,7 +47,9 @@ def same(index: int, subindex: int, data: bytes, content: bytes) -> None:
 
 @case("B.1")
 def repetition(unit: Unit) -> None:
-    """Acknowledge one segment less than came: the last one comes again, as segment 1 of the next block."""
+    """Acknowledge one segment less than came: the last one comes again, as segment 1 of the next
+    block.
+    """
     index, subindex, content, said, crc = begin(unit, 15, 2)
     block, _ = unit.sdo.read_block(index, subindex, 2)
     segments = block[:1]
@@ -100,10 +107,11 @@ def aborted(unit: Unit) -> None:
 
 
 def text_object(unit: Unit) -> tuple[int, int, bytes, bytes]:
-    """Return a writable string: index, sub-index, its bytes, which are restored later, and a text that it has room for.
+    """Return a writable string: index, sub-index, its bytes, which are restored later, and a text
+    that it has room for.
 
-    An EDS does not tell how long a string may be. So it is tried, once in a run: `TEXT`, beginnings of it, and as many
-    bytes as the string has.
+    An EDS does not tell how long a string may be. So it is tried, once in a run: `TEXT`, beginnings
+    of it, and as many bytes as the string has.
     """
     reason = ""
     for variable in long_texts(unit):
@@ -120,7 +128,10 @@ def text_object(unit: Unit) -> tuple[int, int, bytes, bytes]:
 
 
 def _room(unit: Unit, variable: Variable, before: bytes) -> int:
-    """Return how many bytes of `TEXT` the string holds, 0 for fewer than `SHORTEST`; it has them no longer when this returns."""
+    """Return how many bytes of `TEXT` the string holds, 0 for fewer than `SHORTEST`.
+
+    It has them no longer when this returns.
+    """
     index, subindex = variable.index, variable.subindex
     own: tuple[int, ...] = (len(before),) if SHORTEST <= len(before) < len(TEXT) else ()
     for length in (len(TEXT), *own, 57, 29, SHORTEST):
@@ -138,14 +149,18 @@ def _room(unit: Unit, variable: Variable, before: bytes) -> int:
 
 
 def shown(text: bytes) -> bytes:
-    """Return a string without the zeros behind it, by which a string of fixed length may be filled up."""
+    """Return a string without the zeros behind it, by which a string of fixed length may be filled
+    up.
+    """
     return text.rstrip(b"\0")
 
 
 def untouched(unit: Unit, index: int, subindex: int, before: bytes) -> str:
-    """Return what an aborted download has left of the old text: nothing to be said, or that a part was written.
+    """Return what an aborted download has left of the old text: nothing to be said, or that a part
+    was written.
 
-    CiA 301 does not say that a download is written at once: a device of little memory writes a long one part by part.
+    CiA 301 does not say that a download is written at once: a device of little memory writes a long
+    one part by part.
     """
     if shown(unit.read(index, subindex)) == shown(before):
         return ""
@@ -153,7 +168,10 @@ def untouched(unit: Unit, index: int, subindex: int, before: bytes) -> str:
 
 
 def refused(unit: Unit, transfer: Callable[[int, int, bytes], object], what: str, *, silence: bool = False) -> str:
-    """Let `transfer` write a text wrongly: it is aborted (or, with `silence`, ignored); return the code."""
+    """Let `transfer` write a text wrongly: it is aborted (or, with `silence`, ignored).
+
+    Return the code.
+    """
     index, subindex, before, text = text_object(unit)
     try:
         transfer(index, subindex, text)
@@ -207,7 +225,9 @@ def wrong_crc(unit: Unit) -> str:
 
 @case("B.8")
 def lost_segment(unit: Unit) -> None:
-    """Leave a segment of the first block out: the server acknowledges those before it, and takes the others again."""
+    """Leave a segment of the first block out: the server acknowledges those before it, and takes
+    the others again.
+    """
     need_block(unit)
     index, subindex, _, text = text_object(unit)
     crc, size = unit.sdo.initiate_block_download(index, subindex, len(text), crc=True)
@@ -265,7 +285,10 @@ def to_read_only(unit: Unit) -> str:
 
 @case("B.14")
 def number_zero(unit: Unit) -> str:
-    """Send segment 0, then segment 2 as the last: abort, or neither is acknowledged; the old text stays."""
+    """Send segment 0, then segment 2 as the last: abort, or neither is acknowledged.
+
+    The old text stays.
+    """
     need_block(unit)
     index, subindex, before, text = text_object(unit)
     unit.sdo.initiate_block_download(index, subindex, len(text), crc=False)

@@ -1,4 +1,6 @@
-"""Own cases E.4 to E.9, Y.1 to Y.6, H.1 to H.5, N.3, N.4, K.1 and K.2: EMCY, SYNC, error control, NMT and storing, tried harder."""
+"""Own cases E.4 to E.9, Y.1 to Y.6, H.1 to H.5, N.3, N.4, K.1 and K.2: EMCY, SYNC, error control,
+NMT and storing, tried harder.
+"""
 
 from __future__ import annotations
 
@@ -112,9 +114,11 @@ def newest_first(unit: Unit) -> str:
 
 @case("E.8")
 def after_reset(unit: Unit) -> None:
-    """Cause an error, and reset the node: nothing is watched any more, and 1001h is at most what it was before.
+    """Cause an error, and reset the node: nothing is watched any more, and 1001h is at most what it
+    was before.
 
-    An error of the device may be present all the time; an error of communication is not, behind a reset.
+    An error of the device may be present all the time; an error of communication is not, behind a
+    reset.
     """
     before = unit.number(0x1001)
     cause_error(unit)
@@ -126,7 +130,9 @@ def after_reset(unit: Unit) -> None:
 
 @case("E.9")
 def inhibit_after_reset(unit: Unit) -> None:
-    """With 1015h at 5 s, cause an error, reset the node, and cause it again: 1015h is what it was, and the EMCY comes at once."""
+    """With 1015h at 5 s, cause an error, reset the node, and cause it again: 1015h is what it was,
+    and the EMCY comes at once.
+    """
     unit.need_writable(0x1015)
     can_id = emcy_id(unit)
     default = unit.number(0x1015)
@@ -148,7 +154,10 @@ def inhibit_after_reset(unit: Unit) -> None:
 
 @case("Y.1")
 def wrong_length(unit: Unit) -> str:
-    """Send a SYNC of one byte where 1019h is 0: an EMCY, if one comes, is 8240h; the next SYNC of no byte acts."""
+    """Send a SYNC of one byte where 1019h is 0: an EMCY, if one comes, is 8240h.
+
+    The next SYNC of no byte acts.
+    """
     can_id = synchronous(unit)
     emcy = emcy_id(unit)
     unit.start()
@@ -202,7 +211,9 @@ def producer_in_stopped(unit: Unit) -> None:
 
 @case("Y.4")
 def identifiers_in_use(unit: Unit) -> str:
-    """Change the identifier of SYNC while it is produced, of a valid EMCY, of TIME that is consumed: refused."""
+    """Change the identifier of SYNC while it is produced, of a valid EMCY, of TIME that is
+    consumed: refused.
+    """
     done = []
     if unit.has(0x1005) and unit.variable(0x1005).access not in READ_ONLY:
         try:
@@ -225,7 +236,9 @@ def identifiers_in_use(unit: Unit) -> str:
 
 @case("Y.5")
 def wide_identifiers(unit: Unit) -> str:
-    """Write an identifier of more than 11 bits without bit 29 to 1005h, 1012h and 1014h, made invalid first: refused."""
+    """Write an identifier of more than 11 bits without bit 29 to 1005h, 1012h and 1014h, made
+    invalid first: refused.
+    """
     done = []
     for index in (0x1005, 0x1012, 0x1014):
         if unit.has(index) and unit.variable(index).access not in READ_ONLY:
@@ -240,7 +253,9 @@ def wide_identifiers(unit: Unit) -> str:
 
 @case("Y.6")
 def counter_after_reset(unit: Unit) -> None:
-    """Store a SYNC producer with a counter, and reset the node in mid-count: the first SYNC behind the boot-up has 1."""
+    """Store a SYNC producer with a counter, and reset the node in mid-count: the first SYNC behind
+    the boot-up has 1.
+    """
     unit.need_ability(0x1010)
     unit.need_writable(0x1019)
     produce(unit, OVERFLOW)
@@ -282,7 +297,9 @@ def second_entry(unit: Unit) -> str:
 
 @case("H.2")
 def begins_with_the_first(unit: Unit) -> str:
-    """Set 1016h, 100Ch and 100Dh, and send nothing: no EMCY, as nothing is watched before the first frame."""
+    """Set 1016h, 100Ch and 100Dh, and send nothing: no EMCY, as nothing is watched before the first
+    frame.
+    """
     can_id = emcy_id(unit)
     done = []
     if unit.has(0x1016, 1):
@@ -323,7 +340,9 @@ def unused_entries(unit: Unit) -> str:
 
 @case("H.4")
 def in_time(unit: Unit) -> str:
-    """Lose a heartbeat watched for 100 ms, and a guarding of 2 x 100 ms: the EMCY comes after that time, before half of it more."""
+    """Lose a heartbeat watched for 100 ms, and a guarding of 2 x 100 ms: the EMCY comes after that
+    time, before half of it more.
+    """
     can_id = emcy_id(unit)
     done = []
     try:
@@ -364,7 +383,9 @@ def _between(what: str, frame: Frame, start_ns: int, limit_ms: int) -> str:
 
 @case("H.5")
 def error_behaviour(unit: Unit) -> str:
-    """Lose a heartbeat in OPERATIONAL with 1029h:01 at 0, 1 and 2: PRE-OPERATIONAL, OPERATIONAL, STOPPED."""
+    """Lose a heartbeat in OPERATIONAL with 1029h:01 at 0, 1 and 2: PRE-OPERATIONAL, OPERATIONAL,
+    STOPPED.
+    """
     unit.need_writable(0x1029, 1)
     states = (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL, NmtState.STOPPED)
     for value, wanted in enumerate(states):
@@ -408,7 +429,9 @@ def reserved_commands(unit: Unit) -> None:
 
 @case("N.4")
 def reset_communication(unit: Unit) -> str:
-    """Change a TPDO's parameter and a text of the manufacturer's, and reset the communication: the first has its default, the text stays."""
+    """Change a TPDO's parameter and a text of the manufacturer's, and reset the communication: the
+    first has its default, the text stays.
+    """
     places = [(k, sub, value) for k in candidates(unit) for sub, value in ((2, 7), (5, 700)) if unit.has(TPDO + k, sub)]
     places = [(k, sub, value) for k, sub, value in places if unit.variable(TPDO + k, sub).access not in READ_ONLY]
     if not places:
@@ -433,9 +456,11 @@ def reset_communication(unit: Unit) -> str:
 
 @case("K.1")
 def verification_is_lost(unit: Unit) -> str:
-    """Write date and time to 1020h, and change a parameter: both are 0, or stay, as the boot-up configuration has not changed yet.
+    """Write date and time to 1020h, and change a parameter: both are 0, or stay, as the boot-up
+    configuration has not changed yet.
 
-    Where they stay: store them, load the defaults and reset. That changes the boot-up configuration, and both are 0.
+    Where they stay: store them, load the defaults and reset. That changes the boot-up
+    configuration, and both are 0.
     """
 
     def told() -> list[int]:
@@ -467,7 +492,9 @@ def verification_is_lost(unit: Unit) -> str:
 
 @case("K.2")
 def only_the_group(unit: Unit) -> str:
-    """Change a text of the manufacturer's, and store the communication group alone: the text is lost with a reset."""
+    """Change a text of the manufacturer's, and store the communication group alone: the text is
+    lost with a reset.
+    """
     unit.need_ability(0x1010, 2)
     index, subindex, before, text = text_object(unit)
     unit.put(index, subindex, text)

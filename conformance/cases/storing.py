@@ -1,4 +1,6 @@
-"""Cases 8.1 to 8.10: storing, restoring, verify configuration, restricted identifiers (CiA 301, sections 7.5.2.13, 14, 23, 7.3.5)."""
+"""Cases 8.1 to 8.10: storing, restoring, verify configuration, restricted identifiers (CiA 301,
+sections 7.5.2.13, 14, 23, 7.3.5).
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,10 @@ RESTRICTED = (0x000, 0x001, 0x07F, 0x101, 0x180, 0x581, 0x5FF, 0x601, 0x67F, 0x6
 
 
 def change(unit: Unit) -> tuple[int, int, bytes, bytes]:
-    """Change a harmless communication parameter; return where it is, what it was, and what it is."""
+    """Change a harmless communication parameter.
+
+    Return where it is, what it was, and what it is.
+    """
     index, subindex, value = volatile(unit)
     before = unit.read(index, subindex)
     data = encode(unit.variable(index, subindex), value)
@@ -83,7 +88,10 @@ def store(unit: Unit) -> str:
 
 @case("8.6")
 def store_groups(unit: Unit) -> str:
-    """The communication group, 1010h:02, in the same way; then a change that is not stored is lost with a reset."""
+    """The communication group, 1010h:02, in the same way.
+
+    Then a change that is not stored is lost with a reset.
+    """
     unit.need_ability(STORE, 2)
     index, subindex, before, data = change(unit)
     command(unit, STORE, 2)
@@ -143,7 +151,9 @@ def verify_configuration(unit: Unit) -> None:
 
 @case("8.10")
 def restricted(unit: Unit) -> str:
-    """Write every end of a restricted range to each identifier that can be configured, made invalid first: refused."""
+    """Write every end of a restricted range to each identifier that can be configured, made invalid
+    first: refused.
+    """
     places = []
     for index, subindex in ((0x1005, 0), (0x1012, 0), (0x1014, 0), (0x1400, 1), (0x1800, 1)):
         if unit.has(index, subindex) and unit.variable(index, subindex).access == "rw":

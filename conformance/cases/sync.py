@@ -1,4 +1,6 @@
-"""Cases 6.1 to 6.10: SYNC producer and consumer, and its counter (CiA 301, sections 7.2.5, 7.5.2.5 and 7.5.2.22)."""
+"""Cases 6.1 to 6.10: SYNC producer and consumer, and its counter (CiA 301, sections 7.2.5, 7.5.2.5
+and 7.5.2.22).
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,8 @@ OVERFLOW = 5
 
 
 def produce(unit: Unit, overflow: int | None = None) -> None:
-    """Make the device send SYNC, with a counter that goes up to `overflow`, in the order that CiA 301 wants.
+    """Make the device send SYNC, with a counter that goes up to `overflow`, in the order that CiA
+    301 wants.
 
     Raises
     ------
@@ -39,7 +42,9 @@ def produce(unit: Unit, overflow: int | None = None) -> None:
 
 
 def syncs(unit: Unit, count: int) -> list[Frame]:
-    """Return so many SYNCs of the device, at their period (measured up to three times: the tester may be late)."""
+    """Return so many SYNCs of the device, at their period (measured up to three times: the tester
+    may be late).
+    """
     text = ""
     for _ in range(3):
         frames = unit.collect(unit.sync_id, count * PERIOD_MS * MS + PERIOD_MS * MS // 2)
@@ -71,7 +76,9 @@ def producer(unit: Unit) -> str:
 
 @case("6.3")
 def tpdos(unit: Unit) -> str:
-    """Count TPDOs of type 1 against SYNCs: the device's own where it can produce them, and the tester's."""
+    """Count TPDOs of type 1 against SYNCs: the device's own where it can produce them, and the
+    tester's.
+    """
     can_id = synchronous(unit)
     unit.start()
     unit.flush()
@@ -109,7 +116,9 @@ def synchronous(unit: Unit) -> int:
 
 @case("6.4")
 def consumer(unit: Unit) -> None:
-    """Set 1006h to 0 and bit 30 of 1005h to 0: no SYNC from the device, and its TPDO follows the tester's."""
+    """Set 1006h to 0 and bit 30 of 1005h to 0: no SYNC from the device, and its TPDO follows the
+    tester's.
+    """
     unit.need_writable(0x1005)
     cob_id = unit.number(0x1005)
     if unit.has(0x1006) and unit.variable(0x1006).access not in ("ro", "const"):
@@ -198,7 +207,9 @@ def counter_while_running(unit: Unit) -> str:
 
 @case("6.10")
 def sync_stored(unit: Unit) -> None:
-    """Set 1019h, 1006h and the producer's bit, store, reset: the values stand, and SYNC runs with its counter."""
+    """Set 1019h, 1006h and the producer's bit, store, reset: the values stand, and SYNC runs with
+    its counter.
+    """
     unit.need(0x1010, 1)
     for index in (0x1005, 0x1006, 0x1019):
         unit.need_writable(index)

@@ -1,4 +1,7 @@
-"""The tester's end of a bus: send a frame, take the next one. Time is an argument, in ns, and may be virtual."""
+"""The tester's end of a bus: send a frame, take the next one.
+
+Time is an argument, in ns, and may be virtual.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,10 @@ _PATIENCE_S = 2.0
 
 @dataclass(frozen=True)
 class Frame:
-    """A frame that the tester received or (`sent`) sent; of a remote frame `length` is what it asks for."""
+    """A frame that the tester received or (`sent`) sent.
+
+    Of a remote frame `length` is what it asks for.
+    """
 
     t_ns: int
     can_id: int
@@ -48,7 +54,9 @@ class Link(Protocol):
         """Send a frame; `length` only of a remote frame."""
 
     def receive(self, until_ns: int) -> Frame | None:
-        """Return the next frame of another station, or None when it is `until_ns` and there was none."""
+        """Return the next frame of another station, or None when it is `until_ns` and there was
+        none.
+        """
 
 
 class BusLink:

@@ -1,4 +1,6 @@
-"""Objects of the EDS that the cases choose: what may be written without harm, what is long, what may differ from its default."""
+"""Objects of the EDS that the cases choose: what may be written without harm, what is long, what
+may differ from its default.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,10 @@ __all__ = [
 ]
 
 LONGEST = 2000
-"""Objects of more bytes (a whole EDS as 1021h) would take seconds by segments; they are only begun."""
+"""Objects of more bytes (a whole EDS as 1021h) would take seconds by segments.
+
+They are only begun.
+"""
 
 READ_ONLY = ("ro", "const")
 REFUSED = (
@@ -31,7 +36,9 @@ REFUSED = (
     *(Abort.PARAMETER_INCOMPATIBLE, Abort.INTERNAL_INCOMPATIBLE),
     *(Abort.CANNOT_STORE, Abort.LOCAL_CONTROL, Abort.DEVICE_STATE),
 )
-"""How a value is refused that does not fit, or not now: CiA 301 leaves the choice where it names no code."""
+"""How a value is refused that does not fit, or not now: CiA 301 leaves the choice where it names no
+code.
+"""
 
 NOT_NOW = (Abort.CANNOT_STORE, Abort.LOCAL_CONTROL, Abort.DEVICE_STATE, Abort.NO_DATA)
 """An object may refuse an access for the state that the device is in."""
@@ -48,7 +55,9 @@ def is_command(variable: Variable) -> bool:
 
 
 def is_output(variable: Variable) -> bool:
-    """Tell whether the object may move something: from 2000h on, what a PDO writes, and the target values of CiA 402."""
+    """Tell whether the object may move something: from 2000h on, what a PDO writes, and the target
+    values of CiA 402.
+    """
     mapped = variable.pdo_mappable and variable.access not in READ_ONLY
     return variable.index >= 0x2000 and (mapped or variable.access == "rww" or variable.index in _SETPOINTS)
 
@@ -57,7 +66,9 @@ _SETPOINTS = (0x6040, 0x6060, 0x6071, 0x607A, 0x6042, 0x60FF, 0x60B0, 0x60B1, 0x
 
 
 def is_parameter(variable: Variable) -> bool:
-    """Tell whether the object has to have its default after a reset: no process value, no counter, no serial number."""
+    """Tell whether the object has to have its default after a reset: no process value, no counter,
+    no serial number.
+    """
     process = variable.index >= 0x2000 and variable.access == "ro"
     serial = variable.index == 0x1018 and variable.subindex == 4
     return variable.index >= 0x1000 and variable.index not in _CHANGING and not process and not serial
@@ -71,7 +82,9 @@ def keeps(variable: Variable) -> bool:
 
 
 def volatile(unit: Unit) -> tuple[int, int, int]:
-    """Return (index, sub-index, value) of a communication parameter that can be changed without effect, and another value."""
+    """Return (index, sub-index, value) of a communication parameter that can be changed without
+    effect, and another value.
+    """
     for index, subindex, value in ((0x1017, 0, 2500), (0x1015, 0, 250), (0x100C, 0, 250), (0x1029, 1, 1)):
         if unit.has(index, subindex) and unit.variable(index, subindex).access == "rw":
             return index, subindex, value

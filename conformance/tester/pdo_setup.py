@@ -1,4 +1,6 @@
-"""How the cases set up a PDO, and how they cause an event over the bus alone (CiA 301, sections 7.2.2 and 7.5.2.35 to 38)."""
+"""How the cases set up a PDO, and how they cause an event over the bus alone (CiA 301, sections
+7.2.2 and 7.5.2.35 to 38).
+"""
 
 from __future__ import annotations
 
@@ -219,7 +221,8 @@ def enter(unit: Unit, state: NmtState) -> None:
 
 
 class HeartbeatOfTester:
-    """A heartbeat that the device watches: the only error that can be caused over any bus without harm.
+    """A heartbeat that the device watches: the only error that can be caused over any bus without
+    harm.
 
     Raises
     ------
@@ -250,7 +253,8 @@ class HeartbeatOfTester:
 
 
 class Event:
-    """A change of what TPDO `k` carries: of the statusword by the controlword in a drive, else of the error register.
+    """A change of what TPDO `k` carries: of the statusword by the controlword in a drive, else of
+    the error register.
 
     The drive goes between Switch On Disabled and Ready To Switch On, so its power stage stays off.
     """
@@ -278,7 +282,10 @@ class Event:
         return not unit.has(0x1029, 1) or unit.variable(0x1029, 1).access != "rw"
 
     def prepare(self) -> tuple[int, ...]:
-        """Return the map that shows the event, empty to keep the present one; to be called in PRE-OPERATIONAL."""
+        """Return the map that shows the event, empty to keep the present one.
+
+        To be called in PRE-OPERATIONAL.
+        """
         if not self.possible:
             return ()
         if not self.unit.is_drive and self._leaves_operational():
@@ -309,8 +316,9 @@ class Event:
     def need_frame(self, came: bool, what: str) -> None:
         """Fail when a change made no TPDO go, if it is an event of the device's profile.
 
-        What an event is, CiA 301 leaves to the profile and the manufacturer (section 7.5.2.37). A drive's statusword in its
-        TPDO is one of CiA 402; the error register of another device may be none.
+        What an event is, CiA 301 leaves to the profile and the manufacturer (section 7.5.2.37). A
+        drive's statusword in its TPDO is one of CiA 402; the error register of another device may
+        be none.
         """
         if came:
             return

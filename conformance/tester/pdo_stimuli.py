@@ -1,6 +1,8 @@
-"""What makes a TPDO go: a remote frame, an event, a timer, the nth SYNC, a SYNC after an event, the SYNC with a start value.
+"""What makes a TPDO go: a remote frame, an event, a timer, the nth SYNC, a SYNC after an event, the
+SYNC with a start value.
 
-Each `Stimulus` sets a TPDO up, and checks it in OPERATIONAL; `poke` gives it the same occasion in any state.
+Each `Stimulus` sets a TPDO up, and checks it in OPERATIONAL; `poke` gives it the same occasion in
+any state.
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""How an error is caused over the bus alone, and what the device tells of it: three ways, from the gentlest on."""
+"""How an error is caused over the bus alone, and what the device tells of it: three ways, from the
+gentlest on.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,10 @@ GUARD_MS = 100
 
 
 def emcy_id(unit: Unit) -> int:
-    """Return the identifier of the device's EMCY; where 1014h is not valid, or of 29 bits, the case does not apply."""
+    """Return the identifier of the device's EMCY.
+
+    Where 1014h is not valid, or of 29 bits, the case does not apply.
+    """
     unit.need(0x1014)
     cob_id = unit.number(0x1014)
     if cob_id & (INVALID | EXTENDED):
@@ -55,7 +60,9 @@ def _by_life_guarding(unit: Unit) -> Callable[[], None]:
 
 
 def short_rpdo(unit: Unit) -> Callable[[], None]:
-    """Set an RPDO up, start the node, and return what sends it with one byte too few, all zeros: set-points are 0."""
+    """Set an RPDO up, start the node, and return what sends it with one byte too few, all zeros:
+    set-points are 0.
+    """
     for k in numbers(unit, RPDO):
         length = length_of(unit, RPDO, k)
         with suppress(Unsupported):

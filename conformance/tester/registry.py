@@ -1,4 +1,6 @@
-"""Which function tests which case: ``@case("2.5")`` above the function, with its parameters where several cases share it."""
+"""Which function tests which case: ``@case("2.5")`` above the function, with its parameters where
+several cases share it.
+"""
 
 from __future__ import annotations
 

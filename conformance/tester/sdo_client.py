@@ -1,4 +1,7 @@
-"""An SDO client on raw frames that can also do it wrong (CiA 301, section 7.2.4). Every response is checked to the bit."""
+"""An SDO client on raw frames that can also do it wrong (CiA 301, section 7.2.4).
+
+Every response is checked to the bit.
+"""
 
 from __future__ import annotations
 
@@ -39,9 +42,11 @@ class SdoClient:
     wait
         Returns the server's next eight bytes, or None after the time-out.
     stream
-        Sends eight bytes, and keeps what waits: a server may acknowledge or abort in the middle of a block.
+        Sends eight bytes, and keeps what waits: a server may acknowledge or abort in the middle of
+        a block.
     width
-        Returns the bytes of an object's type, 0 where it has any number: of an expedited upload that does not tell its own.
+        Returns the bytes of an object's type, 0 where it has any number: of an expedited upload
+        that does not tell its own.
     """
 
     def __init__(
@@ -121,9 +126,11 @@ class SdoClient:
         return data, segmented
 
     def _go_on(self, answer: bytes, index: int, subindex: int, most: int) -> tuple[bytes | None, bool]:
-        """Go on with an upload that has begun, to its end; or abort it when it has more than `most` bytes: None.
+        """Go on with an upload that has begun, to its end; or abort it when it has more than `most`
+        bytes: None.
 
-        It is never begun a second time before its end: a server may abort the new one as well as the old one.
+        It is never begun a second time before its end: a server may abort the new one as well as
+        the old one.
         """
         if answer[0] & 0x02:
             return self.expedited(answer, index, subindex), False
@@ -141,7 +148,8 @@ class SdoClient:
         return data, True
 
     def expedited(self, answer: bytes, index: int, subindex: int) -> bytes:
-        """Return the data of an expedited response: as many bytes as it tells, else as its type has.
+        """Return the data of an expedited response: as many bytes as it tells, else as its type
+        has.
 
         CiA 301 does not say what the bytes without data are.
         """
@@ -205,7 +213,10 @@ class SdoClient:
     def initiate_block_upload(
         self, index: int, subindex: int, *, crc: bool, size: int = BLOCK
     ) -> tuple[bool, int | None]:
-        """Initiate a block upload of blocks of `size` segments; return whether the server has a CRC, and the length."""
+        """Initiate a block upload of blocks of `size` segments.
+
+        Return whether the server has a CRC, and the length.
+        """
         request = head(0xA0 | 0x04 * crc, index, subindex, bytes((size, 0)))
         answer = self.request(request, index, subindex, "block upload of")
         if answer[0] >> 5 != 6 or answer[0] & 0x01:
@@ -214,7 +225,10 @@ class SdoClient:
         return bool(answer[0] & 0x04), int.from_bytes(answer[4:], "little") if answer[0] & 0x02 else None
 
     def read_block(self, index: int, subindex: int, size: int) -> tuple[list[bytes], bool]:
-        """Receive the segments of one block, at most `size`; return them and whether the last one is the upload's last."""
+        """Receive the segments of one block, at most `size`.
+
+        Return them and whether the last one is the upload's last.
+        """
         segments: list[bytes] = []
         while len(segments) < size:
             answer = self.response(index, subindex, "block segment of")
@@ -233,7 +247,10 @@ class SdoClient:
     def end_block_upload(
         self, index: int, subindex: int, segments: list[bytes], *, crc: bool, said: int | None
     ) -> bytes:
-        """Take the end of a block upload, whose last block is acknowledged; check length and CRC; return the bytes."""
+        """Take the end of a block upload, whose last block is acknowledged; check length and CRC.
+
+        Return the bytes.
+        """
         answer = self.response(index, subindex, "end of block upload of")
         if answer[0] & 0xE3 != 0xC1:
             raise CaseFailed(f"block upload of {where(index, subindex)}: command {answer[0]:02X}h, expected its end")
@@ -251,7 +268,10 @@ class SdoClient:
         return data
 
     def block_upload(self, index: int, subindex: int, *, crc: bool, size: int = BLOCK) -> tuple[bytes, bool]:
-        """Read an object by block transfer; return its bytes and whether a CRC was agreed and right."""
+        """Read an object by block transfer.
+
+        Return its bytes and whether a CRC was agreed and right.
+        """
         has_crc, said = self.initiate_block_upload(index, subindex, crc=crc, size=size)
         self.send(b"\xa3" + bytes(7))
         segments: list[bytes] = []
@@ -267,7 +287,9 @@ class SdoClient:
         return self.end_block_upload(index, subindex, segments, crc=agreed, said=said), agreed
 
     def initiate_block_download(self, index: int, subindex: int, size: int, *, crc: bool) -> tuple[bool, int]:
-        """Initiate a block download of `size` bytes; return whether the server has a CRC, and its block size.
+        """Initiate a block download of `size` bytes.
+
+        Return whether the server has a CRC, and its block size.
 
         Raises
         ------

@@ -1,4 +1,6 @@
-"""The device under test as the cases see it: its EDS, its services, and what is done to leave it as it was."""
+"""The device under test as the cases see it: its EDS, its services, and what is done to leave it as
+it was.
+"""
 
 from __future__ import annotations
 
@@ -29,12 +31,16 @@ _OBJ_FLAGS = re.compile(r"(?ims)^\[([0-9a-f]{4})(?:sub([0-9a-f]{1,2}))?\]([^\[]*
 
 @dataclass(frozen=True)
 class Timing:
-    """How long the tester waits: for an answer, for what must not come, for a boot-up, for one case in all."""
+    """How long the tester waits: for an answer, for what must not come, for a boot-up, for one case
+    in all.
+    """
 
     answer_ns: int = 1000 * MS
     quiet_ns: int = 60 * MS
     settle_ns: int = 20 * MS
-    """After an NMT command: a device may take it in its main loop, and lose what comes before it has."""
+    """After an NMT command: a device may take it in its main loop, and lose what comes before it
+    has.
+    """
     boot_ns: int = 5000 * MS
     case_ns: int = 60_000 * MS
 
@@ -47,7 +53,10 @@ class Timing:
 
 
 class Unit:
-    """One device on a link. Everything that is sent and received goes into the trace of the case that runs."""
+    """One device on a link.
+
+    Everything that is sent and received goes into the trace of the case that runs.
+    """
 
     def __init__(self, link: Link, description: Description, node_id: int, timing: Timing, seed: int = 0) -> None:
         self.link, self.description, self.node_id, self.timing = link, description, node_id, timing
@@ -153,7 +162,10 @@ class Unit:
         self.send(self.sdo_rx, data)
 
     def _stream_sdo(self, data: bytes) -> None:
-        """Send a segment of a block; what the server says meanwhile is kept, and may be followed by more."""
+        """Send a segment of a block.
+
+        What the server says meanwhile is kept, and may be followed by more.
+        """
         self.send(self.sdo_rx, data)
         self._late = True
 
@@ -196,7 +208,10 @@ class Unit:
         self._undo.append((index, subindex, data))
 
     def refused(self, index: int, subindex: int, value: Value | bytes, codes: Sequence[int] | None = None) -> int:
-        """Write what the device must refuse; return its abort code, which must be one of `codes` (none: any)."""
+        """Write what the device must refuse.
+
+        Return its abort code, which must be one of `codes` (none: any).
+        """
         data = value if isinstance(value, bytes) else encode(self.variable(index, subindex), value)
         try:
             self.write_raw(index, subindex, data)
@@ -228,7 +243,10 @@ class Unit:
     # NMT
 
     def nmt(self, command: int) -> None:
-        """Send an NMT command to the device alone, and give it the time to follow; its first SDO request may come twice."""
+        """Send an NMT command to the device alone, and give it the time to follow.
+
+        Its first SDO request may come twice.
+        """
         self.dirty = True
         self.send(CobId.NMT, bytes((command, self.node_id)))
         self._changed_state = command != NmtCommand.STOP
@@ -241,7 +259,8 @@ class Unit:
     def reset(self, command: int = NmtCommand.RESET_NODE, *, must: bool = False) -> Frame | None:
         """Reset the device and return its boot-up message; PRE-OPERATIONAL follows.
 
-        Where a device never sent one, only `must` waits for it and fails; else its SDO server is asked.
+        Where a device never sent one, only `must` waits for it and fails; else its SDO server is
+        asked.
         """
         self.flush()
         self.nmt(command)
@@ -255,7 +274,10 @@ class Unit:
         return boot
 
     def _boot_up(self, wait_ns: int) -> Frame | None:
-        """Return the boot-up message, past a last heartbeat; without one, what else came on its identifier."""
+        """Return the boot-up message, past a last heartbeat.
+
+        Without one, what else came on its identifier.
+        """
         until_ns, other = self.link.now_ns() + wait_ns, None
         while (frame := self.wait(CobId.HEARTBEAT + self.node_id, until_ns - self.link.now_ns())) is not None:
             if frame.data == b"\0":
@@ -297,7 +319,10 @@ class Unit:
         return self.description.variable(index, subindex)
 
     def need_writable(self, index: int, subindex: int = 0) -> Variable:
-        """Return the description of an object that can be written; without one the case does not apply."""
+        """Return the description of an object that can be written.
+
+        Without one the case does not apply.
+        """
         variable = self.need(index, subindex)
         if variable.access in ("ro", "const"):
             raise NotApplicable(f"{where(index, subindex)} is {variable.access} in the EDS")
@@ -332,7 +357,8 @@ class Unit:
 
     @cached_property
     def granularity(self) -> int:
-        """[DeviceInfo] Granularity: of how many bits the entries of a PDO's map are multiples; 0: no map can be written.
+        """[DeviceInfo] Granularity: of how many bits the entries of a PDO's map are multiples; 0:
+        no map can be written.
 
         Bits where the file does not say it, or says what is none of 0 to 64.
         """
@@ -368,7 +394,9 @@ class Unit:
     # life of a case
 
     def begin(self, codes: tuple[int, ...]) -> None:
-        """Bring the device to a known state: reset and PRE-OPERATIONAL, where something was done to it."""
+        """Bring the device to a known state: reset and PRE-OPERATIONAL, where something was done to
+        it.
+        """
         self.codes = codes
         self.trace.clear()
         self._undo.clear()
@@ -378,7 +406,10 @@ class Unit:
         self.flush()
 
     def restore(self) -> None:
-        """Write back what the case changed, the last first; stored parameters get their defaults again."""
+        """Write back what the case changed, the last first.
+
+        Stored parameters get their defaults again.
+        """
         self._deadline_ns = self.link.now_ns() + self.timing.case_ns
         try:
             if self._undo or self.stored:
@@ -397,7 +428,9 @@ class Unit:
                 self.forget_stored()
 
     def learn_abilities(self) -> None:
-        """Read what 1010h and 1011h can do, before a signature is written: a simple device keeps that as its value."""
+        """Read what 1010h and 1011h can do, before a signature is written: a simple device keeps
+        that as its value.
+        """
         for index in (0x1010, 0x1011):
             for subindex in self.description.objects[index].variables if index in self.description.objects else ():
                 if 0 < subindex < 0xFF:
@@ -427,7 +460,10 @@ def is_signed(variable: Variable) -> bool:
 
 
 def encode(variable: Variable, value: Value) -> bytes:
-    """Return `value` as the bytes of the variable's type, little endian; text without a closing zero."""
+    """Return `value` as the bytes of the variable's type, little endian.
+
+    Text without a closing zero.
+    """
     kind = DATA_TYPES.get(variable.data_type)
     if isinstance(value, bytes):
         return value

@@ -1,4 +1,6 @@
-"""The source of a friction law, which a recording carries: so that it tells what was felt, and a replay whether the law is still the same."""
+"""The source of a friction law, which a recording carries: so that it tells what was felt, and a
+replay whether the law is still the same.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,8 @@ SOURCE, SHA256 = "host.law.py", "host.law.sha256"
 class LawSource:
     """A law's name, and the text in which it stands.
 
-    That is a law's whole file, without what it imports; of the project's own laws the function alone.
+    That is a law's whole file, without what it imports; of the project's own laws the function
+    alone.
     """
 
     name: str
@@ -42,7 +45,10 @@ class LawSource:
 
 
 def law_source(rig: Rig) -> LawSource | None:
-    """Return the source of the rig's law; None where there is none to be read. The law is not run for it."""
+    """Return the source of the rig's law; None where there is none to be read.
+
+    The law is not run for it.
+    """
     name = rig.law_function
     place = name.rpartition(":")[0]
     if name in OWN_LAWS:

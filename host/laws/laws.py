@@ -1,7 +1,7 @@
 r"""Friction laws: what the display should feel like, as compiled functions of one fixed signature.
 
-A law is named in the rig file: ``karnopp`` or ``coulomb``, the laws of this module; ``file.py:function``; or
-``module:function``. It is one plain function::
+A law is named in the rig file: ``karnopp`` or ``coulomb``, the laws of this module;
+``file.py:function``; or ``module:function``. It is one plain function::
 
     def my_law(motion, law, state):
         state.brake_Nm = law.F_d                      # what the brake should bear, >= 0
@@ -10,16 +10,18 @@ A law is named in the rig file: ``karnopp`` or ``coulomb``, the laws of this mod
 motion : `MOTION` record
     measured: angle, speed, speed in encoder counts a cycle, cycle time, handle torque
 law : `LAW` record
-    parameters of the mode: K_p, F_s, F_d, the velocity band, and ``user``, 16 numbers of the rig file
+    parameters of the mode: K_p, F_s, F_d, the velocity band, and ``user``, 16 numbers of the rig
+    file
 state : `LAW_STATE` record
     what the law keeps from cycle to cycle, and its second output ``brake_Nm``
 returns
-    :math:`\psi` [Nm], the friction to be displayed: :math:`\psi > 0` opposes :math:`v > 0`. A motor shows :math:`-\psi`; a
-    brake cannot push and is given ``state.brake_Nm`` instead.
+    :math:`\psi` [Nm], the friction to be displayed: :math:`\psi > 0` opposes :math:`v > 0`. A motor
+    shows :math:`-\psi`; a brake cannot push and is given ``state.brake_Nm`` instead.
 
-The function must be what Numba compiles; nothing may be imported in it. The compiled law is passed as a function pointer, so the
-host's kernels are not compiled again for it. A law of the user's own, and what it calls, is compiled with bounds checks: an index beyond
-an array raises as it does in Python, and a law that raises trips.
+The function must be what Numba compiles; nothing may be imported in it. The compiled law is passed
+as a function pointer, so the host's kernels are not compiled again for it. A law of the user's own,
+and what it calls, is compiled with bounds checks: an index beyond an array raises as it does in
+Python, and a law that raises trips.
 """
 
 from __future__ import annotations
@@ -98,11 +100,13 @@ def karnopp(motion: Any, law: Any, state: Any) -> float:
                \mathrm{sgn}(F_a)\,\min(|F_a|, F_s) & |v| \le \Delta v \end{cases}
         \qquad F_a = K_p\,(x - x_{stuck})
 
-    At stick entry and on saturation :math:`x_{stuck} = x - F/K_p`, so the torque neither jumps nor winds up. ``paper_entry`` takes the
-    paper's :math:`x_{stuck} = x` at entry instead. The brake bears F_s whenever stuck and F_d in slip; with ``brake_spring`` it shows
-    the spring, which on an encoder is a coarse switch (K_p = 10000 Nm/rad is 0.8 Nm a count).
+    At stick entry and on saturation :math:`x_{stuck} = x - F/K_p`, so the torque neither jumps nor
+    winds up. ``paper_entry`` takes the paper's :math:`x_{stuck} = x` at entry instead. The brake
+    bears F_s whenever stuck and F_d in slip; with ``brake_spring`` it shows the spring, which on an
+    encoder is a coarse switch (K_p = 10000 Nm/rad is 0.8 Nm a count).
 
-    Source: the paper, section 5; D. Karnopp, J. Dyn. Sys. Meas. Control 107(1), 1985, doi:10.1115/1.3140698.
+    Source: the paper, section 5; D. Karnopp, J. Dyn. Sys. Meas. Control 107(1), 1985,
+    doi:10.1115/1.3140698.
     """
     if abs(motion.v_counts) > law.velocity_band_counts:
         state.stuck = 0
@@ -123,10 +127,11 @@ def karnopp(motion: Any, law: Any, state: Any) -> float:
 
 
 def coulomb(motion: Any, law: Any, state: Any) -> float:
-    r"""Coulomb friction, eq. (4): :math:`\psi(v) = c\,\mathrm{sgn}(v)` with :math:`c = F_d` and :math:`\mathrm{sgn}(0) = 0`.
+    r"""Coulomb friction, eq. (4): :math:`\psi(v) = c\,\mathrm{sgn}(v)` with :math:`c = F_d` and
+    :math:`\mathrm{sgn}(0) = 0`.
 
-    Within the velocity band (0 counts for the paper's own simulation) psi is 0; the brake bears c at any speed.
-    Describing function: :math:`\Psi(a) = 4c/(\pi a)`, eq. (5).
+    Within the velocity band (0 counts for the paper's own simulation) psi is 0; the brake bears c
+    at any speed. Describing function: :math:`\Psi(a) = 4c/(\pi a)`, eq. (5).
     """
     state.brake_Nm = law.F_d
     if abs(motion.v_counts) <= law.velocity_band_counts:
@@ -137,7 +142,9 @@ def coulomb(motion: Any, law: Any, state: Any) -> float:
 
 
 class OwnLaw(NamedTuple):
-    """A law of the project's own, and the keys of the mode that say how much it displays at most, stuck and in slip [Nm]."""
+    """A law of the project's own, and the keys of the mode that say how much it displays at most,
+    stuck and in slip [Nm].
+    """
 
     function: Callable[[Any, Any, Any], float]
     extremes: tuple[str, ...]
@@ -147,7 +154,9 @@ OWN_LAWS: Mapping[str, OwnLaw] = {
     "karnopp": OwnLaw(karnopp, ("F_s_Nm", "F_d_Nm")),  # the spring ends at F_s
     "coulomb": OwnLaw(coulomb, ("F_d_Nm",)),
 }
-"""The project's own laws by their names: of all laws that a recording may name these alone run without being named again."""
+"""The project's own laws by their names: of all laws that a recording may name these alone run
+without being named again.
+"""
 
 
 def _signature() -> Any:
@@ -157,7 +166,9 @@ def _signature() -> Any:
 
 @contextmanager
 def _bounds_checked() -> Iterator[None]:
-    """Let all that is compiled meanwhile check its indices, also functions that have a decorator of their own."""
+    """Let all that is compiled meanwhile check its indices, also functions that have a decorator of
+    their own.
+    """
     with numba.core.compiler_lock.global_compiler_lock:
         before = numba.config.BOUNDSCHECK
         numba.config.BOUNDSCHECK = 1
@@ -168,10 +179,13 @@ def _bounds_checked() -> Iterator[None]:
 
 
 def compile_law(function: Callable[..., Any], cache: bool = False) -> Any:
-    """Compile `function` for the one signature of a law; what is returned is passed to kernels as a function pointer.
+    """Compile `function` for the one signature of a law.
 
-    A law that raises returns NaN, which trips; an index beyond an array's ends raises. Only the project's own laws are cached, and without
-    these checks, which they do not need: the cache would not notice an edit of what a law imports.
+    What is returned is passed to kernels as a function pointer.
+
+    A law that raises returns NaN, which trips; an index beyond an array's ends raises. Only the
+    project's own laws are cached, and without these checks, which they do not need: the cache would
+    not notice an edit of what a law imports.
     """
 
     def guarded(motion: Any, law: Any, state: Any) -> float:
@@ -206,7 +220,9 @@ def _line(function: Any, line: int | None = None) -> str:
 
 
 def _unknown_field(function: Any, name: str) -> str | None:
-    """Say where a law uses a field that its records do not have; None where that is not to be found."""
+    """Say where a law uses a field that its records do not have; None where that is not to be
+    found.
+    """
     try:
         tree = ast.parse(Path(function.__code__.co_filename).read_text(encoding="utf-8"))
     except (OSError, ValueError, SyntaxError):
@@ -254,7 +270,9 @@ def _why_not(function: Any, error: Exception) -> str:
 
 
 def find_law(place: str, directory: Path | None) -> Path:
-    """Return the law's file: beside the rig file, else in the current folder, as EDS files are looked for."""
+    """Return the law's file: beside the rig file, else in the current folder, as EDS files are
+    looked for.
+    """
     tried = [folder / place for folder in (directory, Path()) if folder is not None]
     found = next((path for path in tried if path.is_file()), None)
     if found is None:
@@ -263,7 +281,8 @@ def find_law(place: str, directory: Path | None) -> Path:
 
 
 def load_law(name: str, directory: Path | None = None) -> Any:
-    """Return the compiled law called `name`: one of `OWN_LAWS`, ``file.py:function`` in `directory` or the current folder, or ``module:function``.
+    """Return the compiled law called `name`: one of `OWN_LAWS`, ``file.py:function`` in `directory`
+    or the current folder, or ``module:function``.
 
     Raises
     ------

@@ -1,4 +1,6 @@
-"""The parent's handle of the data plane: start its process, command it, take its log and its figures."""
+"""The parent's handle of the data plane: start its process, command it, take its log and its
+figures.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,9 @@ BATCH_FRAMES = 1 << 14
 CAN_SFF_EXACT = 0x7FF | 0xC0000000  # the whole identifier, no extended and no remote frames
 PRIORITY = 80
 PARENT_NS = 2_000_000_000
-"""How long the parent may stand still while the rig is armed: nobody can stop it then, and nobody records it."""
+"""How long the parent may stand still while the rig is armed: nobody can stop it then, and nobody
+records it.
+"""
 
 
 class PlaneError(HostError):
@@ -71,9 +75,11 @@ class Spread:
 
 
 def rig_filters(controllers: Controllers) -> tuple[tuple[int, int], ...]:
-    """Return the receive filters of the data plane: the CANopen objects of host, motors and brakes, and no other identifier.
+    """Return the receive filters of the data plane: the CANopen objects of host, motors and brakes,
+    and no other identifier.
 
-    So a flood of foreign frames ends at the bus (or in Linux's CAN core) and costs the cycle nothing.
+    So a flood of foreign frames ends at the bus (or in Linux's CAN core) and costs the cycle
+    nothing.
     """
     c = controllers.control[0]
     wanted = {int(CobId.NMT), int(c["sync_cob_id"]), CobId.HEARTBEAT + int(c["host_id"])}
@@ -89,7 +95,9 @@ def default_cpu() -> int | None:
 
 
 class DataPlane:
-    """The process that runs the cycle of `controllers` on the bus at `address`. From now on they work on the shared records.
+    """The process that runs the cycle of `controllers` on the bus at `address`.
+
+    From now on they work on the shared records.
 
     Parameters
     ----------
@@ -150,7 +158,9 @@ class DataPlane:
         return self._process.pid
 
     def wait_ready(self, timeout_s: float = START_TIMEOUT_S) -> None:
-        """Wait until the data plane has loaded everything and listens; PlaneError when it does not come to that."""
+        """Wait until the data plane has loaded everything and listens; PlaneError when it does not
+        come to that.
+        """
         out = self._process.stdout
         assert out is not None
         ready, _, _ = select.select([out], [], [], timeout_s)
@@ -193,12 +203,17 @@ class DataPlane:
         self.shared.plane["command"] = Command.CYCLE
 
     def stop(self, trip: Trip = Trip.NONE) -> None:
-        """Ask for the safe state: the normal end, or for the reason `trip`; the first reason counts."""
+        """Ask for the safe state: the normal end, or for the reason `trip`.
+
+        The first reason counts.
+        """
         plane = self.shared.plane
         plane["stop"] = max(1, int(trip)) if plane["stop"][0] <= 1 else plane["stop"]
 
     def attend(self) -> None:
-        """Show that the parent runs: the data plane goes to the safe state when it has not seen that for `PARENT_NS`."""
+        """Show that the parent runs: the data plane goes to the safe state when it has not seen
+        that for `PARENT_NS`.
+        """
         self.shared.plane["parent_ns"] = time.monotonic_ns() + PARENT_NS
 
     def hold_deadman(self, until_ns: int) -> None:
@@ -210,12 +225,18 @@ class DataPlane:
         self.shared.plane["command"] = Command.LISTEN
 
     def take(self) -> Records:
-        """Return copies of the frames that were logged since the last time; stamps of CLOCK_MONOTONIC."""
+        """Return copies of the frames that were logged since the last time.
+
+        Stamps of CLOCK_MONOTONIC.
+        """
         count = take_log(self.shared.plane, self.shared.ring, self._batch)
         return self._batch[:count].copy()
 
     def take_trace(self) -> Records:
-        """Return copies of the rows of the trace (`recording.trace`) since the last time; stamps of CLOCK_MONOTONIC."""
+        """Return copies of the rows of the trace (`recording.trace`) since the last time.
+
+        Stamps of CLOCK_MONOTONIC.
+        """
         count = take_trace(self.shared.plane, self.shared.trace, self._rows)
         return self._rows[:count].copy()
 

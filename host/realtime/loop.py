@@ -1,16 +1,21 @@
-"""The data plane: the cycle against the wall clock, on a non-blocking socket, compiled into one loop without allocation.
+"""The data plane: the cycle against the wall clock, on a non-blocking socket, compiled into one
+loop without allocation.
 
-    sleep to t_k - drain what is late - SYNC - receive until all TPDOs or the end of the window - `host.cycle.step` - RPDOs - count
+    sleep to t_k - drain what is late - SYNC - receive until all TPDOs or the end of the window -
+    `host.cycle.step` - RPDOs - count
 
-t_k are absolute times of CLOCK_MONOTONIC. Periods that have passed are skipped and counted, never caught up. The loop logs every frame, its own and
-the others', into a ring that another process empties. However it ends, it sends set-points of zero torque last.
+t_k are absolute times of CLOCK_MONOTONIC. Periods that have passed are skipped and counted, never
+caught up. The loop logs every frame, its own and the others', into a ring that another process
+empties. However it ends, it sends set-points of zero torque last.
 
-It looks after its parent, too: one that has ended, or that has not shown itself in time (`PLANE.parent_ns`), is a reason for the safe state
-(HOST). After a parent that has ended the loop ends by itself, when all axes are done.
+It looks after its parent, too: one that has ended, or that has not shown itself in time
+(`PLANE.parent_ns`), is a reason for the safe state (HOST). After a parent that has ended the loop
+ends by itself, when all axes are done.
 
-Answers to what the system says: EINTR - again; EAGAIN, ENOBUFS on sending - the frame is lost, counted, not repeated (a frame that waits is a
-wrong set-point later), and too many cycles of it trip; everything else, and the other side closing - the bus is lost. Only the safe set-points
-behind the last cycle are sent again until they are taken, for `END_ATTEMPTS` ms: nothing comes after them.
+Answers to what the system says: EINTR - again; EAGAIN, ENOBUFS on sending - the frame is lost,
+counted, not repeated (a frame that waits is a wrong set-point later), and too many cycles of it
+trip; everything else, and the other side closing - the bus is lost. Only the safe set-points behind
+the last cycle are sent again until they are taken, for `END_ATTEMPTS` ms: nothing comes after them.
 
     b : the Buffers        p : the PLANE record        c, h : the CONTROL and the HOST record of an axis        f, g, r : a frame or a row
 """
@@ -58,7 +63,9 @@ SOURCE_BUS = 0
 
 
 class Buffers(NamedTuple):
-    """What the loop works on: its socket, what it shares with the parent (`SharedPlane`), and what it receives into and sends from."""
+    """What the loop works on: its socket, what it shares with the parent (`SharedPlane`), and what
+    it receives into and sends from.
+    """
 
     fd: int
     plane: Any
@@ -169,7 +176,10 @@ def take_log(plane: Any, ring: Any, out: Any) -> int:
 
 @kernel
 def _stop(p: Any, axes: Any, trip: int) -> None:
-    """Ask all axes for the safe state for the reason `trip`, or without one (1); the first reason counts."""
+    """Ask all axes for the safe state for the reason `trip`, or without one (1).
+
+    The first reason counts.
+    """
     if p.asked < trip and p.asked <= 1:
         p.asked = trip
     ask_to_stop(axes, trip)
@@ -177,7 +187,9 @@ def _stop(p: Any, axes: Any, trip: int) -> None:
 
 @kernel
 def _skip(p: Any, axes: Any, periods: int) -> int:
-    """Skip so many periods that have passed, and count them: what every axis knows is as much older. Returns how many."""
+    """Skip so many periods that have passed, and count them: what every axis knows is as much
+    older. Returns how many.
+    """
     if periods <= 0:
         return 0
     p.missed_deadlines += periods
@@ -243,7 +255,8 @@ def _take(b: Any, live: int) -> int:
 def _transmit(b: Any, patience: int) -> int:
     """Send the queue's frames; return 0, or the error of a bus that is lost.
 
-    A frame that is not taken is lost; with `patience` it is offered again, so often in all, END_PAUSE_NS apart.
+    A frame that is not taken is lost; with `patience` it is offered again, so often in all,
+    END_PAUSE_NS apart.
     """
     p, tx, out = b.plane[0], b.tx, b.out
     count = out.count
@@ -280,7 +293,10 @@ def _transmit(b: Any, patience: int) -> int:
 
 @kernel
 def _look_after_parent(p: Any, base: int, axes: Any) -> None:
-    """Ask for the safe state when the parent has ended or stands still; when it has ended and all axes are done, there is nothing left to do."""
+    """Ask for the safe state when the parent has ended or stands still.
+
+    When it has ended and all axes are done, there is nothing left to do.
+    """
     until = load_acquire(base + AT_PARENT)
     orphan = p.parent != 0 and getppid() != p.parent
     if orphan or 0 < until < now_ns():
@@ -294,7 +310,9 @@ def _look_after_parent(p: Any, base: int, axes: Any) -> None:
 
 @kernel
 def _failed(p: Any) -> bool:
-    """Tell whether a call that returned -1 has failed for good: waiting that fails comes back at once, for ever."""
+    """Tell whether a call that returned -1 has failed for good: waiting that fails comes back at
+    once, for ever.
+    """
     error = errno()
     if error in (EINTR, EAGAIN):
         return False
@@ -322,7 +340,9 @@ def _drain(b: Any) -> int:
 
 @kernel
 def _obey(b: Any) -> None:
-    """Do what the parent asks for: the safe state, the dead man's key; and look whether it is there."""
+    """Do what the parent asks for: the safe state, the dead man's key; and look whether it is
+    there.
+    """
     p, axes, base = b.plane[0], b.axes, b.plane.ctypes.data
     _stop(p, axes, load_acquire(base + AT_STOP))
     _look_after_parent(p, base, axes)
@@ -334,7 +354,10 @@ def _obey(b: Any) -> None:
 
 @kernel
 def _collect(b: Any, law_function: Any, end_ns: int) -> int:
-    """Receive until all axes have finished their cycle, or until the window for TPDOs is over; return 1 when the bus is lost."""
+    """Receive until all axes have finished their cycle, or until the window for TPDOs is over.
+
+    Return 1 when the bus is lost.
+    """
     p, axes = b.plane[0], b.axes
     messages = 0
     while messages < DRAIN_MESSAGES:
@@ -410,7 +433,10 @@ def _cycle(b: Any, law_function: Any) -> int:
 
 @kernel
 def run_plane(b: Buffers, law_function: Any) -> int:
-    """Do what the parent commands until it commands QUIT or the bus is lost; return the `Status`."""
+    """Do what the parent commands until it commands QUIT or the bus is lost.
+
+    Return the `Status`.
+    """
     p, axes = b.plane[0], b.axes
     base = b.plane.ctypes.data
     b.poll[0] = b.fd | POLLIN << 32

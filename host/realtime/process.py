@@ -1,12 +1,14 @@
-"""The data plane's process: ``python -m coulombus.host.realtime.process SETTINGS``, started by `coulombus.host.realtime.data_plane` with two open
-descriptors.
+"""The data plane's process: ``python -m coulombus.host.realtime.process SETTINGS``, started by
+`coulombus.host.realtime.data_plane` with two open descriptors.
 
-It is apart from the parent's interpreter, so that no lock, no garbage collection and no other thread of it can hold a cycle up. Until it is ready it
-dies with its parent (PR_SET_PDEATHSIG). From then on the loop looks after the parent: when that has ended, the rig is made safe as after a
-trip, and the process ends (`host.realtime.loop`). The signals that end a verb are the parent's business: this process has a session of its own, out
-of the terminal's reach, and they are blocked.
+It is apart from the parent's interpreter, so that no lock, no garbage collection and no other
+thread of it can hold a cycle up. Until it is ready it dies with its parent (PR_SET_PDEATHSIG). From
+then on the loop looks after the parent: when that has ended, the rig is made safe as after a trip,
+and the process ends (`host.realtime.loop`). The signals that end a verb are the parent's business:
+this process has a session of its own, out of the terminal's reach, and they are blocked.
 
-One line of JSON on the standard output tells that it is ready, and which real-time rights it was refused.
+One line of JSON on the standard output tells that it is ready, and which real-time rights it was
+refused.
 """
 
 from __future__ import annotations
@@ -40,7 +42,9 @@ def new_buffers(fd: int, shared: SharedPlane) -> Buffers:
 
 
 def _warm_up(shared: SharedPlane, buffers: Buffers, law_function: Any) -> None:
-    """Load (or compile) the loop by a call that ends at once, and touch every page of the ring and the histograms."""
+    """Load (or compile) the loop by a call that ends at once, and touch every page of the ring and
+    the histograms.
+    """
     command = int(shared.plane["command"][0])
     shared.plane["command"] = Command.QUIT
     run_plane(buffers, law_function)

@@ -1,8 +1,9 @@
 """What the data plane and its parent share: one anonymous file in memory, mapped by both processes.
 
-The parent fills in the AXIS records, and commands; the data plane runs the cycle on the very same records, logs the frames into a ring
-and counts. Fields of PLANE that one side polls and the other writes are read and written atomically (`compiled.libc`); everything else is
-written by one side only while the other looks on.
+The parent fills in the AXIS records, and commands; the data plane runs the cycle on the very same
+records, logs the frames into a ring and counts. Fields of PLANE that one side polls and the other
+writes are read and written atomically (`compiled.libc`); everything else is written by one side
+only while the other looks on.
 """
 
 from __future__ import annotations
@@ -25,7 +26,10 @@ RING_FRAMES = 1 << 16
 """About seven seconds of frames at 1 kHz; a power of two."""
 
 BINS = 20_000
-"""Microseconds that the histograms resolve; what is later is in the last bin, and its maximum is kept."""
+"""Microseconds that the histograms resolve.
+
+What is later is in the last bin, and its maximum is kept.
+"""
 
 TRACE_ROWS = 1 << 15
 """Rows of the trace (`recording.trace`), two or three for each cycle."""

@@ -1,7 +1,9 @@
-"""A rig whose axes hang on several buses: one process for each of them (where they are: `rigs.buses`).
+"""A rig whose axes hang on several buses: one process for each of them (where they are:
+`rigs.buses`).
 
-Every bus has its own cycle, its own SYNC and its own process, started with ``--channel``: the buses share no thread and no lock. Their
-supervisor passes signals on, and when one ends other than well it ends the others, which is their safe end.
+Every bus has its own cycle, its own SYNC and its own process, started with ``--channel``: the buses
+share no thread and no lock. Their supervisor passes signals on, and when one ends other than well
+it ends the others, which is their safe end.
 """
 
 from __future__ import annotations
@@ -72,7 +74,8 @@ def supervise(
     Parameters
     ----------
     arguments : channel -> the command's words
-    tell : called with (channel, line) for each line of output; default keeps them in `BusProcess.lines`
+    tell : called with (channel, line) for each line of output; default keeps them in
+        `BusProcess.lines`
     """
     buses: list[BusProcess] = []
     wanted = 0
@@ -137,9 +140,10 @@ def supervise(
 def merged(results: Mapping[str, Mapping[str, Any] | None], statuses: Mapping[str, int]) -> dict[str, Any]:
     """Return the results of several buses as one.
 
-    The figures of the first bus that has any, the axes of all, the sums of the counters, the sign check that leaves the most doubt, the
-    remarks of all, the first trip, every bus' own result under ``buses``, and the exit status that counts, with its reason: that of the
-    first bus that did not end well by itself.
+    The figures of the first bus that has any, the axes of all, the sums of the counters, the sign
+    check that leaves the most doubt, the remarks of all, the first trip, every bus' own result
+    under ``buses``, and the exit status that counts, with its reason: that of the first bus that
+    did not end well by itself.
     """
     told = {channel: result for channel, result in results.items() if result is not None}
     whole: dict[str, Any] = dict(next((result for result in told.values() if "error" not in result), {}))

@@ -1,7 +1,9 @@
-"""The running host's door: a socket beside the bus', by which ``coulombus stop`` asks for a safe stop, and by which a second host knows of it.
+"""The running host's door: a socket beside the bus', by which ``coulombus stop`` asks for a safe
+stop, and by which a second host knows of it.
 
-The asker sends ``stop``. The host answers ``accepted`` as soon as it has read it, and at its end what came of it, as JSON. Only after
-``accepted`` is the end of the connection the end of the host; before, it may be anything, and the rig may be armed still.
+The asker sends ``stop``. The host answers ``accepted`` as soon as it has read it, and at its end
+what came of it, as JSON. Only after ``accepted`` is the end of the connection the end of the host;
+before, it may be anything, and the rig may be armed still.
 """
 
 from __future__ import annotations
@@ -23,7 +25,10 @@ STOP_TIMEOUT_S = 30.0
 MESSAGE_BYTES = 1 << 16
 STOP, ACCEPTED = b"stop", b"accepted"
 ASKERS = 16
-"""Who may be connected at a time; one more takes the place of the one that has been silent for longest."""
+"""Who may be connected at a time.
+
+One more takes the place of the one that has been silent for longest.
+"""
 SILENT_S = 1.0
 """How long one may be connected and say nothing."""
 BACKLOG = 8
@@ -56,7 +61,9 @@ class _Asker:
         self.connection, self.since, self.accepted = connection, time.monotonic(), False
 
     def asks(self) -> bool | None:
-        """Tell whether a stop is asked for now; None: it has gone, talks nonsense, or has said nothing for too long."""
+        """Tell whether a stop is asked for now; None: it has gone, talks nonsense, or has said
+        nothing for too long.
+        """
         try:
             message = self.connection.recv(MESSAGE_BYTES)
         except BlockingIOError:
@@ -110,7 +117,10 @@ class HostSocket:
             raise
 
     def stop_wanted(self) -> bool:
-        """Tell whether somebody has asked for a stop since the last time. OSError: nobody can come in any more."""
+        """Tell whether somebody has asked for a stop since the last time.
+
+        OSError: nobody can come in any more.
+        """
         self._let_in()
         wanted = False
         for asker in list(self._askers):
@@ -141,7 +151,10 @@ class HostSocket:
         asker.connection.close()
 
     def close(self, result: dict[str, Any] | None = None) -> None:
-        """Tell those who asked what came of it, and let go of the bus. May be called again; raises nothing."""
+        """Tell those who asked what came of it, and let go of the bus.
+
+        May be called again; raises nothing.
+        """
         if self._listener.fileno() < 0:
             return
         with suppress(Exception):  # who asked at the last moment hears of it, too
@@ -161,7 +174,9 @@ def _occupied(address: BusAddress) -> str:
 
 
 class StopRequest:
-    """Asks the host on a bus to stop safely; `result` waits for its end. What goes wrong is told there.
+    """Asks the host on a bus to stop safely; `result` waits for its end.
+
+    What goes wrong is told there.
 
     Parameters
     ----------
@@ -201,7 +216,9 @@ class StopRequest:
         return self._socket.recv(MESSAGE_BYTES)
 
     def result(self) -> dict[str, Any]:
-        """Wait for the host's end and return what it tells; empty: it took the request and ended without a word.
+        """Wait for the host's end and return what it tells.
+
+        Empty: it took the request and ended without a word.
 
         Raises
         ------
@@ -241,7 +258,8 @@ class StopRequest:
 
 
 def stop_host(address: BusAddress, timeout_s: float = STOP_TIMEOUT_S) -> dict[str, Any]:
-    """Ask the host on a bus to stop safely, wait for its end, and return what it tells (`StopRequest.result`).
+    """Ask the host on a bus to stop safely, wait for its end, and return what it tells
+    (`StopRequest.result`).
 
     Raises
     ------

@@ -1,9 +1,9 @@
 """The course of a run: arming, display, safe end, and what came of it.
 
-It is the same in virtual time and against the wall clock. `lab.simulate` and `host.run.real_run` say
-what time is and how it passes; what is done in it, and in which order, stands here. The recording's
-markers are made here, too: for each axis ``phase KIND`` ... ``phase end``, and at last ``safe`` or
-``trip WHY``.
+It is the same in virtual time and against the wall clock. `lab.simulate` and `host.run.real_run`
+say what time is and how it passes; what is done in it, and in which order, stands here. The
+recording's markers are made here, too: for each axis ``phase KIND`` ... ``phase end``, and at last
+``safe`` or ``trip WHY``.
 """
 
 from __future__ import annotations
@@ -38,7 +38,9 @@ class Figures(NamedTuple):
 
 
 class Course(ABC):
-    """The course of one run. All times are nanoseconds of the run's own clock, which `now_ns` reads.
+    """The course of one run.
+
+    All times are nanoseconds of the run's own clock, which `now_ns` reads.
 
     Attributes
     ----------
@@ -65,7 +67,9 @@ class Course(ABC):
 
     @property
     def starts_ns(self) -> tuple[int | None, ...]:
-        """When each axis' drive entered Operation Enabled, which begins its schedule; None while it has not."""
+        """When each axis' drive entered Operation Enabled, which begins its schedule; None while it
+        has not.
+        """
         found = (int(controller.host["enabled_ns"][0]) for controller in self.k)
         return tuple(None if start < 0 else start for start in found)
 
@@ -76,7 +80,9 @@ class Course(ABC):
 
     @abstractmethod
     def look(self, until_ns: int, done: Callable[[], bool]) -> bool:
-        """Let a little time pass, at most to `until_ns` or until `done`, and look after the run once; return False when it is to end."""
+        """Let a little time pass, at most to `until_ns` or until `done`, and look after the run
+        once; return False when it is to end.
+        """
 
     @abstractmethod
     def stop(self, trip: Trip = Trip.NONE) -> None:
@@ -112,7 +118,9 @@ class Course(ABC):
         self.mark_end()
 
     def _one_more(self) -> bool:
-        """Tell whether a drive has been enabled whose schedule has not begun, or the arming has ended."""
+        """Tell whether a drive has been enabled whose schedule has not begun, or the arming has
+        ended.
+        """
         return self.marks.begun < len(self.k.each) - self.starts_ns.count(None) or self.k.ending
 
     # markers and recording
@@ -123,7 +131,8 @@ class Course(ABC):
             self.recorder.mark(t_ns, text)
 
     def mark_course(self, before_ns: int) -> None:
-        """Mark the phases that began before `before_ns`, each axis' from its own start, and the safe state.
+        """Mark the phases that began before `before_ns`, each axis' from its own start, and the
+        safe state.
 
         To be called before the frames of that time are recorded.
         """
@@ -144,12 +153,17 @@ class Course(ABC):
         self.mark(self.now_ns if safe_ns is None else safe_ns, f"trip {trip}" if trip else "safe")
 
     def _shown_ns(self) -> int:
-        """Return until when there is, or was, something to display: until now, or until the safe state began."""
+        """Return until when there is, or was, something to display: until now, or until the safe
+        state began.
+        """
         now_ns, safe_ns = self.now_ns, self.safe_ns
         return now_ns if safe_ns is None else min(now_ns, safe_ns)
 
     def record(self, write: Callable[[Recorder], None]) -> None:
-        """Write to the recording; where that fails, the rig is made safe, and nothing more is written."""
+        """Write to the recording.
+
+        Where that fails, the rig is made safe, and nothing more is written.
+        """
         if self.recorder is None or self.failure is not None:
             return
         try:
@@ -176,7 +190,9 @@ class Course(ABC):
         return Figures([measure(one) for one in blocks(self.path).axes], sha256)
 
     def result_of(self, figures: Figures, **own: Any) -> RunResult:
-        """Return what the run came to; `own` are the fields of `RunResult` that virtual time and a rig do not have alike."""
+        """Return what the run came to; `own` are the fields of `RunResult` that virtual time and a
+        rig do not have alike.
+        """
         return RunResult.of(
             self.k,
             figures.each,

@@ -1,7 +1,8 @@
 """The dead man's switch: what the rig file asks for, and the key that is held in the terminal.
 
-A held key reaches a program as repeats, which begin some tenths of a second after the first stroke. So one stroke counts for nothing; two within
-`RELEASE_S` count as held, until none has come for `RELEASE_S`.
+A held key reaches a program as repeats, which begin some tenths of a second after the first stroke.
+So one stroke counts for nothing; two within `RELEASE_S` count as held, until none has come for
+`RELEASE_S`.
 """
 
 from __future__ import annotations
@@ -29,10 +30,11 @@ KEY = b" "
 
 
 def deadman_of(rig: Rig, mode: str, address: BusAddress) -> str:
-    """Return the dead man's switch of a run: "none", "key", "object:INDEX:SUB" or "object:INDEX:SUB:MASK".
+    """Return the dead man's switch of a run: "none", "key", "object:INDEX:SUB" or
+    "object:INDEX:SUB:MASK".
 
-    A virtual bus moves nobody, and needs none. On an interface of Linux a mode in which the motor of any axis has torque needs one, or the
-    rig file says in so many words that there is none.
+    A virtual bus moves nobody, and needs none. On an interface of Linux a mode in which the motor
+    of any axis has torque needs one, or the rig file says in so many words that there is none.
 
     Raises
     ------
@@ -52,7 +54,9 @@ def deadman_of(rig: Rig, mode: str, address: BusAddress) -> str:
 
 
 class HeldKey:
-    """Watches the space bar of the terminal in a thread; calls ``hold(until_ns)`` (CLOCK_MONOTONIC) with every repeat.
+    """Watches the space bar of the terminal in a thread.
+
+    Calls ``hold(until_ns)`` (CLOCK_MONOTONIC) with every repeat.
 
     Raises
     ------

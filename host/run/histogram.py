@@ -1,4 +1,6 @@
-"""The picture of a real run's timing: how late the cycle woke, and how long after SYNC its set-points went out."""
+"""The picture of a real run's timing: how late the cycle woke, and how long after SYNC its
+set-points went out.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,8 @@ BINS_PER_DECADE = 20
 
 
 def coarse(bins: Counts) -> tuple[npt.NDArray[np.float64], Counts]:
-    """Return edges [us] on a logarithmic grid, and counts of a histogram whose bins are one microsecond wide.
+    """Return edges [us] on a logarithmic grid, and counts of a histogram whose bins are one
+    microsecond wide.
 
     The first edge is 1 us: shorter times are counted with those between 1 and 2 us.
     """

@@ -1,7 +1,10 @@
-"""One run of the rig against the wall clock, on a bus: the host alone. The nodes are where the bus says, simulated or not.
+"""One run of the rig against the wall clock, on a bus: the host alone.
 
-The parent of the data plane (`host.realtime.data_plane`) lives here: it brings the nodes up over SDO, starts the cycle, writes what the data plane
-logs to the recording, watches everything, and ends the run safely - when the time is over, on a signal, on ``coulombus stop``, or on a trip.
+The nodes are where the bus says, simulated or not.
+
+The parent of the data plane (`host.realtime.data_plane`) lives here: it brings the nodes up over
+SDO, starts the cycle, writes what the data plane logs to the recording, watches everything, and
+ends the run safely - when the time is over, on a signal, on ``coulombus stop``, or on a trip.
 """
 
 from __future__ import annotations
@@ -54,7 +57,9 @@ STUCK_S = 2.0  # a data plane that does not cycle for so long is dead
 
 
 class _RealRun(Course):
-    """The course against the wall clock: times are CLOCK_MONOTONIC's, and in them the data plane is looked after."""
+    """The course against the wall clock: times are CLOCK_MONOTONIC's, and in them the data plane is
+    looked after.
+    """
 
     def __init__(
         self,
@@ -103,9 +108,12 @@ class _RealRun(Course):
         super().mark(t_ns - self.zero_ns, text)
 
     def drain(self, seen_ns: int | None = None) -> None:
-        """Write what the data plane has logged, in the order of the stamps; with `seen_ns` the rest waits for the next batch.
+        """Write what the data plane has logged, in the order of the stamps.
 
-        All that was to be marked up to `seen_ns` is marked: a frame that may still get a marker is not written.
+        With `seen_ns` the rest waits for the next batch.
+
+        All that was to be marked up to `seen_ns` is marked: a frame that may still get a marker is
+        not written.
         """
         final = seen_ns is None
         rows = self.plane.take_trace()
@@ -200,7 +208,10 @@ class _RealRun(Course):
             self.make_safe()
 
     def _fail(self, error: Exception) -> None:
-        """Make a trip of an error of this process; the first one counts. Raises nothing, be there no memory even for the text."""
+        """Make a trip of an error of this process; the first one counts.
+
+        Raises nothing, be there no memory even for the text.
+        """
         first, self.error = self.error is None, self.error or "an error"
         with suppress(Exception):
             self.plane.stop(Trip.HOST)
@@ -217,7 +228,10 @@ class _RealRun(Course):
             self._fail(error)
 
     def make_safe(self) -> None:
-        """Ask for the safe state and wait for its end. The data plane goes there by itself: an error in here ends the looking on, not the waiting."""
+        """Ask for the safe state and wait for its end.
+
+        The data plane goes there by itself: an error in here ends the looking on, not the waiting.
+        """
         deadline, failures = 0, 0
         while failures < FAILURES:
             try:
@@ -234,7 +248,10 @@ class _RealRun(Course):
         self._attempt(self.mark_end)
 
     def look(self, until_ns: int, done: Callable[[], bool]) -> bool:
-        """Look after the run once, a little later; return False when it is to end: on a signal, on request, or because it has tripped."""
+        """Look after the run once, a little later.
+
+        Return False when it is to end: on a signal, on request, or because it has tripped.
+        """
         if not self._supervise() or self.k.ending or self.plane.status is Status.LOST:
             return False
         if self.signals.number:
@@ -246,7 +263,10 @@ class _RealRun(Course):
         return True
 
     def _supervise(self) -> bool:
-        """Mark what has begun, drain the log, see whether the data plane is alive; return False when it is not."""
+        """Mark what has begun, drain the log, see whether the data plane is alive.
+
+        Return False when it is not.
+        """
         time.sleep(POLL_S)
         self.plane.attend()
         seen_ns = time.monotonic_ns()
@@ -273,7 +293,9 @@ class _RealRun(Course):
         h["phase"] = Phase.DONE
 
     def _never_cycled(self) -> None:
-        """The bus was lost between the last look at the data plane and its first cycle: that is a trip, too."""
+        """The bus was lost between the last look at the data plane and its first cycle: that is a
+        trip, too.
+        """
         h = self.k.host
         running = h["phase"] < Phase.SAFE
         if self.plane.status is Status.LOST and running.any():
@@ -281,7 +303,10 @@ class _RealRun(Course):
             h["phase"] = Phase.DONE
 
     def end(self) -> None:
-        """Leave the nodes in PRE-OPERATIONAL, end the data plane, close the recording. An error of one of them keeps none of the others from it."""
+        """Leave the nodes in PRE-OPERATIONAL, end the data plane, close the recording.
+
+        An error of one of them keeps none of the others from it.
+        """
         cycling = self.plane.status is Status.CYCLING and self.plane.alive
         if cycling:  # first: a node that misses SYNC, or the heartbeat, would call it a fault
             self._attempt(lambda: release(self.k, self.control), BusUnavailable, can.CanError)  # the bus may be gone
@@ -303,7 +328,9 @@ class _RealRun(Course):
 
     @property
     def trip(self) -> str | None:
-        """Why the run ended in its safe state, with what this process and the bus have to say of it."""
+        """Why the run ended in its safe state, with what this process and the bus have to say of
+        it.
+        """
         trip, first = super().trip, self.k.tripped
         if self.failure is not None:
             return trip
@@ -382,7 +409,9 @@ class _RealRun(Course):
 
 @contextmanager
 def _refusing() -> Iterator[None]:
-    """Make a refusal, with its exit status, of every error that is nobody's mistake and comes before anything is armed (after it: a trip)."""
+    """Make a refusal, with its exit status, of every error that is nobody's mistake and comes
+    before anything is armed (after it: a trip).
+    """
     try:
         yield
     except Exception as error:

@@ -41,18 +41,25 @@ class Doubts:
     stopped_by: str | None = None
     """Who ended the run before its time without a trip: SIGINT, SIGTERM, "coulombus stop"."""
     remarks: tuple[str, ...] = ()
-    """Where the display was not what the rig file says: a limit cut the law off, or the hand began before the law's gain was 1."""
+    """Where the display was not what the rig file says: a limit cut the law off, or the hand began
+    before the law's gain was 1.
+    """
     losses: list[str] | None = None
-    """What bring-up left out, as a device is not ours or has no such object, and what the host loses by that."""
+    """What bring-up left out, as a device is not ours or has no such object, and what the host
+    loses by that.
+    """
     faults: list[dict[str, Any]] | None = None
     """What each fault of a fault file came to: kind, line, times, first_s, last_s."""
     controllers: dict[str, dict[str, Any]] | None = None
-    """State and error counters of each node's CAN controller at the end, where there was a fault file."""
+    """State and error counters of each node's CAN controller at the end, where there was a fault
+    file.
+    """
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunResult(Doubts, Timing, Measures):
-    """What a run came to: the display's figures, its timing, its doubts, and where all that is recorded.
+    """What a run came to: the display's figures, its timing, its doubts, and where all that is
+    recorded.
 
     Figures of the display are None when nothing was recorded, or without the phase they belong to.
     """
@@ -64,15 +71,19 @@ class RunResult(Doubts, Timing, Measures):
     recording_sha256: str | None
     sign_check: str
     full_gain_s: float | None = None
-    """When the law was shown whole, its gain at 1: from Operation Enabled, where the operator's schedule begins."""
+    """When the law was shown whole, its gain at 1: from Operation Enabled, where the operator's
+    schedule begins.
+    """
     counters: dict[str, int]
     exit_status: int
     bus: str | None = None
     """Where the run was; None in virtual time."""
     deadman: str | None = None
     axes: dict[str, dict[str, Any]] | None = None
-    """Each axis' own figures by its name; None where the rig has one axis. The figures of hold and dwells above are then those of the first,
-    `cycles` and `full_gain_s` the most, `sign_check` the one that leaves the most doubt, and all counters sums."""
+    """Each axis' own figures by its name; None where the rig has one axis. The figures of hold and
+    dwells above are then those of the first, `cycles` and `full_gain_s` the most, `sign_check` the
+    one that leaves the most doubt, and all counters sums.
+    """
     buses: dict[str, dict[str, Any]] | None = None
     """Each bus' own result by its channel; None where the rig has one bus."""
 
@@ -87,7 +98,8 @@ class RunResult(Doubts, Timing, Measures):
         losses: Sequence[str],
         **own: Any,
     ) -> RunResult:
-        """Return what a run came to: what is alike in virtual time and on a rig from its controllers, the rest as given.
+        """Return what a run came to: what is alike in virtual time and on a rig from its
+        controllers, the rest as given.
 
         Parameters
         ----------

@@ -1,4 +1,6 @@
-"""The operator's schedule in a run: the markers of its phases, each axis' from its own start, and what a run has to tell about the display."""
+"""The operator's schedule in a run: the markers of its phases, each axis' from its own start, and
+what a run has to tell about the display.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,10 @@ CLIPPED = {
 
 
 class PhaseMarks:
-    """The markers "phase KIND" and "phase end" of every axis that has begun; with several axes the axis stands before, "left.phase hold"."""
+    """The markers "phase KIND" and "phase end" of every axis that has begun.
+
+    With several axes the axis stands before, "left.phase hold".
+    """
 
     def __init__(self, rig: Rig) -> None:
         self._axes = rig.axes
@@ -72,7 +77,9 @@ class PhaseMarks:
 
 
 def full_gain_s(controllers: Controllers) -> float | None:
-    """Return when the law of the last axis was shown whole, its gain at 1, from the start of that axis' schedule [s]; None: it never was."""
+    """Return when the law of the last axis was shown whole, its gain at 1, from the start of that
+    axis' schedule [s]; None: it never was.
+    """
     found = [_full_gain_s(k) for k in controllers]
     return None if None in found else max(one for one in found if one is not None)
 
@@ -83,7 +90,9 @@ def _full_gain_s(controller: Controller) -> float | None:
 
 
 def display_remarks(controllers: Controllers) -> tuple[str, ...]:
-    """Return in words where a display was not what the rig file says: a law that was cut off, a hand that began too early."""
+    """Return in words where a display was not what the rig file says: a law that was cut off, a
+    hand that began too early.
+    """
     return tuple(text for k in controllers for text in (*_clipped(k), *_too_early(k)))
 
 
@@ -96,7 +105,10 @@ def _clipped(k: Controller) -> Iterator[str]:
 
 
 def _too_early(k: Controller) -> Iterator[str]:
-    """The hand's schedule counts from Operation Enabled; the sign check and the ramp of the law's gain follow that."""
+    """The hand's schedule counts from Operation Enabled.
+
+    The sign check and the ramp of the law's gain follow that.
+    """
     moves = [
         (at, phase) for at, phase in zip(k.axis.phase_starts_s, k.axis.phases, strict=False) if phase.kind != "rest"
     ]

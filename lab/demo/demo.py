@@ -1,7 +1,8 @@
-"""The paper's experiment: the same hand holds and strokes the handle, once with active and once with hybrid force feedback.
+"""The paper's experiment: the same hand holds and strokes the handle, once with active and once
+with hybrid force feedback.
 
-Every figure comes out of the recordings. The demo passes when the active display shows the limit cycle and the hybrid one holds still under a
-real push.
+Every figure comes out of the recordings. The demo passes when the active display shows the limit
+cycle and the hybrid one holds still under a real push.
 """
 
 from __future__ import annotations
@@ -100,7 +101,10 @@ def judge(rig: Rig, results: dict[str, RunResult]) -> tuple[Criterion, ...]:
 
 
 def run_demo(rig: Rig, directory: Path, *, seed: int = 0, progress: Callable[[str, float], None] | None = None) -> Demo:
-    """Run both modes through the rig's schedule; write recordings and ``demo.json`` under `directory`, in place of former ones."""
+    """Run both modes through the rig's schedule.
+
+    Write recordings and ``demo.json`` under `directory`, in place of former ones.
+    """
     directory.mkdir(parents=True, exist_ok=True)
     seconds = rig.schedule_s
     results = {}

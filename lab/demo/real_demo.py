@@ -1,4 +1,6 @@
-"""The paper's experiment in real time: for each mode a ``coulombus sim`` process with bus, nodes and rig, and a host on its bus."""
+"""The paper's experiment in real time: for each mode a ``coulombus sim`` process with bus, nodes
+and rig, and a host on its bus.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,9 @@ class SimDied(HostError):
 
 
 class SimProcess:
-    """A ``coulombus sim`` of its own; `wait_ready` before use, and as a context manager it is ended at the end."""
+    """A ``coulombus sim`` of its own; `wait_ready` before use, and as a context manager it is ended
+    at the end.
+    """
 
     def __init__(self, rig: str, address: BusAddress, mode: str, seed: int, overrides: Sequence[str]) -> None:
         self.address = address
@@ -85,7 +89,9 @@ def run_real_demo(
     signals: Signals | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> Demo:
-    """Run both modes against the wall clock; write the recordings and ``demo.json`` under `directory`.
+    """Run both modes against the wall clock.
+
+    Write the recordings and ``demo.json`` under `directory`.
 
     Parameters
     ----------

@@ -110,7 +110,9 @@ def draw_detail(axes: Axes, data: Traces, begin_s: float) -> None:
 
 
 def figure_14(recordings: Mapping[str, Source], path: Path) -> None:
-    """Save torque and velocity of each recording, one column a mode, as a picture (the ending names the format)."""
+    """Save torque and velocity of each recording, one column a mode, as a picture (the ending names
+    the format).
+    """
     import matplotlib
 
     matplotlib.use("Agg")

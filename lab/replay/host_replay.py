@@ -1,10 +1,13 @@
-"""``coulombus replay FILE --host``: the controller on a recording's inputs, held against the recording's outputs.
+"""``coulombus replay FILE --host``: the controller on a recording's inputs, held against the
+recording's outputs.
 
-Without overrides every SYNC, heartbeat and RPDO must come out bit for bit; the first one that does not is shown signal by signal. So must
-it with a law that is named anew, if its source is the recorded one. A law of the user's own runs only if it is named so: a recording may be
-a stranger's, and its law is a program. With another law, or other values of the rig file, differences are expected: then the difference of
-each commanded signal is given as RMS. The rig does not react to what is computed here, so this tells what another law would have asked for,
-not what would have come of it.
+Without overrides every SYNC, heartbeat and RPDO must come out bit for bit; the first one that does
+not is shown signal by signal. So must it with a law that is named anew, if its source is the
+recorded one. A law of the user's own runs only if it is named so: a recording may be a stranger's,
+and its law is a program. With another law, or other values of the rig file, differences are
+expected: then the difference of each commanded signal is given as RMS. The rig does not react to
+what is computed here, so this tells what another law would have asked for, not what would have come
+of it.
 """
 
 from __future__ import annotations
@@ -38,7 +41,9 @@ class ReplayError(Exception):
 
 @dataclass(frozen=True)
 class Difference:
-    """The first frame that came out otherwise; `recorded` or `computed` is None where there is none."""
+    """The first frame that came out otherwise; `recorded` or `computed` is None where there is
+    none.
+    """
 
     t_s: float
     cycle: int
@@ -63,12 +68,16 @@ class HostReplay:
     refused: int = 0
     """Frames that the step sent and the bus had not taken: none of them is in the recording."""
     unchecked: int = 0
-    """Recorded frames behind the trace's end: the recording process was killed, or the file is torn."""
+    """Recorded frames behind the trace's end: the recording process was killed, or the file is
+    torn.
+    """
     difference: Difference | None = None
     rms: dict[str, float] | None = None
     """With overrides: RMS difference of each signal that the host commands [its unit]."""
     judged: bool = True
-    """Whether all must come out the same: without overrides, and with a law that is the recorded one."""
+    """Whether all must come out the same: without overrides, and with a law that is the recorded
+    one.
+    """
     recorded_trip: str | None = None
     computed_trip: str | None = None
     remarks: tuple[str, ...] = ()
@@ -88,15 +97,16 @@ def host_replay(path: str | Path, overrides: Sequence[str] = (), rig: Rig | None
 
     Parameters
     ----------
-    overrides : ``SECTION.KEY=VALUE`` of the rig file; differences are then measured, not held to be mistakes; `law.function` with the
-        source that is attached is no such override
+    overrides : ``SECTION.KEY=VALUE`` of the rig file; differences are then measured, not held to be
+        mistakes; `law.function` with the source that is attached is no such override
     rig : this one and not the attached one
 
     Raises
     ------
     ReplayError
         The recording lacks something; nothing was computed.
-    coulombus.rigs.rig.RigError, coulombus.host.laws.laws.LawError, coulombus.recording.pcapng_blocks.PcapngError
+    coulombus.rigs.rig.RigError, coulombus.host.laws.laws.LawError,
+    coulombus.recording.pcapng_blocks.PcapngError
     """
     recording = read(path, rig=rig)
     attachments = recording.capture.attachments
@@ -225,7 +235,9 @@ class _Check:
             result.rms = self._rms()
 
     def _ended(self, sent: Sent) -> bool:
-        """Tell whether this is the cycle that the recording does not have: in virtual time the host goes on for ever."""
+        """Tell whether this is the cycle that the recording does not have: in virtual time the host
+        goes on for ever.
+        """
         if sent.can_id != CobId.SYNC or self.at[sent.can_id] < len(self.streams[sent.can_id]):
             return False
         if not self.controllers.done:

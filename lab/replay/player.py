@@ -1,7 +1,8 @@
 """Play recorded frames onto a bus with their original timing.
 
-Each frame has an absolute deadline, so nothing drifts: a frame that was late makes the next one no later. A stamp is the end of a frame; on a bus
-that tells its bit rate a frame is sent one frame's length earlier, so that on an idle bus it ends when it ended then.
+Each frame has an absolute deadline, so nothing drifts: a frame that was late makes the next one no
+later. A stamp is the end of a frame; on a bus that tells its bit rate a frame is sent one frame's
+length earlier, so that on an idle bus it ends when it ended then.
 """
 
 from __future__ import annotations
@@ -37,7 +38,8 @@ NOTHING = ((0x20000000, 0),)
 class Tape:
     """Frames in the order in which they are played.
 
-    `t_ns` are times from the run's start or, where stamps come from a clock, from the first frame, as `coulombus decode` shows them.
+    `t_ns` are times from the run's start or, where stamps come from a clock, from the first frame,
+    as `coulombus decode` shows them.
     """
 
     path: str
@@ -52,7 +54,9 @@ class Tape:
 
 @dataclass(frozen=True)
 class Played:
-    """What was played: frames, how late they were sent [us], how often the bus was full, and how long it took [s]."""
+    """What was played: frames, how late they were sent [us], how often the bus was full, and how
+    long it took [s].
+    """
 
     frames: int
     loops: int
@@ -70,7 +74,8 @@ class Stop(Protocol):
 
 
 def load_tape(path: str | Path) -> Tape:
-    """Read what can be played: pcapng, and what python-can reads (candump's .log, .asc, .blf, .trc, .csv, .mf4, .db, each also .gz).
+    """Read what can be played: pcapng, and what python-can reads (candump's .log, .asc, .blf, .trc,
+    .csv, .mf4, .db, each also .gz).
 
     Error frames and CAN FD frames are left out, with a remark.
 
@@ -168,7 +173,9 @@ def play(
 
 
 def _plan(tape: Tape, bitrate_bit_s: int, speed: float) -> tuple[list[bytes], list[int], int]:
-    """Return each frame's bytes, when it is due after the beginning [ns], and how long one loop lasts [ns]."""
+    """Return each frame's bytes, when it is due after the beginning [ns], and how long one loop
+    lasts [ns].
+    """
     frames = tape.frames
     columns = (frames[name].tolist() for name in ("can_id", "length", "word"))
     messages, lengths = [], np.zeros(len(frames), np.int64)

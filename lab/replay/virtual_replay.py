@@ -1,12 +1,15 @@
-"""``coulombus replay FILE --virtual``: the nodes and the bus in virtual time on a recording's host, held against the recording.
+"""``coulombus replay FILE --virtual``: the nodes and the bus in virtual time on a recording's host,
+held against the recording.
 
-The frames that the host sent are asked for again at the instants at which they started on the wire; the simulated nodes, the rig and the hand are
-computed anew from the attached rig, mode and seed. So every frame must come out again: the same order, the same bytes, and the
-same end of frame to the nanosecond.
+The frames that the host sent are asked for again at the instants at which they started on the wire;
+the simulated nodes, the rig and the hand are computed anew from the attached rig, mode and seed. So
+every frame must come out again: the same order, the same bytes, and the same end of frame to the
+nanosecond.
 
-That holds for recordings whose stamps are the bus's own time: of `coulombus simulate --record`, and of a session in real time as
-`coulombus sim --record` keeps it. A recording of `coulombus run` has the stamps of the
-host's clock, of when frames reached it, and does not tell when the bus carried them: it is refused here; `--host` checks it.
+That holds for recordings whose stamps are the bus's own time: of `coulombus simulate --record`, and
+of a session in real time as `coulombus sim --record` keeps it. A recording of `coulombus run` has
+the stamps of the host's clock, of when frames reached it, and does not tell when the bus carried
+them: it is refused here; `--host` checks it.
 """
 
 from __future__ import annotations
@@ -87,7 +90,8 @@ def virtual_replay(path: str | Path, rig: Rig | None = None) -> VirtualReplay:
     Raises
     ------
     coulombus.lab.replay.host_replay.ReplayError
-        The recording's stamps are not the bus's time, it does not tell mode and seed, or there were faults.
+        The recording's stamps are not the bus's time, it does not tell mode and seed, or there were
+        faults.
     coulombus.rigs.rig.RigError, coulombus.recording.pcapng_blocks.PcapngError
     """
     recording = read(path, rig=rig)
@@ -135,7 +139,9 @@ class _DifferentError(Exception):
 
 
 class _Comparison:
-    """Holds what is computed against the recorded frames as it comes, up to the first that is `other` than recorded."""
+    """Holds what is computed against the recorded frames as it comes, up to the first that is
+    `other` than recorded.
+    """
 
     def __init__(self, frames: Records) -> None:
         self.frames, self.same, self.other = frames, 0, frames[:0]
@@ -153,7 +159,9 @@ class _Comparison:
 
 
 class _Nodes(VirtualRig):
-    """The rig with its nodes, and a host that listens only: whoever looks at a frame lets the devices sample, and that draws from the noise."""
+    """The rig with its nodes, and a host that listens only: whoever looks at a frame lets the
+    devices sample, and that draws from the noise.
+    """
 
     def ask(self, frames: Records) -> None:
         """Let frames of the host take part in the arbitration from when they started on."""
@@ -188,7 +196,9 @@ def _compute(
 def _compute_paced(
     recording: Recording, mode: str, seed: int, sent: npt.NDArray[np.bool_], on_frames: Callable[[Records], None]
 ) -> None:
-    """As `_compute`, of what a bus in real time recorded: its clients are elsewhere, and the hand rests when the drive does."""
+    """As `_compute`, of what a bus in real time recorded: its clients are elsewhere, and the hand
+    rests when the drive does.
+    """
     rate = recording.rig.bus.bitrate_bit_s
     world = PacedRig(recording.rig, mode, seed, rate, on_frames)
     world.power_on()

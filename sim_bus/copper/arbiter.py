@@ -1,9 +1,12 @@
-"""The wire: one frame at a time, the lowest identifier first, each for exactly as long as its bits take.
+"""The wire: one frame at a time, the lowest identifier first, each for exactly as long as its bits
+take.
 
-`BUS` is the wire's state. A frame that waits (`sim_bus.copper.waiting`) starts when the bus is free and it is ready; of all that are
-ready at that instant the one with the lowest arbitration field goes (ISO 11898-1, 10.4.2.5: base before extended, data before remote,
-first come first served among equals). Receivers have the frame at its end of frame, `end_ns`; the bus is free again three
-bits of inter-frame space later, at `free_ns`. Where something is amiss `start_frame` says so, and `sim_bus.copper.attempt` has a closer look.
+`BUS` is the wire's state. A frame that waits (`sim_bus.copper.waiting`) starts when the bus is free
+and it is ready; of all that are ready at that instant the one with the lowest arbitration field
+goes (ISO 11898-1, 10.4.2.5: base before extended, data before remote, first come first served among
+equals). Receivers have the frame at its end of frame, `end_ns`; the bus is free again three bits of
+inter-frame space later, at `free_ns`. Where something is amiss `start_frame` says so, and
+`sim_bus.copper.attempt` has a closer look.
 """
 
 from __future__ import annotations
@@ -73,7 +76,9 @@ BUS = np.dtype(
 
 
 def new_bus(bitrate_bit_s: int) -> Records:
-    """Return an idle bus: its record, and that of the second half for when the cable is cut (`sim_bus.copper.cut`)."""
+    """Return an idle bus: its record, and that of the second half for when the cable is cut
+    (`sim_bus.copper.cut`).
+    """
     bus = new_records(BUS, 2)
     bus["bit_rate"] = bitrate_bit_s
     bus["alarm_ns"] = bus["stuck"]["from_ns"] = bus["stuck"]["until_ns"] = FAR_NS
@@ -84,7 +89,9 @@ def new_bus(bitrate_bit_s: int) -> Records:
 
 @inlined
 def start_ns(bus: BusRecord, out: Queue) -> int:
-    """Return when the next waiting frame can start, or when a scripted fault wants the bus, `FAR_NS` when nothing does."""
+    """Return when the next waiting frame can start, or when a scripted fault wants the bus,
+    `FAR_NS` when nothing does.
+    """
     return max(min(first_ns(bus, out), bus.alarm_ns), bus.free_ns)
 
 
@@ -92,8 +99,9 @@ def start_ns(bus: BusRecord, out: Queue) -> int:
 def start_frame(bus: BusRecord, out: Queue, now_ns: int) -> bool:
     """Arbitrate among the frames that are ready at `now_ns` and put the winner on the wire.
 
-    False: the bus wants a close look (`sim_bus.copper.attempt.attempt`), and nothing is on the wire: faults, counted errors, a station that is alone
-    (`alert`), or two stations that send one arbitration field.
+    False: the bus wants a close look (`sim_bus.copper.attempt.attempt`), and nothing is on the
+    wire: faults, counted errors, a station that is alone (`alert`), or two stations that send one
+    arbitration field.
     """
     if bus.alert:
         return False
@@ -114,7 +122,9 @@ def start_frame(bus: BusRecord, out: Queue, now_ns: int) -> bool:
 
 @inlined
 def end_frame(bus: BusRecord, log: Records, row: int) -> None:
-    """Take a frame that needed no close look off the wire and write it to `log[row]`, stamped with its end of frame."""
+    """Take a frame that needed no close look off the wire and write it to `log[row]`, stamped with
+    its end of frame.
+    """
     bus.stage = Stage.FREE
     bus.delivered = Delivered.OTHERS
     frame = log[row]

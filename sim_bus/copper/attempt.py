@@ -1,8 +1,10 @@
-"""What happens to a frame on a bus that wants a closer look than its length: faults, errors that were counted, a station that is alone (compiled).
+"""What happens to a frame on a bus that wants a closer look than its length: faults, errors that
+were counted, a station that is alone (compiled).
 
-`sim_bus.copper.arbiter.start_frame` asks for it when `BUS.alert` is set, or when two stations send one arbitration field. `attempt` starts the next
-frame: it lets the scripted faults strike, and either the frame will pass (`Stage.WATCHED`), or `sim_bus.copper.slow_motion` plays its bits, with all
-whose frames are ready as senders. `sim_bus.copper.outcome` is the end of it.
+`sim_bus.copper.arbiter.start_frame` asks for it when `BUS.alert` is set, or when two stations send
+one arbitration field. `attempt` starts the next frame: it lets the scripted faults strike, and
+either the frame will pass (`Stage.WATCHED`), or `sim_bus.copper.slow_motion` plays its bits, with
+all whose frames are ready as senders. `sim_bus.copper.outcome` is the end of it.
 """
 
 from __future__ import annotations
@@ -34,7 +36,9 @@ __all__ = ["attempt"]
 
 @inlined
 def _recover(bus: BusRecord, now_ns: int) -> None:
-    """Credit the stations in bus-off with the runs of 11 recessive bits since the last dominant one."""
+    """Credit the stations in bus-off with the runs of 11 recessive bits since the last dominant
+    one.
+    """
     for k in range(bus.on_count):
         c = bus.stations[bus.on[k]]
         if c.state != CanState.BUS_OFF or c.restart_at_ns > now_ns:
@@ -179,7 +183,9 @@ def _send(bus: BusRecord, place: int, now_ns: int) -> None:
 
 @inlined
 def _contested(bus: BusRecord, order: int) -> bool:
-    """Tell whether the winner's bits matter to another station: its frame has the same arbitration field, or it sends once only."""
+    """Tell whether the winner's bits matter to another station: its frame has the same arbitration
+    field, or it sends once only.
+    """
     for n in range(bus.ready):
         source = bus.held_source[bus.ready_place[n]]
         if source == bus.source:
@@ -191,7 +197,9 @@ def _contested(bus: BusRecord, order: int) -> bool:
 
 @kernel
 def _contends(bus: BusRecord, source: int, now_ns: int) -> bool:
-    """Tell, once for each station with a frame ready, whether it takes part in the arbitration that begins now."""
+    """Tell, once for each station with a frame ready, whether it takes part in the arbitration that
+    begins now.
+    """
     c = bus.stations[source & STATION_MASK]
     if (
         c.contends_ns == now_ns

@@ -1,14 +1,18 @@
-"""A CAN controller's state and its fault confinement, compiled (ISO 11898-1:2015, 10.11 to 10.14; letters are those of its list of rules).
+"""A CAN controller's state and its fault confinement, compiled (ISO 11898-1:2015, 10.11 to 10.14;
+letters are those of its list of rules).
 
-Each station of a bus has one, a row of `BUS.stations` by the low eight bits of its number. The transmit and receive error counters follow the
-standard's twelve rules; `state` is what they come to, in the numbers of Linux's ``enum can_state``:
+Each station of a bus has one, a row of `BUS.stations` by the low eight bits of its number. The
+transmit and receive error counters follow the standard's twelve rules; `state` is what they come
+to, in the numbers of Linux's ``enum can_state``:
 
-==== ============================================================================================== =================
-rule when                                                                                           what
-==== ============================================================================================== =================
-a    a receiver detects an error (no bit error in its own active error flag or overload flag)       REC + 1
-b    a receiver sees dominant in the first bit after its error flag                                 REC + 8
-c    a transmitter sends an error flag, except c1: error passive, no ACK, and nothing dominant in   TEC + 8
+==== ==============================================================================================
+================= rule when
+what ====
+==============================================================================================
+================= a    a receiver detects an error (no bit error in its own active error flag or
+overload flag)       REC + 1 b    a receiver sees dominant in the first bit after its error flag
+REC + 8 c    a transmitter sends an error flag, except c1: error passive, no ACK, and nothing
+dominant in   TEC + 8
      its passive flag; c2: stuff error at a recessive stuff bit of the arbitration field
 d    a transmitter's bit error in its active error flag or overload flag                            TEC + 8
 e    a receiver's bit error in its active error flag or overload flag                               REC + 8
@@ -19,7 +23,8 @@ i    TEC or REC above 127                                                       
 j    TEC above 255                                                                                  bus-off
 k    TEC and REC below 128 again                                                                    error active
 l    bus-off, and 128 times 11 consecutive recessive bits                                           error active, counters 0
-==== ============================================================================================== =================
+==== ==============================================================================================
+=================
 """
 
 from __future__ import annotations
@@ -53,7 +58,9 @@ STATIONS = 256
 RECOVERY_RUNS = 128
 """How many times 11 recessive bits end bus-off."""
 MANUAL = -1
-"""As `restart_ns`: bus-off lasts until somebody restarts the controller (``restart-ms 0`` of Linux)."""
+"""As `restart_ns`: bus-off lasts until somebody restarts the controller (``restart-ms 0`` of
+Linux).
+"""
 COUNTER_LIMIT = 255  # REC is a register of eight bits; TEC beyond 255 is bus-off
 WARNING_LEVEL, PASSIVE_LEVEL, BUS_OFF_LEVEL = 96, 128, 256
 REC_AFTER_PASSIVE = 119  # rule h leaves the choice between 119 and 127
@@ -144,7 +151,10 @@ def raise_tec(c: ControllerRecord) -> None:
 
 @kernel
 def raise_rec(c: ControllerRecord, by: int) -> None:
-    """Rules a, b, e, f: REC + 1 or + 8. One that only listens takes no part in fault confinement."""
+    """Rules a, b, e, f: REC + 1 or + 8.
+
+    One that only listens takes no part in fault confinement.
+    """
     if c.listen_only == 0:
         c.rec = min(c.rec + by, COUNTER_LIMIT)
         _follow(c)
@@ -183,7 +193,9 @@ def recover(c: ControllerRecord) -> None:
 
 
 def link(c: ControllerRecord) -> Link:
-    """Return a controller's state and counters; ``str`` of it is what ``ip -details -statistics link show`` prints."""
+    """Return a controller's state and counters; ``str`` of it is what
+    ``ip -details -statistics link show`` prints.
+    """
     modes = (c["loopback"], c["listen_only"], c["one_shot"])
     return Link(
         state=int(c["state"]) if c["attached"] else int(CanState.STOPPED),

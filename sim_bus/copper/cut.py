@@ -1,10 +1,13 @@
-"""The cable cut into two halves: each is a wire of its own, with its own time, its own waiting frames and its own acknowledgement.
+"""The cable cut into two halves: each is a wire of its own, with its own time, its own waiting
+frames and its own acknowledgement.
 
-A bus is an array of two records `sim_bus.copper.arbiter.BUS`. The first is the whole cable, and the first half while it is cut; the second is in use
-only then. A station's half stands in `half` of its controller, which is in the record of its half.
+A bus is an array of two records `sim_bus.copper.arbiter.BUS`. The first is the whole cable, and the
+first half while it is cut; the second is in use only then. A station's half stands in `half` of its
+controller, which is in the record of its half.
 
-A cut and its mend act between two frames: what is on a wire at that instant ends first. When the cable is to be mended, the half that has come to
-an end begins nothing new until the other one has too, so no frame is torn.
+A cut and its mend act between two frames: what is on a wire at that instant ends first. When the
+cable is to be mended, the half that has come to an end begins nothing new until the other one has
+too, so no frame is torn.
 """
 
 from __future__ import annotations
@@ -31,7 +34,10 @@ WHOLE, APART, MENDING = 0, 1, 2
 
 @kernel
 def divide(bus: BusRecord, out: Queue) -> None:
-    """Let what was asked for since the last time wait with its sender's half; the queue is empty then."""
+    """Let what was asked for since the last time wait with its sender's half.
+
+    The queue is empty then.
+    """
     for i in range(out.count):
         frame = out.frames[i]
         if not accept(bus[bus[0].stations[frame.source & STATION_MASK].half], frame):
@@ -50,7 +56,10 @@ def _next_ns(bus: BusRecord, out: Queue) -> int:
 
 @kernel
 def choose(bus: BusRecord, out: Queue) -> int:
-    """Return the half in which something happens next; of equals an end goes before a start, then the first half."""
+    """Return the half in which something happens next.
+
+    Of equals an end goes before a start, then the first half.
+    """
     near, far = bus[0], bus[1]
     if out.count > 0:
         divide(bus, out)
@@ -72,7 +81,10 @@ def wire_of(bus: Records, station: int) -> Any:
 
 
 def split(bus: Records, out: Queue, row: int, t_ns: int) -> Records:
-    """Cut the idle cable as row `row` of the faults says, at `t_ns`; return the faults as they were, for `join`."""
+    """Cut the idle cable as row `row` of the faults says, at `t_ns`.
+
+    Return the faults as they were, for `join`.
+    """
     divide(bus, out)
     bus[1:2] = bus[0:1]
     near, far = bus[0], bus[1]

@@ -1,4 +1,5 @@
-"""Error frames as Linux's CAN drivers make them (include/uapi/linux/can/error.h): classes in the identifier, details in eight bytes.
+"""Error frames as Linux's CAN drivers make them (include/uapi/linux/can/error.h): classes in the
+identifier, details in eight bytes.
 
 ====== =======================================================================
 byte   what stands there
@@ -45,13 +46,17 @@ def error_frame(c: ControllerRecord, station: int, classes: int, kind: int, plac
 
 @kernel
 def lost_frame(c: ControllerRecord, station: int, bit: int) -> tuple[int, int]:
-    """Return identifier and bytes of the frame that tells a station that its frame was given up: the arbitration was lost in `bit`."""
+    """Return identifier and bytes of the frame that tells a station that its frame was given up:
+    the arbitration was lost in `bit`.
+    """
     return CAN_ERR_FLAG | ERR_CNT | ERR_LOSTARB, with_counters(bit | (station & 0xFF) << 40, c)
 
 
 @kernel
 def state_frame(c: ControllerRecord, station: int) -> tuple[int, int]:
-    """Return identifier and bytes of the frame that tells the state that a controller has changed to."""
+    """Return identifier and bytes of the frame that tells the state that a controller has changed
+    to.
+    """
     classes = ERR_CNT
     how = 0
     if c.recovered:

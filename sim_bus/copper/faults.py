@@ -1,7 +1,9 @@
-"""Scripted faults as the bus sees them: a table of rows, each with its trigger and what it does (compiled).
+"""Scripted faults as the bus sees them: a table of rows, each with its trigger and what it does
+(compiled).
 
-`sim_bus.faults.file` makes the rows from a file. The table is part of the bus's record, so a kernel needs no Python to inject: `strike` judges the
-rows at the start of each frame, `alarm` those that wait for a time.
+`sim_bus.faults.file` makes the rows from a file. The table is part of the bus's record, so a kernel
+needs no Python to inject: `strike` judges the rows at the start of each frame, `alarm` those that
+wait for a time.
 """
 
 from __future__ import annotations
@@ -143,7 +145,9 @@ def strike_nothing(bus: BusRecord) -> None:
 
 @kernel
 def fire(bus: BusRecord, row: int, t_ns: int, can_id: int) -> None:
-    """Count a strike and note it for the recording, with the identifier of the frame that it is about, or `NO_FRAME`."""
+    """Count a strike and note it for the recording, with the identifier of the frame that it is
+    about, or `NO_FRAME`.
+    """
     f = bus.faults[row]
     if f.fired == 0:
         f.first_ns = t_ns
@@ -175,7 +179,9 @@ def _meant(f: FaultRecord, now_ns: int, can_id: int, source: int) -> bool:
 
 @kernel
 def strike(bus: BusRecord, now_ns: int, can_id: int, length: int, word: int, source: int) -> int:
-    """Let the rows strike the frame that is to start; return the delay [ns] that they put it off by.
+    """Let the rows strike the frame that is to start.
+
+    Return the delay [ns] that they put it off by.
 
     What else they do is left in `BUS.struck`.
     """

@@ -1,7 +1,9 @@
-"""A controller in slow motion: what it drives in a bit, and what it makes of the bit that it sees (ISO 11898-1:2015, clauses 10 and 11; compiled).
+"""A controller in slow motion: what it drives in a bit, and what it makes of the bit that it sees
+(ISO 11898-1:2015, clauses 10 and 11; compiled).
 
-Bit, stuff, CRC, form and ACK errors, active and passive error flags, delimiters, overload frames, intermission: `follow` is one bit of them. What the
-stations together have seen in this stretch stands in `BUS.seen`, which only this module fills; what became of their frames in `BUS.tx`.
+Bit, stuff, CRC, form and ACK errors, active and passive error flags, delimiters, overload frames,
+intermission: `follow` is one bit of them. What the stations together have seen in this stretch
+stands in `BUS.seen`, which only this module fills; what became of their frames in `BUS.tx`.
 """
 
 from __future__ import annotations
@@ -89,7 +91,9 @@ SEEN = np.dtype(
 )
 
 FOLLOW_FIELDS: list[Any] = [("seen", SEEN), ("senders", np.int64), ("tx", SENDER, (MAX_SENDERS,))]
-"""The part of the bus's record (`sim_bus.copper.arbiter.BUS`) that this module writes; `slow_motion.add_sender` opens the rows of `tx`."""
+"""The part of the bus's record (`sim_bus.copper.arbiter.BUS`) that this module writes;
+`slow_motion.add_sender` opens the rows of `tx`.
+"""
 
 # Linux's include/uapi/linux/can/error.h: error classes, types (data[2]) and places (data[3])
 ERR_PROT, ERR_ACK, ERR_BUSERROR = 0x08, 0x20, 0x80
@@ -115,7 +119,9 @@ def open_frame(c: ControllerRecord, frame: int) -> None:
 
 @kernel
 def may_start(c: ControllerRecord) -> bool:
-    """Tell whether a controller may begin to send: it is idle, or the third bit of its intermission was dominant, which is a start of frame."""
+    """Tell whether a controller may begin to send: it is idle, or the third bit of its intermission
+    was dominant, which is a start of frame.
+    """
     return bool(c.mode == Mode.IDLE or c.joins != 0)
 
 
@@ -144,7 +150,10 @@ def _place(c: ControllerRecord) -> int:
 
 @kernel
 def _tell(bus: BusRecord, c: ControllerRecord, station: int, classes: int, kind: int) -> None:
-    """Note the first error of this slow motion for the clients; of several in one bit the transmitter's."""
+    """Note the first error of this slow motion for the clients.
+
+    Of several in one bit the transmitter's.
+    """
     transmitter = c.transmitted != 0
     if bus.seen.told_bit != NOT_TOLD and not (transmitter and bus.seen.told_bit == bus.play.bit):
         return
@@ -158,7 +167,9 @@ def _tell(bus: BusRecord, c: ControllerRecord, station: int, classes: int, kind:
 
 @kernel
 def _raise(c: ControllerRecord, receiver_by: int) -> None:
-    """Count an error in the counter of the station's role: 8 for a transmitter, `receiver_by` for a receiver."""
+    """Count an error in the counter of the station's role: 8 for a transmitter, `receiver_by` for a
+    receiver.
+    """
     if c.transmitted:
         raise_tec(c)
     else:
@@ -360,7 +371,9 @@ def _after_flag(bus: BusRecord, c: ControllerRecord, station: int, bit: int) -> 
 
 @inlined
 def _suspends(c: ControllerRecord) -> bool:
-    """Tell whether a controller lets eight bits more pass before it sends again: error passive, it has sent the last frame."""
+    """Tell whether a controller lets eight bits more pass before it sends again: error passive, it
+    has sent the last frame.
+    """
     return bool(c.transmitted and (c.tec >= PASSIVE_LEVEL or c.rec >= PASSIVE_LEVEL))
 
 

@@ -1,4 +1,6 @@
-"""Random bit errors at a rate, from a seed: when the next disturbed bit is on the wire, in a frame or on an idle wire."""
+"""Random bit errors at a rate, from a seed: when the next disturbed bit is on the wire, in a frame
+or on an idle wire.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,9 @@ def seeded(seed: int) -> int:
 
 @kernel
 def renew(bus: BusRecord, t_ns: int) -> None:
-    """Let the noises that are at work at `t_ns` be the bus's: together they disturb a bit with the probability 1 - (1 - r1)(1 - r2)..."""
+    """Let the noises that are at work at `t_ns` be the bus's: together they disturb a bit with the
+    probability 1 - (1 - r1)(1 - r2)...
+    """
     rate = 0.0
     bus.noise.until_ns = FAR_NS
     for row in range(bus.fault_count):
@@ -75,9 +79,11 @@ def disturber(bus: BusRecord) -> int:
 
 @kernel
 def next_noise(bus: BusRecord, t_ns: int) -> None:
-    """Draw `next_ns`, the begin of the next disturbed bit: the undisturbed bits from `t_ns` on are geometric, with the rate as its probability.
+    """Draw `next_ns`, the begin of the next disturbed bit: the undisturbed bits from `t_ns` on are
+    geometric, with the rate as its probability.
 
-    The generator is Park's and Miller's minimal standard (doi:10.1145/63039.63042) with the multiplier 48271: all of it in int64.
+    The generator is Park's and Miller's minimal standard (doi:10.1145/63039.63042) with the
+    multiplier 48271: all of it in int64.
     """
     if bus.noise.rate <= 0.0:
         bus.noise.next_ns = FAR_NS
@@ -93,7 +99,10 @@ def next_noise(bus: BusRecord, t_ns: int) -> None:
 
 @kernel
 def noisy_bit(bus: BusRecord, end_ns: int) -> int:
-    """Return whom noise hits in the bit that ends at `end_ns`, `NOBODY` mostly; draw the next such bit."""
+    """Return whom noise hits in the bit that ends at `end_ns`, `NOBODY` mostly.
+
+    Draw the next such bit.
+    """
     if bus.noise.next_ns >= end_ns:
         return NOBODY
     bus.noise.hits += 1

@@ -1,4 +1,6 @@
-"""How a frame that was looked at closely ends, or a stretch of slow motion: what is told of it, and what becomes of those who sent (compiled)."""
+"""How a frame that was looked at closely ends, or a stretch of slow motion: what is told of it, and
+what becomes of those who sent (compiled).
+"""
 
 from __future__ import annotations
 
@@ -81,7 +83,10 @@ def _write(log: Records, row: int, t_ns: int, can_id: int, word: int, source: in
 
 @kernel
 def _tell_given_up(bus: BusRecord, log: Records, row: int, last: int) -> int:
-    """Write, for those that send once only, in which bit they lost the arbitration; return the next row."""
+    """Write, for those that send once only, in which bit they lost the arbitration.
+
+    Return the next row.
+    """
     bus.seen.gave_up = 0
     for k in range(bus.senders):
         source = bus.tx[k].source
@@ -189,7 +194,9 @@ def _show_sent(bus: BusRecord) -> bool:
 
 @kernel
 def _tell_stuck(bus: BusRecord) -> None:
-    """Count the wire's being dominant from its begin on, also where that is in a frame and the bus does not become free for `alarm`."""
+    """Count the wire's being dominant from its begin on, also where that is in a frame and the bus
+    does not become free for `alarm`.
+    """
     for row in range(bus.fault_count):
         f = bus.faults[row]
         if f.kind == STUCK_DOMINANT and f.next_ns < min(bus.end_ns, f.until_ns):
@@ -227,7 +234,10 @@ def _play_on(bus: BusRecord) -> None:
 
 @kernel
 def end_attempt(bus: BusRecord, out: Queue, log: Records, row: int) -> int:
-    """End a frame, or a stretch of slow motion, at `end_ns`; return how many rows of the log were written, the frame's last."""
+    """End a frame, or a stretch of slow motion, at `end_ns`.
+
+    Return how many rows of the log were written, the frame's last.
+    """
     bus.delivered = Delivered.NOBODY
     if bus.stage == Stage.TOLD:
         _play_on(bus)

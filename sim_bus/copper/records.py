@@ -1,7 +1,7 @@
 """The records of the copper by name, for signatures.
 
-Their fields are those of `arbiter.BUS`, `controller.CONTROLLER` and `faults.FAULT`; mypy knows none of
-them.
+Their fields are those of `arbiter.BUS`, `controller.CONTROLLER` and `faults.FAULT`; mypy knows none
+of them.
 """
 
 from __future__ import annotations

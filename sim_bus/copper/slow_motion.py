@@ -1,13 +1,17 @@
-"""A stretch of bus time in slow motion: every station's controller, bit by bit (ISO 11898-1:2015, clauses 10 and 11; compiled).
+"""A stretch of bus time in slow motion: every station's controller, bit by bit (ISO 11898-1:2015,
+clauses 10 and 11; compiled).
 
-The arbiter knows a frame's length and its winner without a look at the bits. Where something goes wrong that is not enough, and `run_bits`
-plays the bits instead: each controller drives a level, dominant (0) wins, a disturbance turns the level around for all or for one, and each
-controller makes of it what the standard says (`sim_bus.copper.follow`). It ends when nobody sends and somebody may begin to; failed frames
-then wait anew. Who is not idle by then, as an error-passive receiver that alone has seen an error, is in the midst of what it does when the
-next stretch begins (`unsettled`).
+The arbiter knows a frame's length and its winner without a look at the bits. Where something goes
+wrong that is not enough, and `run_bits` plays the bits instead: each controller drives a level,
+dominant (0) wins, a disturbance turns the level around for all or for one, and each controller
+makes of it what the standard says (`sim_bus.copper.follow`). It ends when nobody sends and somebody
+may begin to; failed frames then wait anew. Who is not idle by then, as an error-passive receiver
+that alone has seen an error, is in the midst of what it does when the next stretch begins
+(`unsettled`).
 
-It pauses at the end of each bit in which there is something to tell: a frame that was received or given up, an error, a change of state.
-And it pauses now and then, so that a station that is switched off in the middle falls silent in the middle.
+It pauses at the end of each bit in which there is something to tell: a frame that was received or
+given up, an error, a change of state. And it pauses now and then, so that a station that is
+switched off in the middle falls silent in the middle.
 """
 
 from __future__ import annotations
@@ -63,7 +67,10 @@ def add_sender(bus: BusRecord, order: int, can_id: int, length: int, word: int, 
 
 @kernel
 def begin_bits(bus: BusRecord, now_ns: int) -> None:
-    """Begin slow motion at `now_ns` with the senders that were added; the other stations are idle, or in the midst of what they do."""
+    """Begin slow motion at `now_ns` with the senders that were added.
+
+    The other stations are idle, or in the midst of what they do.
+    """
     bus.play.begin_ns = now_ns
     bus.play.bit = 0
     look_anew(bus)
@@ -85,7 +92,9 @@ def begin_bits(bus: BusRecord, now_ns: int) -> None:
 
 @kernel
 def _disturbed(bus: BusRecord, row: int, level: int) -> int:
-    """Return `level` as the scripted disturbances of the station in a row leave it, or those of the wire for `ALL`."""
+    """Return `level` as the scripted disturbances of the station in a row leave it, or those of the
+    wire for `ALL`.
+    """
     for k in range(bus.struck.flips):
         one = bus.struck.flip_station[k]
         if bus.struck.flip_bit[k] == bus.play.bit and (one == ALL) == (row == ALL) and is_meant(one, row):
@@ -95,7 +104,9 @@ def _disturbed(bus: BusRecord, row: int, level: int) -> int:
 
 @kernel
 def _wire_level(bus: BusRecord, stuck: bool) -> int:
-    """Return the level of the wire in this bit: dominant where one controller drives it, or a fault; a disturbance of all turns it around."""
+    """Return the level of the wire in this bit: dominant where one controller drives it, or a
+    fault; a disturbance of all turns it around.
+    """
     level = 1
     for k in range(bus.on_count):
         c = bus.stations[bus.on[k]]
@@ -108,7 +119,10 @@ def _wire_level(bus: BusRecord, stuck: bool) -> int:
 
 @kernel
 def _see(bus: BusRecord, level: int, hit: int, end_ns: int) -> bool:
-    """Let each controller see the bit, turned around for the stations of `hit`; tell whether one has changed its state."""
+    """Let each controller see the bit, turned around for the stations of `hit`.
+
+    Tell whether one has changed its state.
+    """
     changed = False
     for k in range(bus.on_count):
         station = bus.on[k]
@@ -129,7 +143,9 @@ def _see(bus: BusRecord, level: int, hit: int, end_ns: int) -> bool:
 
 @kernel
 def _somebody_may_start(bus: BusRecord) -> bool:
-    """Tell whether slow motion is over: nobody sends, and somebody may begin to, or nobody is left. Some may be in the midst of what they do."""
+    """Tell whether slow motion is over: nobody sends, and somebody may begin to, or nobody is left.
+    Some may be in the midst of what they do.
+    """
     alive = idle = ready = sending = 0
     for k in range(bus.on_count):
         c = bus.stations[bus.on[k]]
@@ -146,7 +162,10 @@ def _somebody_may_start(bus: BusRecord) -> bool:
 
 @kernel
 def run_bits(bus: BusRecord) -> int:
-    """Play bits until there is something to tell, or until somebody may send (`Stage.OVER`); return the end of the last bit."""
+    """Play bits until there is something to tell, or until somebody may send (`Stage.OVER`).
+
+    Return the end of the last bit.
+    """
     bus.stage = Stage.PLAYED
     bus.play.passed = bus.seen.tell = 0
     last_bit = bus.play.bit + LONGEST_STRETCH

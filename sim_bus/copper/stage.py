@@ -1,4 +1,5 @@
-"""What the wire is in the midst of, and the lengths in bit times that all of the copper counts with.
+"""What the wire is in the midst of, and the lengths in bit times that all of the copper counts
+with.
 
 ::
 
@@ -7,8 +8,9 @@
     FREE ---> TELLING ----------------------------> FREE     nobody sends; a controller has recovered, which is told
     FREE ---> PLAYED ---> TOLD ---> PLAYED ... OVER ---> FREE   slow motion
 
-`BUS.stage` is written by who begins something (`arbiter.start_frame`, `attempt.attempt`), by `slow_motion.run_bits`, and at each end (`BUS.end_ns`)
-by `arbiter.end_frame` or `outcome.end_attempt`.
+`BUS.stage` is written by who begins something (`arbiter.start_frame`, `attempt.attempt`), by
+`slow_motion.run_bits`, and at each end (`BUS.end_ns`) by `arbiter.end_frame` or
+`outcome.end_attempt`.
 """
 
 from __future__ import annotations
@@ -22,7 +24,10 @@ INTER_FRAME_BITS = 3
 SUSPEND_BITS = 8
 """So much longer an error-passive sender waits."""
 RUN_BITS = 11
-"""Recessive: the end of a frame or of an error frame, with the inter-frame space; bus-off ends after 128 such runs."""
+"""Recessive: the end of a frame or of an error frame, with the inter-frame space.
+
+Bus-off ends after 128 such runs.
+"""
 NS = 1_000_000_000
 
 

@@ -67,7 +67,10 @@ def attach(bus: BusRecord, station: int) -> None:
 
 @kernel
 def detach(bus: BusRecord, station: int) -> None:
-    """Switch a station's controller off; the frame that it is sending breaks off where slow motion can show it."""
+    """Switch a station's controller off.
+
+    The frame that it is sending breaks off where slow motion can show it.
+    """
     row = station & STATION_MASK
     c = bus.stations[row]
     if c.attached:

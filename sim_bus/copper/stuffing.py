@@ -1,6 +1,8 @@
-"""A frame as the sequence of its bits on the wire (ISO 11898-1:2015, 10.4 and 10.5): what `wire.bits` only counts.
+"""A frame as the sequence of its bits on the wire (ISO 11898-1:2015, 10.4 and 10.5): what
+`wire.bits` only counts.
 
-Needed where a frame goes wrong, so it is written for the eye: bit by bit, from the start of frame to the end of frame. Dominant is 0.
+Needed where a frame goes wrong, so it is written for the eye: bit by bit, from the start of frame
+to the end of frame. Dominant is 0.
 """
 
 from __future__ import annotations
@@ -29,9 +31,11 @@ def crc_step(crc: int, bit: int) -> int:
 
 @kernel
 def stuffed_bits(can_id: int, length: int, word: int, wrong_crc: int, bits: Any) -> int:
-    """Write the bits of a frame to `bits`, as its sender drives them (the ACK slot recessive), and return their number.
+    """Write the bits of a frame to `bits`, as its sender drives them (the ACK slot recessive), and
+    return their number.
 
-    `can_id` and `word` are those of `wire.frame.FRAME`. `wrong_crc` is added (xor) to the CRC sequence, which is stuffed afterwards.
+    `can_id` and `word` are those of `wire.frame.FRAME`. `wrong_crc` is added (xor) to the CRC
+    sequence, which is stuffed afterwards.
     """
     n = min(max(length, 0), 8)
     remote = 1 if can_id & CAN_RTR_FLAG else 0

@@ -1,8 +1,10 @@
 """Frames that wait for the bus: who wins it next is known without a look at all of them.
 
-Stations ask by `wire.frame.push`, which only appends to the queue. Where few wait they stay there, and each arbitration looks at all of them.
-Where more wait, as when 126 nodes answer one SYNC, the bus takes them in and keeps them in two binary heaps of places: `later` by the time at
-which a frame is ready, and `ready` by its arbitration field and then by the order in which it was asked for. So a frame costs O(log n).
+Stations ask by `wire.frame.push`, which only appends to the queue. Where few wait they stay there,
+and each arbitration looks at all of them. Where more wait, as when 126 nodes answer one SYNC, the
+bus takes them in and keeps them in two binary heaps of places: `later` by the time at which a frame
+is ready, and `ready` by its arbitration field and then by the order in which it was asked for. So a
+frame costs O(log n).
 
 The fields of the room are part of the bus's record (`sim_bus.copper.arbiter.BUS`).
 """
@@ -47,7 +49,8 @@ STATION_MASK = 0xFF
 SEQUENCE_BITS = 31
 SEQUENCE_MASK = (1 << SEQUENCE_BITS) - 1
 HELD_BACK = 2
-"""Sequence of a frame that a scripted fault has struck already: it is put off, or sent once more."""
+"""Sequence of a frame that a scripted fault has struck already: it is put off, or sent once more.
+"""
 WITHDRAWN = -1
 """As `order` of a frame on the wire: it is not sent again."""
 FIRST_SEQUENCE = 3  # 0 is a frame that was on the wire before, 1 one that was about to be
@@ -119,7 +122,9 @@ def first_order(can_id: int) -> int:
 
 @kernel
 def hold(bus: BusRecord, order: int, can_id: int, length: int, word: int, source: int, ready_ns: int) -> bool:
-    """Let a frame wait in the room from `ready_ns` on; `order` is its key among those that are ready. False: there is no room."""
+    """Let a frame wait in the room from `ready_ns` on; `order` is its key among those that are
+    ready. False: there is no room.
+    """
     if bus.held >= ROOM:
         return False
     if bus.freed > 0:
@@ -142,7 +147,9 @@ def hold(bus: BusRecord, order: int, can_id: int, length: int, word: int, source
 
 @inlined
 def accept(bus: BusRecord, frame: Record) -> bool:
-    """Let a frame that was asked for wait in the room, unless its station takes no more; False: there is no room."""
+    """Let a frame that was asked for wait in the room, unless its station takes no more; False:
+    there is no room.
+    """
     if bus.held == 0:
         bus.sequence = FIRST_SEQUENCE
     if bus.limited:  # a transmit queue of finite length, or a station in bus-off, takes no more
@@ -169,7 +176,9 @@ def take_in(bus: BusRecord, out: Queue) -> None:
 
 @inlined
 def first_ns(bus: BusRecord, out: Queue) -> int:
-    """Return from when on a frame that waits is ready: any time up to `free_ns` when one is by then, `FAR_NS` when none waits."""
+    """Return from when on a frame that waits is ready: any time up to `free_ns` when one is by
+    then, `FAR_NS` when none waits.
+    """
     t = FAR_NS
     count = out.count
     if bus.held == 0 and count <= FEW and bus.alert == 0:
@@ -191,7 +200,8 @@ def first_ns(bus: BusRecord, out: Queue) -> int:
 
 @inlined
 def win(bus: BusRecord, out: Queue, now_ns: int) -> bool:
-    """Let the winner of the arbitration among the frames that are ready at `now_ns` (there must be one) be the bus's frame.
+    """Let the winner of the arbitration among the frames that are ready at `now_ns` (there must be
+    one) be the bus's frame.
 
     Returns whether another station's frame with the same arbitration field is ready too.
     """
@@ -235,7 +245,8 @@ def win(bus: BusRecord, out: Queue, now_ns: int) -> bool:
 
 @kernel
 def winner(bus: BusRecord, now_ns: int) -> int:
-    """Take the winner among the frames in the room that are ready at `now_ns` out of it and return its place, -1: none is.
+    """Take the winner among the frames in the room that are ready at `now_ns` out of it and return
+    its place, -1: none is.
 
     The frame stands at its place, in the fields `held_...`, until another is taken in.
     """
@@ -270,7 +281,9 @@ def _leave(bus: BusRecord, place: int) -> None:
 
 @kernel
 def withdraw(bus: BusRecord, out: Queue, source: int) -> None:
-    """Forget the frames of a station that wait, and what is on the wire if it fails there: it was switched off."""
+    """Forget the frames of a station that wait, and what is on the wire if it fails there: it was
+    switched off.
+    """
     take_in(bus, out)
     for k in range(bus.senders):
         if bus.tx[k].source == source:

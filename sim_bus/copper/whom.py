@@ -1,4 +1,6 @@
-"""Whom a disturbance or a scripted fault hits: a station by its number, or more than one (compiled)."""
+"""Whom a disturbance or a scripted fault hits: a station by its number, or more than one
+(compiled).
+"""
 
 from __future__ import annotations
 

@@ -62,7 +62,9 @@ NodeName = Annotated[str | int, Field(union_mode="left_to_right")]
 """A node by its name in the rig ("motor", "brake", "host") or by its node id."""
 
 RESTART_MS = 100
-"""From bus-off to the begin of recovery, as a CAN interface is usually set up: long enough that whoever depends on the station notices."""
+"""From bus-off to the begin of recovery, as a CAN interface is usually set up: long enough that
+whoever depends on the station notices.
+"""
 
 BASES = {
     "NMT": 0x000,
@@ -75,7 +77,8 @@ BASES = {
     "SDO REQUEST": CobId.SDO_RX,
     "HEARTBEAT": CobId.HEARTBEAT,
 }
-"""Identifiers of the predefined connection set (CiA 301, 7.3.5); a node's is that plus its node id."""
+"""Identifiers of the predefined connection set (CiA 301, 7.3.5); a node's is that plus its node id.
+"""
 OF_NO_NODE = ("NMT", "SYNC", "TIME")
 MOST_COUNTED = 10**12
 LAST_BIT = 160
@@ -99,7 +102,10 @@ class _Strict(BaseModel):
 
 
 class Trigger(_Strict):
-    """Which frames are meant: the `nth` one of a kind, and then every `every`-th; without either, the first."""
+    """Which frames are meant: the `nth` one of a kind, and then every `every`-th.
+
+    Without either, the first.
+    """
 
     frame: str | None = None
     can_id: int | None = Field(None, ge=0, le=0x1FFFFFFF)
@@ -222,7 +228,10 @@ class Reset(OnFrame):
 
 
 class Cut(_Fault):
-    """Cut the cable into two halves, at a time or when a frame has been sent; whom `halves` does not name is in the first."""
+    """Cut the cable into two halves, at a time or when a frame has been sent.
+
+    Whom `halves` does not name is in the first.
+    """
 
     kind: Literal["cut"]
     on: Trigger | None = None
@@ -297,7 +306,9 @@ class _File(_Strict):
 
 @dataclass(frozen=True)
 class FaultPlan:
-    """A fault file's contents, or those about one bus; `faults` and `controllers` tell where in the file they stand, `lines` in which line."""
+    """A fault file's contents, or those about one bus; `faults` and `controllers` tell where in the
+    file they stand, `lines` in which line.
+    """
 
     path: str
     file: _File

@@ -1,4 +1,6 @@
-"""A fault file at work on a virtual bus: rows into the bus's table, resets out of it, and what was injected for results and recordings."""
+"""A fault file at work on a virtual bus: rows into the bus's table, resets out of it, and what was
+injected for results and recordings.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,8 @@ __all__ = ["Injection", "controllers_of", "stations_of"]
 
 
 def stations_of(world: VirtualRig) -> tuple[dict[str, int], dict[int, int]]:
-    """Return the stations of a rig's bus by name and by node id: ``motor``, ``brake`` (``AXIS.motor`` with several axes) and ``host``.
+    """Return the stations of a rig's bus by name and by node id: ``motor``, ``brake``
+    (``AXIS.motor`` with several axes) and ``host``.
 
     Where the host is another process it is one of the clients, and they all stand for it.
     """
@@ -44,7 +47,8 @@ def stations_of(world: VirtualRig) -> tuple[dict[str, int], dict[int, int]]:
 class Injection:
     """The faults of `plan` on the bus of `world`, from now on.
 
-    `on_fault` is called with the time and a text for each injection, before the frames around it are handed over.
+    `on_fault` is called with the time and a text for each injection, before the frames around it
+    are handed over.
 
     Raises
     ------
@@ -168,7 +172,10 @@ class Injection:
 
 
 def controllers_of(world: VirtualRig) -> dict[str, dict[str, Any]]:
-    """Return the CAN controllers' states and counters by node, for JSON; of clients that stand for the host the worst state, and the sums."""
+    """Return the CAN controllers' states and counters by node, for JSON.
+
+    Of clients that stand for the host the worst state, and the sums.
+    """
     stations, _ = stations_of(world)
     counters = ("retransmissions", "arbitration_lost", "dropped", "passives", "bus_offs", "restarts")
     out = {}

@@ -11,7 +11,9 @@ __all__ = ["injected_lines"]
 def injected_lines(
     faults: Sequence[Mapping[str, Any]] | None, controllers: Mapping[str, Mapping[str, Any]] | None
 ) -> Iterator[str]:
-    """Yield a line for each fault of a fault file, and for each CAN controller; a fault that never struck is told as such."""
+    """Yield a line for each fault of a fault file, and for each CAN controller; a fault that never
+    struck is told as such.
+    """
     for one in faults or ():
         bus = f"bus {one['bus']}, " if "bus" in one else ""
         if not one["times"]:

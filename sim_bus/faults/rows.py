@@ -1,4 +1,6 @@
-"""A fault plan becomes rows of the bus's tables: the faults it injects, and its stations' controllers."""
+"""A fault plan becomes rows of the bus's tables: the faults it injects, and its stations'
+controllers.
+"""
 
 from __future__ import annotations
 
@@ -96,7 +98,10 @@ def _match(row: Any, on: Trigger, nodes: _Nodes, key: Key) -> None:
 
 
 def _at_one_time(a: Lasting, b: Lasting) -> bool:
-    """Tell whether two faults may last at the same time; when Operation Enabled is, nobody knows before."""
+    """Tell whether two faults may last at the same time.
+
+    When Operation Enabled is, nobody knows before.
+    """
     if a.after != b.after:
         return True
     first, second = sorted((a, b), key=lambda one: one.at_s)
@@ -104,7 +109,9 @@ def _at_one_time(a: Lasting, b: Lasting) -> bool:
 
 
 def _refuse_twice(plan: FaultPlan, nodes: _Nodes) -> None:
-    """Refuse what a file says twice: a node's controller, and, for one time, the drift of a node's clock."""
+    """Refuse what a file says twice: a node's controller, and, for one time, the drift of a node's
+    clock.
+    """
     known: dict[int, int] = {}
     for n, given in enumerate(plan.file.controller):
         key = ("controller", plan.controllers[n], "node")
@@ -127,7 +134,9 @@ def _refuse_twice(plan: FaultPlan, nodes: _Nodes) -> None:
 def install(
     bus: Any, plan: FaultPlan, seed: int, stations: Mapping[str, int], node_ids: Mapping[int, int]
 ) -> list[tuple[int, int]]:
-    """Put the faults of a file into the bus's table; return (row, nanoseconds) of those that count from Operation Enabled.
+    """Put the faults of a file into the bus's table.
+
+    Return (row, nanoseconds) of those that count from Operation Enabled.
 
     Parameters
     ----------

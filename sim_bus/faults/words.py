@@ -1,4 +1,6 @@
-"""The mistakes of a fault file in words: pydantic's findings, each with its place, what is expected and what stands there."""
+"""The mistakes of a fault file in words: pydantic's findings, each with its place, what is expected
+and what stands there.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +48,9 @@ WRAPPERS = ("constrained-", "function-", "literal[")
 def mistakes(
     path: str, document: Document, error: ValidationError, schema: type[BaseModel], faults: Sequence[type[BaseModel]]
 ) -> list[str]:
-    """Return a line for each key that pydantic finds wrong; `faults` are the models of `schema`'s faults, told apart by ``kind``."""
+    """Return a line for each key that pydantic finds wrong; `faults` are the models of `schema`'s
+    faults, told apart by ``kind``.
+    """
     by_kind = {get_args(model.model_fields["kind"].annotation)[0]: model for model in faults}
     found: dict[tuple[int, str], tuple[list[str], str]] = {}
     for one in error.errors():

@@ -1,7 +1,8 @@
 """``coulombus bridge A B``: two buses of any kind as one; what one carries is sent on the other.
 
-No frame goes round: a bus does not give a client its own frames, and the bridge is one client of each. Error frames stay where they are:
-they belong to their own wire. What waits is bounded; what finds no room is dropped and counted.
+No frame goes round: a bus does not give a client its own frames, and the bridge is one client of
+each. Error frames stay where they are: they belong to their own wire. What waits is bounded; what
+finds no room is dropped and counted.
 """
 
 from __future__ import annotations
@@ -34,7 +35,10 @@ Frame: TypeAlias = tuple[int, int, bytes]
 """Identifier with flags, length, eight data bytes."""
 
 Between: TypeAlias = Callable[[Frame], Iterable[tuple[int, Frame]]]
-"""What happens to a frame in between: gives (delay [ns], frame) for each one that goes on; none: it is dropped."""
+"""What happens to a frame in between: gives (delay [ns], frame) for each one that goes on.
+
+None: it is dropped.
+"""
 
 
 class SameBus(ValueError):
@@ -46,9 +50,11 @@ class SameBus(ValueError):
 def faults(
     delay_ms: float = 0.0, drop: float = 0.0, seed: int = 0, *, duplicate: float = 0.0, corrupt: float = 0.0
 ) -> Between:
-    """Return a `Between` that delays every frame, and of them drops, sends twice, or turns one data bit around in, such shares at random.
+    """Return a `Between` that delays every frame, and of them drops, sends twice, or turns one data
+    bit around in, such shares at random.
 
-    It has dice of its own, so each way of a bridge needs one: what comes of a frame then depends on the frames of its way alone.
+    It has dice of its own, so each way of a bridge needs one: what comes of a frame then depends on
+    the frames of its way alone.
     """
     delay_ns = round(delay_ms * 1e6)
     dice = random.Random(seed)
@@ -173,7 +179,8 @@ def bridge(
 
     Parameters
     ----------
-    between, back : what happens to a frame on its way from `a` to `b`, and on the way back; None: nothing
+    between, back : what happens to a frame on its way from `a` to `b`, and on the way back; None:
+        nothing
     ranges : identifiers that pass; empty: all
     one_way : from `a` to `b` only
     room : frames that may wait, each way

@@ -1,8 +1,10 @@
 """The clients of a bus in real time, compiled: their messages in, what the bus has carried out.
 
-A client is a row of `SLOT` with its mailbox, its filters and its batch. It is a station with one FIFO: only its first frame takes part in the
-arbitration, and its next message is read when the last frame of this one has gone; one that sends faster than the bus carries finds its own
-socket full (EAGAIN). What the bus has carried goes out in batches; a client that does not read loses frames, counted, and holds up nobody.
+A client is a row of `SLOT` with its mailbox, its filters and its batch. It is a station with one
+FIFO: only its first frame takes part in the arbitration, and its next message is read when the last
+frame of this one has gone; one that sends faster than the bus carries finds its own socket full
+(EAGAIN). What the bus has carried goes out in batches; a client that does not read loses frames,
+counted, and holds up nobody.
 """
 
 from __future__ import annotations
@@ -49,7 +51,10 @@ CLOCK_STEP_NS = 1_000_000
 
 
 class Need(IntEnum):
-    """What a client needs Python for; the numbers begin after those of `sim_bus.network.kernel.Exit`."""
+    """What a client needs Python for.
+
+    The numbers begin after those of `sim_bus.network.kernel.Exit`.
+    """
 
     MESSAGE = 20  # it sent a message that is no frames
     CLOSED = 21  # it has gone
@@ -69,7 +74,9 @@ class State(IntEnum):
 OWN, LISTEN_ONLY, ERRORS = 1, 2, 4  # wire.hello.Flags
 INVERTED = 0x20000000  # CAN_INV_FILTER
 ECHO = 1 << 40
-"""The first padding byte of struct can_frame: the client's own frame comes back to it, as MSG_CONFIRM tells on SocketCAN."""
+"""The first padding byte of struct can_frame: the client's own frame comes back to it, as
+MSG_CONFIRM tells on SocketCAN.
+"""
 BUS_ERROR = 0x080  # CAN_ERR_BUSERROR
 SENDING = 0x80 << 16  # CAN_ERR_PROT_TX in data[2]
 
@@ -101,7 +108,10 @@ SLOT = np.dtype(
 
 
 class Clients(NamedTuple):
-    """The sockets of the bus and what goes through them; row `i` of each but `pollfds` is the client in slot `i`."""
+    """The sockets of the bus and what goes through them.
+
+    Row `i` of each but `pollfds` is the client in slot `i`.
+    """
 
     slots: Any
     """Records of `SLOT`."""
@@ -150,7 +160,8 @@ def flush(slot: Any, batch: Any) -> None:
 
 @kernel
 def _to_interface(slot: Any, batch: Any) -> int:
-    """Write the frame in `batch` to the bus that carries it, a SocketCAN interface takes one at a time; return 0, or Need.GONE.
+    """Write the frame in `batch` to the bus that carries it, a SocketCAN interface takes one at a
+    time; return 0, or Need.GONE.
 
     That a bus of another process has gone is found on reading.
     """
@@ -266,7 +277,9 @@ def _read(p: Any, slots: Any, boxes: Any, i: int, offset_ns: int, t_ns: int) -> 
 
 @kernel
 def _offer(w: Any, bus: Any, s: Any, words: Any, station: int, out: Any) -> None:
-    """Let a client's first waiting frame take part in the arbitration, unless one of its does already."""
+    """Let a client's first waiting frame take part in the arbitration, unless one of its does
+    already.
+    """
     b = bus[0]
     if b.cut != 0:
         divide(bus, out)
@@ -301,7 +314,9 @@ def _offer(w: Any, bus: Any, s: Any, words: Any, station: int, out: Any) -> None
 
 @kernel
 def _under_way(bus: Any, station: int, out: Any) -> bool:
-    """Tell whether a frame of a client waits for the bus, or is on it: it is carried, though its sender may have gone."""
+    """Tell whether a frame of a client waits for the bus, or is on it: it is carried, though its
+    sender may have gone.
+    """
     b = bus[0]
     if b.cut != 0:
         divide(bus, out)
@@ -319,7 +334,10 @@ def _under_way(bus: Any, station: int, out: Any) -> bool:
 
 @kernel
 def take(w: Any, p: Any, bus: Any, clients: Clients, out: Any, offset_ns: int, t_ns: int) -> int:
-    """Offer the bus each client's next frame, reading its next message when the last one has gone; return 0, or why Python is needed."""
+    """Offer the bus each client's next frame, reading its next message when the last one has gone.
+
+    Return 0, or why Python is needed.
+    """
     slots = clients.slots
     for i in range(slots.shape[0]):
         s = slots[i]

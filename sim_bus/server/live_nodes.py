@@ -1,7 +1,8 @@
 """``coulombus node``: any EDS as a live node, on a bus that is there or on one of its own.
 
-What is served is what the description says: every object with its default, PDOs, SDO, NMT, heartbeat, EMCY, LSS. There is no behaviour
-behind it, a value stays what was written to it last, unless the file is one of our own devices' or a kind is asked for.
+What is served is what the description says: every object with its default, PDOs, SDO, NMT,
+heartbeat, EMCY, LSS. There is no behaviour behind it, a value stays what was written to it last,
+unless the file is one of our own devices' or a kind is asked for.
 """
 
 from __future__ import annotations
@@ -43,8 +44,10 @@ class LiveNodes:
     Attributes
     ----------
     eds : sequence of (path, node id); None: the node id of the file, a DCF
-    kind : what lives behind the objects of all; None: behind our own devices' files what they are, behind others nothing
-    bit_rate : [bit/s] that the bus should have; 0: that of the DCFs, else 1 Mbit/s where it is served here
+    kind : what lives behind the objects of all; None: behind our own devices' files what they are,
+        behind others nothing
+    bit_rate : [bit/s] that the bus should have; 0: that of the DCFs, else 1 Mbit/s where it is
+        served here
     node_ids : of the nodes
     """
 
@@ -101,7 +104,9 @@ class LiveNodes:
         self.bit_rate = self.bit_rate or max(rates, default=0)
 
     def make_world(self, bit_rate: int, trial: bool) -> VirtualNetwork:
-        """Return the network of the nodes, and nothing else on it; a trial keeps nothing and tells nothing."""
+        """Return the network of the nodes, and nothing else on it; a trial keeps nothing and tells
+        nothing.
+        """
         network = VirtualNetwork(bit_rate, capacity=len(self.eds))
         if trial:
             self._devices(network, Store)
@@ -169,7 +174,10 @@ def serves(server: BusServer) -> bool:
 
 
 def run_nodes(nodes: LiveNodes, address: BusAddress, seconds: float | None) -> None:
-    """Serve the nodes until the time is over, or a signal of `wire.stopping`; end with the exit status."""
+    """Serve the nodes until the time is over, or a signal of `wire.stopping`.
+
+    End with the exit status.
+    """
 
     def make() -> BusServer:
         server = BusServer(nodes.make_world, address, nodes.bit_rate or BIT_RATE, join=True)

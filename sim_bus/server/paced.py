@@ -1,13 +1,17 @@
-"""The virtual bus against the wall clock: one compiled loop between the clients' sockets and the world of `sim_bus.network.kernel`.
+"""The virtual bus against the wall clock: one compiled loop between the clients' sockets and the
+world of `sim_bus.network.kernel`.
 
-The world's time is CLOCK_MONOTONIC minus its start. The loop sleeps in ppoll(2) until the world's next event or a client's message, lets
-the world run up to the present and hands out what the bus has carried, each frame at its end of frame. Python is entered for what is rare:
-a client that comes, greets or goes, and the services of the nodes (`sim_bus.network.kernel.Exit`, `sim_bus.server.clients.Need`, `Serve`).
+The world's time is CLOCK_MONOTONIC minus its start. The loop sleeps in ppoll(2) until the world's
+next event or a client's message, lets the world run up to the present and hands out what the bus
+has carried, each frame at its end of frame. Python is entered for what is rare: a client that
+comes, greets or goes, and the services of the nodes (`sim_bus.network.kernel.Exit`,
+`sim_bus.server.clients.Need`, `Serve`).
 
-A frame is ready when the kernel took it from its sender (SO_TIMESTAMPNS), not when this loop came to see it. So what waited in a socket
-while this process could not run is on the wire, and handled by the nodes, before a deadline is judged.
-Where the whole machine stood still, so that nobody sent anything either, the world stood still with it (`stalled_ns`): no deadline passes in a time
-in which nobody could have kept it.
+A frame is ready when the kernel took it from its sender (SO_TIMESTAMPNS), not when this loop came
+to see it. So what waited in a socket while this process could not run is on the wire, and handled
+by the nodes, before a deadline is judged. Where the whole machine stood still, so that nobody sent
+anything either, the world stood still with it (`stalled_ns`): no deadline passes in a time in which
+nobody could have kept it.
 """
 
 from __future__ import annotations
@@ -41,11 +45,15 @@ __all__ = ["PACE", "Serve", "serve"]
 STALL_NS = 5_000_000
 LONGEST_SLEEP_NS = 100_000_000
 KEPT_NS = 100_000_000
-"""Frames wait no longer to be recorded, and the loop sleeps no longer than LONGEST_SLEEP_NS: a killed process loses less than 0.25 s."""
+"""Frames wait no longer to be recorded, and the loop sleeps no longer than LONGEST_SLEEP_NS: a
+killed process loses less than 0.25 s.
+"""
 
 
 class Serve(IntEnum):
-    """Why the loop returned, besides `sim_bus.network.kernel.Exit` and `sim_bus.server.clients.Need`."""
+    """Why the loop returned, besides `sim_bus.network.kernel.Exit` and
+    `sim_bus.server.clients.Need`.
+    """
 
     STOP = 30  # asked to
     TIME = 31  # the time is over
@@ -82,9 +90,12 @@ PACE = np.dtype(
 
 @kernel
 def _wait(p: Any, slots: Any, pollfds: Any, timeout_ns: int) -> int:
-    """Sleep until a client has something or the time is over; return Serve.ACCEPT when one waits at the listener, FAILED, or 0.
+    """Sleep until a client has something or the time is over.
 
-    Only what is watched stands in `pollfds`: they are never more than this process may open (RLIMIT_NOFILE), which ppoll refuses.
+    Return Serve.ACCEPT when one waits at the listener, FAILED, or 0.
+
+    Only what is watched stands in `pollfds`: they are never more than this process may open
+    (RLIMIT_NOFILE), which ppoll refuses.
     """
     pollfds[0] = (p.listener & 0xFFFFFFFF) | POLLIN << 32
     pollfds[1] = (p.wake & 0xFFFFFFFF) | POLLIN << 32
@@ -118,7 +129,10 @@ def _wait(p: Any, slots: Any, pollfds: Any, timeout_ns: int) -> int:
 
 @kernel
 def _forgive(p: Any, slots: Any, planned_ns: int, t_ns: int) -> int:
-    """Take out of the world's time what the whole machine stood still since `planned_ns`; return by how much."""
+    """Take out of the world's time what the whole machine stood still since `planned_ns`.
+
+    Return by how much.
+    """
     first = t_ns
     for i in range(slots.shape[0]):
         if slots[i].state != State.FREE and slots[i].next < slots[i].staged:
@@ -138,7 +152,8 @@ def _forgive(p: Any, slots: Any, planned_ns: int, t_ns: int) -> int:
 def serve(pace: Any, clients: Clients, world: World, host: Host, law_function: Any) -> int:
     """Serve until Python is needed; return an `Exit` or a `Serve` that says why.
 
-    The world's loop is from the first the one that looks closely: nothing is compiled while clients wait.
+    The world's loop is from the first the one that looks closely: nothing is compiled while clients
+    wait.
     """
     p, w, bus, out = pace[0], world.state, world.bus, world.out
     slots, batches, cable = clients.slots, clients.batches, bus[0]
@@ -154,7 +169,8 @@ def serve(pace: Any, clients: Clients, world: World, host: Host, law_function: A
         p.planned_ns = t_ns
         if taken != 0:
             return taken
-        # the world up to the present, event by event: each start of a frame makes room for its sender's next
+        # the world up to the present, event by event: each start of a frame makes room for its
+        # sender's next
         while True:
             b = cable
             if cable.cut != 0:

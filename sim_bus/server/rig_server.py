@@ -39,11 +39,15 @@ class PacedRig(VirtualRig):
         detach(self.bus[0], SOURCE_HOST)
 
     def ask(self, t_ns: int, can_id: int, length: int, word: int) -> None:
-        """Let a frame of a client take part in the arbitration from `t_ns` on, as one did that was recorded."""
+        """Let a frame of a client take part in the arbitration from `t_ns` on, as one did that was
+        recorded.
+        """
         push(self._out, STATION, t_ns, can_id, length, word)
 
     def rest(self) -> None:
-        """End the schedule of each axis whose drive has left Operation Enabled: what `sim_bus.server.paced` looks for after each event."""
+        """End the schedule of each axis whose drive has left Operation Enabled: what
+        `sim_bus.server.paced` looks for after each event.
+        """
         for axis, one in enumerate(self._axes):
             state = self.nodes[int(one["motor"])]["power_state"]
             if one["operator_start_ns"] >= 0 and state != PowerState.OPERATION_ENABLED:
@@ -70,14 +74,16 @@ class SimServer(BusServer):
     mode : whose F_s sets the size of the operator's pushes
     script : what happens to the nodes, and when
     unpaced : frames take no time
-    record : a recording of every frame, stamped with its end of frame in the bus's own time from power-on
+    record : a recording of every frame, stamped with its end of frame in the bus's own time from
+        power-on
     faults : what goes wrong on the bus, and when
     force : replace `record` where it exists
 
     Raises
     ------
     coulombus.wire.address.BusUnavailable
-        (exit status 4) a live process serves this bus already, or the SocketCAN interface is not there
+        (exit status 4) a live process serves this bus already, or the SocketCAN interface is not
+        there
     coulombus.sim_bus.faults.file.FaultError
         (exit status 3) the file names a node that is not there, or the bus has no bit times
     """

@@ -1,6 +1,8 @@
-"""A world in real time as one process, for clients of a virtual bus, on a SocketCAN interface, or on another process' virtual bus.
+"""A world in real time as one process, for clients of a virtual bus, on a SocketCAN interface, or
+on another process' virtual bus.
 
-`BusServer` owns the sockets and answers what the compiled loop (`sim_bus.server.paced.serve`) needs Python for.
+`BusServer` owns the sockets and answers what the compiled loop (`sim_bus.server.paced.serve`) needs
+Python for.
 """
 
 from __future__ import annotations
@@ -71,7 +73,9 @@ class SimResult:
     faults: list[dict[str, Any]] | None = None
     """What each fault of a fault file came to."""
     controllers: dict[str, dict[str, Any]] | None = None
-    """State and error counters of the nodes' CAN controllers at the end, where there was a fault file."""
+    """State and error counters of the nodes' CAN controllers at the end, where there was a fault
+    file.
+    """
     gone: str | None = None
     """Why the bus ended before its time, or None."""
 
@@ -84,18 +88,21 @@ class SimResult:
 class BusServer:
     """A bus in real time with the devices of `world` on it.
 
-    Where another process serves the bus, or the kernel (SocketCAN), this one is a station of it, and frames take their time there.
+    Where another process serves the bus, or the kernel (SocketCAN), this one is a station of it,
+    and frames take their time there.
 
     Parameters
     ----------
-    make_world : gives a world of a bit rate; the first is for a trial, in which all that it needs is compiled, and thrown away
+    make_world : gives a world of a bit rate; the first is for a trial, in which all that it needs
+        is compiled, and thrown away
     bit_rate : of the virtual bus; 0: frames take no time
     join : take part in the virtual bus of another process, if there is one
 
     Raises
     ------
     coulombus.wire.address.BusUnavailable
-        (exit status 4) a live process serves this bus already (without `join`), or the SocketCAN interface is not there
+        (exit status 4) a live process serves this bus already (without `join`), or the SocketCAN
+        interface is not there
     """
 
     def __init__(
@@ -179,8 +186,9 @@ class BusServer:
     ) -> SimResult:
         """Serve for `seconds` (None: until `stop`) and return what came of it.
 
-        `priority` of SCHED_FIFO and `cpu` are asked for on behalf of the calling thread; `real_time` tells what was granted. `ready` is
-        called just before the nodes are switched on; clients may connect from the constructor's end on.
+        `priority` of SCHED_FIFO and `cpu` are asked for on behalf of the calling thread;
+        `real_time` tells what was granted. `ready` is called just before the nodes are switched on;
+        clients may connect from the constructor's end on.
         """
         world, pace = self.world, self._pace
         self.real_time = ask_for_real_time(priority, cpu)
@@ -255,7 +263,9 @@ class BusServer:
                 path.unlink()
 
     def keep_frames(self) -> None:
-        """Give the world's `on_frames` every frame that the bus carries, some hundred or those of 0.1 s at a time; to be called before `run`."""
+        """Give the world's `on_frames` every frame that the bus carries, some hundred or those of
+        0.1 s at a time; to be called before `run`.
+        """
         self._pace["keep"] = RECORD_FRAMES
 
     def _record(self) -> None:
@@ -334,7 +344,10 @@ class BusServer:
                 raise
 
     def _turn_away(self) -> None:
-        """Without a descriptor left: let one in on the spare one, and out again. Who is left to wait would wake the loop for ever."""
+        """Without a descriptor left: let one in on the spare one, and out again.
+
+        Who is left to wait would wake the loop for ever.
+        """
         assert self._listener is not None
         os.close(self._spare)
         try:
@@ -349,7 +362,10 @@ class BusServer:
             self._spare = os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC)
 
     def _place(self) -> int | None:
-        """Return a free place; when there are none for clients, who has connected and says nothing is turned away."""
+        """Return a free place.
+
+        When there are none for clients, who has connected and says nothing is turned away.
+        """
         free = np.flatnonzero(self._slots["state"] == State.FREE)
         if len(free) and free[0] < SLOTS:
             return int(free[0])
@@ -371,7 +387,10 @@ class BusServer:
             self._pids[i] = struct.unpack("3i", credentials)[0]
 
     def _greeted(self, i: int) -> None:
-        """Answer a greeting, the first or a later one; who does not greet at first is turned away."""
+        """Answer a greeting, the first or a later one.
+
+        Who does not greet at first is turned away.
+        """
         slot = self._slots[i]
         message = self._words[i].tobytes()[: int(self._pace["message_bytes"][0])]
         hello = Hello.unpack(message)
@@ -423,7 +442,9 @@ class BusServer:
 
 
 def _warm_up(world: VirtualNetwork) -> None:
-    """Let a world that nobody looks at do what the real one will: what is compiled, or loaded, at its first call takes a second."""
+    """Let a world that nobody looks at do what the real one will: what is compiled, or loaded, at
+    its first call takes a second.
+    """
     world.power_on()
     for device in world.devices:
         rx = CobId.SDO_RX + device.node_id
@@ -437,7 +458,9 @@ def _warm_up(world: VirtualNetwork) -> None:
 
 @contextmanager
 def _locked(directory: Path) -> Iterator[None]:
-    """Hold the lock on the sockets' directory, so that two servers that start at a time do not both take a dead one's place."""
+    """Hold the lock on the sockets' directory, so that two servers that start at a time do not both
+    take a dead one's place.
+    """
     fd = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
         fcntl.flock(fd, fcntl.LOCK_EX)
@@ -447,7 +470,10 @@ def _locked(directory: Path) -> Iterator[None]:
 
 
 def _refuse_live(path: Path, address: BusAddress) -> bool:
-    """Refuse a socket's file whose process lives; return whether there is the file of a dead one."""
+    """Refuse a socket's file whose process lives.
+
+    Return whether there is the file of a dead one.
+    """
     with closing(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)) as probe:
         try:
             probe.connect(str(path))

@@ -1,4 +1,6 @@
-"""The course of ``coulombus sim``: signals in the main thread, the bus in one of its own, what is told and when."""
+"""The course of ``coulombus sim``: signals in the main thread, the bus in one of its own, what is
+told and when.
+"""
 
 from __future__ import annotations
 
@@ -29,11 +31,15 @@ def run_sim(
     as_json: bool,
     tell_ready: Callable[[BusServer, bool], None] | None = None,
 ) -> None:
-    """Serve until the time is over, or a signal of `wire.stopping`; tell when ready and what came of it; end with the exit status.
+    """Serve until the time is over, or a signal of `wire.stopping`.
 
-    A compiled loop does not see a signal, so it runs in a thread of its own and the main thread's handlers stop it. Until `make` has made
-    the server (the first time it compiles for half a minute) a signal ends the process at once: an exception might be swallowed by whatever
-    it interrupts, and there is nothing to clean up yet. `tell_ready` is called before the nodes are switched on; by default it tells of a bus.
+    Tell when ready and what came of it; end with the exit status.
+
+    A compiled loop does not see a signal, so it runs in a thread of its own and the main thread's
+    handlers stop it. Until `make` has made the server (the first time it compiles for half a
+    minute) a signal ends the process at once: an exception might be swallowed by whatever it
+    interrupts, and there is nothing to clean up yet. `tell_ready` is called before the nodes are
+    switched on; by default it tells of a bus.
     """
     made: list[BusServer] = []
     over = threading.Event()

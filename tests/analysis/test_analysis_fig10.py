@@ -1,4 +1,6 @@
-"""Fig. 10: exact recursion and events against scipy's solve_ivp, and against time stepping as the step shrinks."""
+"""Fig. 10: exact recursion and events against scipy's solve_ivp, and against time stepping as the
+step shrinks.
+"""
 
 from __future__ import annotations
 
@@ -95,7 +97,9 @@ def test_passive_friction_is_in_its_set():
 
 
 def test_time_stepping_converges_to_the_events():
-    """Moreau's time stepping (implicit, set-valued) at 2 ms, 1 ms, 0.5 ms: the error at 3 s falls with the step."""
+    """Moreau's time stepping (implicit, set-valued) at 2 ms, 1 ms, 0.5 ms: the error at 3 s falls
+    with the step.
+    """
     exact = passive_run(PAPER)
     at = 3000
     errors = []
@@ -114,7 +118,9 @@ def test_time_stepping_converges_to_the_events():
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.4e-3, 1e-3])
 def test_active_recursion_against_solve_ivp(delay_s):
-    """The recursion's samples against scipy's integration of the same held forces, over 0.3 s with chatter."""
+    """The recursion's samples against scipy's integration of the same held forces, over 0.3 s with
+    chatter.
+    """
     parameters = replace(PAPER, delay_s=delay_s, window_s=0.3)
     run = active_run(parameters)
     T, y, before = 1e-3, np.array([0.0, 0.0]), 0.0
@@ -153,7 +159,10 @@ def test_active_chatters_and_passive_does_not():
 
 
 def test_an_operator_with_memory_sticks_as_well():
-    """A Maxwell hand relaxes while the handle is held: the stick phase is no constant load. Against Moreau's stepping at 20 us."""
+    """A Maxwell hand relaxes while the handle is held: the stick phase is no constant load.
+
+    Against Moreau's stepping at 20 us.
+    """
     k, tau = 400.0, 0.05  # spring and damper in series: k / (s + 1/tau)
     hand = Operator((1.287, 29.33 + 1.287 / tau, 29.33 / tau + k), (1.0, 1 / tau))
     run = passive_run(replace(PAPER, operator=hand, window_s=1.5))

@@ -146,7 +146,9 @@ def test_operators_that_are_not_passive_are_refused(numerator, denominator, reas
 
 
 def test_random_networks_of_passive_parts_are_accepted():
-    """Sums of masses, dampers, springs and Maxwell elements k/(s + k/b) are passive by construction."""
+    """Sums of masses, dampers, springs and Maxwell elements k/(s + k/b) are passive by
+    construction.
+    """
     rng = np.random.default_rng(3)
     for _ in range(50):
         numerator, denominator = np.array(10.0 ** rng.uniform(-2, 2, 2)), np.array([1.0])

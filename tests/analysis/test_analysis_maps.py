@@ -1,4 +1,6 @@
-"""The compiled loop against an independent integration, and the maps: same numbers however they are computed."""
+"""The compiled loop against an independent integration, and the maps: same numbers however they are
+computed.
+"""
 
 from __future__ import annotations
 
@@ -107,7 +109,9 @@ def reference(p: LoopParameters, seconds: float) -> np.ndarray:
 
 @pytest.mark.parametrize("delay", [0.0, 0.4e-3, 1e-3])
 def test_the_compiled_loop_is_the_integrators_solution(delay, record_property):
-    """Inherent friction, motor lag, fractional delay, a coarse encoder: stick, slip and break-away included."""
+    """Inherent friction, motor lag, fractional delay, a coarse encoder: stick, slip and break-away
+    included.
+    """
     p = replace(LoopParameters(), relay=True, velocity_band_counts=0.0, compensation_Nm=0.0, torque_step_Nm=0.0)
     p = replace(p, delay_s=delay, tap_rad_s=1.0, settle_s=0.05, window_s=0.05)
     expected = reference(p, 0.1)

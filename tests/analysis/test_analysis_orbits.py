@@ -67,7 +67,9 @@ def test_the_papers_orbits():
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.5e-3, 1e-3, 2e-3])
 def test_orbits_repeat_when_simulated(delay_s):
-    """Start the brute-force loop on each orbit, by its force's periodic response: it comes back after a period."""
+    """Start the brute-force loop on each orbit, by its force's periodic response: it comes back
+    after a period.
+    """
     parameters = replace(PAPER, delay_s=delay_s)
     T = 1e-3
     whole, late = int(delay_s / T + 1e-9), delay_s % T if delay_s != 2e-3 and delay_s != 1e-3 else 0.0

@@ -1,4 +1,6 @@
-"""What goes through PDOs: the limit cycle on the bus, friction identified and compensated, hold and stroke; Figs. 12 to 14."""
+"""What goes through PDOs: the limit cycle on the bus, friction identified and compensated, hold and
+stroke; Figs. 12 to 14.
+"""
 
 from __future__ import annotations
 
@@ -144,7 +146,8 @@ def test_identify_on_the_command_line(tmp_path):
     told = runner.invoke(main, ["identify", str(moved), "--json", "--figure", str(plot)])
     assert told.exit_code == 0
     found = json.loads(told.stdout)
-    # at one speed, 2 rad/s, the viscous 0.01 Nm count to Coulomb's; the motor's torque is known, so its chatter is too
+    # at one speed, 2 rad/s, the viscous 0.01 Nm count to Coulomb's; the motor's torque is known, so
+    # its chatter is too
     assert found["viscous_Nms_rad"] is None
     assert found["device"]["coulomb_Nm"] == pytest.approx(0.14 + 0.01, abs=1e-3)
     assert found["coulomb_Nm"] == pytest.approx(1.0, abs=0.1)  # what is displayed
@@ -156,7 +159,9 @@ def test_identify_on_the_command_line(tmp_path):
 
 
 def test_samples_in_which_the_sign_check_drives_are_not_fitted(tmp_path):
-    """The device has 0.20 Nm, and the motor of the sign check moves it: fitted with it, it was 0.2145 Nm, and Stribeck's."""
+    """The device has 0.20 Nm, and the motor of the sign check moves it: fitted with it, it was
+    0.2145 Nm, and Stribeck's.
+    """
     path = tmp_path / "run.pcapng"
     values = ("compensation=0.0", "motor_limit_Nm=0.24", "F_s_Nm=0.0", "F_d_Nm=0.0")
     rig = load_rig("bench").variant(
@@ -217,7 +222,8 @@ def test_the_stick_phase_decides_when_a_fast_push_breaks_away(hold):
     held, spring, printed = (
         hold.row("hybrid", *way) for way in (("continuous", "hold"), ("continuous", "spring"), ("paper", "spring"))
     )
-    # everything at the handle: F_s, the brake's off-state and the device's friction, less what is compensated in slip
+    # everything at the handle: F_s, the brake's off-state and the device's friction, less what is
+    # compensated in slip
     assert 1.0 <= held.fast.share_of_F_s <= 1.15
     assert held.fast.crept_rad == 0.0
     assert printed.fast.share_of_F_s < 0.3 < 0.9 < spring.fast.share_of_F_s <= held.fast.share_of_F_s

@@ -1,4 +1,6 @@
-"""Friction from samples: the fit's intervals hold the truth, and what does not obey the regression is left out, counted and told."""
+"""Friction from samples: the fit's intervals hold the truth, and what does not obey the regression
+is left out, counted and told.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,9 @@ def stroke_speeds(rng, strokes=12):
 
 
 def strokes(rng, truth, strokes=12):
-    """Return slides of a handle with the friction `truth`: exact motion, then encoder and transducer."""
+    """Return slides of a handle with the friction `truth`: exact motion, then encoder and
+    transducer.
+    """
     found = []
     for v in stroke_speeds(rng, strokes):
         fine = np.interp(np.arange(len(v) * 20) / 20, np.arange(len(v)), v)  # 50 us, so that x is its integral
@@ -142,7 +146,9 @@ class Made(Source):
 
 
 def made_run(rng, *, markers=True, sign_check=True, **changes):
-    """Return a run: 0.3 s not enabled, a sign check that drives the handle, still, then strokes, then the safe state."""
+    """Return a run: 0.3 s not enabled, a sign check that drives the handle, still, then strokes,
+    then the safe state.
+    """
     scale = load_rig("bench").pdos()[0].signals[1].scale
     count = abs(next(s for p in load_rig("bench").pdos() for s in p.signals if s.name == "motor.position_rad").scale)
     truth = random_truth(rng) | {"c": 0.2, "noise": 0.002}
@@ -183,7 +189,9 @@ def test_the_status_words_of_these_tests_are_what_they_say():
 
 @pytest.mark.parametrize("markers", [True, False])
 def test_sign_check_and_safe_state_are_left_out_and_counted(markers):
-    """With and without markers: the wire shows Operation Enabled, the check's torque, and a handle that is still."""
+    """With and without markers: the wire shows Operation Enabled, the check's torque, and a handle
+    that is still.
+    """
     recording = made_run(np.random.default_rng(0), markers=markers)
     found = identify(recording)
     assert found.felt.coulomb_Nm.value == pytest.approx(0.2, abs=5e-4)

@@ -1,4 +1,6 @@
-"""The intervals of `coulombus identify` hold the truth of rigs in 95 of 100: simulated through bus, nodes, quantisation and the host."""
+"""The intervals of `coulombus identify` hold the truth of rigs in 95 of 100: simulated through bus,
+nodes, quantisation and the host.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ STROKES = ", ".join(
 
 
 def random_rig(seed):
-    """Return a rig with random friction, inertia, noise, encoder and tremor, and what is true of it."""
+    """Return a rig with random friction, inertia, noise, encoder and tremor, and what is true of
+    it.
+    """
     rng = np.random.default_rng([7, seed])
     coulomb, off = rng.uniform(0.03, 0.12), rng.uniform(0.04, 0.1)
     truth = {"viscous_Nms_rad": rng.uniform(0.002, 0.02), "inertia_kg_m2": float(np.exp(rng.uniform(-6.7, -5.3)))}

@@ -73,7 +73,9 @@ def test_a_mutant_is_caught(mutant):
 
 
 class Stalled(VirtualLink):
-    """A device that stands still for most of the time in which it is to miss a heartbeat, as a simulated one does with its machine."""
+    """A device that stands still for most of the time in which it is to miss a heartbeat, as a
+    simulated one does with its machine.
+    """
 
     ahead = 0
 

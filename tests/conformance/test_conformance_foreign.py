@@ -1,4 +1,6 @@
-"""No case fails a device that does otherwise than ours and as the standards allow it; and what the tester itself cannot do is its own fault."""
+"""No case fails a device that does otherwise than ours and as the standards allow it; and what the
+tester itself cannot do is its own fault.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""DCF files: what they configure, read and as live nodes. CiA 306-1: ParameterValue is the value that the device is given."""
+"""DCF files: what they configure, read and as live nodes.
+
+CiA 306-1: ParameterValue is the value that the device is given.
+"""
 
 from __future__ import annotations
 
@@ -154,7 +157,10 @@ COB_IDS = {
     0x1802: ("$NODEID+0x40000380", "0x80000391"),
     0x1803: ("$NODEID+0x480", "0xC0000491"),
 }
-"""Identifiers of node 17: default, and configured value; bits 30 and 31 are set in one of them, in both or in none."""
+"""Identifiers of node 17: default, and configured value.
+
+Bits 30 and 31 are set in one of them, in both or in none.
+"""
 
 
 def identifiers(commissioned, cob_ids=COB_IDS):

@@ -1,4 +1,6 @@
-"""Our two EDS files: no linter complains, canopen reads the same, and the contents are those that were agreed."""
+"""Our two EDS files: no linter complains, canopen reads the same, and the contents are those that
+were agreed.
+"""
 
 import re
 import subprocess
@@ -101,7 +103,10 @@ COMMON = """
 2003:0 UNSIGNED32 wo 0
 2004:0 VISIBLE_STRING rw
 """
-"""index:subindex, type, access, default ($: node id plus), limits; the letter p: may be mapped into a PDO."""
+"""index:subindex, type, access, default ($: node id plus), limits.
+
+The letter p: may be mapped into a PDO.
+"""
 
 CONTENTS = {
     "motor": """

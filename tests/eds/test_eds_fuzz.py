@@ -1,4 +1,6 @@
-"""Fuzzing of the EDS reader: whatever the bytes, a description with diagnoses or an EdsError, in bounded time."""
+"""Fuzzing of the EDS reader: whatever the bytes, a description with diagnoses or an EdsError, in
+bounded time.
+"""
 
 from __future__ import annotations
 
@@ -135,7 +137,9 @@ def test_a_real_file_with_bytes_overwritten(changes):
 
 
 def test_a_pdo_that_is_read_is_the_undamaged_one_or_said_to_be_another():
-    """Each single character of a map's defaults that is replaced leads to another map by the file's own word, or to a refusal."""
+    """Each single character of a map's defaults that is replaced leads to another map by the file's
+    own word, or to a refusal.
+    """
     clean = check(parse_eds("\n".join(SMALL).encode(), "fuzz.eds"), 127).pdos[0].entries
     assert [(e.index, e.bits) for e in clean] == [(0x2000, 16), (5, 8)]
     text = "\n".join(SMALL)

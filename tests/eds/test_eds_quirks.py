@@ -1,4 +1,6 @@
-"""Quirks of other vendors' files, one at a time: each is said with its line and with what is assumed."""
+"""Quirks of other vendors' files, one at a time: each is said with its line and with what is
+assumed.
+"""
 
 from __future__ import annotations
 

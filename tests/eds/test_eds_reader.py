@@ -1,4 +1,6 @@
-"""The EDS reader: one quirk at a time in a few lines of EDS, then every file of the corpus of real ones."""
+"""The EDS reader: one quirk at a time in a few lines of EDS, then every file of the corpus of real
+ones.
+"""
 
 import logging
 import math
@@ -435,7 +437,9 @@ NOISE = [
 
 @pytest.mark.parametrize("seed", range(60))
 def test_a_damaged_file_is_read_or_refused_and_never_more(tmp_path, seed):
-    """Lines lost, doubled, swapped and overwritten: no exception but EdsError, no PDO wider than 64 bits."""
+    """Lines lost, doubled, swapped and overwritten: no exception but EdsError, no PDO wider than 64
+    bits.
+    """
     chance = random.Random(seed)
     lines = (ROOT / "eds" / "motor.eds").read_text().split("\n")
     for _ in range(chance.randrange(1, 200)):

@@ -1,4 +1,6 @@
-"""CiA 301's NMT state machine as a table: every command in every state, what each state allows, what an error leads to."""
+"""CiA 301's NMT state machine as a table: every command in every state, what each state allows,
+what an error leads to.
+"""
 
 from __future__ import annotations
 

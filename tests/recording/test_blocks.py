@@ -1,4 +1,6 @@
-"""A recording gone through block by block: the same figures as from the whole, in a memory that does not grow with it."""
+"""A recording gone through block by block: the same figures as from the whole, in a memory that
+does not grow with it.
+"""
 
 from __future__ import annotations
 
@@ -31,9 +33,12 @@ def small_blocks(monkeypatch):
 
 
 def long_recording(path, seconds, seed=1, *, driven=True):
-    """Write a run of the bench rig: four PDOs a cycle, a hold over most of it and a stroke; the signals are noise.
+    """Write a run of the bench rig: four PDOs a cycle, a hold over most of it and a stroke.
 
-    The drive is enabled; unless it is `driven`, the motor has no torque, as where no sign check is done.
+    The signals are noise.
+
+    The drive is enabled; unless it is `driven`, the motor has no torque, as where no sign check is
+    done.
     """
     rig = load_rig("bench")
     kinds = [phase.kind for phase in rig.one_axis().phases]

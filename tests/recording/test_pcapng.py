@@ -1,4 +1,6 @@
-"""pcapng files: ours byte by byte, as tshark sees them, torn, damaged, on a full disk; and other tools' files."""
+"""pcapng files: ours byte by byte, as tshark sees them, torn, damaged, on a full disk; and other
+tools' files.
+"""
 
 import errno
 import hashlib
@@ -85,7 +87,8 @@ def can(can_id: int, data: bytes, padded: bool = True, flags: int = 0) -> bytes:
     return struct.pack(">IBBH", can_id, len(data), flags, 0) + (data.ljust(8, b"\0") if padded else data)
 
 
-# ------------------------------------------------------------------------------------------------ our own files
+# ------------------------------------------------------------------------------------------------
+# our own files
 
 
 def test_the_bytes_of_a_small_file(tmp_path: Path):
@@ -204,11 +207,15 @@ def test_an_attachment_that_no_tool_would_read_is_refused(tmp_path: Path):
         PcapngWriter(tmp_path / "a.pcapng", attachments={"noise": noise})
 
 
-# ------------------------------------------------------------------------------------------------ torn and damaged
+# ------------------------------------------------------------------------------------------------
+# torn and damaged
 
 
 def whole_blocks(data: bytes) -> tuple[int, int]:
-    """Packets that stand complete in `data`, and the bytes behind the last whole block; counted with struct alone."""
+    """Packets that stand complete in `data`, and the bytes behind the last whole block.
+
+    Counted with struct alone.
+    """
     at = packets = 0
     while at + 12 <= len(data):
         kind, length = struct.unpack_from("<II", data, at)
@@ -312,7 +319,10 @@ def test_garbage_is_refused(tmp_path: Path, content: bytes, text: str):
 
 
 def refusal(path: Path) -> str | None:
-    """What the reader says against the file; any other exception than its own is the caller's failure."""
+    """What the reader says against the file.
+
+    Any other exception than its own is the caller's failure.
+    """
     try:
         read_pcapng(path)
     except PcapngError as error:
@@ -357,7 +367,8 @@ def test_a_damaged_attachment_is_left_out_and_said(tmp_path: Path):
         assert "'rig.toml' is damaged" in capture.warnings[0]
 
 
-# ------------------------------------------------------------------------------------------------ full disks
+# ------------------------------------------------------------------------------------------------
+# full disks
 
 
 def test_a_recording_is_not_overwritten_unless_asked(tmp_path: Path):
@@ -499,7 +510,8 @@ def test_a_pipe(tmp_path: Path):
     assert as_rows(read_pcapng(tmp_path / "a.pcapng").frames) == ROWS
 
 
-# ------------------------------------------------------------------------------------------------ other tools' files
+# ------------------------------------------------------------------------------------------------
+# other tools' files
 
 
 @pytest.mark.parametrize("order", ["<", ">"])

@@ -163,7 +163,9 @@ def test_a_file_that_breaks_off_before_its_rig_says_so(tmp_path: Path, rig: Rig)
 
 
 def test_a_recording_that_is_still_being_written(tmp_path: Path, rig: Rig):
-    """What is there counts; a later look at it finds more, and a block that is half there is left for then."""
+    """What is there counts; a later look at it finds more, and a block that is half there is left
+    for then.
+    """
     path = save(tmp_path / "a.pcapng", CYCLE * 20, attached(rig))
     whole = path.read_bytes()
     path.write_bytes(whole[: -19 * 8 * 48 - 20])

@@ -1,6 +1,8 @@
-"""What a client that was not written here does with our nodes: `canopen`'s classes, on whatever bus the network is connected to.
+"""What a client that was not written here does with our nodes: `canopen`'s classes, on whatever bus
+the network is connected to.
 
-Each function takes a connected network and leaves the nodes as it found them. Nothing is timed: all waits are far longer than needed.
+Each function takes a connected network and leaves the nodes as it found them. Nothing is timed: all
+waits are far longer than needed.
 """
 
 from __future__ import annotations
@@ -38,7 +40,9 @@ def node_of(network, kind=canopen.RemoteNode, name="motor", node_id=MOTOR):
 
 
 def booted(network, node_id, act):
-    """Act, and wait for the node's boot-up. canopen's `wait_for_bootup` misses one that comes before it waits."""
+    """Act, and wait for the node's boot-up. canopen's `wait_for_bootup` misses one that comes
+    before it waits.
+    """
     came = threading.Event()
 
     def hear(can_id, data, stamp):

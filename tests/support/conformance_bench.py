@@ -1,4 +1,7 @@
-"""One device in virtual time as the conformance run's link; deadlines and frames in their order, no bit timing."""
+"""One device in virtual time as the conformance run's link.
+
+Deadlines and frames in their order, no bit timing.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +33,10 @@ def description(name: str) -> Description:
 
 
 class VirtualLink:
-    """A device that is alone with the tester; each frame takes `DELAY_NS`. `tamper` may change what the device sends."""
+    """A device that is alone with the tester; each frame takes `DELAY_NS`.
+
+    `tamper` may change what the device sends.
+    """
 
     def __init__(self, eds: Description, node_id: int, kind: Profile, device_type=Device) -> None:
         self.nodes = new_nodes(1)

@@ -1,6 +1,8 @@
-"""Nodes that do something otherwise than ours, and as CiA 301, 305, 306 and 402 allow it: no case may fail them.
+"""Nodes that do something otherwise than ours, and as CiA 301, 305, 306 and 402 allow it: no case
+may fail them.
 
-What they send or receive is changed on its way, as of the mutants. Most of it is what Lely's stack, CANopenNode or gocanopen do.
+What they send or receive is changed on its way, as of the mutants. Most of it is what Lely's stack,
+CANopenNode or gocanopen do.
 """
 
 from __future__ import annotations
@@ -147,7 +149,10 @@ def a_text_has_room_for_eight_bytes(link, can_id, data, length):
 
 @foreign("B.6", "S.1", "N.4", "K.2", way="sends")
 def texts_end_with_zeros(link, frame):
-    """A string of a fixed length is filled up; here each one that comes in one expedited or last segment."""
+    """A string of a fixed length is filled up.
+
+    Here each one that comes in one expedited or last segment.
+    """
     last = frame.can_id == 0x581 and link.request[0] >> 5 == 3 and frame.data[0] & 0x01
     if last and frame.data[0] >> 1 & 7 and link.memory.get("text"):
         return with_data(frame, bytes((frame.data[0] & ~0x0E,)) + frame.data[1:])

@@ -1,4 +1,7 @@
-"""Nodes that do one thing wrong: what they send or receive is changed on its way. Each names the case that must catch it."""
+"""Nodes that do one thing wrong: what they send or receive is changed on its way.
+
+Each names the case that must catch it.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,9 @@ class Mutant:
 
 
 class MutantLink(VirtualLink):
-    """A link that lets the mutant's functions change frames; `sends` of the node, `takes` on their way to it."""
+    """A link that lets the mutant's functions change frames; `sends` of the node, `takes` on their
+    way to it.
+    """
 
     mutant: Mutant
 

@@ -65,7 +65,9 @@ class Copper:
         refresh(self.bus)
 
     def run(self, until_ns=FAR_NS - 1, rows=1000):
-        """Let the wire work until `until_ns`, or until nobody wants it, or for so many rows of the log."""
+        """Let the wire work until `until_ns`, or until nobody wants it, or for so many rows of the
+        log.
+        """
         out = []
         bus = self.bus
         while len(out) < rows:

@@ -1,7 +1,9 @@
-"""A call that fails: the n-th one of all that Python code makes into C, system calls with an OSError, all others as if memory had run out.
+"""A call that fails: the n-th one of all that Python code makes into C, system calls with an
+OSError, all others as if memory had run out.
 
-What the interpreter calls in C is seen by a profile function (`sys.setprofile`); an exception that it raises comes out of the call, which is
-then not made. So every system call and every allocation that has a name can fail, once, in a run that is the same each time.
+What the interpreter calls in C is seen by a profile function (`sys.setprofile`); an exception that
+it raises comes out of the call, which is then not made. So every system call and every allocation
+that has a name can fail, once, in a run that is the same each time.
 """
 
 from __future__ import annotations
@@ -35,7 +37,10 @@ class Shim:
     failed: tuple[str, int, str] | None = None
 
     def numbers(self, most):
-        """Return the numbers of the first `most` calls of each place; of more than one, the last one's, too."""
+        """Return the numbers of the first `most` calls of each place.
+
+        Of more than one, the last one's, too.
+        """
         chosen = set()
         for calls in self.sites.values():
             chosen.update(calls[:most], calls[-1:] if most > 1 else ())
@@ -62,7 +67,10 @@ class Shim:
 
 
 def _counts(filename):
-    """The project's own code and the library's that it calls; not the tests, not the import system, not what only cleans up after a file."""
+    """The project's own code and the library's that it calls.
+
+    Not the tests, not the import system, not what only cleans up after a file.
+    """
     own = filename.startswith(str(ROOT)) and not filename.startswith((str(ROOT / "tests"), str(ROOT / ".venv")))
     return own or filename.endswith(("/socket.py", "/subprocess.py", "/pathlib.py"))
 

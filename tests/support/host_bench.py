@@ -21,7 +21,9 @@ rig_of = cache(load_rig)
 
 
 class HostBench:
-    """Two devices whose answers a test can bend: position in counts, handle torque, statusword, missing TPDOs."""
+    """Two devices whose answers a test can bend: position in counts, handle torque, statusword,
+    missing TPDOs.
+    """
 
     def __init__(self, mode="hybrid", *overrides, rig=None):
         self.rig = rig_of("bench", overrides) if rig is None else rig
@@ -63,7 +65,10 @@ class HostBench:
         finish(self.axis, self.k.law_function, self.t_ns, self.out)
 
     def cycle(self):
-        """One cycle; afterwards `sent` has the image of what the host sent. A change of the phase is one of the table's."""
+        """One cycle; afterwards `sent` has the image of what the host sent.
+
+        A change of the phase is one of the table's.
+        """
         before = self.phase
         self.out["count"] = 0
         self.t_ns = self.h.cycle * MS
@@ -111,7 +116,9 @@ class HostBench:
         return self.k.phase
 
     def enter(self, phase, counts=0):
-        """Stand in `phase`, without the way there: both devices talk, the handle stands at `counts`, the drive is enabled from ENABLE on."""
+        """Stand in `phase`, without the way there: both devices talk, the handle stands at
+        `counts`, the drive is enabled from ENABLE on.
+        """
         h = self.h
         self.counts = float(counts)
         self.state = int(PowerState.SWITCHED_ON if phase <= Phase.ENABLE else PowerState.OPERATION_ENABLED)
@@ -130,7 +137,9 @@ class HostBench:
         return [(int(f.t_ns), int(f.can_id), int(f.length), int(f.word)) for f in rows]
 
     def follow_sign_check(self, direction=1, hand=-1):
-        """Be a handle on a light hand: move when the torque exceeds the friction, and let the hand resist."""
+        """Be a handle on a light hand: move when the torque exceeds the friction, and let the hand
+        resist.
+        """
         torque = self.motor_pm * self.c.Nm_pm
         excess = max(abs(torque) - 0.14, 0.0)
         angle = direction * excess / 5.0

@@ -1,6 +1,8 @@
-"""The compiled loops while calls of the C library fail: run by tests/host/test_libc_faults.py, with tests/support/libc_shim.c preloaded.
+"""The compiled loops while calls of the C library fail: run by tests/host/test_libc_faults.py, with
+tests/support/libc_shim.c preloaded.
 
-``python libc_faults.py plane|sim NUMBERS`` prints a line of JSON for each fault: what it was, whether the call came, and what is wrong with the end.
+``python libc_faults.py plane|sim NUMBERS`` prints a line of JSON for each fault: what it was,
+whether the call came, and what is wrong with the end.
 """
 
 from __future__ import annotations
@@ -71,7 +73,9 @@ def arm(function, number, error):
 
 
 class Devices:
-    """A bus on the other end of a socket pair, with a drive that obeys and a handle that moves evenly once the law runs."""
+    """A bus on the other end of a socket pair, with a drive that obeys and a handle that moves
+    evenly once the law runs.
+    """
 
     def __init__(self, k, other):
         self.k, self.other = k, other
@@ -91,7 +95,10 @@ class Devices:
                         self.other.send(self._answers())
 
     def _message(self):
-        """Return the next message; b"" at the end. That the other side went without reading all is told once, and in between."""
+        """Return the next message; b"" at the end.
+
+        That the other side went without reading all is told once, and in between.
+        """
         try:
             return self.other.recv(1 << 16)
         except ConnectionResetError:
@@ -265,7 +272,10 @@ def main(which, numbers):
 
 
 def sim_case(function, number, error):
-    """Serve a bus for two clients, one call failing in the server's thread; return what is wrong with the end."""
+    """Serve a bus for two clients, one call failing in the server's thread.
+
+    Return what is wrong with the end.
+    """
     wrong, raised = [], []
     before = len(os.listdir("/proc/self/fd"))
     with tempfile.TemporaryDirectory() as folder:
@@ -321,7 +331,8 @@ def sim_case(function, number, error):
 def _documented(error, function):
     """Tell whether a verb that ends by this error has a status of its own for it.
 
-    Where memory runs out inside of numba's entry into a kernel, numba raises what it happens to: SystemError without a text, TypeError.
+    Where memory runs out inside of numba's entry into a kernel, numba raises what it happens to:
+    SystemError without a text, TypeError.
     """
     try:
         with errors():

@@ -43,7 +43,9 @@ class SdoAborted(Exception):
 
 
 class Bench:
-    """A device that is alone with its tester; `sent` holds all that it sent and the tester has not taken."""
+    """A device that is alone with its tester; `sent` holds all that it sent and the tester has not
+    taken.
+    """
 
     def __init__(
         self,

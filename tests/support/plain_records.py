@@ -1,4 +1,6 @@
-"""Records as plain Python objects: without the JIT a kernel runs on them thirty times as fast as on NumPy's records."""
+"""Records as plain Python objects: without the JIT a kernel runs on them thirty times as fast as on
+NumPy's records.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,9 @@ from coulombus.compiled.decorator import JIT_DISABLED
 
 
 class PlainRecords(list):
-    """An array of records: `a[k]` is a record, `a["name"]` the column; `a["name"] = value` sets it in all."""
+    """An array of records: `a[k]` is a record, `a["name"]` the column; `a["name"] = value` sets it
+    in all.
+    """
 
     @property
     def shape(self):

@@ -1,4 +1,6 @@
-"""A bench in real time: ``coulombus sim`` and ``coulombus run`` as processes on a bus of their own, and an observer that counts for itself."""
+"""A bench in real time: ``coulombus sim`` and ``coulombus run`` as processes on a bus of their own,
+and an observer that counts for itself.
+"""
 
 from __future__ import annotations
 
@@ -86,7 +88,10 @@ def end(process):
 
 
 def result(process):
-    """Wait for a host's end; return its exit status, what it printed as JSON (None: nothing), and its stderr."""
+    """Wait for a host's end.
+
+    Return its exit status, what it printed as JSON (None: nothing), and its stderr.
+    """
     out, err = process.communicate(timeout=PATIENCE_S)
     return process.returncode, json.loads(out) if out.strip() else None, err
 
@@ -131,7 +136,10 @@ class Observer:
         return self.log[before:]
 
     def until(self, run, condition, seconds=PATIENCE_S):
-        """Look until `condition(can_id, data)` holds for a frame; return its stamp [s]. A `run` that ends before says what came of it."""
+        """Look until `condition(can_id, data)` holds for a frame; return its stamp [s].
+
+        A `run` that ends before says what came of it.
+        """
         deadline = time.monotonic() + seconds
         ended = False
         while time.monotonic() < deadline and not ended:

@@ -1,8 +1,10 @@
-"""How long the machine stood still: it may be shared with others, and then a test against the wall clock that fails says nothing of this project.
+"""How long the machine stood still: it may be shared with others, and then a test against the wall
+clock that fails says nothing of this project.
 
-One watcher for each CPU sleeps and wakes, above everything else where that is granted; a wake-up far too late is a standstill. It is a program
-of its own, because nothing that a test does may hold it up: ``python standstill.py CPU`` answers each byte on stdin by a line, the longest
-lateness since the byte before in seconds.
+One watcher for each CPU sleeps and wakes, above everything else where that is granted; a wake-up
+far too late is a standstill. It is a program of its own, because nothing that a test does may hold
+it up: ``python standstill.py CPU`` answers each byte on stdin by a line, the longest lateness since
+the byte before in seconds.
 """
 
 import os
@@ -14,7 +16,9 @@ from contextlib import suppress
 
 PERIOD_S = 0.01
 LIMIT_S = 0.025
-"""Half of what the real-time tests' rig endures (`rigs.overrides.SHARED_MACHINE`): the watcher sees a standstill from its next wake-up on."""
+"""Half of what the real-time tests' rig endures (`rigs.overrides.SHARED_MACHINE`): the watcher sees
+a standstill from its next wake-up on.
+"""
 
 
 class Watchers:

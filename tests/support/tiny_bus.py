@@ -1,4 +1,5 @@
-"""A virtual bus in a thread: the protocol of wire.hello from its text, without pacing, nodes or any of the project's code.
+"""A virtual bus in a thread: the protocol of wire.hello from its text, without pacing, nodes or any
+of the project's code.
 
 It takes clients, answers their greetings, and gives each message of frames to all others, filtered.
 """

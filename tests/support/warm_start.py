@@ -1,7 +1,9 @@
-"""``coulombus VERB ...`` as a process of its own, forked from one that has imported everything: most of a short run is Python's start otherwise.
+"""``coulombus VERB ...`` as a process of its own, forked from one that has imported everything:
+most of a short run is Python's start otherwise.
 
-`Warm` is a `subprocess.Popen` whose child is made by the server below, one for each test process. The child has the given files, folder and
-environment, and ends as any Python does. What a variable changes at import is the server's: tests of the start itself use `subprocess`.
+`Warm` is a `subprocess.Popen` whose child is made by the server below, one for each test process.
+The child has the given files, folder and environment, and ends as any Python does. What a variable
+changes at import is the server's: tests of the start itself use `subprocess`.
 """
 
 from __future__ import annotations
@@ -95,7 +97,10 @@ def _server():
 
 
 def serve(fd):
-    """Fork a child for each order, and tell its end to who has ordered it; return in the child, with its arguments."""
+    """Fork a child for each order, and tell its end to who has ordered it.
+
+    Return in the child, with its arguments.
+    """
     orders = socket.socket(fileno=fd)
     waiting = {}
     wake, waker = os.pipe2(os.O_NONBLOCK)

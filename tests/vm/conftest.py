@@ -1,7 +1,7 @@
 """Tests on Linux's own CAN: `.ci/run` runs them inside a virtual machine whose kernel has it.
 
-COULOMBUS_TEST_CAN names the interface, ``vcan0``, or two on one bus, ``can0,can1``: the nodes are on the last one, the test (or the host) on
-the first.
+COULOMBUS_TEST_CAN names the interface, ``vcan0``, or two on one bus, ``can0,can1``: the nodes are
+on the last one, the test (or the host) on the first.
 """
 
 from __future__ import annotations
@@ -64,7 +64,10 @@ class Sim:
 
 @pytest.fixture(scope="module")
 def start_sim():
-    """Return a function that starts a sim on the nodes' interface (or a given one); what still runs after the module is killed."""
+    """Return a function that starts a sim on the nodes' interface (or a given one).
+
+    What still runs after the module is killed.
+    """
     with contextlib.ExitStack() as stack:
 
         def start(*options, interface=None):

@@ -1,4 +1,7 @@
-"""``coulombus run`` on SocketCAN: the host's data plane and control plane on Linux's own CAN. Slowed down fifty times, as an emulated machine is."""
+"""``coulombus run`` on SocketCAN: the host's data plane and control plane on Linux's own CAN.
+
+Slowed down fifty times, as an emulated machine is.
+"""
 
 from __future__ import annotations
 
@@ -76,7 +79,10 @@ def observer(interface):
 
 
 def until(client, condition, run=None):
-    """Read until `condition(can_id, data)` holds for a frame; return its stamp [s]. A `run` that ends before says what came of it."""
+    """Read until `condition(can_id, data)` holds for a frame; return its stamp [s].
+
+    A `run` that ends before says what came of it.
+    """
     deadline = time.monotonic() + PATIENCE_S
     while time.monotonic() < deadline:
         assert run is None or run.poll() is None, result(run)
@@ -123,7 +129,10 @@ def test_the_interface_goes_down_in_mid_run(sim, interface):
 
 
 def test_the_host_is_killed_under_a_flood(sim, interface):
-    """While it lives it bears a flood of unknown identifiers; when it dies the nodes say so, and nobody sends SYNC."""
+    """While it lives it bears a flood of unknown identifiers.
+
+    When it dies the nodes say so, and nobody sends SYNC.
+    """
     over = threading.Event()
     with observer(interface) as client, observer(interface) as flooder, host(interface, seconds=60) as run:
 

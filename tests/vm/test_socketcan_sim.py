@@ -46,7 +46,9 @@ def ip(*arguments):
 
 
 def answer(raw, can_id, wait_s):
-    """Return the data of the next frame with an identifier; TimeoutError without one, whatever else is on the bus (heartbeats never end)."""
+    """Return the data of the next frame with an identifier; TimeoutError without one, whatever else
+    is on the bus (heartbeats never end).
+    """
     deadline = time.monotonic() + wait_s
     while (left := deadline - time.monotonic()) > 0:
         raw.settimeout(left)

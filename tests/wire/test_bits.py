@@ -1,4 +1,6 @@
-"""Frame lengths against an oracle that writes the frame out as a string of bits, CRC by polynomial division."""
+"""Frame lengths against an oracle that writes the frame out as a string of bits, CRC by polynomial
+division.
+"""
 
 import random
 import re

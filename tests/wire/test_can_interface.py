@@ -78,7 +78,10 @@ def test_what_is_no_frame_of_the_bus_is_not_sent(bus):
 
 
 def test_bus_off_is_told_by_the_state():
-    """Station 17, which data[5] of its own error frames tells, goes off and comes back; station 18 does not matter."""
+    """Station 17, which data[5] of its own error frames tells, goes off and comes back.
+
+    Station 18 does not matter.
+    """
     with tiny_bus() as bus, opened() as ours:
         states = []
         for classes, station in ((0x240, 18), (0x240, 17), (0x288, 17), (0x304, 17)):

@@ -23,7 +23,8 @@ def test_the_oracles_crcs_are_the_published_ones(kind, check):
 
 
 def test_the_oracle_by_hand():
-    # id 555h: SOF, 10101010101, RRS IDE FDF res BRS | ESI, DLC 1, 2Ah | fixed bit, stuff count 0000, ...
+    # id 555h: SOF, 10101010101, RRS IDE FDF res BRS | ESI, DLC 1, 2Ah | fixed bit, stuff count
+    # 0000, ...
     station = flexible(0x555, b"\x2a")
     wire = "".join(map(str, station.wire))
     assert wire.startswith("0 10101010101 0 0 1 0 1 0 0001 00101010 1 0000 1".replace(" ", ""))

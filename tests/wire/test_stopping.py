@@ -103,7 +103,9 @@ def test_a_full_disk_hides_no_trip():
 
 @pytest.mark.parametrize("number", SIGNALS)
 def test_a_signal_before_a_run_passes_every_broad_except(number):
-    """It was an Exception: a broad except on its way (a law that is compiled, a recording that is closed) swallowed it."""
+    """It was an Exception: a broad except on its way (a law that is compiled, a recording that is
+    closed) swallowed it.
+    """
     with Signals() as signals, pytest.raises(Stopped, match="before the run had begun") as stopped, suppress(Exception):
         signal.raise_signal(number)
     assert stopped.value.number == signals.number == number
