@@ -56,12 +56,11 @@ class Loop:
             if layout.direction == "tpdo":
                 one.subscribe()
             maps[pdo.node, layout.direction, layout.number] = one
-        self.motor_tx, self.motor_speed = maps["motor", "tpdo", 1], maps["motor", "tpdo", 2]
-        self.brake_tx = maps["brake", "tpdo", 1]
+        self.motor_tx, self.brake_tx = maps["motor", "tpdo", 1], maps["brake", "tpdo", 1]
         self.motor_rx, self.brake_rx = maps["motor", "rpdo", 1], maps["brake", "rpdo", 1]
         self.complete = threading.Event()
-        self.arrived = 0
-        for bit, one in enumerate((self.motor_tx, self.motor_speed, self.brake_tx)):
+        self.arrived = self.counts = 0
+        for bit, one in enumerate((self.motor_tx, self.brake_tx)):
             one.add_callback(self._listener(1 << bit))
         numbers, self.k = (
             axis.mode[mode],
@@ -81,7 +80,7 @@ class Loop:
     def _listener(self, bit: int) -> Any:
         def arrived(_: Any) -> None:
             self.arrived |= bit
-            if self.arrived == 7:
+            if self.arrived == 3:
                 self.complete.set()
 
         return arrived
@@ -101,8 +100,9 @@ class Loop:
             self.network.send_message(0x700 + self.rig.host.node_id, b"\x05")
         complete = self.complete.wait(self.rig.bus.tpdo_window_s)
         statusword = self.motor_tx[0].raw
-        self.motion.x_rad = self.motor_tx[1].raw * self.k
-        self.motion.v_counts = self.motor_speed[0].raw * self.rig.bus.period_s
+        counts = self.motor_tx[1].raw
+        self.motion.x_rad, self.motion.v_counts = counts * self.k, float(counts - self.counts)
+        self.counts = counts
         self.state.psi_Nm = karnopp(self.motion, self.law, self.state)
         self.motor_rx[0].raw = WORD_OF_STATE.get(statusword & 0x6F, 0x06)
         self.motor_rx[1].raw = 0

@@ -60,7 +60,7 @@ class Account:
         twice asks for TPDOs twice.
         """
         by_host = {can_id: cycles + self.twice[can_id] for can_id in (0x080, 0x201, 0x202)}
-        return by_host | {can_id: cycles + self.twice[0x080] + self.twice[can_id] for can_id in (0x181, 0x281, 0x182)}
+        return by_host | {can_id: cycles + self.twice[0x080] + self.twice[can_id] for can_id in (0x181, 0x182)}
 
     def strike(self, t_ns: int, text: str) -> None:
         """Take a disturbance of the wire: without an identifier nobody was sending."""

@@ -163,21 +163,18 @@ static int take(int fd)
         log_frame(t, in[i].id, in[i].length, w, 0);
         switch (in[i].id) {
         case 0x181:
+            host.velocity = 1000 * ((int32_t)(w >> 16) - host.position);
             host.statusword = w & 0xFFFF, host.position = (int32_t)(w >> 16), host.torque = (int16_t)(w >> 48);
             host.arrived |= 1;
             break;
-        case 0x281:
-            host.velocity = (int32_t)w;
-            host.arrived |= 2;
-            break;
         case 0x182:
             host.handle = (int16_t)w, host.coil = (int16_t)(w >> 16), host.degrees = (int16_t)(w >> 32);
-            host.arrived |= 4;
+            host.arrived |= 2;
             break;
         default:
             continue;
         }
-        if (host.arrived == 7)
+        if (host.arrived == 3)
             found = COMPLETE;
     }
     return found;
@@ -226,7 +223,7 @@ static int loop(char **a)
         while (found != EMPTY)
             if ((found = take(fd)) == GONE)
                 return 1;
-        if (cycles && host.arrived != 7)
+        if (cycles && host.arrived != 3)
             host.lost++;
         host.arrived = 0;
         frame_t out[2] = {{.id = 0x80}, {.id = 0x77F, .length = 1, .word = 5}};

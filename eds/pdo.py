@@ -18,7 +18,19 @@ from coulombus.eds.reader import Description, EdsError, Variable
 if TYPE_CHECKING:
     from coulombus.compiled.records import Record  # needs numpy
 
-__all__ = ["Entry", "PdoLayout", "entry_of", "fill", "layouts", "read_layout", "unreadable"]
+__all__ = [
+    "COMMUNICATION",
+    "MAPPING",
+    "PDO_BITS",
+    "PDO_COUNT",
+    "Entry",
+    "PdoLayout",
+    "entry_of",
+    "fill",
+    "layouts",
+    "read_layout",
+    "unreadable",
+]
 
 Direction = Literal["rpdo", "tpdo"]
 

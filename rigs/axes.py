@@ -23,7 +23,7 @@ from typing import Any
 from coulombus.rigs.mistakes import Source
 from coulombus.rigs.toml_lines import Key, Table
 
-__all__ = ["MAX_AXES", "check_axes", "split_axes"]
+__all__ = ["MAX_AXES", "TAKEN", "check_axes", "device_keys", "split_axes"]
 
 MAX_AXES = 16
 NAME = re.compile(r"[a-z][a-z0-9_]{0,15}")
@@ -74,6 +74,12 @@ def _merge(shared: Table, own: Table) -> dict[str, Any]:
     return merged
 
 
+def device_keys(values: Table) -> list[Key]:
+    """Return where the devices of an axis stand in its values: motor, brake, sensors."""
+    sensors = values.get("sensor")
+    return [("motor",), ("brake",), *(("sensor", name) for name in (sensors if isinstance(sensors, Mapping) else ()))]
+
+
 def _get(values: Table, key: Key) -> Any:
     found: Any = values
     for part in key:
@@ -103,9 +109,9 @@ def check_axes(axes: Mapping[str, Table], sources: Mapping[str, Source]) -> None
 
 
 def _ids(one: Table, other: Table) -> Iterator[tuple[Key, str]]:
-    taken = {_get(one, (node, "node_id")): node for node in ("brake", "motor")}
-    for node in ("motor", "brake"):
-        key: Key = (node, "node_id")
+    taken = {_get(one, (*device, "node_id")): device[-1] for device in reversed(device_keys(one))}
+    for device in device_keys(other):
+        key: Key = (*device, "node_id")
         node_id = _get(other, key)
         if node_id is not None and node_id in taken:
-            yield key, taken[node_id]
+            yield key, str(taken[node_id])

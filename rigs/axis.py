@@ -15,10 +15,13 @@ from typing import Any, NamedTuple
 from pydantic import ConfigDict, Field
 
 from coulombus.eds.reader import Description, parse_eds
+from coulombus.rigs.devices import Brake, Device, Motor, Roles, Sensor
+from coulombus.rigs.frozen_map import FrozenMap
 from coulombus.rigs.mistakes import RigError, Source, shown
-from coulombus.rigs.model import About, Brake, Bus, Host, Law, Limits, Mechanics, Modes, Motor, Section
+from coulombus.rigs.model import About, Bus, Host, Law, Limits, Mechanics, Modes, Section
+from coulombus.rigs.pdo_maps import AxisPdos, allocate
 from coulombus.rigs.plant import Operator, Phase, Plant
-from coulombus.rigs.signals import Node, RigPdo, axis_pdos
+from coulombus.rigs.signals import Node, RigPdo
 from coulombus.rigs.text import apply_override
 from coulombus.rigs.toml_lines import Key, read_toml
 
@@ -35,6 +38,10 @@ class Sections(Section):
     host: Host = Field(description="the host as a CANopen node")
     motor: Motor = Field(description="the motor drive")
     brake: Brake = Field(description="the MR brake's driver")
+    sensor: FrozenMap[Sensor] = Field(
+        default_factory=FrozenMap, description="further nodes that only tell, each with a name of its own"
+    )
+    role: Roles = Field(Roles.model_validate({}), description="which object of which device has which role")
     mechanics: Mechanics = Field(description="the device, as the controller believes it to be")
     law: Law = Field(description="the friction law")
     mode: Modes = Field(description="the modes, each with its parameters")
@@ -48,6 +55,15 @@ class Sections(Section):
         description="the operator's schedule",
         json_schema_extra={"expected": "[[phase]] in double brackets, once for each phase"},
     )
+
+    @property
+    def devices(self) -> tuple[Node, ...]:
+        """The names of all devices: the motor, the brake, the sensors."""
+        return ("motor", "brake", *self.sensor)
+
+    def part(self, node: Node) -> Device:
+        """Return the section of a device."""
+        return self.motor if node == "motor" else self.brake if node == "brake" else self.sensor[node]
 
 
 @dataclass(frozen=True)
@@ -91,26 +107,26 @@ class Axis(Sections):
     Attributes
     ----------
     name : "" where the rig has one axis; else its signals are called NAME.motor.position_rad
-    motor_eds, brake_eds : what the EDS files say of its devices
+    descriptions : what the EDS files say of its `devices`, in their order
     origin : where the values come from
     """
 
     model_config = ConfigDict(arbitrary_types_allowed=True)
 
     name: str = Field("", exclude=True)
-    motor_eds: Description = Field(exclude=True)
-    brake_eds: Description = Field(exclude=True)
+    descriptions: tuple[Description, ...] = Field(exclude=True)
     origin: Origin = Field(exclude=True)
 
     @classmethod
     def of(cls, sections: Sections, name: str, descriptions: Mapping[Node, Description], origin: Origin) -> Axis:
         """Return the axis that has these sections and EDS files."""
         values: dict[str, Any] = {key: getattr(sections, key) for key in Sections.model_fields}
-        return cls(**values, name=name, motor_eds=descriptions["motor"], brake_eds=descriptions["brake"], origin=origin)
+        ordered = tuple(descriptions[node] for node in sections.devices)
+        return cls(**values, name=name, descriptions=ordered, origin=origin)
 
     def from_origin(self, origin: Origin) -> Axis:
         """Return the axis with another origin."""
-        return Axis.of(self, self.name, {"motor": self.motor_eds, "brake": self.brake_eds}, origin)
+        return Axis.of(self, self.name, dict(zip(self.devices, self.descriptions, strict=True)), origin)
 
     @property
     def prefix(self) -> str:
@@ -138,21 +154,18 @@ class Axis(Sections):
         """When each phase of the schedule begins, and when the last one ends [s]."""
         return tuple(accumulate((phase.duration_s for phase in self.phases), initial=0.0))
 
-    def part(self, node: Node) -> Motor | Brake:
-        """Return the section of a device."""
-        return self.motor if node == "motor" else self.brake
-
     def description(self, node: Node) -> Description:
         """Return what the EDS file says of a device."""
-        return self.motor_eds if node == "motor" else self.brake_eds
+        return self.descriptions[self.devices.index(node)]
 
     def pdos(self) -> tuple[RigPdo, ...]:
-        """Return the PDOs that the host maps, always the same five, with their signals."""
-        return self._pdos
+        """Return the PDOs that the host uses, with their signals."""
+        return self.allocation.pdos
 
     @cached_property
-    def _pdos(self) -> tuple[RigPdo, ...]:
-        return axis_pdos(self)
+    def allocation(self) -> AxisPdos:
+        """The roles of the axis and the PDOs that carry them."""
+        return allocate(self, self.prefix)
 
     def motor_limit_Nm(self, mode: str) -> float:
         """Return the largest motor torque at the handle [Nm] in a mode, which the drive's own limit 6072h is set to.
@@ -189,7 +202,7 @@ class Axis(Sections):
 
     def _identity(self) -> tuple[Any, ...]:
         values = tuple(getattr(self, key) for key in Sections.model_fields)
-        return self.name, self.motor_eds.text, self.brake_eds.text, *values
+        return self.name, *(one.text for one in self.descriptions), *values
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Axis) and self._identity() == other._identity()
@@ -198,10 +211,11 @@ class Axis(Sections):
         return hash(self._identity())
 
     def __reduce__(self) -> tuple[Any, ...]:
-        texts = tuple((one.path, one.text) for one in (self.motor_eds, self.brake_eds))
+        texts = tuple((one.path, one.text) for one in self.descriptions)
         return _reload, (self.model_dump(by_alias=True), self.name, texts, self.origin)
 
 
 def _reload(values: dict[str, Any], name: str, eds_texts: tuple[tuple[str, str], ...], origin: Origin) -> Axis:
-    motor, brake = (parse_eds(text.encode(), path) for path, text in eds_texts)
-    return Axis.of(Sections.model_validate(values), name, {"motor": motor, "brake": brake}, origin)
+    sections = Sections.model_validate(values)
+    descriptions = (parse_eds(text.encode(), path) for path, text in eds_texts)
+    return Axis.of(sections, name, dict(zip(sections.devices, descriptions, strict=True)), origin)

@@ -10,8 +10,9 @@ from typing import Any
 
 from coulombus.eds.reader import Description, EdsError, parse_eds, read_eds
 from coulombus.eds.regular_file import read_regular
+from coulombus.rigs.axes import device_keys
 from coulombus.rigs.mistakes import Source, nearest
-from coulombus.rigs.signals import Node, deadman_object, shortcomings
+from coulombus.rigs.signals import Node
 from coulombus.rigs.toml_lines import Table
 
 __all__ = ["read_descriptions", "read_schedules"]
@@ -28,30 +29,19 @@ def _find(name: str, rig_path: str, package: Path | None) -> tuple[Path | None, 
 
 
 def read_descriptions(values: Table, source: Source, eds_texts: Mapping[str, str] | None) -> dict[Node, Description]:
-    """Return the nodes' EDS files by "motor" and "brake"; mistakes are noted in `source`."""
+    """Return the devices' EDS files by "motor", "brake" and the sensors' names; mistakes are noted in `source`."""
     found: dict[Node, Description] = {}
-    nodes: tuple[Node, ...] = ("motor", "brake")
-    for node in nodes:
-        section = values.get(node)
-        name = section.get("eds") if isinstance(section, dict) else None
-        if not isinstance(name, str) or source.is_wrong((node, "eds")):
+    for key in device_keys(values):
+        section: Any = values
+        for part in key:
+            section = section.get(part) if isinstance(section, Mapping) else None
+        name = section.get("eds") if isinstance(section, Mapping) else None
+        if not isinstance(name, str) or source.is_wrong((*key, "eds")):
             continue
         try:
-            if eds_texts is not None:
-                found[node] = _from_text(name, eds_texts)
-            else:
-                found[node] = _from_file(name, source.path)
-            for lack in shortcomings(found[node], node):
-                source.say((node, "eds"), f"'{name}' stands there, but {lack}")
+            found[str(key[-1])] = _from_file(name, source.path) if eds_texts is None else _from_text(name, eds_texts)
         except EdsError as error:
-            source.say((node, "eds"), f"'{name}' stands there, but {error}")
-    host = values.get("host")
-    deadman = host.get("deadman") if isinstance(host, dict) else None
-    if isinstance(deadman, str) and len(found) == 2 and not source.found:
-        try:
-            deadman_object(deadman, found)
-        except ValueError as error:
-            source.stands(("host", "deadman"), deadman, f"an input that the drive or the brake can send, but {error}")
+            source.say((*key, "eds"), f"'{name}' stands there, but {error}")
     return found
 
 

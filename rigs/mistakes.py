@@ -14,21 +14,24 @@ from coulombus.rigs.toml_lines import Document, Key
 __all__ = ["RigError", "Source", "dotted", "nearest", "shown", "toml_value"]
 
 LONGEST = 60
-_KEY = re.compile(r"(?<![\w.])(?:bus|host|motor|brake|mechanics|law|mode|limits|plant|operator)(?:\.\w+)+")
+_KEY = re.compile(r"(?<![\w.])(?:bus|host|motor|brake|sensor|role|mechanics|law|mode|limits|plant|operator)(?:\.\w+)+")
 """What reads as a key of the rig file in a text."""
 
 
 class RigError(Exception):
-    """A rig file is refused; `errors` holds one line for each mistake, all that were found."""
+    """A rig file is refused; `errors` holds one line for each mistake, all that were found.
+
+    `problems` are those of them that are about a role: `rigs.roles.Problem`.
+    """
 
     exit_status = 3
 
-    def __init__(self, errors: Sequence[str]) -> None:
-        self.errors = tuple(errors)
+    def __init__(self, errors: Sequence[str], problems: Sequence[tuple[str, ...]] = ()) -> None:
+        self.errors, self.problems = tuple(errors), tuple(problems)
         super().__init__("\n".join(self.errors))
 
-    def __reduce__(self) -> tuple[type[RigError], tuple[tuple[str, ...]]]:
-        return type(self), (self.errors,)
+    def __reduce__(self) -> tuple[type[RigError], tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]]:
+        return type(self), (self.errors, self.problems)
 
 
 @dataclass
@@ -42,6 +45,8 @@ class Source:
     """("axis", NAME) while the values of one axis are looked at: what it has of its own stands below this."""
     found: list[tuple[float, str]] = field(default_factory=list)
     wrong: set[Key] = field(default_factory=set)
+    problems: list[tuple[str, ...]] = field(default_factory=list)
+    """What is wrong with roles: `rigs.roles.Problem`."""
 
     def of_axis(self, name: str) -> Source:
         """Return a source of its own for the axis `name` of the same file."""
@@ -98,7 +103,7 @@ class Source:
         """Raise RigError with every mistake, in the file's order, if there is one."""
         if self.found:
             ordered = [text for _, text in sorted(self.found, key=lambda item: item[0])]
-            raise RigError(list(dict.fromkeys(ordered)))  # what several axes share is said once
+            raise RigError(list(dict.fromkeys(ordered)), self.problems)  # what several axes share is said once
 
 
 def _depth(values: Any, key: Key) -> int:

@@ -1,9 +1,9 @@
-"""The rig file as frozen models: nodes, bus, the controller's beliefs, law, modes, limits.
+"""The rig file as frozen models: bus, host, the controller's beliefs, law, modes, limits.
 
 The models are the schema: every key has its range and its meaning here, `docs/rig-file.md` is held against them by a
-test, and `rigs.mistakes` makes its texts of them. The simulated rig ([plant], [operator], [[phase]]) is in
-`rigs.plant`. SI units stand in the keys' names. Times are seconds in the file; `*_ns` properties give int64
-nanoseconds.
+test, and `rigs.mistakes` makes its texts of them. The devices and their roles are in `rigs.devices`, the simulated rig ([plant],
+[operator], [[phase]]) is in `rigs.plant`. SI units stand in the keys' names. Times are seconds in the file; `*_ns` properties give
+int64 nanoseconds.
 """
 
 from __future__ import annotations
@@ -16,22 +16,24 @@ from pydantic.config import JsonDict
 
 __all__ = [
     "MODES",
+    "MS",
     "About",
-    "Brake",
     "Bus",
     "Host",
     "Law",
     "Limits",
     "Mechanics",
+    "Milliseconds",
     "Mode",
     "Modes",
-    "Motor",
     "Polarity",
     "Section",
     "to_ns",
 ]
 
 MODES = ("active", "passive", "hybrid")
+MOST_DEVICES = 8
+"""Nodes of an axis that the host watches at most."""
 WORK_WINDOW_CYCLES = 4096
 """Cycles that the host's net-work watch can look back."""
 CIA_301_BIT_RATES = (10_000, 20_000, 50_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
@@ -131,43 +133,12 @@ class Host(Section):
         json_schema_extra={"expected": '"none", "key", "object:INDEX:SUB" or "object:INDEX:SUB:MASK"'},
     )
     loss_limit: float = Field(0.05, ge=0, le=1, description="share of cycles with a missed deadline or a lost PDO")
-
-
-class _Node(Section):
-    node_id: int = Field(ge=1, le=127, description="the device's node id")
-    eds: str = Field(min_length=1, description="EDS file: beside the rig file, else one of the package's")
-    vendor_id: int = Field(ge=0, le=0xFFFFFFFF, description="1018:1, must match the device")
-    product_code: int = Field(ge=0, le=0xFFFFFFFF, description="1018:2, must match the device")
-    heartbeat_s: Milliseconds = Field(ge=1e-3, le=65.535, description="period of its heartbeat", json_schema_extra=MS)
-    heartbeat_timeout_s: Milliseconds = Field(
-        ge=1e-3, le=65.535, description="heartbeat older than this: lost, both ways", json_schema_extra=MS
-    )
-    setpoint_fault_s: Milliseconds = Field(
-        ge=1e-3, le=65.535, description="RPDO deadline, EMCY 8250", json_schema_extra=MS
-    )
-    sync_timeout_s: Milliseconds = Field(ge=1e-3, le=65.535, description="no SYNC: EMCY 8700", json_schema_extra=MS)
-
-
-class Motor(_Node):
-    """[motor]: the motor drive, CiA 402."""
-
-    rated_torque_Nm: float = Field(gt=0, le=1e4, description="at the motor's shaft: 1000 per mille of 6071/6077")
-    encoder_counts_rev: int = Field(ge=1, le=2**31 - 1, description="counts of 6064 in one turn of the motor")
-    setpoint_zero_cycles: int = Field(ge=1, le=1000, description="set-point older than this many cycles: torque 0")
-
-
-class Brake(_Node):
-    """[brake]: the MR brake's driver, CiA 404."""
-
-    rated_torque_Nm: float = Field(gt=0, le=1e4, description="largest braking torque at the handle")
-    coil_A_Nm: float = Field(gt=0, le=100, description="coil current for each Nm commanded")
-    coil_continuous_A: float = Field(gt=0, le=1000, description="current that the coil bears for ever")
-    coil_time_constant_s: float = Field(gt=0, le=1e4, description="time constant of the coil's I2t watch")
-    hold_s: Milliseconds = Field(
-        ge=0, le=65.535, description="set-point lost: it is held this long ...", json_schema_extra=MS
-    )
-    ramp_s: Milliseconds = Field(
-        ge=0, le=65.535, description="... then ramped to the fault value in this time", json_schema_extra=MS
+    accept: tuple[str, ...] = Field(
+        (),
+        strict=False,
+        max_length=64,
+        description="what a device cannot do, and is acknowledged",
+        json_schema_extra={"expected": "a list of texts, each as check prints it"},
     )
 
 

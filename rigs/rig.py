@@ -20,10 +20,11 @@ from coulombus.eds.reader import Description
 from coulombus.eds.regular_file import read_regular
 from coulombus.rigs.axes import check_axes, split_axes
 from coulombus.rigs.axis import Axis, Origin, Sections
+from coulombus.rigs.devices import Device
 from coulombus.rigs.files import read_descriptions, read_schedules
 from coulombus.rigs.mistakes import RigError, Source, nearest
-from coulombus.rigs.model import About, Brake, Bus, Host, Motor
-from coulombus.rigs.rules import check, remarks
+from coulombus.rigs.model import About, Bus, Host
+from coulombus.rigs.rules import check, check_roles, remarks
 from coulombus.rigs.signals import Node, RigPdo
 from coulombus.rigs.text import apply_override, emit
 from coulombus.rigs.toml_lines import MOST_CHARACTERS, Table, read_toml
@@ -31,16 +32,14 @@ from coulombus.rigs.words import explain
 
 __all__ = ["Rig", "RigError", "RigNode", "known_rigs", "load_rig", "load_rig_text", "packaged_rig"]
 
-ROLES: tuple[Node, ...] = ("motor", "brake")
-
 
 @dataclass(frozen=True)
 class RigNode:
-    """One device of a rig: "motor" or "brake", with its axis before the name ("x.motor") where there are several."""
+    """One device of a rig: "motor", "brake" or a sensor's name, with its axis before it ("x.motor") where there are several."""
 
     name: str
-    role: Node
-    part: Motor | Brake
+    device: Node
+    part: Device
     description: Description
 
     @property
@@ -163,7 +162,7 @@ class Rig:
         axis = self.one_axis(name)
         if not axis.name:
             return self
-        texts = {part.eds: axis.description(role).text for role in ROLES for part in (axis.part(role),)}
+        texts = {axis.part(node).eds: axis.description(node).text for node in axis.devices}
         return self._as_said(load_rig_text(_emitted(axis), self.path, texts, attached=self.origin.attached))
 
     def _as_said(self, rig: Rig) -> Rig:
@@ -213,15 +212,15 @@ class Rig:
 
     @property
     def nodes(self) -> tuple[RigNode, ...]:
-        """The devices of all axes: motor and brake of the first, of the second ..."""
+        """The devices of all axes: motor, brake and sensors of the first, of the second ..."""
         return tuple(
-            RigNode(axis.prefix + role, role, axis.part(role), axis.description(role))
+            RigNode(axis.prefix + node, node, axis.part(node), axis.description(node))
             for axis in self.axes
-            for role in ROLES
+            for node in axis.devices
         )
 
     def pdos(self) -> tuple[RigPdo, ...]:
-        """Return the PDOs that the host maps, always the same five of each axis, with their signals."""
+        """Return the PDOs that the host uses of all axes, with their signals."""
         return tuple(pdo for axis in self.axes for pdo in axis.pdos())
 
     def effective(self) -> str:
@@ -382,6 +381,7 @@ def _load(
         check_axes(named, sources)
         for one in sources.values():
             source.found += one.found
+            source.problems += one.problems
     source.raise_all()
     law_named = any(override.partition("=")[0].strip().endswith("law.function") for override in overrides)
     origin = Origin(path, text, tuple(overrides), attached, law_named)
@@ -389,6 +389,20 @@ def _load(
     warnings = [text for name, own in own_values.items() for text in remarks(own, sources[name])]
     spelled = "" if named is None else _spelled(axes[0].rig.name, values)
     return Rig(axes, origin, tuple(dict.fromkeys(warnings)), spelled)
+
+
+class _Unnamed:
+    """An axis while it is checked: its sections, and what the EDS files say of its devices (`rigs.signals.Parts`)."""
+
+    def __init__(self, sections: Sections, descriptions: Mapping[Node, Description]) -> None:
+        self._sections, self._descriptions = sections, descriptions
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._sections, name)
+
+    def description(self, node: Node) -> Description:
+        """Return what the EDS file says of a device."""
+        return self._descriptions[node]
 
 
 @dataclass(frozen=True)
@@ -411,6 +425,8 @@ class _Parts:
             explain(error, values, Sections, source)
         check(values, source)
         descriptions = read_descriptions(values, source, eds_texts)
+        if sections is not None and len(descriptions) == len(sections.devices):
+            check_roles(_Unnamed(sections, descriptions), values, source)
         if sections is None and not source.found:
             raise AssertionError("an axis that pydantic refuses has a mistake that is explained")
         return cls(sections, descriptions)

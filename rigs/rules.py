@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import combinations, pairwise, permutations
 from typing import Any
 
-from coulombus.rigs.mistakes import Source, shown
-from coulombus.rigs.model import CIA_301_BIT_RATES, MODES, WORK_WINDOW_CYCLES, to_ns
+from coulombus.rigs.axes import TAKEN, device_keys
+from coulombus.rigs.devices import SENSOR_NAME
+from coulombus.rigs.mistakes import Source, dotted, shown
+from coulombus.rigs.model import CIA_301_BIT_RATES, MODES, MOST_DEVICES, WORK_WINDOW_CYCLES, to_ns
+from coulombus.rigs.pdo_maps import allocate
+from coulombus.rigs.signals import Parts
 from coulombus.rigs.toml_lines import Key, Table
 
-__all__ = ["check", "remarks"]
+__all__ = ["check", "check_roles", "remarks"]
 
 INT16_MAX = 32767
 WITHOUT_F_S = ("coulomb",)
@@ -84,14 +89,6 @@ RULES = (
         for node in ("motor", "brake")
         for key in ("setpoint_fault_s", "sync_timeout_s")
     ),
-    *(
-        _rule(
-            f"mode.{mode}.motor_limit_Nm motor.rated_torque_Nm mechanics.ratio",
-            lambda limit, rated, ratio: limit <= INT16_MAX * 1e-3 * rated * ratio,
-            "at most 32.767 x motor.rated_torque_Nm x mechanics.ratio, as 6071 is an INTEGER16 in per mille",
-        )
-        for mode in MODES
-    ),
     _rule("mode.passive.motor_limit_Nm", _zero, "0: the motor has no part in this mode"),
     _rule("mode.passive.compensation", _zero, "0: the motor has no part in this mode"),
     _rule("limits.brake_torque_Nm brake.rated_torque_Nm", _at_most, "at most brake.rated_torque_Nm, which is {1}"),
@@ -107,6 +104,16 @@ RULES = (
         "less than limits.travel_rad, which is {1}",
     ),
 )
+
+PER_MILLE_RULES = tuple(
+    _rule(
+        f"mode.{mode}.motor_limit_Nm motor.rated_torque_Nm mechanics.ratio",
+        lambda limit, rated, ratio: limit <= INT16_MAX * 1e-3 * rated * ratio,
+        "at most 32.767 x motor.rated_torque_Nm x mechanics.ratio, as 6071 is an INTEGER16 in per mille",
+    )
+    for mode in MODES
+)
+"""They hold of 6071h; another object's type and limits are looked at when the limit is made of it."""
 
 REMARKS = (
     _rule("bus.bitrate_bit_s", lambda rate: rate in CIA_301_BIT_RATES, "one of CiA 301's bit rates for a real bus"),
@@ -140,7 +147,20 @@ REMARKS = (
 )  # fmt: skip
 
 
-def _broken_rules(rules: tuple[Rule, ...], values: Table, source: Source) -> Iterator[tuple[Key, Any, str]]:
+def _rules_of_sensors(values: Table) -> Iterator[Rule]:
+    """Yield for each sensor what holds for motor and brake: an id of its own, heartbeats faster than their time-outs."""
+    others: list[Key] = [("host",), ("motor",), ("brake",)]
+    for key in device_keys(values)[2:]:
+        for other in others:
+            told = f"another id than {dotted(other)}.node_id, which is {{1}}"
+            yield Rule(((*key, "node_id"), (*other, "node_id")), lambda a, b: a != b, told)
+        others.append(key)
+        for beat in (("host",), key):
+            told = f"less than {dotted(key)}.heartbeat_timeout_s, which is {{1}}"
+            yield Rule(((*beat, "heartbeat_s"), (*key, "heartbeat_timeout_s")), _less, told)
+
+
+def _broken_rules(rules: Iterable[Rule], values: Table, source: Source) -> Iterator[tuple[Key, Any, str]]:
     for rule in rules:
         if any(source.is_wrong(key) for key in rule.keys):
             continue
@@ -156,8 +176,19 @@ def _broken_rules(rules: tuple[Rule, ...], values: Table, source: Source) -> Ite
 
 def check(values: Table, source: Source) -> None:
     """Note what is wrong between keys that are right by themselves."""
-    for key, value, wanted in list(_broken_rules(RULES, values, source)):
+    roles = values.get("role")
+    per_mille = not (isinstance(roles, Mapping) and "torque_setpoint" in roles)
+    rules = (*RULES, *(PER_MILLE_RULES if per_mille else ()), *_rules_of_sensors(values))
+    for key, value, wanted in list(_broken_rules(rules, values, source)):
         source.stands(key, value, wanted)
+    for key in device_keys(values)[2:]:
+        if not re.fullmatch(SENSOR_NAME, str(key[-1])) or key[-1] in TAKEN:
+            wanted = "a name of small letters, digits and _, which begins with a letter and is not " + ", ".join(TAKEN)
+            source.say(key, f"'{key[-1]}' names a sensor; expected {wanted}")
+    if len(device_keys(values)) > MOST_DEVICES:
+        source.say(
+            ("sensor",), f"{len(device_keys(values)) - 2} sensors stand there; expected at most {MOST_DEVICES - 2}"
+        )
     for one, other in permutations(SIMULATION):
         if one in values and other not in values:
             source.say(
@@ -172,6 +203,21 @@ def check(values: Table, source: Source) -> None:
     for i, phase in enumerate(phases if isinstance(phases, list) else ()):
         if isinstance(phase, dict) and phase.get("kind") == "file" and not source.is_wrong(("phase", i)):
             _check_columns(phase, ("phase", i), source)
+
+
+def check_roles(parts: Parts, values: Table, source: Source) -> None:
+    """Note which roles of an axis no object has, and which finds no place in a PDO."""
+    for problem in allocate(parts).problems:
+        said = values.get("role", {}).get(problem.role)
+        if problem.role == "deadman":
+            source.stands(("host", "deadman"), parts.host.deadman, problem.text)
+        elif said is not None:
+            source.say(("role", problem.role), str(problem))
+        else:
+            node = problem.node if problem.node in parts.devices else "motor"
+            device = next(key for key in device_keys(values) if key[-1] == node)
+            source.say((*device, "eds"), f"'{parts.part(node).eds}' stands there, but {problem}")
+        source.problems.append(problem)
 
 
 def _check_columns(phase: Table, key: Key, source: Source) -> None:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, get_args
+from typing import Any, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
+from coulombus.rigs.frozen_map import FrozenMap
 from coulombus.rigs.mistakes import Source, dotted, nearest
 from coulombus.rigs.toml_lines import Key, Table
 
-__all__ = ["accepted_range", "expected", "explain", "fields_of", "kinds_of", "unit_of"]
+__all__ = ["accepted_range", "expected", "explain", "fields_of", "kinds_of", "named_in", "unit_of"]
 
 UNITS = {
     "push_F_s": "F_s",
@@ -28,6 +29,7 @@ UNITS = {
     "_counts": "counts",
     "_cycles": "cycles",
     "_degC": "degC",
+    "_us": "us",
     "_K_W": "K/W",
     "_ohm": "ohm",
     "_rad": "rad",
@@ -49,9 +51,19 @@ def fields_of(model: type[BaseModel]) -> dict[str, FieldInfo]:
     return {info.alias or name: info for name, info in model.model_fields.items()}
 
 
+def named_in(info: FieldInfo | None) -> type[BaseModel] | None:
+    """Return the model of a table of tables with names of the user's own ([sensor.NAME]); None where the field is none."""
+    if info is None or get_origin(info.annotation) is not FrozenMap:
+        return None
+    found: type[BaseModel] = get_args(info.annotation)[0]
+    return found
+
+
 def kinds_of(info: FieldInfo | None) -> dict[str, type[BaseModel]]:
     """Return the models of an array of tables by their kinds; a plain section stands under ""."""
     found: dict[str, type[BaseModel]] = {}
+    if named_in(info) is not None:
+        return found
     pending: list[Any] = [info.annotation] if info is not None else []
     while pending:
         candidate = pending.pop(0)
@@ -106,6 +118,8 @@ def expected(name: str, info: FieldInfo) -> str:
         text = "a text in double quotes"
     elif kinds_of(info):
         text = "a section"
+    elif named_in(info) is not None:
+        text = f"[{name}.NAME], once for each"
     else:
         most = next(item.max_length for item in info.metadata if hasattr(item, "max_length"))
         text = f"a list of at most {most} numbers" + (f", in {unit}" if unit else "")
@@ -153,6 +167,7 @@ def _follow(
     holder: type[BaseModel] = schema
     here: type[BaseModel] | None = schema
     info: FieldInfo | None = None
+    named: type[BaseModel] | None = None
     for part in loc:
         if isinstance(part, int):
             values = values[part]
@@ -162,7 +177,10 @@ def _follow(
         elif here is not None and (part in fields_of(here) or (isinstance(values, Mapping) and part in values)):
             holder, info = here, fields_of(here).get(part)
             values = values.get(part) if isinstance(values, Mapping) else None
-            here = kinds_of(info).get("")
+            here, named = kinds_of(info).get(""), named_in(info)
+        elif named is not None and isinstance(values, Mapping) and part in values:
+            values = values[part]
+            here, named, info = named, None, None
         else:
             continue
         key = (*key, part)
@@ -183,6 +201,9 @@ def _unknown(key: Key, holder: type[BaseModel], schema: type[BaseModel], source:
 def _paths(model: type[BaseModel], prefix: str = "") -> Iterator[str]:
     """Yield every key below `model`, as ``--set`` takes it (phases left out)."""
     for name, info in fields_of(model).items():
+        if (named := named_in(info)) is not None:
+            yield from _paths(named, f"{prefix}{name}.NAME.")
+            continue
         section = kinds_of(info).get("")
         if section is not None:
             yield from _paths(section, f"{prefix}{name}.")

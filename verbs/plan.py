@@ -176,9 +176,7 @@ def _errors_option(ctx: click.Context, param: click.Parameter, value: str) -> An
 @click.option(
     "--node-us",
     type=click.FloatRange(0, 1e6),
-    default=20.0,
-    show_default=True,
-    help="Longest time from SYNC to a TPDO's queue.",
+    help="Longest time from SYNC to a TPDO's queue.  [default: each device's response_us in the rig]",
 )
 @click.option(
     "--host-us",
@@ -204,7 +202,7 @@ def plan_command(
     period_us: float | None,
     axes: int | None,
     bus_errors: Any,
-    node_us: float,
+    node_us: float | None,
     host_us: float | None,
     sporadic_ms: float | None,
     gantt: Path | None,
@@ -230,7 +228,8 @@ def plan_command(
         rig = load(rig_name, overrides)
         sporadic = None if sporadic_ms is None else round(sporadic_ms * 1e6)
         host = None if host_us is None else round(host_us * 1e3)
-        given = Assumptions(round(node_us * 1e3), host, sporadic, bus_errors)
+        node = None if node_us is None else round(node_us * 1e3)
+        given = Assumptions(node, host, sporadic, bus_errors)
         options = {
             "bitrate_bit_s": bitrate,
             "period_ns": None if period_us is None else round(period_us * 1e3),

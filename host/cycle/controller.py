@@ -15,7 +15,8 @@ from coulombus.host.cycle.demand import brake_limit_raw
 from coulombus.host.cycle.records import CONTROL, DRIVE_PDOS, HOST, Image, Phase, SignResult, Trip
 from coulombus.host.laws.laws import LAW, LAW_STATE, MOTION, OWN_LAWS, LawError, load_law
 from coulombus.rigs.axis import Axis
-from coulombus.rigs.signals import RigPdo, Signal, deadman_mask
+from coulombus.rigs.signals import RigPdo, Signal
+from coulombus.rigs.switch import deadman_mask
 from coulombus.wire.frame import Records, new_records
 
 __all__ = ["AXIS", "TRIP_TEXT", "Controller"]
@@ -98,7 +99,7 @@ def _cycles(seconds: float, period_s: float) -> int:
 
 
 def _slot_of(slots: dict[tuple[int, int], int]) -> Callable[[int, int], int]:
-    return lambda index, subindex: slots[index, subindex]
+    return lambda index, subindex: slots.get((index, subindex), -1)
 
 
 class Controller:
@@ -193,7 +194,7 @@ class Controller:
         records = new_records(PDO, DRIVE_PDOS)
         records["cob_id"] = -1
         for record, pdo in zip(records, pdos, strict=False):
-            slots = {(s.index, s.subindex): int(IMAGE_OF_SIGNAL[s.key]) for s in pdo.signals}
+            slots = {(s.index, s.subindex): int(IMAGE_OF_SIGNAL[s.key]) for s in pdo.signals if s.key in IMAGE_OF_SIGNAL}
             fill(record, pdo.layout, _slot_of(slots))
         return records
 

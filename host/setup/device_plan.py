@@ -14,7 +14,7 @@ from coulombus.eds.own_devices import MANUFACTURER, is_own, told_identity
 from coulombus.eds.reader import Description, Variable
 from coulombus.host.setup.settings import Role, Setting, settings_of
 from coulombus.rigs.axis import Axis
-from coulombus.rigs.model import Brake, Motor
+from coulombus.rigs.devices import Brake, Motor
 
 __all__ = ["DevicePlan", "device_plans", "names_modes_without_cst"]
 
@@ -70,7 +70,7 @@ def device_plans(axis: Axis, mode: str, limit_pm: int) -> tuple[DevicePlan, Devi
 
 
 def _plan(axis: Axis, role: Role, mode: str, limit_pm: int) -> DevicePlan:
-    part = axis.part(role)
+    part = axis.motor if role == "motor" else axis.brake
     name, description = axis.prefix + role, axis.description(role)
     who = f"{name} (node {part.node_id})"
     ours = is_own(role, told_identity(description))

@@ -13,7 +13,7 @@ from coulombus.eds.cia301 import CobId, predefined
 from coulombus.eds.cia402 import OPERATION_MODE_CST
 from coulombus.eds.reader import Description, Variable
 from coulombus.rigs.axis import Axis
-from coulombus.rigs.model import Brake, Motor
+from coulombus.rigs.devices import Brake, Motor
 from coulombus.rigs.signals import RigPdo
 
 __all__ = ["Role", "Setting", "encoded", "settings_of"]
@@ -41,7 +41,7 @@ def settings_of(axis: Axis, role: Role, mode: str, limit_pm: int) -> Iterator[Se
     ----------
     limit_pm : the drive's torque limit 6072h in this mode [per mille of the rated torque]
     """
-    part = axis.part(role)
+    part = axis.motor if role == "motor" else axis.brake
     pdos = [pdo for pdo in axis.pdos() if pdo.node == axis.prefix + role]
     yield from _unused_pdos(axis.description(role), pdos, part.node_id)
     yield from _common_settings(axis, role, part)

@@ -31,8 +31,6 @@ __all__ = [
     "shortest_period_ns",
 ]
 
-NODE_NS = 20_000
-"""What the simulated devices need."""
 MOST_NAMED = 40
 """Of the late frames in one sentence; `plan` has a row for each."""
 SPORADIC_PERIODS = 10
@@ -49,15 +47,15 @@ class Assumptions:
 
     Attributes
     ----------
-    node_ns : int
-        Longest time that a device computes between SYNC and its TPDOs.
+    node_ns : int or None
+        Longest time that a device computes between SYNC and its TPDOs; None: what the rig file says of each (`response_us`).
     host_ns : int or None
         Longest time that the host computes between the last TPDO and its RPDOs; None: the rig file's `host.compute_s`.
     sporadic_ns : int or None
         Least interval between two EMCYs of a node, two SDO transfers with a node, two NMT commands; None: ten periods.
     """
 
-    node_ns: int = NODE_NS
+    node_ns: int | None = None
     host_ns: int | None = None
     sporadic_ns: int | None = None
     errors: Errors = NO_ERRORS
@@ -86,6 +84,7 @@ class DeviceTraffic:
     tpdo_deadline_ns: int
     rpdo_deadline_ns: int
     sync_timeout_ns: int
+    response_ns: int = 0
 
     def moved(self, axis: int, node_id: int, name: str) -> DeviceTraffic:
         """Return the same device as part of another axis, under another node id."""
@@ -111,20 +110,22 @@ def devices_of(rig: Rig, period_ns: int, axes: int | None = None) -> tuple[Devic
         pdos.setdefault(pdo.node, []).append(Pdo(layout.direction, layout.number, layout.cob_id, layout.length))
     own = [
         DeviceTraffic(
-            axis.prefix + role,
+            axis.prefix + node,
             number,
-            part.node_id,
-            tuple(pdos[axis.prefix + role]),
-            to_ns(part.heartbeat_s),
-            to_ns(part.heartbeat_timeout_s),
+            axis.part(node).node_id,
+            tuple(pdos.get(axis.prefix + node, ())),
+            to_ns(axis.part(node).heartbeat_s),
+            to_ns(axis.part(node).heartbeat_timeout_s),
             axis.limits.missed_tpdo_cycles * period_ns,
             rpdo_deadline_ns,
-            round(to_ns(part.sync_timeout_s) * scale),
+            round(to_ns(sync_timeout_s) * scale),
+            round(axis.part(node).response_us * 1e3),
         )
         for number, axis in enumerate(rig.axes)
-        for role, part, rpdo_deadline_ns in (
-            ("motor", axis.motor, axis.motor.setpoint_zero_cycles * period_ns),
-            ("brake", axis.brake, round(to_ns(axis.brake.setpoint_fault_s) * scale)),
+        for node, rpdo_deadline_ns, sync_timeout_s in (
+            ("motor", axis.motor.setpoint_zero_cycles * period_ns, axis.motor.sync_timeout_s),
+            ("brake", round(to_ns(axis.brake.setpoint_fault_s) * scale), axis.brake.sync_timeout_s),
+            *((name, period_ns, axis.motor.sync_timeout_s) for name in axis.sensor),
         )
     ]
     count = len(rig.axes) if axes is None else axes
@@ -136,7 +137,7 @@ def devices_of(rig: Rig, period_ns: int, axes: int | None = None) -> tuple[Devic
             if device.axis == number % len(rig.axes):
                 node_id = next(free, None)
                 if node_id is None:
-                    raise ValueError(f"{count} axes need {2 * count + 1} node ids; there are {LAST_NODE_ID}")
+                    raise ValueError(f"{count} axes need more node ids than the {LAST_NODE_ID} that there are")
                 role = device.name.rpartition(".")[2]
                 found.append(device.moved(number, node_id, f"axis{number + 1}.{role}"))
     return tuple(found)
@@ -169,7 +170,7 @@ def messages_of(
             for pdo in device.pdos:
                 label = f"{name} {pdo.direction.upper()}{pdo.number}"
                 if pdo.direction == "tpdo":
-                    deadline, late, follows = device.tpdo_deadline_ns, timing.node_ns, "SYNC"
+                    deadline, late, follows = device.tpdo_deadline_ns, device.response_ns, "SYNC"
                     yield Message(label, pdo.cob_id, pdo.length, period, deadline, late, follows, "tpdo", device.axis)
                 else:  # the host sends it at the window's end at the latest
                     deadline, late = device.rpdo_deadline_ns, timing.window_ns + timing.host_ns
@@ -177,7 +178,7 @@ def messages_of(
             request = f"{name} SDO request"
             yield Message(request, CobId.SDO_RX + node, 8, sporadic_ns, sdo_timeout_ns)
             yield Message(
-                f"{name} SDO response", CobId.SDO_TX + node, 8, sporadic_ns, sdo_timeout_ns, timing.node_ns, request
+                f"{name} SDO response", CobId.SDO_TX + node, 8, sporadic_ns, sdo_timeout_ns, device.response_ns, request
             )
             beat = device.heartbeat_ns
             yield Message(f"{name} heartbeat", CobId.HEARTBEAT + node, 1, beat, device.heartbeat_timeout_ns - beat)
@@ -315,9 +316,13 @@ def plan(
     period = rig.bus.period_ns if period_ns is None else period_ns
     window = round(to_ns(rig.bus.tpdo_window_s) * period / rig.bus.period_ns)
     host = to_ns(rig.host.compute_s) if given.host_ns is None else given.host_ns
-    timing = Timing(bitrate_bit_s or rig.bus.bitrate_bit_s, period, window, given.node_ns, host)
+    devices = devices_of(rig, period, axes)
+    if given.node_ns is not None:
+        devices = tuple(replace(device, response_ns=given.node_ns) for device in devices)
+    slowest = max(device.response_ns for device in devices)
+    timing = Timing(bitrate_bit_s or rig.bus.bitrate_bit_s, period, window, slowest, host)
     messages = messages_of(
-        devices_of(rig, period, axes),
+        devices,
         host_id=rig.host.node_id,
         host_heartbeat_ns=to_ns(rig.host.heartbeat_s),
         sdo_timeout_ns=to_ns(rig.host.sdo_timeout_s),

@@ -95,18 +95,25 @@ class Cycle:
 def worst_cycle(messages: Sequence[Message], timing: Timing, errors: Errors = NO_ERRORS) -> Cycle:
     """Return the worst cycle of `messages`, those with a `stage`, under the interference of the others.
 
-    SYNC and the TPDOs are due within the window, the RPDOs before the next SYNC is.
+    SYNC and the TPDOs are due within the window. An RPDO is due to be on the wire when the next SYNC is released: SYNC goes behind it
+    then, and the device acts on it. SYNC waits for a frame from outside just as long, so that the next cycle's bounds stay as they are; an RPDO that
+    is longer than any such frame is due before.
     """
     order = sorted(messages, key=lambda message: arbitration_key(message.can_id))
     chain = _in_order([m for m in order if m.stage])
     others = [m for m in order if not m.stage]
     found = [_Case(m, chain, others, timing, errors) for m in chain]
-    frames = tuple(
-        CycleFrame(case.m, case.end_ns, timing.period_ns if case.m.stage == "rpdo" else timing.window_ns)
-        for case in found
-    )
+    frames = tuple(CycleFrame(case.m, case.end_ns, _due_ns(case, found[0])) for case in found)
     last = max(found, key=lambda case: case.end_ns, default=None)
     return Cycle(frames, tuple(last.bars()) if last else ())
+
+
+def _due_ns(case: _Case, sync: _Case) -> int:
+    """Return by when a frame has to be through, counted from SYNC's release."""
+    if case.m.stage != "rpdo":
+        return case.timing.window_ns
+    begun = case.frame_ns - case.tau if case.frame_ns <= sync.blocking_ns else 0
+    return case.timing.period_ns + begun
 
 
 def _in_order(cyclic: Sequence[Message]) -> list[Message]:
@@ -154,7 +161,8 @@ class _Case:
         self.gaps = {stage: (length, behind) for stage, length in gaps.items()}  # and the frame that may begin in it
         self.frame_ns = self._duration(m)
         each = bit_ns(ERROR_FRAME_BITS, rate) + max(self._duration(k) for k in [*self.before, *self.higher, m])
-        fixed = self._duration(self.blocking) + sum(map(self._duration, self.before))
+        self.blocking_ns = self._duration(self.blocking)
+        fixed = self.blocking_ns + sum(map(self._duration, self.before))
         fixed += sum(length + self._duration(frame) for length, frame in self.gaps.values())
         self.counts, self.error_ns = [0] * len(self.higher), 0
         end, after = 0, fixed + self.frame_ns

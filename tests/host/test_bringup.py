@@ -357,11 +357,20 @@ def test_what_the_file_does_not_tell_is_open_and_no_plain_ok(tmp_path):
     assert result.output.splitlines()[-1] == "ok, if the devices answer what is open above"
 
 
-def test_a_pdo_of_ten_bytes_is_refused_with_its_objects():
-    with pytest.raises(
-        RigError, match=r"6041h:0 in 16 bits and 6064h:0 in 32 bits and 6077h:0 in 32 bits.*TPDO1; at most 64"
-    ):
-        rig_of(edit(MOTOR, "6077", DataType=I32))
+def test_no_pdo_has_more_than_eight_bytes():
+    wide = edit(MOTOR, "6077", DataType=I32)
+    pdos = rig_of(wide).pdos()
+    assert [[s.index for s in p.signals] for p in pdos if p.node == "motor"] == [
+        [0x6040, 0x6071],
+        [0x6041, 0x6064],
+        [0x6077],
+    ]
+    assert max(p.layout.length for p in pdos) <= 8
+    single = gone(wide, "1801sub1", "1802sub1", "1803sub1")
+    (loss,) = rig_of(single).one_axis().allocation.losses
+    assert "the watch of its net work (limits.net_work_J) takes the command for it" in loss
+    with pytest.raises(RigError, match=r"6077h:0 finds no place in a TPDO: no PDO can be mapped with it"):
+        rig_of(single, BRAKE, "role.torque.object=6077:0")
 
 
 @pytest.mark.parametrize(("code", "most"), [(I8, 127), (U8, 255), (I16, 4500), (I32, 4500)])
@@ -386,4 +395,9 @@ def test_no_vendors_file_ends_in_a_traceback(own, tmp_path):
         result = CliRunner().invoke(main, ["check", "--rig", str(rig)])
         assert isinstance(result.exception, SystemExit), (path.name, result.exception)
         assert result.exit_code in (1, 3), (path.name, result.output)
-        assert "FAIL: " in result.output or "expected" in result.output or "which the host maps" in result.output
+        assert (
+            "FAIL: " in result.output
+            or "expected" in result.output
+            or "which the host maps" in result.output
+            or "finds no place" in result.output
+        )

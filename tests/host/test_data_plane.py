@@ -275,7 +275,7 @@ def test_the_parent_stops_it(trip):
 def test_the_filters_pass_the_rig_and_nothing_else():
     k = Controllers(load_rig("bench"), "hybrid")
     wanted = {can_id for can_id, _ in rig_filters(k)}
-    assert {0x000, 0x080, 0x181, 0x281, 0x182, 0x201, 0x202, 0x581, 0x602, 0x701, 0x702, 0x77F, 0x081} <= wanted
+    assert {0x000, 0x080, 0x181, 0x182, 0x201, 0x202, 0x581, 0x602, 0x701, 0x702, 0x77F, 0x081} <= wanted
     for _, mask in rig_filters(k):
         assert mask & 0x7FF == 0x7FF
         assert mask & 0xC0000000 == 0xC0000000
@@ -452,7 +452,7 @@ def test_only_all_bits_of_its_mask_hold_the_switch(deadman, data_type, holds, le
 
 
 def test_an_input_of_the_drive_as_switch():
-    """60FD is mapped beside the velocity; the bench arms while its bit 16 is 1, and stops in the cycle in which it is not."""
+    """60FD is mapped into a TPDO of its own; the bench arms while its bit 16 is 1, and stops in the cycle in which it is not."""
     rig = rig_with_input("object:60FD:0:0x00010000")
     assert [s.name for pdo in rig.pdos() if pdo.node == "motor" for s in pdo.signals][-1] == "motor.deadman"
     seen = {}

@@ -10,7 +10,7 @@ from coulombus.eds.cia402 import PowerState
 from coulombus.host.cycle.records import Image, Phase, Trip
 from coulombus.host.cycle.step import SOURCE_HOST, begin, limit_torque
 from coulombus.host.laws.laws import compile_law
-from host_bench import MS, HostBench
+from host_bench import MS, VELOCITY, HostBench
 
 BOTH = pytest.mark.parametrize("sign", [1, -1])
 TPDO1, TPDO2, BRAKE_TPDO = 0x181, 0x281, 0x182
@@ -30,7 +30,7 @@ def begun(bench, t_ns):
 
 
 def test_a_cycle_begins_with_sync_and_a_window_for_the_tpdos():
-    bench = HostBench().enter(Phase.RUN)
+    bench = HostBench("hybrid", *VELOCITY).enter(Phase.RUN)
     bench.h.heartbeat_due_ns = 10**12
     bench.h.arrived = 0b111
     assert begun(bench, 101 * MS) == [(101 * MS, 0x80, 0, 0)]
@@ -44,7 +44,7 @@ def test_a_cycle_begins_with_sync_and_a_window_for_the_tpdos():
 @pytest.mark.parametrize("arrived", range(8))
 @pytest.mark.parametrize("cycle", [0, 1, 9])
 def test_a_cycle_that_lacked_a_tpdo_is_counted_until_the_safe_state(phase, arrived, cycle):
-    bench = HostBench()
+    bench = HostBench("hybrid", *VELOCITY)
     assert bench.c.tpdos == 3
     bench.h.phase, bench.h.arrived, bench.h.cycle, bench.h.lost_pdos = int(phase), arrived, cycle, 7
     begun(bench, 5 * MS)
@@ -81,7 +81,7 @@ def test_an_axis_that_does_not_lead_sends_neither_sync_nor_heartbeat():
 
 
 def test_the_tpdo_that_completes_the_cycle_says_so():
-    bench = HostBench()
+    bench = HostBench("hybrid", *VELOCITY)
     bench.h.waiting = 1
     assert [bench.frame(i, 8 if i == TPDO1 else n, 0) for i, n in ((TPDO1, 8), (BRAKE_TPDO, 6), (TPDO2, 4))] == [
         0,
@@ -97,7 +97,7 @@ def test_the_tpdo_that_completes_the_cycle_says_so():
 
 @pytest.mark.parametrize("k", range(3))
 def test_a_tpdo_fills_its_own_slots_and_its_own_bit(k):
-    bench = HostBench()
+    bench = HostBench("hybrid", *VELOCITY)
     bench.h.waiting, bench.h.malformed_pdos = 1, 2
     pdo = bench.k.tpdos[k]
     before = list(bench.h.image)
@@ -294,7 +294,7 @@ def test_a_cycle_that_ends_after_the_next_should_begin_is_counted(late_ns):
 
 @pytest.mark.parametrize("arrived", range(8))
 def test_cycles_without_all_tpdos_are_counted_in_a_row(arrived):
-    bench = HostBench().enter(Phase.OFF)
+    bench = HostBench("hybrid", *VELOCITY).enter(Phase.OFF)
     bench.h.arrived, bench.h.missed_in_a_row = arrived, 1
     bench.finish()
     assert bench.h.missed_in_a_row == (0 if arrived == 7 else 2)

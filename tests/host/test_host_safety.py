@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from coulombus.eds.cia402 import PowerState
 from coulombus.host.cycle.records import Image, Phase, Trip
 from coulombus.host.laws.laws import compile_law
-from host_bench import HostBench
+from host_bench import VELOCITY, HostBench
 
 
 def armed(mode="hybrid", *overrides):
@@ -274,7 +274,7 @@ def test_positions_wrap_at_32_bits():
 
 @pytest.mark.parametrize(("can_id", "length"), [(0x181, 7), (0x181, 0), (0x281, 8), (0x182, 5)])
 def test_a_pdo_of_the_wrong_length_is_dropped_and_counted(can_id, length):
-    bench = armed()
+    bench = armed("hybrid", *VELOCITY)
     image = bench.h.image.copy()
     bench.frame(can_id, length, -1)
     assert bench.h.malformed_pdos == 1

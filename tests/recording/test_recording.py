@@ -19,6 +19,7 @@ from coulombus.recording.recorder import Recorder
 from coulombus.recording.signals import Recording, blocks, decode_field, read
 from coulombus.rigs.rig import Rig, RigError, load_rig
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_RTR_FLAG, FRAME, data_word
+from host_bench import VELOCITY
 
 RATIO, COUNTS = 9.587, 8192
 TORQUE = 0.180 * RATIO / 1000  # Nm at the handle for one per mille
@@ -29,7 +30,7 @@ MS = 1_000_000
 
 @pytest.fixture(scope="module")
 def rig() -> Rig:
-    return load_rig("bench")
+    return load_rig("bench", VELOCITY)
 
 
 def attached(rig: Rig) -> dict[str, bytes]:

@@ -15,6 +15,8 @@ import pytest
 from pydantic import BaseModel, ValidationError
 
 from coulombus.rigs.axis import Sections
+from coulombus.rigs.devices import Roles, Sdo, Sensor
+from coulombus.rigs.frozen_map import FrozenMap
 from coulombus.rigs.rig import RigError, load_rig, load_rig_text
 from coulombus.rigs.words import accepted_range, fields_of, kinds_of, unit_of
 
@@ -122,6 +124,10 @@ def mutable(value: object, where: str) -> Iterator[str]:
     elif is_dataclass(value):
         parts = [(one.name, getattr(value, one.name)) for one in fields(value)]
         changeable = not type(value).__dataclass_params__.frozen  # type: ignore[attr-defined]
+    elif isinstance(value, FrozenMap):
+        with pytest.raises(AttributeError, match="cannot be changed"):
+            value.pairs = ()
+        parts, changeable = list(value.items()), False
     elif isinstance(value, tuple | MappingProxyType):
         items = value if isinstance(value, tuple) else [*value.values(), *value]
         parts, changeable = [(str(n), one) for n, one in enumerate(items)], False
@@ -462,7 +468,11 @@ def _tables() -> dict[str, dict[str, list[str]]]:
 
 def _sections() -> list[tuple[str, type[BaseModel]]]:
     fields = fields_of(Sections)
-    found = [(f"`[{name}]`", kinds_of(info)[""]) for name, info in fields.items() if name not in ("mode", "phase")]
+    others = ("mode", "phase", "sensor", "role")
+    found = [(f"`[{name}]`", kinds_of(info)[""]) for name, info in fields.items() if name not in others]
+    found += [("`[sensor.NAME]`", Sensor), ("`[[motor.sdo]]`", Sdo)]
+    roles = {kinds_of(info)[""]: name for name, info in reversed(Roles.model_fields.items())}
+    found += [(f"`[role.{name}]`", model) for model, name in roles.items()]
     modes = kinds_of(fields["mode"])[""]
     found.append(("`[mode.active]`", kinds_of(fields_of(modes)["active"])[""]))
     return found + [(f'`kind = "{kind}"`', model) for kind, model in kinds_of(fields["phase"]).items()]

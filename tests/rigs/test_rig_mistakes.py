@@ -123,17 +123,17 @@ WRONG_VALUES = {
 WRONG_KEYS = {
     "a key": (
         ("sdo_timeout_s", "sdo_timeot_s"),
-        "host.sdo_timeot_s: unknown key; expected one of the keys of [host]: node_id, heartbeat_s, sdo_timeout_s, compute_s, deadman, loss_limit; "
-        "did you mean 'sdo_timeout_s'?",
+        "host.sdo_timeot_s: unknown key; expected one of the keys of [host]: node_id, heartbeat_s, sdo_timeout_s, compute_s, deadman, "
+        "loss_limit, accept; did you mean 'sdo_timeout_s'?",
     ),
     "a key of another section": (
         ("sdo_timeout_s = 0.5", "step_s = 0.5"),
-        "host.step_s: unknown key; expected one of the keys of [host]: node_id, heartbeat_s, sdo_timeout_s, compute_s, deadman, loss_limit; "
+        "host.step_s: unknown key; expected one of the keys of [host]: node_id, heartbeat_s, sdo_timeout_s, compute_s, deadman, loss_limit, accept; "
         "did you mean 'plant.step_s'?",
     ),
     "a key of two other sections": (
         ("sdo_timeout_s = 0.5", "ratio = 0.5"),
-        "host.ratio: unknown key; expected one of the keys of [host]: node_id, heartbeat_s, sdo_timeout_s, compute_s, deadman, loss_limit; "
+        "host.ratio: unknown key; expected one of the keys of [host]: node_id, heartbeat_s, sdo_timeout_s, compute_s, deadman, loss_limit, accept; "
         "did you mean 'mechanics.ratio' or 'plant.ratio'?",
     ),
     "a key of another kind": (

@@ -10,6 +10,7 @@ from click.testing import CliRunner
 from coulombus.rigs.rig import load_rig
 from coulombus.scope.dbc import dbc_text
 from coulombus.verbs.main import main
+from host_bench import VELOCITY
 
 
 @pytest.fixture(params=["bench", "paper"])
@@ -56,8 +57,9 @@ def test_services_are_decoded_too():
 
 def test_command_writes_the_file_and_cantools_decodes_with_it(tmp_path):
     path = tmp_path / "bench.dbc"
-    assert CliRunner().invoke(main, ["dbc", "-o", str(path)]).exit_code == 0
-    assert CliRunner().invoke(main, ["dbc"]).output == path.read_text()
+    sets = [word for text in VELOCITY for word in ("--set", text)]
+    assert CliRunner().invoke(main, ["dbc", "-o", str(path), *sets]).exit_code == 0
+    assert CliRunner().invoke(main, ["dbc", *sets]).output == path.read_text()
     log = "(0.0) can0 281#0010000000000000\n(0.001) can0 281#00100000\n"
     done = subprocess.run(
         [sys.executable, "-m", "cantools", "decode", "--single-line", str(path)],

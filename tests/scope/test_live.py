@@ -8,6 +8,7 @@ from rich.console import Console
 from coulombus.rigs.rig import load_rig
 from coulombus.scope.live import Live
 from coulombus.scope.watch import Screen, as_dict, as_lines
+from host_bench import VELOCITY
 
 S = 1_000_000_000
 T0 = 1_700_000_000 * S
@@ -16,7 +17,7 @@ FACTS = {"bus": "coulombus:bench", "bitrate_bit_s": 1_000_000, "lost": 0, "malfo
 
 @pytest.fixture(scope="module")
 def rig():
-    return load_rig("bench")
+    return load_rig("bench", VELOCITY)
 
 
 def frame(t_s, can_id, data=b""):

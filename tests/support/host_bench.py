@@ -16,6 +16,8 @@ from coulombus.wire.frame import new_queue, push
 from plain_records import record_for_kernels, records_for_kernels
 
 MS = 1_000_000
+VELOCITY = ("role.velocity.object=606C", f"role.velocity.scale_rad_s={2 * math.pi / 8192}")
+"""Overrides by which the drive tells its velocity, too: in a TPDO of its own."""
 
 rig_of = cache(load_rig)
 
@@ -157,4 +159,4 @@ class HostBench:
         raise AssertionError(f"neither armed nor refused: {self.phase.name}")
 
 
-__all__ = ["MS", "HostBench", "push"]
+__all__ = ["MS", "VELOCITY", "HostBench", "push"]

@@ -1,0 +1,417 @@
+"""The roles of an axis: what the host's cycle needs, and the object of a device that each of them is.
+
+A role is bound by the rig file's ``[role.NAME]``; what stands not there follows from the CANopen profile of the device (1000h):
+
+====================  =====================  ==========================  ==================
+role                  CiA 402 (motor)        CiA 404 (brake, sensors)    CiA 401, 402 (brake)
+====================  =====================  ==========================  ==================
+controlword           6040h                                              402: 6040h
+torque set-point      6071h                  7300h:1 (brake's)           6411h:1; 6071h
+statusword            6041h                                              402: 6041h
+position              6064h
+torque                6077h, else 6078h
+handle torque                                7130h:1
+coil current                                 7130h:2
+coil temperature                             7130h:3
+====================  =====================  ==========================  ==================
+
+A drive's torque counts in per mille of its rated torque and its position in encoder counts (CiA 402); ratio and polarity, which turn them to
+the handle, are the rig file's. A CiA 404 block carries its unit (6131, 6301) and its decimal digits (6132, 6302): the EDS gives the
+scale, and a unit that is not what the role wants is refused, unless the rig file gives the scale. A role that no device has is absent, and what
+the host loses by that is told.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from coulombus.eds.pdo import Entry, entry_of
+from coulombus.eds.reader import Description
+from coulombus.rigs.devices import BrakeRole, Role
+from coulombus.rigs.signals import Direction, Node, Parts
+
+__all__ = [
+    "CIA401",
+    "CIA402",
+    "CIA404",
+    "ROLES",
+    "Binding",
+    "Bound",
+    "Kind",
+    "Problem",
+    "bind",
+    "checked_entry",
+    "profile_of",
+]
+
+CIA401, CIA402, CIA404 = 401, 402, 404
+UNITS = {"Nm": 0x56, "A": 0x04, "degC": 0x2D}
+"""Notation indices of CiA 303-2: the numerator of a unit."""
+REVOLUTIONS, MINUTES, SECONDS = 0xB4, 0x47, 0x03
+"""Notation indices of 60A9h, the unit of a velocity."""
+BLOCK_UNITS = {0x7130: (0x6131, 0x6132), 0x9130: (0x6131, 0x6132), 0x7300: (0x6301, 0x6302), 0x9300: (0x6301, 0x6302)}
+"""CiA 404: where an analogue input's and output's unit and decimal digits stand."""
+PER_MILLE = (0x6071, 0x6074, 0x6077, 0x6078)
+"""Objects in per mille of a rated value."""
+WIDEST = 32
+"""Bits that the host reckons with."""
+
+
+class Kind(NamedTuple):
+    """A role: the signal that it is, its direction and unit, whether the host can do without it, and what it loses then."""
+
+    name: str
+    signal: str
+    direction: Direction
+    unit: str
+    needed: bool
+    lost: str = ""
+
+    @property
+    def home(self) -> Node:
+        """The device that has it where the rig file says nothing: that of its signal's name."""
+        return self.signal.partition(".")[0]
+
+
+ROLES = (
+    Kind("controlword", "motor.controlword", "rpdo", "", True),
+    Kind("torque_setpoint", "motor.target_torque_Nm", "rpdo", "Nm", True),
+    Kind("statusword", "motor.statusword", "tpdo", "", True),
+    Kind("position", "motor.position_rad", "tpdo", "rad", True),
+    Kind(
+        *("torque", "motor.torque_Nm", "tpdo", "Nm", False),
+        "the motor's torque is not measured: the watch of its net work (limits.net_work_J) takes the command for it",
+    ),
+    Kind("velocity", "motor.velocity_rad_s", "tpdo", "rad/s", False),
+    Kind("brake_controlword", "brake.controlword", "rpdo", "", False),
+    Kind("brake_setpoint", "brake.setpoint_Nm", "rpdo", "Nm", True),
+    Kind("brake_statusword", "brake.statusword", "tpdo", "", False),
+    Kind(
+        *("handle_torque", "brake.handle_torque_Nm", "tpdo", "Nm", False),
+        "the handle torque is not measured: no watch of it against the brake's command (limits.handle_mismatch_Nm), no check before arming "
+        "that nothing loads the handle (limits.still_handle_torque_Nm), no sign check of a transducer",
+    ),
+    Kind(
+        *("coil_current", "brake.coil_current_A", "tpdo", "A", False),
+        "the coil's current is not measured: its I2t watch takes the command times brake.coil_A_Nm for it",
+    ),
+    Kind(
+        *("coil_temperature", "brake.coil_temperature_degC", "tpdo", "degC", False),
+        "the coil's temperature is not measured, and not recorded",
+    ),
+)
+"""Every role, in the order in which the PDOs take them up."""
+
+Objects = tuple[tuple[int, int], ...]
+MOTOR_OBJECTS: Mapping[str, Objects] = {
+    "controlword": ((0x6040, 0),),
+    "torque_setpoint": ((0x6071, 0),),
+    "statusword": ((0x6041, 0),),
+    "position": ((0x6064, 0),),
+    "torque": ((0x6077, 0), (0x6078, 0)),
+}
+SENSED: Mapping[str, Objects] = {
+    "handle_torque": ((0x7130, 1),),
+    "coil_current": ((0x7130, 2),),
+    "coil_temperature": ((0x7130, 3),),
+}
+BRAKE_OBJECTS: Mapping[int, Mapping[str, Objects]] = {
+    CIA404: {"brake_setpoint": ((0x7300, 1),), **SENSED},
+    CIA401: {"brake_setpoint": ((0x6411, 1),)},
+    CIA402: {
+        "brake_controlword": ((0x6040, 0),),
+        "brake_setpoint": ((0x6071, 0),),
+        "brake_statusword": ((0x6041, 0),),
+    },
+}
+
+
+class Problem(NamedTuple):
+    """Why a device cannot have a role, or bring-up would be refused, and what to do."""
+
+    role: str
+    node: Node
+    object: str
+    text: str
+    remedy: str
+
+    def __str__(self) -> str:
+        return f"{self.text}; {self.remedy}" if self.remedy else self.text
+
+
+@dataclass(frozen=True)
+class Binding:
+    """A role and the object that it is: SI value = raw x `scale` + `offset`; `decided` says what gave the scale.
+
+    `table` is the brake's, raw counts and torque at the handle; then `scale` is that of its last step.
+    """
+
+    kind: Kind
+    node: Node
+    entry: Entry
+    scale: float = 1.0
+    offset: float = 0.0
+    decided: str = ""
+    table: tuple[tuple[int, float], ...] = ()
+
+    @property
+    def place(self) -> tuple[Node, int, int]:
+        """The device and the object."""
+        return self.node, self.entry.index, self.entry.subindex
+
+
+@dataclass(frozen=True)
+class Bound:
+    """The roles that were bound, what is lost with those that are absent, and why the rig is refused."""
+
+    bindings: tuple[Binding, ...]
+    losses: tuple[str, ...]
+    problems: tuple[Problem, ...]
+
+    def get(self, role: str) -> Binding | None:
+        """Return the binding of a role; None where it is absent."""
+        return next((one for one in self.bindings if one.kind.name == role), None)
+
+    def __getitem__(self, role: str) -> Binding:
+        found = self.get(role)
+        if found is None:
+            raise KeyError(role)
+        return found
+
+
+class _Refused(Exception):
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+
+
+def profile_of(description: Description, node: Node) -> int:
+    """Return the CANopen profile of a device: that of 1000h, else the one whose objects it has; a motor's is CiA 402's always."""
+    if node == "motor":
+        return CIA402
+    told = description.variable(0x1000, 0).default if description.has(0x1000, 0) else None
+    known = told & 0xFFFF if isinstance(told, int) else 0
+    if known in BRAKE_OBJECTS:
+        return known
+    signs = ((0x7300, CIA404), (0x7130, CIA404), (0x6411, CIA401), (0x6071, CIA402))
+    return next((profile for index, profile in signs if description.has(index)), CIA404)
+
+
+def bind(parts: Parts) -> Bound:
+    """Bind every role of an axis, by its rig file and by the profiles of its devices."""
+    found: list[Binding] = []
+    losses: list[str] = []
+    problems: list[Problem] = []
+    for kind in ROLES:
+        try:
+            one = _bind(parts, kind, found)
+        except _Refused as refused:
+            problems.append(refused.problem)
+            continue
+        if one is not None:
+            found.append(one)
+        elif kind.lost:
+            losses.append(kind.lost)
+    found_names = {one.kind.name for one in found}
+    if len(found_names & {"brake_controlword", "brake_statusword"}) == 1 and not problems:
+        text = "a brake that is a CiA 402 drive has a statusword and a controlword"
+        problems.append(Problem("brake_statusword", "brake", "", text, "bind both of them, or none"))
+    return Bound(tuple(found), tuple(losses), (*problems, *_twice(found)))
+
+
+def _twice(found: list[Binding]) -> Iterator[Problem]:
+    taken: dict[tuple[Node, int, int], str] = {}
+    for one in found:
+        before = taken.setdefault(one.place, one.kind.name)
+        if before != one.kind.name:
+            label = f"{one.entry.index:04X}h:{one.entry.subindex:X}"
+            text = f"{label} of {one.node} is the {before} already"
+            yield Problem(one.kind.name, one.node, label, text, "bind another object")
+
+
+def _bind(parts: Parts, kind: Kind, found: list[Binding]) -> Binding | None:
+    """Return what a role is bound to, None where no device has it."""
+    said: Role = getattr(parts.role, kind.name) or Role(node="", object="")
+    node = said.node or kind.home
+    if node not in parts.devices:
+        text = f"there is no device '{node}'"
+        raise _Refused(Problem(kind.name, node, said.object, text, f"name one of {', '.join(parts.devices)}"))
+    if said.object == "none":
+        if kind.needed:
+            text = "the host cannot do without this role"
+            raise _Refused(Problem(kind.name, node, said.object, text, "name the object that it is"))
+        return None
+    description = parts.description(node)
+    candidates = _named(said.object) or _by_profile(kind, description, node)
+    chosen = next((at for at in candidates if not _lacks(description, *at, kind.direction)), None)
+    if chosen is None:
+        if not candidates and not (kind.needed or said.node):
+            return None
+        if not candidates:
+            text = f"{description.path} is of a profile that has no {kind.name} by itself"
+            raise _Refused(Problem(kind.name, node, "", text, f"name its object in [role.{kind.name}]"))
+        lack = _lacks(description, *candidates[0], kind.direction)
+        if not (kind.needed or said.object or said.node):
+            return None
+        place = f"{candidates[0][0]:04X}h:{candidates[0][1]:X}"
+        remedy = lack.remedy if not said.object else "name another one"
+        raise _Refused(Problem(kind.name, node, place, lack.text, remedy))
+    entry = checked_entry(description, *chosen, kind.direction)
+    scaled = _scaled(parts, Binding(kind, node, entry), said, found)
+    if kind.unit and entry.bits > WIDEST:
+        text = f"{description.path} describes {entry.index:04X}h:{entry.subindex:X} in {entry.bits} bits"
+        raise _Refused(
+            Problem(
+                kind.name, node, f"{entry.index:04X}h:{entry.subindex:X}", text, f"take one of at most {WIDEST} bits"
+            )
+        )
+    return scaled
+
+
+def _named(text: str) -> Objects:
+    if not text:
+        return ()
+    index, _, subindex = text.partition(":")
+    return ((int(index, 16), int(subindex or "0", 16)),)
+
+
+def _by_profile(kind: Kind, description: Description, node: Node) -> Objects:
+    if node == "motor":
+        return MOTOR_OBJECTS.get(kind.name, ())
+    if node == "brake":
+        return BRAKE_OBJECTS[profile_of(description, node)].get(kind.name, ())
+    return SENSED["handle_torque"] if kind.name in SENSED and profile_of(description, node) == CIA404 else ()
+
+
+class Lack(NamedTuple):
+    """Why an object cannot be mapped; falsy where it can."""
+
+    text: str = ""
+    remedy: str = ""
+
+    def __bool__(self) -> bool:
+        return bool(self.text)
+
+
+def _lacks(description: Description, index: int, subindex: int, direction: Direction) -> Lack:
+    label = f"{index:04X}h:{subindex}"
+    if not description.has(index, subindex):
+        what = f"{description.path} describes no {label}, which the host maps"
+        return Lack(what, "take a device that has it, or bind the role to another object")
+    variable = description.variable(index, subindex)
+    where = f"{description.path}:{variable.line}: {label}"
+    entry = entry_of(variable)
+    if not 1 <= entry.bits <= 64 or entry.kind != "int":
+        return Lack(f"{where} has the data type 0x{variable.data_type:04X}", "expected an integer")
+    refused = ("ro", "const", "rwr") if direction == "rpdo" else ("wo", "rww")
+    if not variable.pdo_mappable or variable.access in refused:
+        way = "an RPDO" if direction == "rpdo" else "a TPDO"
+        return Lack(f"{where} cannot be mapped into {way}", "expected PDOMapping=1 and a matching AccessType")
+    return Lack()
+
+
+def checked_entry(description: Description, index: int, subindex: int, direction: Direction) -> Entry:
+    """Return the entry that maps an object; ValueError says what the EDS file lacks."""
+    lack = _lacks(description, index, subindex, direction)
+    if lack:
+        raise ValueError(f"{lack.text}; {lack.remedy}")
+    return entry_of(description.variable(index, subindex))
+
+
+# scales
+
+
+def _scaled(parts: Parts, one: Binding, said: Role, found: list[Binding]) -> Binding:
+    """Return the binding with its scale at the handle, and what decided it."""
+    m, name = parts.mechanics, one.kind.name
+    turned = {
+        "position": m.encoder_polarity,
+        "velocity": m.encoder_polarity,
+        "torque_setpoint": m.motor_polarity,
+        "torque": m.motor_polarity,
+        "handle_torque": m.transducer_polarity,
+    }.get(name, 1)
+    at_motor = {"torque_setpoint": m.ratio, "torque": m.ratio, "velocity": 1 / m.ratio}.get(name, 1.0)
+    if not one.kind.unit:
+        return one
+    if isinstance(said, BrakeRole) and said.table:
+        (raw_0, Nm_0), (raw_1, Nm_1) = said.table[-2:]
+        step = (Nm_1 - Nm_0) / (raw_1 - raw_0)
+        return _with(one, step, 0.0, "role.brake_setpoint.table", said.table)
+    key = f"scale_{one.kind.unit.replace('/', '_')}"
+    given = getattr(said, key, None)
+    offset = getattr(said, f"offset_{one.kind.unit}", 0.0) * turned
+    if given is not None:
+        return _with(one, given * at_motor * turned, offset, f"role.{name}.{key}")
+    if name == "position":
+        angle = m.encoder_polarity * 2 * math.pi / (parts.motor.encoder_counts_rev * m.ratio)
+        return _with(one, angle, 0.0, "motor.encoder_counts_rev and mechanics.ratio")
+    if name in ("torque_setpoint", "torque") and one.node == "motor" and one.entry.index in PER_MILLE:
+        setpoint = next((other for other in found if other.kind.name == "torque_setpoint"), None)
+        if setpoint is not None and setpoint.entry.index in PER_MILLE and setpoint.decided.startswith("role."):
+            return _with(one, setpoint.scale, 0.0, setpoint.decided)
+        torque = parts.motor.rated_torque_Nm * 1e-3 * m.ratio * m.motor_polarity
+        return _with(one, torque, 0.0, "motor.rated_torque_Nm and mechanics.ratio")
+    description = parts.description(one.node)
+    try:
+        if name == "velocity":
+            per_count, where = _velocity_unit(description)
+        else:
+            per_count, where = _block_scale(description, one.entry.index, one.entry.subindex, one.kind.unit)
+    except ValueError as error:
+        label = f"{one.entry.index:04X}h:{one.entry.subindex:X}"
+        choice = " or table" if name == "brake_setpoint" else ""
+        optional = "" if one.kind.needed else ', or take the role out with object = "none"'
+        remedy = f"give [role.{name}] its {key}{choice}{optional}"
+        raise _Refused(Problem(name, one.node, label, str(error), remedy)) from None
+    return _with(one, per_count * at_motor * turned, offset, where)
+
+
+def _with(
+    one: Binding, scale: float, offset: float, decided: str, table: tuple[tuple[int, float], ...] = ()
+) -> Binding:
+    return Binding(one.kind, one.node, one.entry, scale, offset, decided, table)
+
+
+def _velocity_unit(description: Description) -> tuple[float, str]:
+    """Return rad/s for one count of 606Ch as 60A9h tells, and where it does: revolutions per second or minute, with a prefix."""
+    value = description.variable(0x60A9, 0).default if description.has(0x60A9, 0) else None
+    if not isinstance(value, int):
+        raise ValueError(f"{description.path} does not tell the unit of a velocity (60A9h)")
+    prefix = (value >> 24 & 0xFF) - (0x100 if value >> 31 & 1 else 0)
+    units = {MINUTES: 60.0, SECONDS: 1.0}
+    if value >> 16 & 0xFF != REVOLUTIONS or value >> 8 & 0xFF not in units:
+        raise ValueError(f"{description.path}: 60A9h is 0x{value:08X}, no revolutions per second or minute")
+    return 2 * math.pi / units[value >> 8 & 0xFF] * 10.0**prefix, "60A9h"
+
+
+def _block_scale(description: Description, index: int, subindex: int, unit: str) -> tuple[float, str]:
+    """Return SI units per raw count of a CiA 404 block, 10^-decimals, with the prefix of its unit object; and where that stands.
+
+    The unit's four bytes are, from the highest: prefix (power of ten, INTEGER8), numerator, denominator, reserved.
+    """
+    if index not in BLOCK_UNITS:
+        raise ValueError(f"no object tells what a count of {index:04X}h:{subindex} is")
+    unit_index, digits_index = BLOCK_UNITS[index]
+    values = []
+    for wanted in (unit_index, digits_index):
+        place = f"{wanted:04X}h:{subindex}"
+        if not description.has(wanted, subindex):
+            raise ValueError(f"{description.path} describes no {place}, so that {index:04X}h:{subindex} has no scale")
+        value = description.variable(wanted, subindex).default
+        line = description.variable(wanted, subindex).line
+        if not isinstance(value, int):
+            raise ValueError(f"{description.path}:{line}: {place} has no default; expected a number")
+        values.append((value, f"{description.path}:{line}: {place}"))
+    (code, where), (digits, digits_where) = values
+    prefix = (code >> 24 & 0xFF) - (0x100 if code >> 31 & 1 else 0)
+    if (code >> 16 & 0xFF, code >> 8 & 0xFF) != (UNITS[unit], 0):
+        wanted_code = UNITS[unit] << 16
+        raise ValueError(
+            f"{where} is 0x{code & 0xFFFFFFFF:08X}; expected 0x{wanted_code:08X} ({unit}), a prefix allowed"
+        )
+    if not 0 <= digits <= 9:
+        raise ValueError(f"{digits_where} is {digits}; expected 0 to 9 decimal digits")
+    return float(10.0 ** (prefix - digits)), f"{unit_index:04X}h and {digits_index:04X}h of the EDS file"
