@@ -27,10 +27,12 @@ from coulombus.rigs.roles import Binding, Bound, Problem, bind
 from coulombus.rigs.signals import Constant, Direction, Node, Parts, RigPdo, Signal
 from coulombus.rigs.switch import bind_switch
 
-__all__ = ["AxisPdos", "PdoRecord", "allocate", "mode_of", "records_of", "writable"]
+__all__ = ["MOST_CONSTANTS", "MOST_PDOS", "AxisPdos", "PdoRecord", "allocate", "mode_of", "records_of", "writable"]
 
 FIRST = {"rpdo": CobId.RPDO1, "tpdo": CobId.TPDO1}
 PREDEFINED = 4
+MOST_PDOS, MOST_CONSTANTS = 8, 16
+"""What the host's tables have room for: PDOs of an axis each way, entries of RPDOs that it does not command."""
 ON_SYNC, ON_EVENT = 1, 255
 INVALID, NO_RTR, EXTENDED = 1 << 31, 1 << 30, 1 << 29
 TOGETHER = (("controlword", "torque_setpoint"), ("statusword", "position"), ("brake_controlword", "brake_setpoint"))
@@ -181,9 +183,21 @@ def allocate(parts: Parts, prefix: str = "") -> AxisPdos:
             absent |= device.absent
             problems += device.problems
             losses += device.losses
-    problems += [*_shared(pdos), *_ambiguous(parts, bound)]
+    problems += [*_shared(pdos), *_too_many(pdos), *_ambiguous(parts, bound)]
     kept = tuple(one for one in bound.bindings if one.kind.name not in absent)
     return AxisPdos(replace(bound, bindings=kept), tuple(pdos), tuple(losses), tuple(problems))
+
+
+def _too_many(pdos: Sequence[RigPdo]) -> Iterator[Problem]:
+    for direction in ("rpdo", "tpdo"):
+        number = sum(pdo.layout.direction == direction for pdo in pdos)
+        if number > MOST_PDOS:
+            text = f"the roles need {number} {direction.upper()}s of an axis; the host has room for {MOST_PDOS}"
+            yield Problem("", pdos[0].device, "", text, "take devices whose PDOs can be mapped anew, or fewer roles")
+    constants = sum(len(pdo.constants) for pdo in pdos)
+    if constants > MOST_CONSTANTS:
+        text = f"the RPDOs carry {constants} objects beside the roles; the host has room for {MOST_CONSTANTS}"
+        yield Problem("", pdos[0].device, "", text, "take devices whose PDOs can be mapped anew")
 
 
 def _shared(pdos: Sequence[RigPdo]) -> Iterator[Problem]:

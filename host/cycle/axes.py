@@ -81,7 +81,7 @@ def finish(axes: Any, law_function: Any, t_ns: int, window_over: int, out: Any) 
     waiting = 0
     for k in range(axes.shape[0]):
         h = axes[k].host
-        if h.waiting and (window_over or h.arrived == (1 << axes[k].control.tpdos) - 1):
+        if h.waiting and (window_over or h.arrived & axes[k].control.awaited == axes[k].control.awaited):
             step.finish(axes[k], law_function, t_ns, out)
         waiting += h.waiting
     if axes.shape[0] > 1:
@@ -102,6 +102,8 @@ def on_time(axes: Any, law_function: Any, t_ns: int, out: Any) -> None:
 def safe_setpoints(axes: Any, t_ns: int, out: Any) -> None:
     """Send the last set-points: drive disabled and without torque, the brake no stronger than the safe state's, which its driver ramps off.
 
+    A brake that is a CiA 402 drive is disabled, too: nothing tells that it would ramp its current off by itself.
+
     A SYNC follows, since RPDOs may act on the next SYNC only.
     """
     for k in range(axes.shape[0]):
@@ -109,5 +111,6 @@ def safe_setpoints(axes: Any, t_ns: int, out: Any) -> None:
         h.torque_Nm = 0.0
         h.brake_Nm = min(h.brake_Nm, c.safe_brake_Nm)
         h.image[Image.CONTROLWORD] = 0
+        h.image[Image.BRAKE_CONTROLWORD] = 0
         step.send(axes[k], t_ns, out)
     push(out, step.SOURCE_HOST, t_ns, axes[0].control.sync_cob_id, 0, 0)

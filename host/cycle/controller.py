@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import numpy as np
 from coulombus.eds.cia301 import CobId, NmtState
 from coulombus.eds.codec import PDO
 from coulombus.eds.pdo import fill
-from coulombus.host.cycle.demand import brake_limit_raw
+from coulombus.host.cycle.demand import brake_end_Nm, brake_limit_raw
 from coulombus.host.cycle.records import CONTROL, DRIVE_PDOS, HOST, Image, Phase, SignResult, Trip
 from coulombus.host.laws.laws import LAW, LAW_STATE, MOTION, OWN_LAWS, LawError, load_law
 from coulombus.rigs.axis import Axis
@@ -35,6 +36,7 @@ AXIS = np.dtype(
 )
 """One axis as the kernels take it."""
 
+TARGET_TORQUE, MAX_TORQUE = 0x6071, 0x6072
 BRAKE_LAG_S = 0.02
 """Time constant with which the brake's torque is expected at the handle (coil and fluid of a typical MR brake)."""
 SIGN_HAND_S = 0.12
@@ -50,8 +52,8 @@ IMAGE_OF_SIGNAL = {
     "motor.position_rad": Image.POSITION,
     "motor.torque_Nm": Image.TORQUE,
     "motor.velocity_rad_s": Image.VELOCITY,
-    "motor.deadman": Image.DEADMAN,
-    "brake.deadman": Image.DEADMAN,
+    "brake.statusword": Image.BRAKE_STATUSWORD,
+    "brake.controlword": Image.BRAKE_CONTROLWORD,
     "brake.setpoint_Nm": Image.BRAKE_SETPOINT,
     "brake.handle_torque_Nm": Image.HANDLE_TORQUE,
     "brake.coil_current_A": Image.COIL_CURRENT,
@@ -69,9 +71,11 @@ TRIP_TEXT = {
     Trip.TPDO_LOST: "no complete set of TPDOs for {missed_cycles} cycles (limits.missed_tpdo_cycles)",
     Trip.EMCY_MOTOR: "the motor drive sent an EMCY",
     Trip.EMCY_BRAKE: "the brake sent an EMCY",
+    Trip.EMCY_SENSOR: "the sensor {node} sent an EMCY",
+    Trip.HEARTBEAT_SENSOR: "the heartbeat of the sensor {node} was lost",
     Trip.HEARTBEAT_MOTOR: "the motor drive's heartbeat was lost",
     Trip.HEARTBEAT_BRAKE: "the brake's heartbeat was lost",
-    Trip.DRIVE_STATE: "the drive left Operation Enabled by itself",
+    Trip.DRIVE_STATE: "the drive left Operation Enabled by itself (or the brake, where it is a drive)",
     Trip.NMT_STATE: "a node left NMT state OPERATIONAL",
     Trip.TRANSMIT: "the bus did not take a frame",
     Trip.RECORDING: "the recording could not be written",
@@ -96,6 +100,11 @@ TRIP_TEXT = {
 
 def _cycles(seconds: float, period_s: float) -> int:
     return max(1, round(seconds / period_s))
+
+
+def slot_of_signal(signal: Signal) -> int:
+    """Return the slot of the process image that holds a signal's raw value; -1 where the host does not use it."""
+    return int(Image.DEADMAN if signal.key.endswith(".deadman") else IMAGE_OF_SIGNAL.get(signal.key, -1))
 
 
 def _slot_of(slots: dict[tuple[int, int], int]) -> Callable[[int, int], int]:
@@ -133,9 +142,11 @@ class Controller:
         self.rpdos[:] = self._new_pdos([pdo for pdo in pdos if pdo.layout.direction == "rpdo"])
         self.tpdos[:] = self._new_pdos([pdo for pdo in pdos if pdo.layout.direction == "tpdo"])
         self.control[:] = self._new_control(pdos)
-        for name in ("enabled_ns", "armed_ns", "full_gain_ns", "motor_heartbeat_ns", "brake_heartbeat_ns"):
+        for name in ("enabled_ns", "armed_ns", "full_gain_ns", "heard_ns"):
             self.host[name] = -1
         self.host["deadman_ok"] = 1
+        constants = [one.value for pdo in pdos for one in pdo.constants]
+        self.host["image"][0, Image.CONSTANT : Image.CONSTANT + len(constants)] = constants
 
     @property
     def control(self) -> Records:
@@ -193,13 +204,12 @@ class Controller:
     def _new_pdos(self, pdos: list[RigPdo]) -> Records:
         records = new_records(PDO, DRIVE_PDOS)
         records["cob_id"] = -1
+        constant = count(int(Image.CONSTANT))
         for record, pdo in zip(records, pdos, strict=False):
-            slots = {(s.index, s.subindex): int(IMAGE_OF_SIGNAL[s.key]) for s in pdo.signals if s.key in IMAGE_OF_SIGNAL}
+            slots = {(s.index, s.subindex): slot for s in pdo.signals if (slot := slot_of_signal(s)) >= 0}
+            slots |= {(one.index, one.subindex): next(constant) for one in pdo.constants}
             fill(record, pdo.layout, _slot_of(slots))
         return records
-
-    def _signal(self, pdos: tuple[RigPdo, ...], name: str) -> Signal:
-        return next(signal for pdo in pdos for signal in pdo.signals if signal.key == name)
 
     def _new_control(self, pdos: tuple[RigPdo, ...]) -> Records:
         axis, mode, limits = self.axis, self.axis.mode[self.mode], self.axis.limits
@@ -208,22 +218,15 @@ class Controller:
         c = control[0]
         c["period_ns"], c["window_ns"] = round(T * 1e9), round(axis.bus.tpdo_window_s * 1e9)
         c["sync_cob_id"], c["host_id"] = CobId.SYNC, axis.host.node_id
-        c["motor_id"], c["brake_id"] = axis.motor.node_id, axis.brake.node_id
+        c["nodes"] = len(axis.devices)
+        for k, node in enumerate(axis.devices):
+            c["node_id"][k] = axis.part(node).node_id
+            c["heartbeat_timeout_ns"][k] = round(axis.part(node).heartbeat_timeout_s * 1e9)
         c["heartbeat_ns"] = round(axis.host.heartbeat_s * 1e9)
-        c["motor_heartbeat_timeout_ns"] = round(axis.motor.heartbeat_timeout_s * 1e9)
-        c["brake_heartbeat_timeout_ns"] = round(axis.brake.heartbeat_timeout_s * 1e9)
-        tpdos = [pdo for pdo in pdos if pdo.layout.direction == "tpdo"]
-        c["rpdos"], c["tpdos"] = len(pdos) - len(tpdos), len(tpdos)
-        for i, pdo in enumerate(tpdos):
-            if any(signal.key == "motor.position_rad" for signal in pdo.signals):
-                c["position_mask"] = 1 << i
+        self._set_tpdos(c, pdos)
         c["motor_active"], c["brake_active"] = self.mode == "active", self.mode in ("passive", "hybrid")
 
-        c["rad_count"] = self._signal(pdos, "motor.position_rad").scale
-        c["Nm_pm"] = self._signal(pdos, "motor.target_torque_Nm").scale
-        c["handle_Nm_raw"] = self._signal(pdos, "brake.handle_torque_Nm").scale
-        c["brake_Nm_raw"] = self._signal(pdos, "brake.setpoint_Nm").scale
-        c["coil_A_raw"] = self._signal(pdos, "brake.coil_current_A").scale
+        self._set_scales(c)
 
         c["friction_Nm"] = axis.mechanics.friction_Nm
         c["compensation_Nm"] = mode.compensation * axis.mechanics.friction_Nm
@@ -234,26 +237,28 @@ class Controller:
         c["motor_limit_pm"] = self.motor_limit_pm(float(c["Nm_pm"]))
         c["motor_rate_Nm"] = limits.torque_rate_Nm_s * T
         c["brake_limit_raw"] = brake_limit_raw(axis)
-        c["brake_limit_Nm"] = min(limits.brake_torque_Nm, float(c["brake_limit_raw"] * c["brake_Nm_raw"]))
+        c["brake_limit_Nm"] = min(limits.brake_torque_Nm, brake_end_Nm(axis))
         c["speed_limit"], c["jump_counts"] = limits.speed_rad_s, limits.encoder_jump_counts
         c["net_work_J"] = limits.net_work_J
         c["net_work_cycles"] = _cycles(limits.net_work_window_s, T)
         c["travel_rad"] = math.inf if limits.travel_rad == "unlimited" else float(limits.travel_rad)
-        c["mismatch_Nm"] = limits.handle_mismatch_Nm
+        handle = axis.allocation.bound.get("handle_torque") is not None
+        c["mismatch_Nm"] = limits.handle_mismatch_Nm if handle else math.inf
         c["mismatch_cycles"] = _cycles(limits.handle_mismatch_s, T)
         c["missed_cycles"] = limits.missed_tpdo_cycles
         c["coil_limit_A2"] = axis.brake.coil_continuous_A**2
         c["coil_decay"] = math.exp(-T / axis.brake.coil_time_constant_s)
         c["brake_lag_decay"] = math.exp(-T / BRAKE_LAG_S)
 
-        c["still_cycles"], c["still_handle_Nm"] = _cycles(limits.still_s, T), limits.still_handle_torque_Nm
+        c["still_cycles"] = _cycles(limits.still_s, T)
+        c["still_handle_Nm"] = limits.still_handle_torque_Nm if handle else math.inf
         c["still_timeout_cycles"] = _cycles(limits.still_timeout_s, T)
         c["enable_timeout_cycles"] = _cycles(ENABLE_TIMEOUT_S, T)
         c["sign_check"] = c["motor_limit_pm"] > 0
         c["sign_step_Nm"] = limits.sign_check_rate_Nm_s * T
         c["sign_counts"], c["sign_torque_Nm"] = limits.sign_check_counts, limits.sign_check_torque_Nm
         c["sign_travel_counts"] = math.ceil(limits.sign_check_travel_rad / abs(c["rad_count"]))
-        c["sign_hand_Nm"], c["sign_hand_cycles"] = SIGN_HAND_NM, _cycles(SIGN_HAND_S, T)
+        c["sign_hand_Nm"], c["sign_hand_cycles"] = SIGN_HAND_NM if handle else math.inf, _cycles(SIGN_HAND_S, T)
         c["settle_cycles"] = _cycles(SETTLE_S, T)
 
         switch = any(signal.name.endswith(".deadman") for pdo in pdos for signal in pdo.signals)
@@ -265,39 +270,66 @@ class Controller:
         c["safe_ramp_cycles"] = _cycles(limits.safe_ramp_s, T)
         return control
 
+    def _set_tpdos(self, c: Any, pdos: tuple[RigPdo, ...]) -> None:
+        """Say which TPDOs are awaited, and which of them has the position."""
+        tpdos = [pdo for pdo in pdos if pdo.layout.direction == "tpdo"]
+        c["rpdos"], c["tpdos"] = len(pdos) - len(tpdos), len(tpdos)
+        for i, pdo in enumerate(tpdos):
+            c["every_cycle" if pdo.every_cycle else "by_timer"] |= 1 << i
+            for signal, entry in zip(pdo.signals, pdo.layout.entries, strict=True):
+                if signal.key == "motor.position_rad":
+                    c["position_mask"], c["position_half"] = 1 << i, 1 << (entry.bits - 1)
+        c["awaited"] = c["every_cycle"] or c["by_timer"]
+
+    def _set_scales(self, c: Any) -> None:
+        """Set what a raw count of each role is; of one that is absent, what stands for it."""
+        bound = self.axis.allocation.bound
+        c["rad_count"] = bound["position"].scale
+        c["Nm_pm"] = bound["torque_setpoint"].scale
+        brake, torque, handle, coil = map(bound.get, ("brake_setpoint", "torque", "handle_torque", "coil_current"))
+        assert brake is not None
+        c["torque_Nm_raw"], c["torque_commanded"] = (0.0, 1.0) if torque is None else (torque.scale, 0.0)
+        c["handle_Nm_raw"], c["handle_offset_Nm"] = (0.0, 0.0) if handle is None else (handle.scale, handle.offset)
+        c["coil_A_raw"], c["coil_A_Nm"] = (0.0, self.axis.brake.coil_A_Nm) if coil is None else (coil.scale, 0.0)
+        c["brake_Nm_raw"], c["brake_points"] = abs(brake.scale), len(brake.table)
+        for k, (raw, Nm) in enumerate(brake.table):
+            c["brake_raw_at"][k], c["brake_Nm_at"][k] = raw, Nm
+        c["brake_is_drive"] = bound.get("brake_statusword") is not None
+
     def motor_limit_pm(self, Nm_pm: float) -> int:
-        """Return the motor's torque limit in per mille, rounded down: what the drive's 6072h is set to."""
+        """Return the motor's torque limit in counts of its set-point (6071h: per mille), rounded down."""
         limit = math.floor(self.axis.motor_limit_Nm(self.mode) / abs(Nm_pm) + 1e-9)
-        motor = self.axis.description("motor")
-        target = motor.variable(0x6071, 0)
-        ends = [(0x6071, target.largest)]
-        if motor.has(0x6072, 0):  # without it bring-up refuses
-            ends.insert(0, (0x6072, motor.variable(0x6072, 0).largest))
+        motor, entry = self.axis.description("motor"), self.axis.allocation.bound["torque_setpoint"].entry
+        target = motor.variable(entry.index, entry.subindex)
+        ends = [(entry.index, target.largest)]
+        per_mille = entry.index == TARGET_TORQUE
+        if per_mille and motor.has(MAX_TORQUE, 0):
+            ends.insert(0, (MAX_TORQUE, motor.variable(MAX_TORQUE, 0).largest))
         if target.low is not None and target.low < 0:
-            ends.append((0x6071, -target.low))
+            ends.append((entry.index, -target.low))
         index, end = min(ends, key=lambda one: one[1])
         if limit > end:
             raise self.axis.mistake(
                 f"mode.{self.mode}.motor_limit_Nm",
-                f"at most {end * abs(Nm_pm):.4g}: the drive's {index:04X}h ends at {end:g} per mille",
+                f"at most {end * abs(Nm_pm):.4g}: the drive's {index:04X}h ends at {end:g}{' per mille' if per_mille else ''}",
             )
         return limit
 
     def can_ids(self) -> set[int]:
-        """Return the identifiers of the CANopen objects of motor and brake."""
+        """Return the identifiers of the CANopen objects of the axis' nodes."""
         c = self.control[0]
-        nodes = (int(c["motor_id"]), int(c["brake_id"]))
+        nodes = list(map(int, c["node_id"][: c["nodes"]]))
         services = {base + node for base in (CobId.EMCY, CobId.SDO_TX, CobId.SDO_RX, CobId.HEARTBEAT) for node in nodes}
         return services | {
             int(pdo["cob_id"]) for pdos in (self.rpdos, self.tpdos) for pdo in pdos if pdo["cob_id"] >= 0
         }
 
     def start(self, t_ns: int) -> None:
-        """Begin with the first cycle at `t_ns`; both nodes were heard just now."""
+        """Begin with the first cycle at `t_ns`; all nodes were heard just now."""
         h = self.host[0]
-        h["next_ns"] = h["heartbeat_due_ns"] = t_ns
-        h["motor_heartbeat_ns"] = h["brake_heartbeat_ns"] = t_ns
-        h["motor_nmt"] = h["brake_nmt"] = NmtState.OPERATIONAL
+        h["next_ns"] = h["heartbeat_due_ns"] = h["guard_due_ns"] = t_ns
+        for k in range(len(self.axis.devices)):
+            h["heard_ns"][k], h["nmt"][k] = t_ns, NmtState.OPERATIONAL
         h["phase"] = Phase.STILL
 
     def stop(self, trip: Trip = Trip.NONE) -> None:
@@ -315,13 +347,15 @@ class Controller:
         trip = Trip(int(self.host["trip"][0]))
         if trip is Trip.NONE:
             return None
-        text = f"{trip.name}: {TRIP_TEXT[trip].format(missed_cycles=int(self.control['missed_cycles'][0]))}"
+        node = self.axis.devices[int(self.host["doubtful"][0])]
+        told = TRIP_TEXT[trip].format(missed_cycles=int(self.control["missed_cycles"][0]), node=node)
+        text = f"{trip.name}: {told}"
         if trip is Trip.NOT_STILL and self._starved:
             text += (
                 f"; {int(self.host['lost_pdos'][0])} cycles lacked a TPDO within bus.tpdo_window_s, and a handle whose position does not "
                 "come does not count as still"
             )
-        if trip in (Trip.EMCY_MOTOR, Trip.EMCY_BRAKE):
+        if trip in (Trip.EMCY_MOTOR, Trip.EMCY_BRAKE, Trip.EMCY_SENSOR):
             text += f" (error code {int(self.host['emcy_code'][0]):04X}h)"
         return self.axis.said(text)
 

@@ -15,7 +15,7 @@ from coulombus.rigs.axis import Axis
 from coulombus.rigs.model import Mode
 from coulombus.rigs.rig import Rig, RigError
 
-__all__ = ["brake_limit_raw", "check_demand", "cut_off"]
+__all__ = ["brake_end_Nm", "brake_limit_raw", "check_demand", "cut_off"]
 
 
 class Demand(NamedTuple):
@@ -26,8 +26,23 @@ class Demand(NamedTuple):
 
 
 def brake_limit_raw(axis: Axis) -> int:
-    """Return the largest set-point that 7300h:01 takes: the high limit of the EDS file, or what its data type holds."""
-    return int(min(axis.description("brake").variable(0x7300, 1).largest, 0xFFFFFFFF))
+    """Return the largest set-point that the brake's object takes: the high limit of the EDS file, or what its data type holds."""
+    one = axis.allocation.bound["brake_setpoint"]
+    variable = axis.description(one.node).variable(one.entry.index, one.entry.subindex)
+    most = int(min(variable.largest, 0xFFFFFFFF))
+    least = 0 if variable.whole is None else variable.whole[0]
+    least = least if variable.low is None else max(least, int(variable.low))
+    for raw, _ in one.table:
+        if not least <= raw <= most:
+            label = f"{one.entry.index:04X}h:{one.entry.subindex:02X}"
+            raise axis.mistake("role.brake_setpoint.table", f"raw counts from {least} to {most}, which {label} takes")
+    return most
+
+
+def brake_end_Nm(axis: Axis) -> float:
+    """Return the largest braking torque that the brake's object can say: that of its largest count, or of its table's last point."""
+    one = axis.allocation.bound["brake_setpoint"]
+    return one.table[-1][1] if one.table else float(brake_limit_raw(axis) * one.scale)
 
 
 def _motor(axis: Axis, mode: str) -> Iterator[RigError]:
@@ -50,11 +65,15 @@ def _brake(axis: Axis, mode: str) -> Iterator[RigError]:
     """Yield what the brake's limits cut off of the law in the modes in which the brake displays it."""
     if mode == "active":
         return
-    scale, variable = _scale(axis, "brake.setpoint_Nm"), axis.description("brake").variable(0x7300, 1)
-    device_Nm, own_Nm = brake_limit_raw(axis) * scale, axis.limits.brake_torque_Nm
+    scale, one = _scale(axis, "brake.setpoint_Nm"), axis.allocation.bound["brake_setpoint"]
+    description, entry = axis.description(one.node), one.entry
+    device_Nm, own_Nm = brake_end_Nm(axis), axis.limits.brake_torque_Nm
     limit, whose = own_Nm, "limits.brake_torque_Nm"
     if device_Nm < own_Nm:
-        limit, whose = device_Nm, f"the brake's 7300h:01 ({axis.description('brake').path}:{variable.line})"
+        line = description.variable(entry.index, entry.subindex).line
+        limit, whose = device_Nm, f"the brake's {entry.index:04X}h:{entry.subindex:02X} ({description.path}:{line})"
+        if one.table:
+            limit, whose = device_Nm, "role.brake_setpoint.table"
     for key, torque_Nm in _law(axis, axis.mode[mode]):
         if torque_Nm > limit + scale:
             yield axis.mistake(f"mode.{mode}.{key}", _expected(limit, torque_Nm, whose))

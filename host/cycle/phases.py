@@ -101,11 +101,12 @@ def still(c: Any, h: Any) -> tuple[float, int]:
         h.handle_samples = 0
     h.handle_before_Nm += h.handle_Nm
     h.handle_samples += 1
-    if h.still >= c.still_cycles and h.drive == PowerState.SWITCHED_ON and h.deadman_ok:
+    switched_on = h.drive == PowerState.SWITCHED_ON and h.brake_drive == PowerState.SWITCHED_ON
+    if h.still >= c.still_cycles and switched_on and h.deadman_ok:
         h.handle_before_Nm /= h.handle_samples
         return 0.0, Phase.ENABLE
     if h.phase_cycle > c.still_timeout_cycles:
-        if h.drive != PowerState.SWITCHED_ON:
+        if not switched_on:
             return _refuse(h, Trip.ENABLE_TIMEOUT)
         if h.still >= c.still_cycles:
             return _refuse(h, Trip.DEADMAN)
@@ -115,8 +116,8 @@ def still(c: Any, h: Any) -> tuple[float, int]:
 
 @kernel
 def enable(c: Any, h: Any, t_ns: int) -> tuple[float, int]:
-    """ENABLE: wait until the drive says that it is enabled; a mode with a motor goes on with the sign check."""
-    if h.drive == PowerState.OPERATION_ENABLED:
+    """ENABLE: wait until the drive says that it is enabled, and a brake with power states, too; a mode with a motor goes on with the sign check."""
+    if h.drive == PowerState.OPERATION_ENABLED and h.brake_drive == PowerState.OPERATION_ENABLED:
         h.enabled_ns = t_ns
         h.torque_Nm = 0.0
         return 0.0, Phase.SIGN if c.sign_check else Phase.RUN
@@ -247,7 +248,9 @@ def safe(c: Any, h: Any) -> tuple[float, int]:
 def disable(h: Any) -> tuple[float, int]:
     """DISABLE: no torque; wait until the drive says that it is disabled, but not for ever."""
     h.brake_Nm = 0.0
-    disabled = h.drive == PowerState.SWITCH_ON_DISABLED or h.drive == PowerState.FAULT
+    motor = h.drive == PowerState.SWITCH_ON_DISABLED or h.drive == PowerState.FAULT
+    brake = h.brake_drive == PowerState.SWITCH_ON_DISABLED or h.brake_drive == PowerState.FAULT
+    disabled = motor and brake
     return 0.0, Phase.DONE if disabled or h.phase_cycle > DISABLE_CYCLES else Phase.DISABLE
 
 
@@ -256,6 +259,7 @@ def _act(axis: Any, law_function: Any, t_ns: int) -> tuple[float, int]:
     """Do what the present phase does in a cycle, its controlword included; return the motor's torque [Nm] and the phase that follows."""
     c, h = axis.control, axis.host
     h.image[Image.CONTROLWORD] = CONTROLWORDS[h.phase, h.drive]
+    h.image[Image.BRAKE_CONTROLWORD] = CONTROLWORDS[h.phase, h.brake_drive]
     if h.phase == Phase.STILL:
         return still(c, h)
     if h.phase == Phase.ENABLE:

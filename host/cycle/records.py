@@ -9,7 +9,9 @@ from enum import IntEnum
 
 import numpy as np
 
-from coulombus.rigs.model import WORK_WINDOW_CYCLES
+from coulombus.rigs.devices import TABLE_POINTS
+from coulombus.rigs.model import MOST_DEVICES, WORK_WINDOW_CYCLES
+from coulombus.rigs.pdo_maps import MOST_CONSTANTS, MOST_PDOS
 
 __all__ = ["CONTROL", "DRIVE_PDOS", "HOST", "Image", "Phase", "SignResult", "Trip"]
 
@@ -55,6 +57,8 @@ class Trip(IntEnum):
     LAW = 21
     OTHER_AXIS = 22
     HOST = 23
+    EMCY_SENSOR = 24
+    HEARTBEAT_SENSOR = 25
     NOT_STILL = 32  # from here on: arming was refused
     HANDLE_LOADED = 33
     ENABLE_TIMEOUT = 34
@@ -87,9 +91,13 @@ class Image(IntEnum):
     COIL_CURRENT = 8
     COIL_TEMPERATURE = 9
     DEADMAN = 10
+    BRAKE_STATUSWORD = 11
+    BRAKE_CONTROLWORD = 12
+    CONSTANT = 16  # here and behind: what RPDOs carry beside what the host commands
 
 
-DRIVE_PDOS = 8
+IMAGE_SLOTS = Image.CONSTANT + MOST_CONSTANTS
+DRIVE_PDOS = MOST_PDOS
 """PDOs that the host's tables have room for, each way."""
 
 CONTROL = np.dtype(
@@ -98,22 +106,35 @@ CONTROL = np.dtype(
         ("window_ns", np.int64),  # SYNC to the last TPDO
         ("sync_cob_id", np.int64),
         ("host_id", np.int64),
-        ("motor_id", np.int64),
-        ("brake_id", np.int64),
+        ("nodes", np.int64),  # motor, brake, sensors
+        ("node_id", np.int64, (MOST_DEVICES,)),
+        ("heartbeat_timeout_ns", np.int64, (MOST_DEVICES,)),  # of each node; 0: not watched
         ("heartbeat_ns", np.int64),
-        ("motor_heartbeat_timeout_ns", np.int64),  # 0: not watched
-        ("brake_heartbeat_timeout_ns", np.int64),
+        ("guard_ns", np.int64),  # period of the remote frames by which the host guards; 0: it guards no node
+        ("guarded", np.int64),  # a bit for each node that is guarded
         ("rpdos", np.int64),  # number of PDOs the host sends
         ("tpdos", np.int64),  # number of PDOs it waits for
+        ("every_cycle", np.int64),  # bits of the TPDOs that come in each cycle
+        ("awaited", np.int64),  # bits of those whose arrival ends the wait: these, or all where there are none
+        ("by_timer", np.int64),  # bits of the others
         ("position_mask", np.int64),  # the bit of the TPDO that carries the position
+        ("position_half", np.int64),  # half the counts after which it wraps
         ("motor_active", np.int64),  # 1: the motor displays the law (mode active)
         ("brake_active", np.int64),  # 1: the brake displays the law (modes passive, hybrid)
+        ("brake_is_drive", np.int64),  # 1: the brake has power states of its own
         # scales
         ("rad_count", np.float64),  # signed by the encoder's polarity
-        ("Nm_pm", np.float64),  # signed by the motor's polarity
+        ("Nm_pm", np.float64),  # signed by the motor's polarity; of a set-point in another unit, of one count
+        ("torque_Nm_raw", np.float64),  # of the measured torque; 0: not measured
+        ("torque_commanded", np.float64),  # 1: the command stands for it
         ("handle_Nm_raw", np.float64),
-        ("brake_Nm_raw", np.float64),
-        ("coil_A_raw", np.float64),
+        ("handle_offset_Nm", np.float64),
+        ("brake_Nm_raw", np.float64),  # with a table, of its last step
+        ("brake_points", np.int64),  # of the table; 0: a factor
+        ("brake_raw_at", np.float64, (TABLE_POINTS,)),
+        ("brake_Nm_at", np.float64, (TABLE_POINTS,)),
+        ("coil_A_raw", np.float64),  # 0: not measured
+        ("coil_A_Nm", np.float64),  # the command stands for it; 0: it is measured
         # compensation of the inherent friction
         ("friction_Nm", np.float64),
         ("compensation_Nm", np.float64),
@@ -124,7 +145,7 @@ CONTROL = np.dtype(
         ("motor_limit_pm", np.int64),  # the same number as the drive's 6072h
         ("motor_rate_Nm", np.float64),  # a cycle
         ("brake_limit_Nm", np.float64),  # the rig file's limit or the device's, whichever is less
-        ("brake_limit_raw", np.int64),  # what 7300h takes at most
+        ("brake_limit_raw", np.int64),  # what its object takes at most
         ("speed_limit", np.float64),
         ("jump_counts", np.int64),
         ("net_work_J", np.float64),
@@ -182,12 +203,12 @@ HOST = np.dtype(
         ("armed_ns", np.int64),  # when the law began; -1 before
         ("full_gain_ns", np.int64),  # when its gain came to 1; -1 before
         ("heartbeat_due_ns", np.int64),
-        ("motor_heartbeat_ns", np.int64),  # last one heard; -1 none
-        ("brake_heartbeat_ns", np.int64),
-        ("motor_nmt", np.int64),
-        ("brake_nmt", np.int64),
+        ("guard_due_ns", np.int64),
+        ("heard_ns", np.int64, (MOST_DEVICES,)),  # of each node, its last heartbeat; -1 none
+        ("nmt", np.int64, (MOST_DEVICES,)),
+        ("doubtful", np.int64),  # the node whose EMCY or heartbeat tripped
         # measured
-        ("image", np.int64, (16,)),
+        ("image", np.int64, (IMAGE_SLOTS,)),
         ("raw_position", np.int64),  # 6064h as it came last
         ("counts", np.int64),  # encoder counts since the start, without the wrap of 6064h
         ("position_age", np.int64),  # cycles since it was fresh
@@ -197,6 +218,7 @@ HOST = np.dtype(
         ("v_counts", np.float64),
         ("handle_Nm", np.float64),
         ("drive", np.int64),  # PowerState that the statusword tells; -1: none
+        ("brake_drive", np.int64),  # the brake's; of one without power states the drive's
         # commanded
         ("gain", np.float64),
         ("torque_Nm", np.float64),  # the motor's
@@ -211,6 +233,12 @@ HOST = np.dtype(
         # watches
         ("still", np.int64),
         ("missed_in_a_row", np.int64),
+        (
+            "tpdo_age",
+            np.int64,
+            (DRIVE_PDOS,),
+        ),  # closed since each of the TPDOs by timer came: 1 in the cycle in which it came
+        ("oldest_tpdo", np.int64),  # the largest of them
         ("voltage_low", np.int64),
         ("mismatch", np.int64),
         ("coil_A2", np.float64),

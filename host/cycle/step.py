@@ -20,7 +20,7 @@ from coulombus.eds.codec import pack, unpack
 from coulombus.host.cycle.phases import advance
 from coulombus.host.cycle.records import Image, Phase, Trip
 from coulombus.host.cycle.watch import measure, watch
-from coulombus.wire.frame import push
+from coulombus.wire.frame import CAN_RTR_FLAG, push
 
 __all__ = ["SOURCE_HOST", "begin", "brake_raw", "finish", "limit_torque", "on_frame", "send"]
 
@@ -53,27 +53,47 @@ def limit_torque(c: Any, h: Any, torque_Nm: float) -> float:
 
 @kernel
 def brake_raw(c: Any, h: Any) -> int:
-    """Return the brake's set-point in counts: unsigned, without a wrap, within what its object takes."""
-    return min(max(round(h.brake_Nm / c.brake_Nm_raw), 0), c.brake_limit_raw)
+    """Return the brake's set-point in counts: without a wrap, from 0 Nm to what its object takes, or to the end of its table."""
+    if c.brake_points == 0:
+        return min(max(round(h.brake_Nm / c.brake_Nm_raw), 0), c.brake_limit_raw)
+    k = 1
+    while k < c.brake_points - 1 and c.brake_Nm_at[k] < h.brake_Nm:
+        k += 1
+    share = (h.brake_Nm - c.brake_Nm_at[k - 1]) / (c.brake_Nm_at[k] - c.brake_Nm_at[k - 1])
+    share = min(max(share, 0.0), 1.0)
+    return round(c.brake_raw_at[k - 1] + share * (c.brake_raw_at[k] - c.brake_raw_at[k - 1]))
+
+
+@kernel
+def _node(c: Any, node_id: int) -> int:
+    """Return which of the axis' nodes it is, -1 if none."""
+    for k in range(c.nodes):
+        if c.node_id[k] == node_id:
+            return k
+    return -1
 
 
 @kernel
 def begin(axis: Any, t_ns: int, out: Any) -> None:
-    """Begin the cycle that is due at `t_ns`: count what the last one lost, send SYNC (and the host's heartbeat when due)."""
+    """Begin the cycle that is due at `t_ns`: count what the last one lost, send SYNC (the host's heartbeat and what guards nodes when due)."""
     c, h = axis.control, axis.host
-    if h.cycle > 0 and h.phase < Phase.SAFE and h.arrived != (1 << c.tpdos) - 1:
+    if h.cycle > 0 and h.phase < Phase.SAFE and h.arrived & c.every_cycle != c.every_cycle:
         h.lost_pdos += 1
-    h.arrived = 0
+    h.arrived &= c.by_timer
     h.waiting = 1
     h.sync_ns = t_ns
     h.cycle += 1
     h.next_ns = t_ns + c.window_ns
-    if c.sync_cob_id < 0:  # another axis of this bus leads
-        return
-    push(out, SOURCE_HOST, t_ns, c.sync_cob_id, 0, 0)
-    if c.heartbeat_ns > 0 and t_ns >= h.heartbeat_due_ns:
-        h.heartbeat_due_ns = t_ns + c.heartbeat_ns
-        push(out, SOURCE_HOST, t_ns, CobId.HEARTBEAT + c.host_id, 1, NmtState.OPERATIONAL)
+    if c.sync_cob_id >= 0:  # else another axis of this bus leads
+        push(out, SOURCE_HOST, t_ns, c.sync_cob_id, 0, 0)
+        if c.heartbeat_ns > 0 and t_ns >= h.heartbeat_due_ns:
+            h.heartbeat_due_ns = t_ns + c.heartbeat_ns
+            push(out, SOURCE_HOST, t_ns, CobId.HEARTBEAT + c.host_id, 1, NmtState.OPERATIONAL)
+    if c.guard_ns > 0 and t_ns >= h.guard_due_ns:
+        h.guard_due_ns = t_ns + c.guard_ns
+        for k in range(c.nodes):
+            if c.guarded >> k & 1:
+                push(out, SOURCE_HOST, t_ns, CAN_RTR_FLAG | (CobId.HEARTBEAT + c.node_id[k]), 1, 0)
 
 
 @kernel
@@ -88,30 +108,30 @@ def on_frame(axis: Any, t_ns: int, can_id: int, length: int, data: int) -> int:
                 return 0
             unpack(pdo, data, h.image)
             h.arrived |= 1 << k
-            return 1 if h.waiting and h.arrived == (1 << c.tpdos) - 1 else 0
+            h.tpdo_age[k] = 0
+            return 1 if h.waiting and h.arrived & c.awaited == c.awaited else 0
     function, node = can_id & 0x780, can_id & 0x7F
     if can_id > 0x7FF:
         h.stray_frames += 1
         return 0
     if function == CobId.HEARTBEAT and length == 1:
         state = data & 0x7F
+        k = _node(c, node)
         known = False
-        if node == c.motor_id:
-            known = h.motor_nmt == state
-            h.motor_nmt = state
-            h.motor_heartbeat_ns = t_ns
-        elif node == c.brake_id:
-            known = h.brake_nmt == state
-            h.brake_nmt = state
-            h.brake_heartbeat_ns = t_ns
+        if k >= 0:
+            known = h.nmt[k] == state
+            h.nmt[k] = state
+            h.heard_ns[k] = t_ns
         return 0 if known else 2
     if function == CobId.SDO_TX:
         return 2
-    if function == CobId.EMCY and length == 8 and (node == c.motor_id or node == c.brake_id):
+    if function == CobId.EMCY and length == 8 and _node(c, node) >= 0:
         code = data & 0xFFFF
         if code != 0 and h.emcy == Trip.NONE:
-            h.emcy = Trip.EMCY_MOTOR if node == c.motor_id else Trip.EMCY_BRAKE
+            k = _node(c, node)
+            h.emcy = Trip.EMCY_MOTOR if k == 0 else Trip.EMCY_BRAKE if k == 1 else Trip.EMCY_SENSOR
             h.emcy_code = code
+            h.doubtful = k
         return 2
     h.stray_frames += 1
     return 0
@@ -124,8 +144,13 @@ def _close(c: Any, h: Any, t_ns: int) -> None:
     h.next_ns = h.sync_ns + c.period_ns
     if t_ns > h.next_ns:
         h.missed_deadlines += 1
-    complete = h.arrived == (1 << c.tpdos) - 1
+    complete = h.arrived & c.every_cycle == c.every_cycle
     h.missed_in_a_row = 0 if complete else h.missed_in_a_row + 1
+    h.oldest_tpdo = 0
+    for k in range(c.tpdos):
+        if c.by_timer >> k & 1:
+            h.tpdo_age[k] += 1
+            h.oldest_tpdo = max(h.oldest_tpdo, h.tpdo_age[k])
 
 
 @kernel
@@ -149,3 +174,4 @@ def finish(axis: Any, law_function: Any, t_ns: int, out: Any) -> None:
     torque_Nm = advance(axis, law_function, doubt, t_ns)
     h.torque_Nm = limit_torque(c, h, torque_Nm)
     send(axis, t_ns, out)
+    h.arrived &= ~c.by_timer  # one that comes by its own timer counts from here on for the next cycle

@@ -21,10 +21,11 @@ VOLTAGE_LOW_CYCLES = 2
 def measure(c: Any, h: Any) -> int:
     """Turn the process image into position, velocity (backward difference) and handle torque; may trip on an encoder jump.
 
-    The position is followed modulo 2**32, as 6064h wraps. A stale position keeps the last velocity's value and ages.
+    The position is followed across its wrap, after 2**32 counts of 6064h. A stale position keeps the last velocity's value and ages.
     """
     h.drive = STATE_OF_STATUSWORD[h.image[Image.STATUSWORD] & 0x7F]
-    h.handle_Nm = h.image[Image.HANDLE_TORQUE] * c.handle_Nm_raw
+    h.brake_drive = STATE_OF_STATUSWORD[h.image[Image.BRAKE_STATUSWORD] & 0x7F] if c.brake_is_drive else h.drive
+    h.handle_Nm = h.image[Image.HANDLE_TORQUE] * c.handle_Nm_raw + c.handle_offset_Nm
     h.fresh = 0
     h.position_age += 1
     if h.arrived & c.position_mask == 0:
@@ -35,7 +36,8 @@ def measure(c: Any, h: Any) -> int:
         h.raw_position = raw
         h.position_age = 0
         return Trip.NONE
-    moved = ((raw - h.raw_position + 0x80000000) & 0xFFFFFFFF) - 0x80000000
+    half = c.position_half
+    moved = ((raw - h.raw_position + half) & (2 * half - 1)) - half
     if abs(moved) > c.jump_counts * h.position_age:
         return Trip.ENCODER_JUMP
     h.raw_position = raw
@@ -56,7 +58,7 @@ def watch_motion(c: Any, h: Any) -> int:
         return Trip.TRAVEL
 
     # net work of the motor on the handle, over a sliding window
-    torque = h.image[Image.TORQUE] * c.Nm_pm
+    torque = h.image[Image.TORQUE] * c.torque_Nm_raw + c.torque_commanded * h.torque_Nm
     work = torque * h.v_counts * c.rad_count if h.fresh else 0.0
     row = h.work_row
     h.work_sum += work - h.work[row]
@@ -67,7 +69,7 @@ def watch_motion(c: Any, h: Any) -> int:
         return Trip.NET_WORK
 
     # I2t of the coil: a first-order lag of the squared current
-    current = h.image[Image.COIL_CURRENT] * c.coil_A_raw
+    current = h.image[Image.COIL_CURRENT] * c.coil_A_raw + c.coil_A_Nm * h.brake_Nm
     h.coil_A2 = current * current + (h.coil_A2 - current * current) * c.coil_decay
     if h.coil_A2 > c.coil_limit_A2:
         return Trip.COIL_I2T
@@ -89,14 +91,15 @@ def watch_devices(c: Any, h: Any, t_ns: int) -> int:
     """Watch TPDOs, EMCY, heartbeats, NMT states and the drive's supply."""
     if h.emcy != Trip.NONE:
         return h.emcy
-    if h.missed_in_a_row >= c.missed_cycles:
+    if h.missed_in_a_row >= c.missed_cycles or h.oldest_tpdo > c.missed_cycles:
         return Trip.TPDO_LOST
-    if c.motor_heartbeat_timeout_ns > 0 and t_ns - h.motor_heartbeat_ns > c.motor_heartbeat_timeout_ns:
-        return Trip.HEARTBEAT_MOTOR
-    if c.brake_heartbeat_timeout_ns > 0 and t_ns - h.brake_heartbeat_ns > c.brake_heartbeat_timeout_ns:
-        return Trip.HEARTBEAT_BRAKE
-    if h.motor_nmt != NmtState.OPERATIONAL or h.brake_nmt != NmtState.OPERATIONAL:
-        return Trip.NMT_STATE
+    for k in range(c.nodes):
+        if c.heartbeat_timeout_ns[k] > 0 and t_ns - h.heard_ns[k] > c.heartbeat_timeout_ns[k]:
+            h.doubtful = k
+            return Trip.HEARTBEAT_MOTOR if k == 0 else Trip.HEARTBEAT_BRAKE if k == 1 else Trip.HEARTBEAT_SENSOR
+    for k in range(c.nodes):
+        if h.nmt[k] != NmtState.OPERATIONAL:
+            return Trip.NMT_STATE
     if h.fresh:  # the statusword comes with the position
         h.voltage_low = 0 if h.image[Image.STATUSWORD] & VOLTAGE_ENABLED else h.voltage_low + 1
     return Trip.VOLTAGE if h.voltage_low >= VOLTAGE_LOW_CYCLES else Trip.NONE
@@ -119,7 +122,8 @@ def watch(c: Any, h: Any, jump: int, t_ns: int) -> int:
         trip = watch_motion(c, h)
     if trip == Trip.NONE:
         trip = watch_devices(c, h, t_ns)
-    if trip == Trip.NONE and Phase.ENABLE < h.phase < Phase.SAFE and h.drive != PowerState.OPERATION_ENABLED:
+    enabled = h.drive == PowerState.OPERATION_ENABLED and h.brake_drive == PowerState.OPERATION_ENABLED
+    if trip == Trip.NONE and Phase.ENABLE < h.phase < Phase.SAFE and not enabled:
         trip = Trip.DRIVE_STATE
     watch_switch(c, h)
     if trip == Trip.NONE and not h.deadman_ok and h.phase > Phase.STILL:

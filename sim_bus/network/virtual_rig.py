@@ -209,9 +209,9 @@ class VirtualRig(VirtualNetwork):
     def nmt_state(self, node_id: int) -> int | None:
         """Return the NMT state that the node's last heartbeat told."""
         for controller in self.controllers:
-            for role, part in (("motor", controller.axis.motor), ("brake", controller.axis.brake)):
-                if part.node_id == node_id:
-                    state = int(controller.host[f"{role}_nmt"][0])
+            for k, node in enumerate(controller.axis.devices):
+                if controller.axis.part(node).node_id == node_id:
+                    state = int(controller.host["nmt"][0, k])
                     return None if state < 0 else state
         return None
 

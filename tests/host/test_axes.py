@@ -55,7 +55,7 @@ def test_nodes_and_signals_carry_their_axis():
     assert [node.node_id for node in rig.nodes] == [1, 2, 3, 4]
     names = {signal.name for pdo in rig.pdos() for signal in pdo.signals}
     assert {"left.motor.position_rad", "right.brake.handle_torque_Nm"} <= names
-    assert {pdo.layout.cob_id for pdo in rig.pdos() if pdo.node == "right.motor"} == {0x203, 0x183, 0x283}
+    assert {pdo.layout.cob_id for pdo in rig.pdos() if pdo.node == "right.motor"} == {0x203, 0x183}
     alone = rig.alone("right")
     assert {pdo.node for pdo in alone.pdos()} == {"motor", "brake"}
     assert alone.one_axis().motor.node_id == 3
@@ -196,7 +196,7 @@ def test_the_first_axis_leads_and_every_frame_finds_its_axis():
     assert k.owner[0x181] == k.owner[0x702] == k.owner[0x333] == 0
     k.start(0)
     assert on_frame(k.axes, k.owner, 5, 0x703, 1, 4) == 2  # a state that is news
-    assert list(k.host["motor_nmt"]) == [5, 4]
+    assert list(k.host["nmt"][:, 0]) == [5, 4]
     assert on_frame(k.axes, k.owner, 5, 0x333, 1, 4) == 0
     assert list(k.host["stray_frames"]) == [1, 0]
 

@@ -25,14 +25,14 @@ FIELDS = [
     ("bus.period_s=0.002", "period_ns", 2_000_000),
     ("bus.tpdo_window_s=700e-6", "window_ns", 700_000),
     ("bus.tpdo_window_s=0.0007000019", "window_ns", 700_002),
-    ("motor.heartbeat_timeout_s=1.003", "motor_heartbeat_timeout_ns", 1_003_000_000),
-    ("brake.heartbeat_timeout_s=1.005", "brake_heartbeat_timeout_ns", 1_005_000_000),
+    ("motor.heartbeat_timeout_s=1.003", "heartbeat_timeout_ns[0]", 1_003_000_000),
+    ("brake.heartbeat_timeout_s=1.005", "heartbeat_timeout_ns[1]", 1_005_000_000),
     ("host.node_id=101", "host_id", 101),
-    ("motor.node_id=9", "motor_id", 9),
-    ("brake.node_id=11", "brake_id", 11),
+    ("motor.node_id=9", "node_id[0]", 9),
+    ("brake.node_id=11", "node_id[1]", 11),
     ("host.heartbeat_s=0.037", "heartbeat_ns", 37_000_000),
-    ("motor.heartbeat_timeout_s=0.21", "motor_heartbeat_timeout_ns", 210_000_000),
-    ("brake.heartbeat_timeout_s=0.23", "brake_heartbeat_timeout_ns", 230_000_000),
+    ("motor.heartbeat_timeout_s=0.21", "heartbeat_timeout_ns[0]", 210_000_000),
+    ("brake.heartbeat_timeout_s=0.23", "heartbeat_timeout_ns[1]", 230_000_000),
     ("mechanics.friction_Nm=0.145", "friction_Nm", 0.145),
     ("mechanics.friction_Nm=0.145", "compensation_Nm", 0.97 * 0.145),
     ("mode.hybrid.compensation=0.5", "compensation_Nm", 0.07),
@@ -85,7 +85,9 @@ FIELDS = [
 
 @pytest.mark.parametrize(("override", "field", "value"), FIELDS, ids=lambda value: str(value))
 def test_each_key_of_the_rig_file_reaches_its_field(override, field, value):
-    assert control("hybrid", override)[field] == pytest.approx(value, rel=1e-12)
+    name, _, place = field.partition("[")
+    found = control("hybrid", override)[name]
+    assert (found[int(place[0])] if place else found) == pytest.approx(value, rel=1e-12)
 
 
 def test_times_are_rounded_to_nanoseconds():
@@ -244,10 +246,10 @@ def test_a_run_begins_still_with_both_nodes_just_heard():
     controller = Controller(rig_of("bench").one_axis(), "hybrid")
     assert controller.phase is Phase.OFF
     h = controller.host[0]
-    h["motor_nmt"] = h["brake_nmt"] = 4
+    h["nmt"] = 4
     controller.start(77)
-    assert (h["next_ns"], h["heartbeat_due_ns"], h["motor_heartbeat_ns"], h["brake_heartbeat_ns"]) == (77,) * 4
-    assert (h["motor_nmt"], h["brake_nmt"], h["phase"]) == (5, 5, Phase.STILL)
+    assert (h["next_ns"], h["heartbeat_due_ns"], *h["heard_ns"][:2]) == (77,) * 4
+    assert (*h["nmt"][:2], h["phase"]) == (5, 5, Phase.STILL)
 
 
 @pytest.mark.parametrize("trip", [Trip.NONE, Trip.SPEED, Trip.RECORDING])

@@ -117,17 +117,18 @@ def test_a_tpdo_fills_its_own_slots_and_its_own_bit(k):
 @pytest.mark.parametrize("node", ["motor", "brake"])
 def test_a_heartbeat_is_news_when_the_state_is(node):
     bench = HostBench()
-    h, other = bench.h, "brake" if node == "motor" else "motor"
-    node_id = getattr(bench.c, f"{node}_id")
+    h = bench.h
+    k = ["motor", "brake"].index(node)
+    node_id = bench.c.node_id[k]
     bench.t_ns = 33 * MS
     answers = [bench.frame(0x700 + node_id, 1, state) for state in (5, 127, 0x80 | 127, 127, 4, 5)]
     assert answers == [0, 2, 0, 0, 2, 2]
-    assert getattr(h, f"{node}_nmt") == 5
-    assert getattr(h, f"{node}_heartbeat_ns") == 33 * MS
-    assert (getattr(h, f"{other}_nmt"), getattr(h, f"{other}_heartbeat_ns")) == (5, 0)
+    assert h.nmt[k] == 5
+    assert h.heard_ns[k] == 33 * MS
+    assert (h.nmt[1 - k], h.heard_ns[1 - k]) == (5, 0)
     assert h.stray_frames == 0
     assert bench.frame(0x700 + node_id, 1, 127) == 2
-    assert getattr(h, f"{node}_nmt") == 127
+    assert h.nmt[k] == 127
 
 
 def test_a_heartbeat_of_another_node_or_of_no_length_is_none_of_ours():
@@ -137,7 +138,7 @@ def test_a_heartbeat_of_another_node_or_of_no_length_is_none_of_ours():
         assert bench.frame(0x701, length, 127) == 0
     assert [bench.frame(can_id, 1, 127) for can_id in (0x081, 0x082, 0x101)] == [0, 0, 0]
     assert bench.h.stray_frames == 5
-    assert (bench.h.motor_nmt, bench.h.brake_nmt) == (5, 5)
+    assert (bench.h.nmt[0], bench.h.nmt[1]) == (5, 5)
 
 
 def test_answers_of_sdo_servers_go_to_the_control_plane():
@@ -368,7 +369,7 @@ def test_the_first_doubt_of_a_cycle_is_the_one_that_is_told():
     wrong = [
         (Trip.ENCODER_JUMP, lambda b: setattr(b, "counts", b.counts + 600)),
         (Trip.SPEED, lambda b: setattr(b.c, "speed_limit", -1.0)),
-        (Trip.NMT_STATE, lambda b: setattr(b.h, "motor_nmt", 4)),
+        (Trip.NMT_STATE, lambda b: b.h.nmt.__setitem__(0, 4)),
         (Trip.DRIVE_STATE, lambda b: setattr(b, "state", int(PowerState.SWITCHED_ON))),
         (Trip.DEADMAN, lambda b: setattr(b.h, "deadman_ok", 0)),
         (Trip.RECORDING, lambda b: setattr(b.h, "stop", int(Trip.RECORDING))),
@@ -632,7 +633,7 @@ def test_the_target_torque_is_rounded_and_in_the_motors_sense(sign, motor):
 
 def test_every_rpdo_goes_out_in_the_cycle_that_trips_too():
     bench = HostBench("active").enter(Phase.RUN, counts=5)
-    bench.h.motor_nmt = 4
+    bench.h.nmt[0] = 4
     bench.cycle()
     pdos = [bench.k.rpdos[i] for i in range(bench.c.rpdos)]
     sent = [f for f in bench.frames() if f[1] not in (0x80, 0x77F)]

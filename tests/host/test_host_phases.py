@@ -139,7 +139,7 @@ def test_the_handle_is_enabled_after_its_time_with_the_mean_torque_before(sign):
     for handle in (0.0625, 0.125, 0.25, 0.125, 0.0):
         assert h.phase == Phase.STILL
         h.handle_Nm = sign * handle
-        h.drive = SWITCHED_ON
+        h.drive = h.brake_drive = SWITCHED_ON
         followed(bench, *still(c, h))
     assert h.phase == Phase.ENABLE
     assert h.handle_before_Nm == sign * 0.5625 / 5
@@ -151,7 +151,7 @@ def test_a_load_begins_the_waiting_anew(sign):
     c, h = bench.c, bench.h
     for handle in (0.0, 0.0, 0.2578125, 0.125, 0.125, 0.125):
         h.handle_Nm = sign * handle
-        h.drive = SWITCHED_ON
+        h.drive = h.brake_drive = SWITCHED_ON
         followed(bench, *still(c, h))
     assert (h.phase, h.still) == (Phase.STILL, 3)
     assert h.handle_before_Nm == sign * (0.2578125 + 3 * 0.125)
@@ -163,7 +163,7 @@ def test_a_load_begins_the_waiting_anew(sign):
 def test_nothing_is_enabled_without_the_switch_and_a_switched_on_drive(state, deadman):
     bench = standing(Phase.STILL, still_cycles=4)
     bench.h.still, bench.h.deadman_ok = 3, deadman
-    bench.h.drive = int(state)
+    bench.h.drive = bench.h.brake_drive = int(state)
     followed(bench, *still(bench.c, bench.h))
     assert (bench.h.phase == Phase.ENABLE) == (state == PowerState.SWITCHED_ON and deadman == 1)
 
@@ -186,7 +186,7 @@ def test_a_handle_that_is_not_armed_in_time_is_refused_with_the_reason(sign, sta
         bench = standing(Phase.STILL, still_cycles=4, still_timeout_cycles=100, still_handle_Nm=0.25)
         h = bench.h
         h.still, h.deadman_ok, h.handle_Nm, h.phase_cycle = still_for, deadman, sign * handle, waited
-        h.drive = state
+        h.drive = h.brake_drive = state
         followed(bench, *still(bench.c, h))
         assert h.trip == (trip if waited > 100 else Trip.NONE)
         assert h.trip_ns == (T if waited > 100 else 0)

@@ -25,6 +25,7 @@ def binary(**control):
     c.net_work_cycles = 4
     for name, value in control.items():
         setattr(c, name, value)
+    c.torque_Nm_raw = c.Nm_pm
     h.counts, h.fresh = 4096, 1
     return bench
 
@@ -33,7 +34,7 @@ def healthy():
     """A bench that heard of everything just before T0."""
     bench = HostBench("hybrid")
     h = bench.h
-    h.motor_heartbeat_ns = h.brake_heartbeat_ns = T0 - 5
+    h.heard_ns[0] = h.heard_ns[1] = T0 - 5
     h.fresh = 1
     h.image[Image.STATUSWORD] = VOLTAGE_ENABLED | 0x27
     return bench
@@ -287,13 +288,13 @@ def test_so_many_cycles_without_all_tpdos_trip():
 @pytest.mark.parametrize("timeout_ns", [1, 150 * MS])
 def test_a_heartbeat_that_is_older_than_its_time_trips(node, timeout_ns):
     bench = healthy()
-    setattr(bench.c, f"{node}_heartbeat_timeout_ns", timeout_ns)
-    heard = getattr(bench.h, f"{node}_heartbeat_ns")
+    k = ["motor", "brake"].index(node)
+    bench.c.heartbeat_timeout_ns[k] = timeout_ns
+    heard = bench.h.heard_ns[k]
     assert watch_devices(bench.c, bench.h, heard + timeout_ns) == Trip.NONE
-    other = "brake" if node == "motor" else "motor"
-    setattr(bench.h, f"{other}_heartbeat_ns", heard + timeout_ns)
+    bench.h.heard_ns[1 - k] = heard + timeout_ns
     assert watch_devices(bench.c, bench.h, heard + timeout_ns + 1) == Trip[f"HEARTBEAT_{node.upper()}"]
-    setattr(bench.c, f"{node}_heartbeat_timeout_ns", 0)  # 0: not watched
+    bench.c.heartbeat_timeout_ns[k] = 0  # 0: not watched
     assert watch_devices(bench.c, bench.h, heard + timeout_ns + 1) == Trip.NONE
 
 
@@ -301,7 +302,7 @@ def test_a_heartbeat_that_is_older_than_its_time_trips(node, timeout_ns):
 @pytest.mark.parametrize("state", [0, 4, 6, 127])
 def test_a_node_that_is_not_operational_trips(node, state):
     bench = healthy()
-    setattr(bench.h, f"{node}_nmt", state)
+    bench.h.nmt[["motor", "brake"].index(node)] = state
     assert watch_devices(bench.c, bench.h, T0) == Trip.NMT_STATE
 
 

@@ -56,6 +56,16 @@ def set_host(name, value):
     return lambda bench: setattr(bench.h, name, value)
 
 
+def unheard(k):
+    """Let node k be silent for long; the third is a sensor that the bench does not have."""
+
+    def act(bench):
+        bench.c.nodes, bench.c.heartbeat_timeout_ns[k], bench.h.nmt[k] = max(2, k + 1), 1, 5
+        bench.h.heard_ns[k] = -(10**12)
+
+    return act
+
+
 def set_limit(name, value):
     return lambda bench: setattr(bench.c, name, value)
 
@@ -87,9 +97,11 @@ ANYWHERE = {
     Trip.TPDO_LOST: set_limit("missed_cycles", 0),
     Trip.EMCY_MOTOR: set_host("emcy", int(Trip.EMCY_MOTOR)),
     Trip.EMCY_BRAKE: set_host("emcy", int(Trip.EMCY_BRAKE)),
-    Trip.HEARTBEAT_MOTOR: set_host("motor_heartbeat_ns", -(10**12)),
-    Trip.HEARTBEAT_BRAKE: set_host("brake_heartbeat_ns", -(10**12)),
-    Trip.NMT_STATE: set_host("brake_nmt", 127),
+    Trip.HEARTBEAT_MOTOR: unheard(0),
+    Trip.HEARTBEAT_BRAKE: unheard(1),
+    Trip.HEARTBEAT_SENSOR: unheard(2),
+    Trip.EMCY_SENSOR: set_host("emcy", int(Trip.EMCY_SENSOR)),
+    Trip.NMT_STATE: lambda bench: bench.h.nmt.__setitem__(1, 127),
     Trip.DRIVE_STATE: lambda bench: setattr(bench, "state", int(PowerState.SWITCHED_ON)),
     Trip.NONE: set_host("stop", 1),
 }

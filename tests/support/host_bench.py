@@ -36,6 +36,7 @@ class HostBench:
         self.out = record_for_kernels(new_queue())
         self.t_ns = 0
         self.state = int(PowerState.SWITCH_ON_DISABLED)
+        self.brake_state = int(PowerState.SWITCH_ON_DISABLED)  # of a brake that is a drive
         self.counts = 0.0
         self.handle_Nm = 0.0
         self.coil_A = 0.0
@@ -43,7 +44,7 @@ class HostBench:
         self.supply = True
         self.status_bits = 0  # beside those of the state
         self.switch = 0  # the object that is the dead man's switch, where the rig has one
-        self.silent = set()  # "motor" or "brake"
+        self.silent = set()  # "motor", "brake" or a sensor's name
         self.heartbeats = True
         self.sent = {}
         self.k.start(0)
@@ -56,8 +57,9 @@ class HostBench:
         values[Image.DEADMAN] = self.switch
         values[Image.POSITION] = math.floor(self.counts)
         values[Image.TORQUE] = round(self.torque_pm)
-        values[Image.HANDLE_TORQUE] = round(self.handle_Nm / self.c.handle_Nm_raw)
-        values[Image.COIL_CURRENT] = round(self.coil_A / self.c.coil_A_raw)
+        values[Image.HANDLE_TORQUE] = round(self.handle_Nm / self.c.handle_Nm_raw) if self.c.handle_Nm_raw else 0
+        values[Image.COIL_CURRENT] = round(self.coil_A / self.c.coil_A_raw) if self.c.coil_A_raw else 0
+        values[Image.BRAKE_STATUSWORD] = int(STATUSWORD[self.brake_state])
         return values
 
     def frame(self, can_id, length, data):
@@ -77,13 +79,14 @@ class HostBench:
         begin(self.axis, self.t_ns, self.out)
         self.t_ns += 500_000
         if self.heartbeats and self.h.cycle % 20 == 0:
-            for node in (self.c.motor_id, self.c.brake_id):
+            for node in self.c.node_id[: self.c.nodes]:
                 self.frame(0x700 + node, 1, 5)
         values = self.tpdo_values()
         done = 0
         for i in range(self.c.tpdos):
             pdo = self.k.tpdos[i]
-            owner = "brake" if pdo.cob_id & 0x7F == self.c.brake_id else "motor"
+            ids = list(self.c.node_id[: self.c.nodes])
+            owner = self.k.axis.devices[ids.index(pdo.cob_id & 0x7F)]
             if owner not in self.silent:
                 done = self.frame(int(pdo.cob_id), int(pdo.length), pack(pdo, values))
         if done != 1:
@@ -92,6 +95,8 @@ class HostBench:
         assert allowed(before, self.phase, Trip(int(self.h.trip))), f"{before.name} -> {self.phase.name}"
         command = int(COMMAND_OF_CONTROLWORD[self.controlword & 0xF])
         self.state = int(NEXT_STATE[self.state, command])
+        command = int(COMMAND_OF_CONTROLWORD[int(self.h.image[Image.BRAKE_CONTROLWORD]) & 0xF])
+        self.brake_state = int(NEXT_STATE[self.brake_state, command])
 
     def cycles(self, n, until=None):
         for _ in range(n):
@@ -126,7 +131,7 @@ class HostBench:
         self.state = int(PowerState.SWITCHED_ON if phase <= Phase.ENABLE else PowerState.OPERATION_ENABLED)
         h.has_position, h.raw_position, h.counts, h.reference_counts = 1, counts, counts, counts
         h.cycle, h.sync_ns, h.phase, h.gain, h.sign_direction = 100, 100 * MS, int(phase), 1.0, 1
-        h.motor_heartbeat_ns = h.brake_heartbeat_ns = 100 * MS
+        h.heard_ns[0] = h.heard_ns[1] = 100 * MS
         h.enabled_ns = -1 if phase <= Phase.ENABLE else 50 * MS
         h.armed_ns = 60 * MS if phase >= Phase.RUN else -1
         state = self.k.state[0]

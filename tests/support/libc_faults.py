@@ -115,7 +115,7 @@ class Devices:
         tpdos = self.k.each[0].tpdos
         frames = [(int(t["cob_id"]), int(t["length"]), int(pack(t, values))) for t in tpdos[: c["tpdos"]]]
         if self.syncs % 20 == 0:
-            frames += [(0x700 + int(c[name]), 1, 5) for name in ("motor_id", "brake_id")]
+            frames += [(0x700 + int(node), 1, 5) for node in c["node_id"][: c["nodes"]]]
         self.syncs += 1
         return b"".join(FRAME.pack(can_id, length, word) for can_id, length, word in frames)
 
@@ -132,7 +132,7 @@ class Plane:
         control["sign_check"], control["still_cycles"], control["gain_step"] = 0, 3, 1.0
         control["safe_hold_cycles"], control["safe_ramp_cycles"] = 10, 10
         control["missed_cycles"] = 200  # of a machine that others use, too
-        control["motor_heartbeat_timeout_ns"] = control["brake_heartbeat_timeout_ns"] = 0
+        control["heartbeat_timeout_ns"] = 0
         self.plane = self.shared.plane
         self.plane["packed"] = 1
         self.mine, self.other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
