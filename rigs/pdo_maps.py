@@ -1,8 +1,9 @@
 """Which PDO carries which role: each device's PDOs as its EDS file lets them be mapped, filled with the roles that the host needs of it.
 
-1. A PDO that cannot be mapped anew, and carries nothing but roles, is taken as it is.
-2. PDOs that can be mapped anew take up what is left, in the order of their numbers: at most 64 bits, and as many entries as the EDS file
-   has sub-indices. Statusword and position stay together where they fit, so do a controlword and its set-point.
+1. A PDO that cannot be mapped anew or made invalid, and carries nothing but roles, is taken as it is.
+2. PDOs that can be mapped anew take up what is left, in the order of their numbers, those that cannot be made invalid for it last: at most 64
+   bits, and as many entries as the EDS file has sub-indices. Statusword and position stay together where they fit, so do a controlword and its
+   set-point.
 3. What is left then is looked for in the PDOs that cannot be mapped anew. Further entries of a TPDO are not used; those of an RPDO are sent
    with the value that bring-up set, or the EDS file's default.
 
@@ -52,6 +53,7 @@ class PdoRecord:
     ----------
     identifier : 11 bits
     room : entries that it can be mapped with; 0: only as it is
+    settable : its identifier can be written, so that it can be made invalid while it is mapped
     entries : its default map; empty where there is none, or none that can be read
     transmission : the type that it will have
     event_ns : of a TPDO that does not follow SYNC, the event timer that it will have; 0: it has none
@@ -62,6 +64,7 @@ class PdoRecord:
     number: int
     identifier: int
     room: int
+    settable: bool
     entries: tuple[Entry, ...]
     transmission: int
     event_ns: int
@@ -101,7 +104,8 @@ def records_of(
             direction,
             number,
             identifier,
-            _room(description, index, mapping),
+            _room(description, mapping),
+            writable(identity),
             _default_map(description, node_id, direction, number),
             transmission,
             event_ns if transmission != ON_SYNC else 0,
@@ -133,10 +137,10 @@ def _event_ns(description: Description, index: int, node_id: int, period_ns: int
     return variable.default * 1_000_000 if isinstance(variable.default, int) else 0
 
 
-def _room(description: Description, index: int, mapping: int) -> int:
+def _room(description: Description, mapping: int) -> int:
     """Return how many entries the PDO can be mapped with anew; 0 where it keeps its map."""
     variables = description.objects[mapping].variables
-    if not (writable(variables[0]) and writable(description.variable(index, 1))):
+    if not writable(variables[0]):
         return 0
     return next(sub - 1 for sub in count(1) if sub not in variables or not writable(variables[sub]))
 
@@ -243,8 +247,7 @@ class _Device:
         transmission = ON_SYNC if self.direction == "tpdo" else self.parts.bus.transmission
         period_ns = self.parts.bus.period_ns
         records = list(records_of(self.description, self.part.node_id, self.direction, period_ns, transmission))
-        free = [record for record in records if record.room]
-        fixed = [record for record in records if not record.room and record.entries]
+        standing = [record for record in records if record.entries and not (record.room and record.settable)]
         left = {one.place[1:]: one for one in wanted}
         found: dict[int, tuple[PdoRecord, tuple[Entry, ...]]] = {}
 
@@ -253,12 +256,14 @@ class _Device:
             for entry in found[record.number][1]:
                 left.pop((entry.index, entry.subindex), None)
 
-        for record in fixed:
+        for record in standing:
             if all(_carries(entry, left) for entry in record.entries):
                 take(record, record.entries)
+        free = [record for record in records if record.room and record.number not in found]
+        free.sort(key=lambda record: not record.settable)
         for record, entries in _first_fit(free, _groups(left.values())):
             take(record, entries)
-        others = [record for record in fixed if record.number not in found]
+        others = [record for record in standing if not record.room and record.number not in found]
         while left and others:
             best = max(others, key=lambda record: sum(_carries(entry, left) for entry in record.entries))
             others.remove(best)
@@ -309,9 +314,12 @@ class _Device:
             self._timed(record, name, mine)
         constants = tuple(self._constants(name, entries, roles)) if receive else ()
         signals = tuple(self._signal(entry, place, roles) for place, entry in enumerate(entries))
-        return RigPdo(
-            self.prefix + self.node, self.part.node_id, layout, signals, fixed=not record.room, constants=constants
-        )
+        stands = not record.room or (not record.settable and entries == record.entries)
+        if not stands and not record.settable:
+            self.losses.append(
+                f"{self.prefix}{self.node}: {name} is mapped while it is valid, as its identifier is read-only"
+            )
+        return RigPdo(self.prefix + self.node, self.part.node_id, layout, signals, fixed=stands, constants=constants)
 
     def _timed(self, record: PdoRecord, name: str, mine: Sequence[Binding]) -> None:
         """Tell that a TPDO does not follow SYNC; refuse it where it comes too seldom for its roles."""

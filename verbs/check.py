@@ -2,9 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+
 import click
 
 from coulombus.verbs.common import EXIT_STATUS, errors, json_option, load, print_json, rig_option, set_option, verdict
+
+if TYPE_CHECKING:
+    from coulombus.host.setup.device_plan import DevicePlan
+    from coulombus.host.setup.reactions import Reaction
+    from coulombus.rigs.plan.rig_plan import Plan
+    from coulombus.rigs.rig import Rig
 
 __all__ = ["check"]
 
@@ -12,106 +21,208 @@ __all__ = ["check"]
 @click.command(epilog=EXIT_STATUS)
 @rig_option
 @set_option
+@click.option("--steps", is_flag=True, help="List every object that bring-up writes, in its order, and why.")
 @json_option
-def check(rig_name: str, overrides: tuple[str, ...], as_json: bool) -> None:
+def check(rig_name: str, overrides: tuple[str, ...], steps: bool, as_json: bool) -> None:
     """Check a rig file, its EDS files, its PDO layout, what bring-up will set, and whether a cycle fits on the bus; nothing is run.
 
-    A line "FAIL" is what bring-up would refuse: an object that is missing, read-only or too narrow for its value, another identity, or a
-    limit that would cut the law off.
+    A line "FAIL" is what bring-up would refuse: an object that is missing, read-only or too narrow for its value, another identity, a
+    limit that would cut the law off, a device that does not notice the host's loss.
     "lost" is what bring-up leaves out, as the device is not ours or has no such object; "open" is what the device itself is asked.
 
     \b
     Examples:
       coulombus check --rig my-rig.toml
+      coulombus check --rig my-rig.toml --steps
       coulombus check --rig bench --set bus.bitrate_bit_s=500000
     """
     with errors():
+        from coulombus.rigs.mistakes import RigError
+
+        try:
+            found = _Findings(load(rig_name, overrides))
+        except RigError as error:
+            if as_json:
+                print_json({"ok": False, "problems": _refused(error), "losses": [], "reactions": []})
+            raise
+        with verdict(0 if found.ok else 1):
+            if as_json:
+                print_json(found.document(steps))
+            else:
+                found.tell(steps)
+
+
+def _refused(error: Any) -> list[dict[str, str]]:
+    """Return the mistakes of a rig file as problems: those of roles with their role, the others as they are told."""
+    names = ("role", "node", "object", "text", "remedy")
+    known = [dict(zip(names, problem, strict=True)) for problem in error.problems]
+    told = [text for text in error.errors if not any(problem["text"] in text for problem in known)]
+    return known + [dict(zip(names, ("", "", "", text, "correct the rig file"), strict=True)) for text in told]
+
+
+def _once(texts: Iterable[Any]) -> list[Any]:
+    return list(dict.fromkeys(texts))
+
+
+class _Findings:
+    """What follows from a rig: its PDOs, its plan, what bring-up does in each mode."""
+
+    def __init__(self, rig: Rig) -> None:
         from coulombus.host.cycle.controller import Controller
         from coulombus.host.cycle.demand import cut_off
-        from coulombus.host.laws.laws import OWN_LAWS
-        from coulombus.host.setup.device_plan import DevicePlan, device_plans
+        from coulombus.host.setup.device_plan import device_plans
         from coulombus.rigs.plan.rig_plan import plans
 
-        rig = load(rig_name, overrides)
-        diagnoses = [str(d) for node in rig.nodes for d in node.description.diagnoses]
-        buses = plans(rig)
-        fits = all(planned.fits for planned in buses.values())
-        planned = next((planned for planned in buses.values() if not planned.fits), buses[rig.channels[0]])
-        limits: dict[str, int] = {}
+        self.rig = rig
+        self.buses: dict[str, Plan] = plans(rig)
+        self.fits = all(planned.fits for planned in self.buses.values())
+        unfit = (planned for planned in self.buses.values() if not planned.fits)
+        self.planned = next(unfit, self.buses[rig.channels[0]])
+        self.limits: dict[str, int] = {}
         devices: list[DevicePlan] = []
+        self.by_mode: dict[str, list[DevicePlan]] = {}
         for axis in rig.axes:
             for mode in axis.mode:
-                limit_pm = int(Controller(axis, mode).control["motor_limit_pm"][0])
-                limits[axis.prefix + mode] = limit_pm
-                devices += device_plans(axis, mode, limit_pm)
-        problems = [
-            *dict.fromkeys(text for device in devices for text in device.problems)
-        ]  # each mode has its own limit
-        questions = [*dict.fromkeys(text for device in devices for text in device.questions)]
-        losses = [*dict.fromkeys(text for device in devices for text in device.losses)]
-        cut = list(dict.fromkeys(text for mode in rig.modes for text in cut_off(rig, mode)))
-        with verdict(0 if fits and not problems and not cut else 1):
-            if as_json:
-                print_json(
-                    {
-                        "rig": rig.name,
-                        "cut_off": cut,
-                        "diagnoses": diagnoses,
-                        "bitrate_bit_s": planned.timing.bitrate_bit_s,
-                        "period_s": planned.timing.period_ns * 1e-9,
-                        "busy_s": planned.busy_ns * 1e-9,
-                        "utilisation": planned.busy_ns / planned.timing.period_ns,
-                        "fits": fits,
-                        "late": list(planned.reasons),
-                        "latest_rpdo_s": planned.latest_rpdo_ns * 1e-9,
-                        "motor_limit_per_mille": limits,
-                        "problems": problems,
-                        "questions": questions,
-                        "losses": losses,
-                        "frames": [
-                            {"name": m.name, "can_id": m.can_id, "bytes": m.length, "bits": m.bits}
-                            for one in buses.values()
-                            for m in one.cyclic
-                        ],
-                    }
+                controller = Controller(axis, mode)
+                self.limits[axis.prefix + mode] = controller.drive_limit_pm()
+                made = device_plans(axis, mode, controller.drive_limit_pm())
+                self.by_mode.setdefault(mode, []).extend(made)
+                devices += made
+        self.problems = _once(one for device in devices for one in device.problems)  # each mode has its own limit
+        self.questions: list[str] = _once(text for device in devices for text in device.questions)
+        self.losses: list[str] = _once(text for device in devices for text in device.losses)
+        self.reactions: list[Reaction] = _once(one for device in devices for one in device.reactions)
+        self.cut: list[str] = _once(text for mode in rig.modes for text in cut_off(rig, mode))
+        self.diagnoses = [str(d) for node in rig.nodes for d in node.description.diagnoses]
+        self.ok = self.fits and not self.problems and not self.cut
+
+    def _steps(self) -> list[dict[str, Any]]:
+        from coulombus.host.setup.device_plan import steps_of
+
+        mode = self.rig.modes[-1]
+        return [
+            {
+                "device": plan.name,
+                "object": f"{one.index:04X}h:{one.subindex:02X}",
+                "value": one.value,
+                "bits": one.variable(plan.description).bits,
+                "why": one.why,
+                "only_if_different": one.unless_equal,
+                "verified": one.verify,
+            }
+            for plan, one in steps_of(self.by_mode[mode])
+        ]
+
+    def document(self, steps: bool) -> dict[str, Any]:
+        """Return everything for ``--json``."""
+        planned = self.planned
+        document = {
+            "rig": self.rig.name,
+            "ok": self.ok,
+            "cut_off": self.cut,
+            "diagnoses": self.diagnoses,
+            "bitrate_bit_s": planned.timing.bitrate_bit_s,
+            "period_s": planned.timing.period_ns * 1e-9,
+            "busy_s": planned.busy_ns * 1e-9,
+            "utilisation": planned.busy_ns / planned.timing.period_ns,
+            "fits": self.fits,
+            "late": list(planned.reasons),
+            "latest_rpdo_s": planned.latest_rpdo_ns * 1e-9,
+            "motor_limit_per_mille": self.limits,
+            "problems": [one._asdict() for one in self.problems],
+            "questions": self.questions,
+            "losses": self.losses,
+            "reactions": [one._asdict() for one in self.reactions],
+            "accepted": list(self.rig.host.accept),
+            "roles": [
+                {
+                    "role": one.kind.name,
+                    "node": axis.prefix + one.node,
+                    "object": f"{one.entry.index:04X}h:{one.entry.subindex:02X}",
+                    "bits": one.entry.bits,
+                    "scale": one.scale,
+                    "unit": one.kind.unit,
+                    "decided_by": one.decided,
+                }
+                for axis in self.rig.axes
+                for one in axis.allocation.bound.bindings
+            ],
+            "frames": [
+                {"name": m.name, "can_id": m.can_id, "bytes": m.length, "bits": m.bits}
+                for one in self.buses.values()
+                for m in one.cyclic
+            ],
+        }
+        return document | ({"steps": self._steps()} if steps else {})
+
+    def tell(self, steps: bool) -> None:
+        """Print everything for people."""
+        from coulombus.host.laws.laws import OWN_LAWS
+
+        for text in self.diagnoses:
+            click.echo(text)
+        self._tell_pdos()
+        self._tell_buses()
+        if steps:
+            click.echo(f"\nbring-up in mode {self.rig.modes[-1]}:")
+            for step in self._steps():
+                when = " if it differs" if step["only_if_different"] else ""
+                click.echo(
+                    f"  {step['device']:<12} {step['object']} := {step['value']:#x} ({step['bits']} bits){when}  {step['why']}"
                 )
-            else:
-                for text in diagnoses:
-                    click.echo(text)
-                for pdo in rig.pdos():
-                    click.echo(
-                        f"\n{pdo.node} {pdo.name}, COB-ID {pdo.layout.cob_id:03X}h, "
-                        f"transmission type {pdo.layout.transmission}"
-                    )
-                    click.echo(pdo.layout.diagram())
-                    for signal in pdo.signals:
-                        click.echo(
-                            f"  {signal.name:<28} = raw x {signal.scale:.9g}"
-                            + (f" {signal.unit}" if signal.unit else "")
-                        )
-                for planned in buses.values():
-                    click.echo(f"\nworst case on the wire at {planned.timing.bitrate_bit_s / 1e6:g} Mbit/s:")
-                    for m in planned.cyclic:
-                        click.echo(f"  {m.can_id:03X}h  {m.name:<14} {m.length} bytes  {m.bits:>4} bits")
-                    busy, period = planned.busy_ns, planned.timing.period_ns
-                    click.echo(f"  together {busy / 1e3:.0f} us of each {period / 1e3:.0f} us: {busy / period:.1%}")
-                    click.echo(
-                        f"  the latest RPDO is through {planned.latest_rpdo_ns / 1e3:.0f} us after SYNC (coulombus plan)"
-                    )
-                for mode, limit in limits.items():
-                    click.echo(f"mode {mode}: drive torque limit 6072h = {limit} per mille")
-                if rig.law_function.strip() not in OWN_LAWS:
-                    click.echo(
-                        f"law {rig.law_function}: what a limit cuts off of it is not known before it runs; the run tells"
-                    )
-                for text in losses:
-                    click.echo(f"lost: {text}")
-                for text in questions:
-                    click.echo(f"open: {text}")
-                for text in (*problems, *cut):
-                    click.echo(f"FAIL: {text}")
-                for planned in buses.values():
-                    if not planned.fits:
-                        click.echo(f"FAIL: {planned.verdict()}")
-                if fits and not problems and not cut:
-                    click.echo("ok, if the devices answer what is open above" if questions else "ok")
+        self._tell_reactions()
+        for mode, limit in self.limits.items():
+            click.echo(f"mode {mode}: drive torque limit 6072h = {limit} per mille")
+        if self.rig.law_function.strip() not in OWN_LAWS:
+            click.echo(
+                f"law {self.rig.law_function}: what a limit cuts off of it is not known before it runs; the run tells"
+            )
+        for text in self.rig.host.accept:
+            click.echo(f"accepted: {text}")
+        for text in self.losses:
+            click.echo(f"lost: {text}")
+        for text in self.questions:
+            click.echo(f"open: {text}")
+        for problem in (*self.problems, *self.cut):
+            click.echo(f"FAIL: {problem}")
+        for planned in self.buses.values():
+            if not planned.fits:
+                click.echo(f"FAIL: {planned.verdict()}")
+        if self.ok:
+            click.echo("ok, if the devices answer what is open above" if self.questions else "ok")
+
+    def _tell_pdos(self) -> None:
+        decided = {
+            axis.prefix + one.kind.signal: one.decided
+            for axis in self.rig.axes
+            for one in axis.allocation.bound.bindings
+            if one.decided
+        }
+        for pdo in self.rig.pdos():
+            click.echo(
+                f"\n{pdo.node} {pdo.name}, COB-ID {pdo.layout.cob_id:03X}h, transmission type {pdo.layout.transmission}"
+                + (", its map is fixed" if pdo.fixed else "")
+            )
+            click.echo(pdo.layout.diagram())
+            for signal in pdo.signals:
+                unit = f" {signal.unit}" if signal.unit else ""
+                by = f"  by {decided[signal.name]}" if signal.name in decided else ""
+                click.echo(f"  {signal.name:<28} = raw x {signal.scale:.9g}{unit}{by}")
+
+    def _tell_buses(self) -> None:
+        for planned in self.buses.values():
+            click.echo(f"\nworst case on the wire at {planned.timing.bitrate_bit_s / 1e6:g} Mbit/s:")
+            for m in planned.cyclic:
+                click.echo(f"  {m.can_id:03X}h  {m.name:<14} {m.length} bytes  {m.bits:>4} bits")
+            busy, period = planned.busy_ns, planned.timing.period_ns
+            click.echo(f"  together {busy / 1e3:.0f} us of each {period / 1e3:.0f} us: {busy / period:.1%}")
+            click.echo(
+                f"  the latest RPDO is through {planned.latest_rpdo_ns / 1e3:.0f} us after SYNC (coulombus plan)"
+            )
+
+    def _tell_reactions(self) -> None:
+        if self.reactions:
+            click.echo("\nwhen the host is lost:")
+        for one in self.reactions:
+            within = f"within {one.within_s:g} s by {one.who}" if one.who else "nobody notices"
+            click.echo(f"  {one.device:<12} {one.fault:<10} {within}: {one.what}")

@@ -13,6 +13,7 @@ from coulombus.eds.cia301 import CobId, NmtState
 from coulombus.eds.codec import PDO
 from coulombus.eds.pdo import fill
 from coulombus.host.cycle.demand import brake_end_Nm, brake_limit_raw
+from coulombus.host.cycle.guarding import beats, is_guarded
 from coulombus.host.cycle.records import CONTROL, DRIVE_PDOS, HOST, Image, Phase, SignResult, Trip
 from coulombus.host.laws.laws import LAW, LAW_STATE, MOTION, OWN_LAWS, LawError, load_law
 from coulombus.rigs.axis import Axis
@@ -221,7 +222,11 @@ class Controller:
         c["nodes"] = len(axis.devices)
         for k, node in enumerate(axis.devices):
             c["node_id"][k] = axis.part(node).node_id
-            c["heartbeat_timeout_ns"][k] = round(axis.part(node).heartbeat_timeout_s * 1e9)
+            description = axis.description(node)
+            c["heartbeat_timeout_ns"][k] = round(axis.part(node).heartbeat_timeout_s * 1e9) if beats(description) else 0
+            if is_guarded(description):
+                c["guarded"] |= 1 << k
+                c["guard_ns"] = round(axis.host.heartbeat_s * 1e9)
         c["heartbeat_ns"] = round(axis.host.heartbeat_s * 1e9)
         self._set_tpdos(c, pdos)
         c["motor_active"], c["brake_active"] = self.mode == "active", self.mode in ("passive", "hybrid")
@@ -295,6 +300,15 @@ class Controller:
         for k, (raw, Nm) in enumerate(brake.table):
             c["brake_raw_at"][k], c["brake_Nm_at"][k] = raw, Nm
         c["brake_is_drive"] = bound.get("brake_statusword") is not None
+
+    def drive_limit_pm(self) -> int:
+        """Return the drive's own torque limit in per mille of the rated torque: of 6071h the host's limit, of another set-point what it is in Nm."""
+        setpoint = self.axis.allocation.bound["torque_setpoint"]
+        limit = int(self.control["motor_limit_pm"][0])
+        if setpoint.entry.index == TARGET_TORQUE:
+            return limit
+        rated_Nm = self.axis.motor.rated_torque_Nm * self.axis.mechanics.ratio
+        return math.ceil(limit * abs(setpoint.scale) / rated_Nm * 1000)
 
     def motor_limit_pm(self, Nm_pm: float) -> int:
         """Return the motor's torque limit in counts of its set-point (6071h: per mille), rounded down."""

@@ -19,10 +19,11 @@ from coulombus.eds.own_devices import MANUFACTURER, is_own
 from coulombus.eds.reader import Value, Variable
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.demand import check_demand
+from coulombus.host.cycle.guarding import beats, is_guarded
 from coulombus.host.cycle.records import Image
 from coulombus.host.errors import DeviceMismatch, NodeMissing, SdoAborted
-from coulombus.host.setup.device_plan import DevicePlan, device_plans, names_modes_without_cst
-from coulombus.host.setup.settings import Setting, encoded
+from coulombus.host.setup.device_plan import DevicePlan, device_plans, missing_mode
+from coulombus.host.setup.settings import Setting, encoded, number_of
 from coulombus.rigs.plan.rig_plan import plans
 from coulombus.rigs.rig import Rig
 
@@ -101,7 +102,7 @@ class _Device:
         return int.from_bytes(data, "little")
 
     def write(self, setting: Setting) -> None:
-        """Write the object in the size that the EDS declares; an object of a maker's own only where the maker is this project.
+        """Write the object in the size that the EDS declares; a maker's own only where the maker is this project, or the rig file lists it.
 
         Raises
         ------
@@ -109,13 +110,15 @@ class _Device:
             a device of another maker, a value that does not fit: nothing was sent
         """
         index, subindex = setting.index, setting.subindex
-        if index in MANUFACTURER and not is_own(self.plan.role, self.identity):
+        if index in MANUFACTURER and not (setting.listed or is_own(self.plan.role, self.identity)):
             vendor, product = self.identity
             raise DeviceMismatch(
                 f"{self._where(index, subindex)} is the maker's own object, and the device is not ours "
                 f"(1018h: vendor {vendor:#010x}, product {product:#010x}); take the EDS file of this very device"
             )
-        data = encoded(self.description.variable(index, subindex), setting.value)
+        data = encoded(setting.variable(self.description), setting.value)
+        if setting.unless_equal and self.upload(index, subindex) == data:
+            return
         try:
             self.node.sdo.download(index, subindex, data)
         except (SdoAbortedError, SdoCommunicationError) as error:
@@ -123,11 +126,9 @@ class _Device:
 
     def identify(self) -> list[str]:
         """Read device type (1000h) and identity (1018h); return how they differ from the EDS and the rig file."""
-        part = self.plan.part
         expected: dict[tuple[int, int], tuple[str, str, Value]] = {
             (0x1000, 0): ("device type", "the EDS file", self.description.default(0x1000, 0, self.node_id)),
-            (0x1018, 1): ("vendor id", "the rig file", part.vendor_id),
-            (0x1018, 2): ("product code", "the rig file", part.product_code),
+            **{(0x1018, sub): (what, "the rig file", value) for sub, what, value in self.plan.identity},
         }
         differences, there = [], {}
         for (index, subindex), (what, source, value) in expected.items():
@@ -137,33 +138,32 @@ class _Device:
                     f"{self.name} (node {self.node_id}): {what} {index:04X}h:{subindex:02X} is {there[index, subindex]:#010x}, "
                     f"{source} says {value:#010x}"
                 )
-        self.identity = there[0x1018, 1], there[0x1018, 2]
+        self.identity = there.get((0x1018, 1), 0), there.get((0x1018, 2), 0)
         return differences
 
     def check_modes(self) -> None:
         """Refuse a drive whose supported drive modes 6502h lack the one that is needed."""
-        if not self.description.has(0x6502):
+        if self.plan.mode is None or not self.description.has(0x6502):
             return
         modes = self.number(0x6502, 0)
-        if names_modes_without_cst(modes):
-            raise DeviceMismatch(
-                f"{self.name}: supported drive modes 6502h = {modes:#010x} do not include cyclic synchronous torque"
-            )
+        if lacking := missing_mode(modes, self.plan.mode):
+            raise DeviceMismatch(f"{self.name}: supported drive modes 6502h = {modes:#010x} do not include {lacking}")
 
     def configure(self) -> list[str]:
         """Write every setting in its order, then read all of them back, whole; return the differences in words."""
         for setting in self.plan.writes:
             self.write(setting)
         differences = []
+        variables = {(s.index, s.subindex): s.variable(self.description) for s in self.plan.writes}
         for (index, subindex), value in self.plan.read_backs:
-            variable = self.description.variable(index, subindex)
+            variable = variables.get((index, subindex)) or self.description.variable(index, subindex)
             wanted, there = encoded(variable, value), self.upload(index, subindex)
             if len(there) != len(wanted):
                 differences.append(
                     f"{self._where(index, subindex)} has {len(there)} bytes in the device, {len(wanted)} in {self.description.path}"
                 )
             elif there != wanted:
-                found = int.from_bytes(there, "little", signed=value < 0 or _signed(variable))
+                found = number_of(variable, there)
                 differences.append(f"{self._where(index, subindex)}: wrote {value:#x}, reads back {found:#x}")
         return differences
 
@@ -195,11 +195,11 @@ def check_plan(rig: Rig) -> None:
 
 
 def plans_of(controllers: Controllers) -> tuple[DevicePlan, ...]:
-    """Return what bring-up does to each device of all axes: drive and brake of the first, of the second ..."""
+    """Return what bring-up does to each device of all axes: drive, brake and sensors of the first, of the second ..."""
     return tuple(
         plan
         for controller in controllers
-        for plan in device_plans(controller.axis, controllers.mode, int(controller.control["motor_limit_pm"][0]))
+        for plan in device_plans(controller.axis, controllers.mode, controller.drive_limit_pm())
     )
 
 
@@ -226,28 +226,28 @@ def bring_up(controllers: Controllers, plane: ControlPlane) -> tuple[str, ...]:
     check_plan(controllers.rig)
     check_demand(controllers.rig, controllers.mode)
     found = plans_of(controllers)
-    _refuse(text for plan in found for text in plan.problems)
+    _refuse(str(problem) for plan in found for problem in plan.problems)
     nmt = plane.network.nmt
     nmt.send_command(NmtCommand.ENTER_PRE_OPERATIONAL)
     plane.wait_ns(SETTLE_NS)
     devices = [_Device(plane, plan) for plan in found]
     _refuse([text for device in devices for text in device.identify()])
     for device in devices:
-        if device.plan.role == "motor":
-            device.check_modes()
+        device.check_modes()
     _refuse([text for device in devices for text in device.configure()])
     nmt.send_command(NmtCommand.START)
     heartbeat_ns = round(1e9 * max(plan.part.heartbeat_s for plan in found))
     plane.wait_ns(SETTLE_NS + 2 * heartbeat_ns)
+    heard = [plan for plan in found if beats(plan.description) and not is_guarded(plan.description)]
     for _ in range(LATE_HEARTBEATS):
-        if all(plane.nmt_state(plan.node_id) == NmtState.OPERATIONAL for plan in found):
+        if all(plane.nmt_state(plan.node_id) == NmtState.OPERATIONAL for plan in heard):
             break
         plane.wait_ns(heartbeat_ns)
-    for plan in found:
+    for plan in heard:
         state = plane.nmt_state(plan.node_id)
         if state != NmtState.OPERATIONAL:
-            heard = "was not heard" if state is None else f"says {NmtState(state).name}"
-            raise NodeMissing(f"{plan.name} (node {plan.node_id}) {heard} after NMT start; OPERATIONAL is expected")
+            told = "was not heard" if state is None else f"says {NmtState(state).name}"
+            raise NodeMissing(f"{plan.name} (node {plan.node_id}) {told} after NMT start; OPERATIONAL is expected")
     return tuple(text for plan in found for text in plan.losses)
 
 
@@ -270,9 +270,9 @@ def release(controllers: Controllers, plane: ControlPlane) -> None:
     if not (controllers.done and controllers.trip is None and disabled):
         return
     for plan in plans_of(controllers):
-        data = encoded(
-            plan.description.variable(0x1016, 1), 0
-        )  # bring-up wrote there: it is an integer that can be written
+        if not any((setting.index, setting.subindex) == (0x1016, 1) for setting in plan.writes):
+            continue
+        data = encoded(plan.description.variable(0x1016, 1), 0)
         with suppress(SdoAbortedError, SdoCommunicationError):  # then it says so: nothing is lost by that
             plane.network[plan.node_id].sdo.download(0x1016, 1, data)
 

@@ -1,36 +1,29 @@
 """What bring-up does to one device, and why it would be refused: judged before anything is sent.
 
-`coulombus check` tells what `host.setup.bringup` executes, so that both say the same. The objects 2000h to 5FFFh are written where 1018h of the
-EDS file is our own device's only (and, in `host.setup.bringup`, of the device as well): elsewhere they mean what another maker says.
+`coulombus check` tells what `host.setup.bringup` executes, so that both say the same: one list of steps (`DevicePlan.steps`). The objects 2000h to
+5FFFh are written where 1018h of the EDS file is our own device's (and, in `host.setup.bringup`, of the device as well), or where the
+rig file lists them: elsewhere they mean what another maker says.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
-from coulombus.eds.cia402 import OPERATION_MODE_CST
+from coulombus.eds.cia402 import OPERATION_MODE_CST, OPERATION_MODE_PROFILE_TORQUE
 from coulombus.eds.own_devices import MANUFACTURER, is_own, told_identity
 from coulombus.eds.reader import Description, Variable
-from coulombus.host.setup.settings import Role, Setting, settings_of
+from coulombus.host.setup.reactions import NO_REACTION, Reaction, reactions_of
+from coulombus.host.setup.settings import Setting, settings_of, torque_limits
 from coulombus.rigs.axis import Axis
-from coulombus.rigs.devices import Brake, Motor
+from coulombus.rigs.devices import Brake, Device, Motor
+from coulombus.rigs.pdo_maps import mode_of
+from coulombus.rigs.roles import CIA402, Problem, profile_of
 
-__all__ = ["DevicePlan", "device_plans", "names_modes_without_cst"]
+__all__ = ["DevicePlan", "device_plans", "missing_mode", "steps_of"]
 
 READ_ONLY = ("ro", "const")
-
-LOSSES: Mapping[tuple[Role, int], str] = {
-    (
-        "motor",
-        0x2001,
-    ): "no set-point becomes 0 after motor.setpoint_zero_cycles; only the RPDO deadline 1400h:05 ends an old one",
-    ("motor", 0x2002): "the drive does not notice the loss of SYNC (motor.sync_timeout_s)",
-    ("brake", 0x2001): "without set-points the brake does not hold for brake.hold_s and then ramp down by itself",
-    ("brake", 0x2002): "the brake does not notice the loss of SYNC (brake.sync_timeout_s)",
-    ("brake", 0x2005): "the brake's own ramp does not take brake.ramp_s",
-}
-"""What the host loses where it cannot write an object of our own devices."""
+NO_TORQUE_LIMIT = "no torque limit of its own"
 
 
 @dataclass(frozen=True)
@@ -40,107 +33,268 @@ class DevicePlan:
     Attributes
     ----------
     name, node_id, role, part, description : which device it is
+    mode : of operation, of a CiA 402 drive; None of any other device
     writes : settings in their order; an object may be written more than once
     read_backs : ((index, sub-index), value) that each object must have afterwards; some are not written, as they cannot be
     problems : why bring-up would be refused, each with what to do; empty when it may begin
     questions : what the EDS file does not tell, and the device itself is asked
     losses : what is not written, and what the host loses by that
+    reactions : who notices the host's loss, and what happens then
     """
 
     name: str
     node_id: int
-    role: Role
-    part: Motor | Brake
+    role: str
+    part: Device
     description: Description
+    mode: int | None
     writes: tuple[Setting, ...]
     read_backs: tuple[tuple[tuple[int, int], int], ...]
-    problems: tuple[str, ...]
+    problems: tuple[Problem, ...]
     questions: tuple[str, ...]
     losses: tuple[str, ...]
+    reactions: tuple[Reaction, ...]
+
+    @property
+    def identity(self) -> tuple[tuple[int, str, int], ...]:
+        """What is compared of 1018h: (sub-index, what it is, what the rig file says)."""
+        said = ((1, "vendor id", self.part.vendor_id), (2, "product code", self.part.product_code))
+        return tuple((sub, what, value) for sub, what, value in said if value is not None and self.has_identity(sub))
+
+    def has_identity(self, subindex: int) -> bool:
+        """Tell whether the device has 1018h with this sub-index."""
+        return self.description.has(0x1018, subindex)
 
 
-def device_plans(axis: Axis, mode: str, limit_pm: int) -> tuple[DevicePlan, DevicePlan]:
-    """Return the plans of drive and brake of one axis.
+def device_plans(axis: Axis, mode: str, limit_pm: int) -> tuple[DevicePlan, ...]:
+    """Return the plans of the devices of one axis: drive, brake, sensors.
 
     Parameters
     ----------
-    limit_pm : the drive's torque limit 6072h in this mode [per mille of the rated torque]
+    limit_pm : the drive's torque limit in this mode [per mille of the rated torque]
     """
-    return _plan(axis, "motor", mode, limit_pm), _plan(axis, "brake", mode, limit_pm)
+    plans = [_Planner(axis, node, mode, limit_pm).plan() for node in axis.devices]
+    of_roles = tuple(f"{axis.prefix}{text}" if axis.prefix else text for text in axis.allocation.losses)
+    plans[0] = replace(plans[0], losses=(*of_roles, *plans[0].losses))
+    return tuple(plans)
 
 
-def _plan(axis: Axis, role: Role, mode: str, limit_pm: int) -> DevicePlan:
-    part = axis.motor if role == "motor" else axis.brake
-    name, description = axis.prefix + role, axis.description(role)
-    who = f"{name} (node {part.node_id})"
-    ours = is_own(role, told_identity(description))
-    there: list[Setting] = []
-    problems = [*_identity_problems(who, role, part, description)]
-    losses = []
-    for setting in settings_of(axis, role, mode, limit_pm):
-        meant = ours or setting.index not in MANUFACTURER
-        if meant and description.has(setting.index, setting.subindex):
-            there.append(setting)
-        elif not setting.optional:
-            problems.append(
-                f"{_where(who, description, setting)} is needed, but {description.path} does not have it; "
-                "take the EDS file of this very device, or a device that has the object"
+class _Planner:
+    """Judges what one device is to be set to."""
+
+    def __init__(self, axis: Axis, node: str, mode: str, limit_pm: int) -> None:
+        self.axis, self.node, self.mode, self.limit_pm = axis, node, mode, limit_pm
+        self.part, self.description = axis.part(node), axis.description(node)
+        self.name = axis.prefix + node
+        self.who = f"{self.name} (node {self.part.node_id})"
+        self.ours = is_own(node, told_identity(self.description))
+        self.problems: list[Problem] = []
+        self.questions: list[str] = []
+        self.losses: list[str] = []
+
+    def plan(self) -> DevicePlan:
+        """Return the plan."""
+        self._identity()
+        there = self._described()
+        final = {(s.index, s.subindex): s.value for s in there}  # the last value of an object counts
+        kept = [setting for setting in there if self._can_be_set(setting, final)]
+        written = tuple(s for s in kept if not _locked(self.description, s))
+        unread = {(s.index, s.subindex) for s in there if not s.verify}
+        left_out = {(s.index, s.subindex) for s in there} - {(s.index, s.subindex) for s in kept}
+        wanted = tuple((at, value) for at, value in final.items() if at not in unread | left_out)
+        operation_mode = self._modes() if self._is_drive else None
+        if self.node == "motor":
+            self._limits()
+        reactions = reactions_of(self.axis, self.node, kept) if self.node in ("motor", "brake") else ()
+        if reactions and not any(reaction.who for reaction in reactions):
+            self._acknowledge(NO_REACTION, "when the host is lost, nothing ends its last set-point", self._acts)
+        said = self.axis.said
+        return DevicePlan(
+            name=self.name,
+            node_id=self.part.node_id,
+            role=self.node,
+            part=self.part,
+            description=self.description,
+            mode=operation_mode,
+            writes=written,
+            read_backs=wanted,
+            problems=tuple(one._replace(text=said(one.text), remedy=said(one.remedy)) for one in self.problems),
+            questions=tuple(map(said, self.questions)),
+            losses=tuple(map(said, self.losses)),
+            reactions=reactions,
+        )
+
+    @property
+    def _is_drive(self) -> bool:
+        return self.node == "motor" or (self.node == "brake" and profile_of(self.description, "brake") == CIA402)
+
+    @property
+    def _acts(self) -> bool:
+        """Whether the device has torque in this mode."""
+        return self.limit_pm > 0 if self.node == "motor" else self.mode != "active"
+
+    def _problem(self, text: str, remedy: str, place: str = "") -> None:
+        self.problems.append(Problem("", self.node, place, f"{self.who}{text}", remedy))
+
+    def _acknowledge(self, what: str, why: str, needed: bool) -> None:
+        """Refuse what a device cannot do, unless the rig file acknowledges it by name."""
+        sentence = f"{self.name}: {what}"
+        if sentence in self.axis.host.accept:
+            self.losses.append(f"{sentence}: {why} (host.accept)")
+        elif needed:
+            self._problem(f": {what}: {why}", f'take another device, or acknowledge it: host.accept = ["{sentence}"]')
+
+    def _described(self) -> list[Setting]:
+        """Return the settings whose objects the device has; the others are lost, or refused."""
+        there = []
+        for setting in settings_of(self.axis, self.node, self.mode, self.limit_pm):
+            meant = self.ours or setting.listed or setting.index not in MANUFACTURER
+            has = self.description.has(setting.index, setting.subindex) or setting.type
+            if meant and has:
+                there.append(setting)
+                if setting.told:
+                    self.losses.append(f"{self.who}: {setting.told}")
+            elif not setting.optional:
+                self._problem(
+                    f", object {_label(self.description, setting)} is needed, but {self.description.path} does not have it",
+                    "take the EDS file of this very device, or a device that has the object",
+                    _place(setting),
+                )
+            elif setting.lost:
+                why = "is not described" if meant else "is the maker's own object: 1018h of the EDS file is not ours"
+                self.losses.append(f"{self.who}: {setting.index:04X}h is not written, it {why}; {setting.lost}")
+        return there
+
+    def _can_be_set(self, setting: Setting, final: Mapping[tuple[int, int], int]) -> bool:
+        """Tell whether a setting stays in the plan; why not is a loss or a problem."""
+        variable = setting.variable(self.description)
+        locked = _locked(self.description, setting)
+        misfit, remedy = _misfit(variable, setting) or _other(variable, final, self.part.node_id, locked) or ("", "")
+        if misfit and setting.soft:
+            self.losses.append(f"{self.who}: {_place(setting)} is not set ({misfit}); {setting.lost or setting.why}")
+            return False
+        if misfit:
+            self._problem(f", object {_label(self.description, setting)}: {misfit}", remedy, _place(setting))
+        elif _opened(variable, setting):
+            self.questions.append(
+                f"{self.who}: {self.description.path} limits 1016h:01 to {variable.high}, where no node id has room; it is written all the same"
             )
-        elif loss := LOSSES.get((role, setting.index)):
-            why = "is not described" if meant else "is the maker's own object: 1018h of the EDS file is not ours"
-            losses.append(f"{who}: {setting.index:04X}h is not written, it {why}; {loss}")
-    final = {(s.index, s.subindex): s.value for s in there}  # the last value of an object counts
-    for setting in there:
-        variable = description.variable(setting.index, setting.subindex)
-        locked = _locked(description, setting)
-        if problem := _misfit(variable, setting) or _other(variable, final, part.node_id, locked):
-            problems.append(f"{_where(who, description, setting)}: {problem}")
-    writable = tuple(s for s in there if not _locked(description, s))
-    questions = [*_identity_questions(who, description)]
-    if role == "motor":
-        modes, questions_of_modes = _modes(who, description, part.node_id)
-        problems += modes
-        questions += questions_of_modes
-    told = (tuple(dict.fromkeys(map(axis.said, texts))) for texts in (problems, questions, losses))
-    return DevicePlan(name, part.node_id, role, part, description, writable, tuple(final.items()), *told)
+        if not setting.verify and not setting.listed:
+            self.losses.append(f"{self.who}: {_place(setting)} is write-only, so that it cannot be read back")
+        return True
+
+    def _identity(self) -> None:
+        """Look at 1000h and 1018h: what the EDS file lacks, or has otherwise than the rig file."""
+        description, said = self.description, (self.part.vendor_id, self.part.product_code)
+        keys = ("vendor_id", "product_code")
+        if not description.has(0x1000, 0):
+            text = f", object 1000h:00 is needed to know the device, but {description.path} does not have it"
+            self._problem(text, "take the EDS file of this very device", "1000h:00")
+        for subindex, (told, value) in enumerate(zip(told_identity(description), said, strict=True), 1):
+            what, key = (
+                f"{keys[subindex - 1].replace('_', ' ')} 1018h:{subindex:02X}",
+                f"{self.node}.{keys[subindex - 1]}",
+            )
+            if not description.has(0x1018, subindex):
+                self.losses.append(
+                    f"{self.who}: {description.path} has no 1018h:{subindex:02X}, so that its {keys[subindex - 1].replace('_', ' ')} is not compared"
+                )
+            elif value is None:
+                remedy = f"give {key}" + (f" = {told:#x}, if the file is of this very device" if told else "")
+                self._problem(f": the rig file does not tell the {what}", remedy, f"1018h:{subindex:02X}")
+            elif not told:
+                self.questions.append(
+                    f"{self.who}: {description.path} does not tell 1018h:{subindex:02X}; bring-up asks the device"
+                )
+            elif told != value:
+                text = f": {what} is {told:#010x} in {description.path}, the rig file says {value:#010x} ({key})"
+                self._problem(
+                    text, "take the EDS file of this very device, or correct the key", f"1018h:{subindex:02X}"
+                )
+
+    def _modes(self) -> int:
+        """Return the mode of operation, and hold it against 6502h."""
+        assert isinstance(self.part, Motor | Brake)
+        mode, description = mode_of(self.part, self.description), self.description
+        if not description.has(0x6502):
+            return mode
+        modes = description.default(0x6502, 0, self.part.node_id) if description.has(0x6502, 0) else None
+        if not isinstance(modes, int) or modes == 0:
+            text = f"{self.who}: {description.path} does not tell the supported drive modes 6502h; bring-up asks the device"
+            self.questions.append(text)
+        elif lacking := missing_mode(modes, mode):
+            text = f": supported drive modes 6502h = {modes:#010x} in {description.path} do not include {lacking}"
+            remedy = (
+                "take a drive that has it, correct the file where this one does, or name the maker's own torque or current mode "
+                f"({self.node}.mode) and its set-point ([role.torque_setpoint])"
+            )
+            self._problem(text, remedy, "6502h:00")
+        return mode
+
+    def _limits(self) -> None:
+        """Demand a torque limit that the drive itself keeps."""
+        found = torque_limits(self.description)
+        if not found:
+            self._acknowledge(
+                NO_TORQUE_LIMIT,
+                "6072h, 60E0h and 60E1h, 6073h cannot be written; only the host limits",
+                self.limit_pm > 0,
+            )
+        elif found[0] != 0x6072:
+            self.losses.append(
+                f"{self.who}: 6072h is not written, it is not described; {' and '.join(f'{index:04X}h' for index in found)} limit the torque"
+            )
 
 
-def _where(who: str, description: Description, setting: Setting) -> str:
-    label = ""
-    if description.has(setting.index, setting.subindex):
-        label = f" {description.variable(setting.index, setting.subindex).name}"
-    return f"{who}, object {setting.index:04X}h:{setting.subindex:02X}{label}"
+def _place(setting: Setting) -> str:
+    return f"{setting.index:04X}h:{setting.subindex:02X}"
 
 
-def _misfit(variable: Variable, setting: Setting) -> str:
-    """Return why a value cannot be sent and read back whole, and what to do; "" when it can."""
+def _label(description: Description, setting: Setting) -> str:
+    if not description.has(setting.index, setting.subindex):
+        return _place(setting)
+    return f"{_place(setting)} {description.variable(setting.index, setting.subindex).name}"
+
+
+def _opened(variable: Variable, setting: Setting) -> bool:
+    """Tell whether the file's limits leave no room for what CiA 301 says of the object: 1016h has the node id above bit 16."""
+    return setting.index == 0x1016 and variable.high is not None and 0 < variable.high <= 0xFFFF and variable.bits == 32
+
+
+def _misfit(variable: Variable, setting: Setting) -> tuple[str, str] | None:
+    """Return why a value cannot be sent and read back whole, and what to do; None when it can."""
     value, limits = setting.value, variable.whole
     shown = f"{value} ({value:#x})" if abs(value) > 9 else f"{value}"
     change = f"change {setting.key}" if setting.key else "take another device"
     if limits is None:
         told = f"0x{variable.data_type:04X}"
         return (
-            f"{shown} is to be set, but its DataType is {told}; expected an integer, correct the EDS file if it is one"
+            f"{shown} is to be set, but its DataType is {told}",
+            "expected an integer, correct the EDS file if it is one",
         )
+    if setting.type and variable.bits != setting.variable_bits:
+        return f"the rig file says {setting.type}, and the EDS file says {variable.bits} bits", change
     if not limits[0] <= value <= limits[1]:
-        return f"{shown} does not fit into its type, which holds {limits[0]} to {limits[1]}; {change}"
-    if not variable.admits(value):
+        return f"{shown} does not fit into its type, which holds {limits[0]} to {limits[1]}", change
+    if not variable.admits(value) and not _opened(variable, setting):
         low = "any" if variable.low is None else f"{variable.low}"
         high = "any" if variable.high is None else f"{variable.high}"
         return (
-            f"{shown} is outside the EDS file's LowLimit {low} and HighLimit {high}; {change}, "
-            "or correct the limits in a copy of the file where the device takes the value"
+            f"{shown} is outside the EDS file's LowLimit {low} and HighLimit {high}",
+            f"{change}, or correct the limits in a copy of the file where the device takes the value",
         )
-    if variable.access == "wo":
-        return f"{shown} is to be set, but a write-only object cannot be read back; take another device"
-    return ""
+    if variable.access == "wo" and setting.verify:
+        return f"{shown} is to be set, but a write-only object cannot be read back", "take another device"
+    return None
 
 
 def _locked(description: Description, setting: Setting) -> str:
     """Return why an object cannot be written, "" where it can: it is read-only, or belongs to a PDO that cannot be made invalid for it."""
-    access = description.variable(setting.index, setting.subindex).access
+    access = setting.variable(description).access
     if access in READ_ONLY:
         return f"AccessType is {access}"
+    if setting.while_valid:
+        return ""
     mapping = setting.index & ~0x1FF in (0x1600, 0x1A00)
     if not mapping and not (setting.index & ~0x1FF == 0x1800 and setting.subindex in (3, 6)):
         return ""
@@ -149,63 +303,37 @@ def _locked(description: Description, setting: Setting) -> str:
     return f"the PDO cannot be made invalid for it, {cob_id:04X}h:01 is read-only," if valid else ""
 
 
-def _other(variable: Variable, final: Mapping[tuple[int, int], int], node_id: int, locked: str) -> str:
-    """Return why an object that cannot be written will not have its value; "" where it can, or has it already."""
+def _other(
+    variable: Variable, final: Mapping[tuple[int, int], int], node_id: int, locked: str
+) -> tuple[str, str] | None:
+    """Return why an object that cannot be written will not have its value, and what to do; None where it can, or has it already."""
     if not locked:
-        return ""
+        return None
     wanted, default = final[variable.index, variable.subindex], variable.default
     if isinstance(default, int) and variable.node_relative:
         default += node_id
     if default == wanted:
-        return ""
+        return None
     has = "tells no value" if default is None else f"says {default!r}"
     return (
-        f"{wanted} ({wanted:#x}) is to be set, but {locked} and the EDS file {has}; "
-        "correct the file where the device lets it be written, or take another device"
+        f"{wanted} ({wanted:#x}) is to be set, but {locked} and the EDS file {has}",
+        "correct the file where the device lets it be written, or take another device",
     )
 
 
-def _identity_problems(who: str, role: Role, part: Motor | Brake, description: Description) -> Iterator[str]:
-    """Yield what the EDS file lacks of 1000h and 1018h, or has otherwise than the rig file."""
-    told = dict(zip((1, 2), told_identity(description), strict=True))
-    wanted = {1: ("vendor id", "vendor_id", part.vendor_id), 2: ("product code", "product_code", part.product_code)}
-    for index, subindex in ((0x1000, 0), (0x1018, 1), (0x1018, 2)):
-        if not description.has(index, subindex):
-            yield (
-                f"{who}, object {index:04X}h:{subindex:02X} is needed to know the device, but {description.path} does not have it; "
-                "take the EDS file of this very device"
-            )
-    for subindex, (what, key, value) in wanted.items():
-        if told[subindex] not in (0, value):
-            yield (
-                f"{who}: {what} 1018h:{subindex:02X} is {told[subindex]:#010x} in {description.path}, the rig file says {value:#010x} "
-                f"({role}.{key}); take the EDS file of this very device, or correct the key"
-            )
+def missing_mode(modes: int, mode: int) -> str:
+    """Return the mode that 6502h does not name, in words; "" where it does, or a maker's own mode is used."""
+    words: Mapping[int, str] = {
+        OPERATION_MODE_CST: "cyclic synchronous torque",
+        OPERATION_MODE_PROFILE_TORQUE: "profile torque",
+    }
+    if mode not in words or modes >> (mode - 1) & 1:
+        return ""
+    return words[mode]
 
 
-def _identity_questions(who: str, description: Description) -> Iterator[str]:
-    for subindex, told in enumerate(told_identity(description), 1):
-        if not told and description.has(0x1018, subindex):
-            yield f"{who}: {description.path} does not tell 1018h:{subindex:02X}; bring-up asks the device"
-
-
-def names_modes_without_cst(modes: int) -> bool:
-    """Tell whether 6502h names modes, and cyclic synchronous torque is none of them."""
-    return not modes >> (OPERATION_MODE_CST - 1) & 1
-
-
-def _modes(who: str, description: Description, node_id: int) -> tuple[list[str], list[str]]:
-    """Return (problems, questions) of the supported drive modes 6502h."""
-    if not description.has(0x6502):
-        return [], []
-    modes = description.default(0x6502, 0, node_id) if description.has(0x6502, 0) else None
-    if not isinstance(modes, int) or modes == 0:
-        return [], [
-            f"{who}: {description.path} does not tell the supported drive modes 6502h; bring-up asks the device"
-        ]
-    if names_modes_without_cst(modes):
-        return [
-            f"{who}: supported drive modes 6502h = {modes:#010x} in {description.path} do not include cyclic synchronous torque; "
-            "take a drive that has it, or correct the file where this one does"
-        ], []
-    return [], []
+def steps_of(plans: Sequence[DevicePlan]) -> Iterator[tuple[DevicePlan, Setting]]:
+    """Yield every step of bring-up in its order, device by device."""
+    for plan in plans:
+        for setting in plan.writes:
+            yield plan, setting

@@ -1,74 +1,149 @@
 """The objects that bring-up sets in each device, made from its EDS file and the rig file alone.
 
-Nothing is assumed of a drive's defaults: PDOs are always mapped anew, inhibit times set to 0, limits written and read back.
+Nothing is assumed of a drive's defaults: PDOs are mapped anew where they can be, inhibit times set to 0, limits written and read back. In a device
+that is not ours the reactions to the host's loss are set, too, and objects that a maker may have made constant are read first.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from coulombus.eds.cia301 import CobId, predefined
-from coulombus.eds.cia402 import OPERATION_MODE_CST
+from coulombus.eds.cia301 import DATA_TYPES, CobId, predefined
+from coulombus.eds.cia402 import OPERATION_MODE_PROFILE_TORQUE
+from coulombus.eds.own_devices import is_own, told_identity
 from coulombus.eds.reader import Description, Variable
+from coulombus.host.cycle.guarding import is_guarded
 from coulombus.rigs.axis import Axis
-from coulombus.rigs.devices import Brake, Motor
+from coulombus.rigs.devices import Brake, Device, Motor
+from coulombus.rigs.pdo_maps import mode_of, writable
+from coulombus.rigs.roles import CIA401, CIA402, CIA404, Binding, profile_of
 from coulombus.rigs.signals import RigPdo
 
-__all__ = ["Role", "Setting", "encoded", "settings_of"]
+__all__ = ["Setting", "encoded", "number_of", "settings_of", "torque_limits"]
 
-Role = Literal["motor", "brake"]
-INVALID = 1 << 31
+INVALID, NO_RTR = 1 << 31, 1 << 30
+CODE_OF_TYPE = {row.name: code for code, row in DATA_TYPES.items()}
+MAX_TORQUE, MAX_CURRENT, TORQUE_LIMITS = 0x6072, 0x6073, (0x60E0, 0x60E1)
+DISABLE_VOLTAGE, FREE, TO_PRE_OPERATIONAL = 2, 0, 0
 
 
 @dataclass(frozen=True)
 class Setting:
-    """One object to write and read back; `key` is the rig file's key that the value comes from, "" where there is none."""
+    """One object to write and read back.
+
+    Attributes
+    ----------
+    key : the rig file's key that the value comes from, "" where there is none
+    optional : a device without the object is accepted
+    why : what it is for
+    lost : what the host loses without it; "" where nothing is
+    told : what is told although it is set: the device takes another value than the host wants
+    soft : a device that does not take the value is accepted, too
+    unless_equal : it is read first, and written only if it is different
+    verify : it is read back
+    type : the data type that the rig file says, of an object that the EDS file need not describe
+    while_valid : an entry of a PDO's map that is written although the PDO cannot be made invalid
+    listed : the rig file lists it, so that it may be a maker's own object
+    """
 
     index: int
     subindex: int
     value: int
     key: str = ""
     optional: bool = False
-    """True: a device without the object is accepted."""
+    why: str = ""
+    lost: str = ""
+    told: str = ""
+    soft: bool = False
+    unless_equal: bool = False
+    verify: bool = True
+    type: str = ""
+    listed: bool = False
+    while_valid: bool = False
+
+    @property
+    def variable_bits(self) -> int:
+        """Width of the type that the rig file says; 0 where it says none."""
+        return DATA_TYPES[CODE_OF_TYPE[self.type]].bits if self.type else 0
+
+    def variable(self, description: Description) -> Variable:
+        """Return what the EDS file says of the object, or what the rig file does where it does not."""
+        if description.has(self.index, self.subindex) or not self.type:
+            return description.variable(self.index, self.subindex)
+        return Variable(
+            *(self.index, self.subindex, "", CODE_OF_TYPE[self.type], "rw", None, False, None, None, False, 1)
+        )
 
 
-def settings_of(axis: Axis, role: Role, mode: str, limit_pm: int) -> Iterator[Setting]:
+def settings_of(axis: Axis, node: str, mode: str, limit_pm: int) -> Iterator[Setting]:
     """Yield what one device is to be set to, in its order.
 
     Parameters
     ----------
-    limit_pm : the drive's torque limit 6072h in this mode [per mille of the rated torque]
+    limit_pm : the drive's torque limit in this mode [per mille of the rated torque]
     """
-    part = axis.motor if role == "motor" else axis.brake
-    pdos = [pdo for pdo in axis.pdos() if pdo.node == axis.prefix + role]
-    yield from _unused_pdos(axis.description(role), pdos, part.node_id)
-    yield from _common_settings(axis, role, part)
-    yield from _motor_settings(axis, mode, limit_pm) if role == "motor" else _brake_settings(axis)
+    part, description = axis.part(node), axis.description(node)
+    ours = is_own(node, told_identity(description))
+    pdos = [pdo for pdo in axis.pdos() if pdo.node == axis.prefix + node]
+    yield from _listed(part, node, "before")
+    yield from _unused_pdos(description, pdos, part.node_id)
+    yield from _common_settings(axis, node, part, ours)
+    if node == "motor":
+        yield from _motor_settings(axis, mode, limit_pm, ours)
+    elif node == "brake":
+        yield from _brake_settings(axis, ours)
+    deadline_ms = round(part.setpoint_fault_s * 1000) if isinstance(part, Motor | Brake) else 0
     for pdo in pdos:
-        yield from _pdo_settings(pdo, role, round(part.setpoint_fault_s * 1000))
+        yield from _pdo_settings(pdo, node, deadline_ms, ours)
+    yield from _listed(part, node, "after")
+    yield from _listed(part, node, "end")
 
 
-def _pdo_settings(pdo: RigPdo, role: Role, deadline_ms: int) -> Iterator[Setting]:
+def _listed(part: Device, node: str, when: Literal["before", "after", "end"]) -> Iterator[Setting]:
+    """The rig file's own list."""
+    for k, one in enumerate(part.sdo):
+        if one.when == when:
+            yield Setting(
+                *(one.index, one.sub, one.value),
+                key=f"{node}.sdo.{k}",
+                why="the rig file lists it",
+                verify=one.verify,
+                type=one.type,
+                listed=True,
+            )
+
+
+def _pdo_settings(pdo: RigPdo, node: str, deadline_ms: int, ours: bool) -> Iterator[Setting]:
     """The prescribed procedure: invalid, no entries, parameters, entries, their number, valid (CiA 301, 7.5.2.36)."""
-    layout = pdo.layout
+    layout, why = pdo.layout, f"{pdo.name} carries {', '.join(signal.key for signal in pdo.signals)}"
     receive = layout.direction == "rpdo"
     communication = (0x1400 if receive else 0x1800) + layout.number - 1
     mapping = communication + 0x200
-    yield Setting(communication, 1, layout.cob_id | INVALID)
-    yield Setting(mapping, 0, 0)
-    yield Setting(communication, 2, layout.transmission, "bus.actuation" if receive else "")
+    word = layout.cob_id | (0 if layout.rtr_allowed else NO_RTR)
+    yield Setting(communication, 1, word | INVALID, why=why)
+    anew = not pdo.fixed
+    yield Setting(mapping, 0, 0, why=why, while_valid=anew)
+    yield Setting(communication, 2, layout.transmission, "bus.actuation" if receive else "", optional=True, why=why)
     if receive:
-        yield Setting(communication, 5, deadline_ms, f"{role}.setpoint_fault_s")
+        lost = "" if ours else "an RPDO that does not come any more is not noticed by this"
+        yield Setting(
+            *(communication, 5, deadline_ms, f"{node}.setpoint_fault_s"),
+            optional=True,
+            why="the deadline of the set-points",
+            lost=lost,
+        )
     else:
-        yield Setting(communication, 3, 0, optional=True)
-        yield Setting(communication, 5, 0, optional=True)
-        yield Setting(communication, 6, 0, optional=True)
+        yield Setting(communication, 3, 0, optional=True, why=why)
+        timer = layout.event_ns // 1_000_000
+        yield Setting(communication, 5, timer, optional=not timer, why=why)
+        yield Setting(communication, 6, 0, optional=True, why=why)
     for i, entry in enumerate(layout.entries, start=1):
-        yield Setting(mapping, i, entry.index << 16 | entry.subindex << 8 | entry.bits)
-    yield Setting(mapping, 0, len(layout.entries))
-    yield Setting(communication, 1, layout.cob_id)
+        yield Setting(mapping, i, entry.index << 16 | entry.subindex << 8 | entry.bits, why=why, while_valid=anew)
+    yield Setting(mapping, 0, len(layout.entries), why=why, while_valid=anew)
+    yield Setting(communication, 1, word, why=why)
 
 
 def _unused_pdos(description: Description, pdos: Sequence[RigPdo], node_id: int) -> Iterator[Setting]:
@@ -80,32 +155,140 @@ def _unused_pdos(description: Description, pdos: Sequence[RigPdo], node_id: int)
             if description.has(index, 1) and (direction, number) not in used:
                 default = description.default(index, 1, node_id)
                 cob_id = default if isinstance(default, int) else predefined(index, 1, node_id) or INVALID
-                if not cob_id & INVALID:
-                    yield Setting(index, 1, cob_id | INVALID)
+                if cob_id & INVALID:
+                    continue
+                mapping = index + 0x200
+                stands = not writable(description.variable(index, 1))
+                if stands and description.has(mapping, 0) and writable(description.variable(mapping, 0)):
+                    yield Setting(
+                        mapping, 0, 0, why="it is not used, and its identifier is read-only", while_valid=True
+                    )
+                else:
+                    yield Setting(
+                        *(index, 1, cob_id | INVALID),
+                        why="it is not used",
+                        soft=True,
+                        lost=f"{direction.upper()}{number} cannot be switched off and may load the bus",
+                    )
 
 
-def _common_settings(axis: Axis, role: Role, part: Motor | Brake) -> Iterator[Setting]:
-    """Heartbeats both ways and the loss of SYNC."""
-    timeout_ms = round(part.heartbeat_timeout_s * 1000)
-    yield Setting(0x1016, 1, axis.host.node_id << 16 | timeout_ms, f"{role}.heartbeat_timeout_s")
-    yield Setting(0x1017, 0, round(part.heartbeat_s * 1000), f"{role}.heartbeat_s")
-    yield Setting(0x1005, 0, CobId.SYNC)
-    yield Setting(0x2002, 0, round(part.sync_timeout_s * 1e6), f"{role}.sync_timeout_s", optional=True)
+def _common_settings(axis: Axis, node: str, part: Device, ours: bool) -> Iterator[Setting]:
+    """Heartbeats both ways, or guarding; the loss of SYNC."""
+    description = axis.description(node)
+    if is_guarded(description):
+        guard_ms = round(axis.host.heartbeat_s * 1000)
+        factor = math.ceil(part.heartbeat_timeout_s / axis.host.heartbeat_s)
+        yield Setting(0x1017, 0, 0, optional=True, why="the node is guarded, and a node has one error control")
+        yield Setting(0x100C, 0, guard_ms, "host.heartbeat_s", why="the host guards the node in so many ms")
+        yield Setting(0x100D, 0, factor, f"{node}.heartbeat_timeout_s", why="so many guard times are the life time")
+    else:
+        timeout_ms = round(part.heartbeat_timeout_s * 1000)
+        yield Setting(
+            *(0x1016, 1, axis.host.node_id << 16 | timeout_ms, f"{node}.heartbeat_timeout_s"),
+            optional=True,
+            why="the node watches the host's heartbeat",
+        )
+        lost = "the host does not hear whether it lives: only its TPDOs tell"
+        beat = round(part.heartbeat_s * 1000)
+        yield Setting(0x1017, 0, beat, f"{node}.heartbeat_s", optional=True, why="its own heartbeat", lost=lost)
+    yield Setting(0x1005, 0, CobId.SYNC, optional=True, why="SYNC's identifier", unless_equal=not ours)
+    if isinstance(part, Motor | Brake):
+        timeout_us = round(part.sync_timeout_s * 1e6)
+        lost = f"the {'drive' if node == 'motor' else 'brake'} does not notice the loss of SYNC ({node}.sync_timeout_s)"
+        yield Setting(0x2002, 0, timeout_us, f"{node}.sync_timeout_s", optional=True, why="the loss of SYNC", lost=lost)
+    if not ours:
+        period_us = round(axis.bus.period_s * 1e6)
+        yield Setting(
+            *(0x1006, 0, period_us, "bus.period_s"), optional=True, soft=True, unless_equal=True, why="SYNC's period"
+        )
+        yield Setting(
+            *(0x1029, 1, TO_PRE_OPERATIONAL),
+            optional=True,
+            soft=True,
+            unless_equal=True,
+            why="a lost host ends its PDOs",
+        )
 
 
-def _motor_settings(axis: Axis, mode: str, limit_pm: int) -> Iterator[Setting]:
-    yield Setting(0x6060, 0, OPERATION_MODE_CST)
-    yield Setting(0x6071, 0, 0)
-    yield Setting(0x6072, 0, limit_pm, f"mode.{mode}.motor_limit_Nm")
+def _drive_settings(axis: Axis, part: Motor | Brake, setpoint: Binding, ours: bool) -> Iterator[Setting]:
+    """What every CiA 402 drive needs: the mode, a set-point of 0, and a free shaft where something is lost."""
+    description = axis.description(setpoint.node)
+    mode = mode_of(part, description)
+    readable = not description.has(0x6060, 0) or description.variable(0x6060, 0).access != "wo"
+    yield Setting(0x6060, 0, mode, f"{setpoint.node}.mode", why="the mode of operation", verify=readable)
+    yield Setting(setpoint.entry.index, setpoint.entry.subindex, 0, why="no torque at the start")
+    if mode == OPERATION_MODE_PROFILE_TORQUE and description.has(0x6087, 0):
+        rate = axis.limits.torque_rate_Nm_s / abs(setpoint.scale)
+        steep = int(min(math.ceil(rate), description.variable(0x6087, 0).largest, 0x7FFFFFFF))
+        yield Setting(0x6087, 0, steep, "limits.torque_rate_Nm_s", why="the torque's slope: it follows the host's own")
+    elif mode == OPERATION_MODE_PROFILE_TORQUE:
+        lost = "nothing tells how fast the torque follows in mode 4"
+        yield Setting(0x6087, 0, 0, optional=True, why="the torque's slope", lost=lost)
+    if ours:
+        return
+    exponent = next(k for k in (-3, -4, -5, -6) if abs(axis.bus.period_s * 10**-k % 1) < 1e-6 or k == -6)
+    cycle = round(axis.bus.period_s * 10.0**-exponent)
+    for sub, value in ((1, cycle), (2, exponent)):
+        yield Setting(0x60C2, sub, value, optional=True, soft=True, unless_equal=True, why="the cycle's period")
+    reactions = (
+        (0x6007, DISABLE_VOLTAGE, "the host's loss disables it"),
+        *((index, FREE, "no torque when it stops") for index in (0x605A, 0x605B, 0x605C, 0x605E)),
+    )
+    for index, value, why in reactions:
+        lost = "what it does at the host's loss is its own" if index == 0x6007 else ""
+        yield Setting(index, 0, value, optional=True, soft=True, unless_equal=True, why=why, lost=lost)
+
+
+def torque_limits(description: Description) -> tuple[int, ...]:
+    """Return the objects that limit a drive's torque: 6072h, else 60E0h and 60E1h, else 6073h; none where it has none that can be written."""
+
+    def usable(index: int) -> bool:
+        return description.has(index, 0) and description.variable(index, 0).access not in ("ro", "const")
+
+    if usable(MAX_TORQUE):
+        return (MAX_TORQUE,)
+    if all(map(usable, TORQUE_LIMITS)):
+        return TORQUE_LIMITS
+    return (MAX_CURRENT,) if usable(MAX_CURRENT) else ()
+
+
+def _motor_settings(axis: Axis, mode: str, limit_pm: int, ours: bool) -> Iterator[Setting]:
+    description = axis.description("motor")
+    yield from _drive_settings(axis, axis.motor, axis.allocation.bound["torque_setpoint"], ours)
+    for index in torque_limits(description):
+        low = description.variable(index, 0).low
+        value, told = limit_pm, ""
+        if low is not None and limit_pm < low:
+            value = int(low)
+            told = (
+                f"its own limit is {value} per mille, the least that {index:04X}h takes; the host limits to {limit_pm}"
+            )
+        yield Setting(index, 0, value, f"mode.{mode}.motor_limit_Nm", why="the drive's own torque limit", told=told)
     zero_us = round(axis.motor.setpoint_zero_cycles * axis.bus.period_s * 1e6)
-    yield Setting(0x2001, 0, zero_us, "motor.setpoint_zero_cycles", optional=True)
+    lost = "no set-point becomes 0 after motor.setpoint_zero_cycles; only the RPDO deadline 1400h:05 ends an old one"
+    yield Setting(
+        *(0x2001, 0, zero_us, "motor.setpoint_zero_cycles"), optional=True, why="an old set-point is 0", lost=lost
+    )
 
 
-def _brake_settings(axis: Axis) -> Iterator[Setting]:
-    yield Setting(0x6340, 1, 1)
-    yield Setting(0x7341, 1, 0)
-    yield Setting(0x2001, 0, round(axis.brake.hold_s * 1e6), "brake.hold_s", optional=True)
-    yield Setting(0x2005, 0, round(axis.brake.ramp_s * 1e6), "brake.ramp_s", optional=True)
+def _brake_settings(axis: Axis, ours: bool) -> Iterator[Setting]:
+    setpoint = axis.allocation.bound["brake_setpoint"]
+    if setpoint.node != "brake":
+        return
+    profile, sub = profile_of(axis.description("brake"), "brake"), setpoint.entry.subindex
+    off = setpoint.table[0][0] if setpoint.table else 0
+    if profile == CIA402:
+        yield from _drive_settings(axis, axis.brake, setpoint, ours)
+        return
+    mode_object, value_object = {CIA404: (0x6340, 0x7341), CIA401: (0x6443, 0x6444)}[profile]
+    lost = "without set-points it keeps its last one"
+    yield Setting(mode_object, sub, 1, optional=not ours, soft=not ours, why="a fault value is taken", lost=lost)
+    yield Setting(value_object, sub, off, optional=not ours, soft=not ours, why="its fault value is off", lost=lost)
+    hold = "without set-points the brake does not hold for brake.hold_s and then ramp down by itself"
+    hold_us, ramp_us = round(axis.brake.hold_s * 1e6), round(axis.brake.ramp_s * 1e6)
+    yield Setting(0x2001, 0, hold_us, "brake.hold_s", optional=True, why="an old set-point is held", lost=hold)
+    ramp = "the brake's own ramp does not take brake.ramp_s"
+    yield Setting(0x2005, 0, ramp_us, "brake.ramp_s", optional=True, why="then ramped off", lost=ramp)
 
 
 def encoded(variable: Variable, value: int) -> bytes:
@@ -120,3 +303,8 @@ def encoded(variable: Variable, value: int) -> bytes:
     if limits is None or not limits[0] <= value <= limits[1]:
         raise OverflowError(f"{value} does not fit into {variable.index:04X}h:{variable.subindex:02X}")
     return value.to_bytes((variable.bits + 7) // 8, "little", signed=limits[0] < 0)
+
+
+def number_of(variable: Variable, data: bytes) -> int:
+    """Return the number that an integer object's bytes are."""
+    return int.from_bytes(data, "little", signed=variable.whole is not None and variable.whole[0] < 0)

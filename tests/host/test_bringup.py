@@ -164,7 +164,7 @@ def test_what_an_own_device_lacks_is_told_too():
 def test_all_values_that_do_not_fit_are_refused_at_once_and_before_anything_is_sent():
     """3000 us into 8 bits would be 184 us."""
     text = edit(edit(MOTOR, "2001", DataType=U8), "1017", HighLimit=20)
-    wire = Wire(rig_of(edit(text, "6072", LowLimit=100), edit(BRAKE, "7341sub1", LowLimit=5)))
+    wire = Wire(rig_of(text, edit(BRAKE, "7341sub1", LowLimit=5)))
     with pytest.raises(DeviceMismatch) as refused:
         wire.bring_up()
     outside = "is outside the EDS file's LowLimit"
@@ -174,10 +174,6 @@ def test_all_values_that_do_not_fit_are_refused_at_once_and_before_anything_is_s
             "3000 (0xbb8) does not fit into its type, which holds 0 to 255; change motor.setpoint_zero_cycles",
         ),
         ("motor (node 1), object 1017h:00", f"50 (0x32) {outside} any and HighLimit 20; change motor.heartbeat_s"),
-        (
-            "motor (node 1), object 6072h:00",
-            f"97 (0x61) {outside} 100 and HighLimit 10000; change mode.hybrid.motor_limit_Nm",
-        ),
         ("brake (node 2), object 7341h:01", f"0 {outside} 5 and HighLimit 5000"),
     ):
         assert re.search(f"{re.escape(place)}[^:;]*: {re.escape(what)}", str(refused.value)), place
@@ -277,6 +273,147 @@ def test_bring_up_writes_and_reads_back_just_what_the_plan_says():
         assert {key for key, _ in plan.read_backs} == {(s.index, s.subindex) for s in plan.writes}
 
 
+# what a device offers
+
+ACCEPT = 'host.accept=["motor: no torque limit of its own", "motor: no reaction to the host\'s loss"]'
+LIMITS = ("6072", "60E0", "60E1", "6073")
+
+
+def plan_of(motor=MOTOR, brake=BRAKE, *overrides, mode="hybrid", node="motor"):
+    plans = plans_of(Controllers(rig_of(motor, brake, *overrides), mode))
+    return next(plan for plan in plans if plan.name == node)
+
+
+def written_to(plan, index, sub=0):
+    return [s.value for s in plan.writes if (s.index, s.subindex) == (index, sub)]
+
+
+def test_the_torque_is_limited_by_what_the_drive_has():
+    both = gone(MOTOR, "6072")
+    assert [written_to(plan_of(both), index) for index in (0x6072, 0x60E0, 0x60E1, 0x6073)] == [[], [97], [97], []]
+    current = gone(both, "60E0")
+    assert [written_to(plan_of(current), index) for index in (0x60E1, 0x6073)] == [[], [97]]
+    none = gone(MOTOR, *LIMITS)
+    (problem,) = plan_of(none).problems
+    assert (
+        problem.remedy == 'take another device, or acknowledge it: host.accept = ["motor: no torque limit of its own"]'
+    )
+    assert plan_of(none, BRAKE, ACCEPT).problems == ()
+    assert plan_of(none, mode="passive").problems == ()  # there the motor has no torque
+
+
+def test_the_least_that_a_limit_takes_is_taken_and_told():
+    plan = plan_of(edit(MOTOR, "6072", LowLimit=100, DefaultValue=100))
+    assert written_to(plan, 0x6072) == [100]
+    assert any(
+        "its own limit is 100 per mille, the least that 6072h takes; the host limits to 97" in t for t in plan.losses
+    )
+
+
+def test_a_device_that_does_not_notice_the_host_s_loss_is_refused_unless_it_is_acknowledged():
+    deaf = gone(MOTOR, "1400sub5", "1016sub1", "100C")
+    (problem,) = plan_of(deaf).problems
+    assert "no reaction to the host's loss: when the host is lost, nothing ends its last set-point" in problem.text
+    assert {(r.who, r.within_s, r.what) for r in plan_of(deaf).reactions} == {("", None, "its last set-point stays")}
+    assert plan_of(deaf, BRAKE, ACCEPT).problems == ()
+    assert plan_of(deaf, mode="passive").problems == ()
+
+
+@pytest.mark.parametrize(
+    ("lacking", "who", "within_s"),
+    [
+        ((), "RPDO deadline 1400h:05", 0.01),
+        (("1400sub5",), "heartbeat consumer 1016h:01", 0.15),
+        (("1400sub5", "1016sub1"), "life guarding 100Ch, 100Dh", 0.15),
+    ],
+)
+def test_the_fastest_watch_of_a_device_ends_its_set_point(lacking, who, within_s):
+    found = plan_of(gone(MOTOR, *lacking)).reactions
+    assert [(r.fault, r.who, r.within_s) for r in found] == [
+        (fault, who, within_s) for fault in ("host dies", "bus cut", "host hangs")
+    ]
+
+
+def test_a_node_without_heartbeats_is_guarded():
+    motor = gone(MOTOR, "1017")
+    plan = plan_of(motor)
+    assert (written_to(plan, 0x100C), written_to(plan, 0x100D), written_to(plan, 0x1016, 1)) == ([50], [3], [])
+    control = Controller(rig_of(motor).one_axis(), "hybrid").control[0]
+    assert (control["guard_ns"], control["guarded"], control["heartbeat_timeout_ns"][0]) == (
+        50_000_000,
+        0b01,
+        150_000_000,
+    )
+    mute = gone(motor, "100C")
+    control = Controller(rig_of(mute).one_axis(), "hybrid").control[0]
+    assert (control["guard_ns"], control["guarded"], control["heartbeat_timeout_ns"][0]) == (0, 0, 0)
+    assert any("the host does not hear whether it lives" in text for text in plan_of(mute).losses)
+
+
+def test_a_heartbeat_consumer_whose_limits_leave_no_room_for_a_node_id_is_written_all_the_same():
+    plan = plan_of(edit(MOTOR, "1016sub1", HighLimit=65535))
+    assert written_to(plan, 0x1016, 1) == [127 << 16 | 150]
+    assert any("limits 1016h:01 to 65535" in text for text in plan.questions)
+
+
+def test_profile_torque_is_taken_where_there_is_no_cst_and_its_slope_follows():
+    plan = plan_of(edit(MOTOR, "6502", DefaultValue="0x0000000F"))
+    assert (plan.mode, written_to(plan, 0x6060)) == (4, [4])
+    assert written_to(plan, 0x6087) == [-(-5000 * 1000 // (0.18 * 9.587)) // 1]
+    (problem,) = plan_of(edit(MOTOR, "6502", DefaultValue="0x00000043")).problems
+    assert "do not include cyclic synchronous torque" in problem.text
+    assert "motor.mode" in problem.remedy
+    own = plan_of(edit(MOTOR, "6502", DefaultValue="0x00000043"), BRAKE, "motor.mode=-3")
+    assert (own.mode, written_to(own, 0x6060), own.problems) == (-3, [-3], ())
+
+
+def test_what_the_rig_file_lists_is_written_where_it_says(tmp_path):
+    text = BENCH + "".join(
+        f'\n[[motor.sdo]]\nindex = {index}\ntype = "UNSIGNED32"\nvalue = {value}\nwhen = "{when}"\n'
+        for index, value, when in ((0x2001, 7, "end"), (0x2002, 8, "before"))
+    )
+    motor = identified(MOTOR)
+    rig = load_rig_text(text, "r.toml", {"motor.eds": motor, "mr_brake.eds": BRAKE}, IS_FOREIGN)
+    (plan, _) = plans_of(Controllers(rig, "hybrid"))
+    assert plan.writes[0].index == 0x2002
+    assert plan.writes[-1].index == 0x2001
+    wire = Wire(rig)
+    wire.bring_up()
+    assert makers(wire.written(1)) == [0x2002, 0x2001]
+    wide = load_rig_text(
+        text.replace("UNSIGNED32", "UNSIGNED8"), "r.toml", {"motor.eds": motor, "mr_brake.eds": BRAKE}, IS_FOREIGN
+    )
+    assert all(
+        "the rig file says UNSIGNED8, and the EDS file says 32 bits" in p.text
+        for p in plans_of(Controllers(wide, "hybrid"))[0].problems
+    )
+
+
+def test_in_a_foreign_drive_constants_are_read_first_and_reactions_are_set():
+    wire = Wire(rig_of(edit(identified(MOTOR), "1005", AccessType="const"), BRAKE, *IS_FOREIGN))
+    wire.bring_up()
+    assert 0x1005 not in wire.written(1)
+    plan = wire.world.controllers and plans_of(wire.world.controllers)[0]
+    assert [written_to(plan, index) for index in (0x6007, 0x605A, 0x605E)] == [[2], [0], [0]]
+    read = [key[:2] for key in wire.requests(1, 2)]
+    assert (0x6007, 0) in read
+    ours = Wire(rig_of())
+    ours.bring_up()
+    assert not {0x6007, 0x605A, 0x1029, 0x60C2} & set(ours.written(1))
+
+
+def test_an_identity_that_the_file_does_not_have_is_not_compared():
+    motor = gone(MOTOR, "1018sub2")
+    text = BENCH.replace("product_code = 0x00000402\n", "")
+    rig = load_rig_text(text, "r.toml", {"motor.eds": motor, "mr_brake.eds": BRAKE})
+    (plan, _) = plans_of(Controllers(rig, "hybrid"))
+    assert plan.problems == ()
+    assert any("has no 1018h:02, so that its product code is not compared" in text for text in plan.losses)
+    rig = load_rig_text(text, "r.toml", {"motor.eds": MOTOR, "mr_brake.eds": BRAKE})
+    (problem,) = plans_of(Controllers(rig, "hybrid"))[0].problems
+    assert str(problem).endswith("give motor.product_code = 0x402, if the file is of this very device")
+
+
 # `check` and bring-up say the same
 
 QUIRKS = {
@@ -337,15 +474,16 @@ def test_check_says_ok_where_bring_up_goes_on_and_nowhere_else(name, tmp_path):
 
 
 def test_check_tells_all_that_is_wrong_with_what_to_do(tmp_path):
-    motor = gone(edit(MOTOR, "6060", AccessType="wo"), "6072", "1005", "1400sub5", "1016sub1")
+    motor = gone(MOTOR, "6072", "60E0", "60E1", "6073", "1000")
+    motor = gone(edit(motor, "1017", DataType=TEXT), "1400sub5", "1016sub1", "100C")
     (tmp_path / "motor.eds").write_text(motor)
     (tmp_path / "rig.toml").write_text(BENCH)
     result = CliRunner().invoke(main, ["check", "--rig", str(tmp_path / "rig.toml")])
     assert result.exit_code == 1
     failures = [line for line in result.output.splitlines() if line.startswith("FAIL: ")]
-    for place in ("6072h:00", "1005h:00", "1400h:05", "1016h:01", "6060h:00"):
-        (line,) = (line for line in failures if f"object {place}" in line)
-        assert re.search(r"; (take|correct|change) ", line)
+    for place in ("object 1000h:00", "object 1017h:00", "no torque limit of its own", "no reaction to the host's loss"):
+        (line,) = (line for line in failures if place in line)
+        assert re.search(r"; (take|correct|change|expected) ", line)
 
 
 def test_what_the_file_does_not_tell_is_open_and_no_plain_ok(tmp_path):
@@ -400,4 +538,5 @@ def test_no_vendors_file_ends_in_a_traceback(own, tmp_path):
             or "expected" in result.output
             or "which the host maps" in result.output
             or "finds no place" in result.output
+            or "; give [role." in result.output
         )

@@ -249,6 +249,20 @@ def test_read_only_identifiers_are_the_devices_own_and_bit_30_stays():
     assert next(p for p in rig_of(both).pdos() if p.name == "TPDO1").layout.rtr_allowed is False
 
 
+def test_a_pdo_that_cannot_be_made_invalid_is_mapped_anew_last_and_told():
+    motor = edit(MOTOR, "1800sub1", AccessType="ro")
+    motor = mapped(motor, 0x1A00, 0x60410010)
+    assert carried(rig_of(motor))["motor TPDO1"] == ["motor.statusword"]  # as it stands
+    other = mapped(motor, 0x1A00, 0x606C0020)
+    assert "motor TPDO1" not in carried(rig_of(other))
+    only = gone(other, *(f"180{k}sub1" for k in (1, 2, 3)))
+    rig = rig_of(only)
+    assert carried(rig)["motor TPDO1"] == ["motor.statusword", "motor.position_rad", "motor.torque_Nm"]
+    (loss,) = rig.one_axis().allocation.losses
+    assert loss == "motor: TPDO1 is mapped while it is valid, as its identifier is read-only"
+    assert not next(p for p in rig.pdos() if p.name == "TPDO1" and p.node == "motor").fixed
+
+
 def test_two_devices_of_one_identifier_are_refused():
     motor = edit(MOTOR, "1800sub1", AccessType="ro", DefaultValue="0x182")
     (error,) = errors(motor).errors
