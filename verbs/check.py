@@ -43,7 +43,8 @@ def check(rig_name: str, overrides: tuple[str, ...], steps: bool, as_json: bool)
             found = _Findings(load(rig_name, overrides))
         except RigError as error:
             if as_json:
-                print_json({"ok": False, "problems": _refused(error), "losses": [], "reactions": []})
+                told = {"event": "error", "error": str(error), "exit_status": error.exit_status}
+                print_json(told | {"ok": False, "problems": _refused(error), "losses": [], "reactions": []})
             raise
         with verdict(0 if found.ok else 1):
             if as_json:

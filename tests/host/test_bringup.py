@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from io import BytesIO
 from pathlib import Path
@@ -484,6 +485,46 @@ def test_check_tells_all_that_is_wrong_with_what_to_do(tmp_path):
     for place in ("object 1000h:00", "object 1017h:00", "no torque limit of its own", "no reaction to the host's loss"):
         (line,) = (line for line in failures if place in line)
         assert re.search(r"; (take|correct|change|expected) ", line)
+
+
+def test_json_has_the_same_for_programs(tmp_path):
+    def told(motor, *more):
+        (tmp_path / "motor.eds").write_text(motor)
+        (tmp_path / "rig.toml").write_text(BENCH)
+        result = CliRunner().invoke(main, ["check", "--rig", str(tmp_path / "rig.toml"), "--json", *more])
+        return result.exit_code, json.loads(result.stdout)
+
+    status, good = told(MOTOR, "--steps")
+    assert (status, good["ok"], good["problems"], good["losses"]) == (0, True, [], [])
+    assert {(r["device"], r["fault"]) for r in good["reactions"]} == {
+        (device, fault) for device in ("motor", "brake") for fault in ("host dies", "bus cut", "host hangs")
+    }
+    assert [s["object"] for s in good["steps"]][:3] == ["1801h:01", "1016h:01", "1017h:00"]
+    assert {r["role"] for r in good["roles"]} >= {"position", "torque_setpoint", "handle_torque"}
+    status, bad = told(gone(MOTOR, "1000"))
+    (problem,) = bad["problems"]
+    assert (status, bad["ok"], problem["node"], problem["object"]) == (1, False, "motor", "1000h:00")
+    assert problem["remedy"] == "take the EDS file of this very device"
+    status, none = told(gone(MOTOR, "6071"))
+    (problem,) = none["problems"]
+    assert (status, none["ok"], problem["role"], problem["object"]) == (3, False, "torque_setpoint", "6071h:0")
+    assert problem["remedy"].startswith("take a device that has it")
+    status, wrong = told(MOTOR, "--set", "bus.period_s=x")
+    assert (status, wrong["problems"][0]["role"], wrong["event"]) == (3, "", "error")
+
+
+def test_the_steps_that_check_prints_are_those_of_bring_up(tmp_path):
+    (tmp_path / "rig.toml").write_text(BENCH)
+    result = CliRunner().invoke(main, ["check", "--rig", str(tmp_path / "rig.toml"), "--json", "--steps"])
+    steps = [(s["device"], s["object"], s["value"]) for s in json.loads(result.stdout)["steps"]]
+    wire = Wire(rig_of())
+    wire.bring_up()
+    sent = [
+        (name, f"{index:04X}h:{sub:02X}", int.from_bytes(data, "little"))
+        for name, node in (("motor", 1), ("brake", 2))
+        for index, sub, data in wire.requests(node, 1)
+    ]
+    assert steps == sent
 
 
 def test_what_the_file_does_not_tell_is_open_and_no_plain_ok(tmp_path):
