@@ -57,7 +57,7 @@ class Measures:
     window.
     """
     hold_push_Nm: float | None = None
-    """Largest handle torque that the transducer shows in the hold window."""
+    """Largest handle torque that the transducer shows in the hold window; None of a rig without one."""
 
 
 def phases(recording: Source) -> list[PhaseSpan]:
@@ -116,11 +116,10 @@ def measure(recording: Source) -> Measures:
     period = recording.rig.bus.period_s
     hold, stick, spectrum, flips = _MeanSquare(), _MeanSquare(), _Spectrum(period), _Flips()
     counts = [(np.inf, -np.inf)] * len(holds)
-    push = 0.0
+    push, pushed = 0.0, any(s.key == "brake.handle_torque_Nm" for pdo in recording.rig.pdos() for s in pdo.signals)
     last_t, last_angle = np.zeros((2, 0))
     for block in recording:
         angle, target = block["motor.position_rad"], block["motor.target_torque_Nm"]
-        handle = block["brake.handle_torque_Nm"]
         t, v = velocity(np.append(last_t, angle.t_s), np.append(last_angle, angle.values), period)
         last_t, last_angle = (np.append(a, b)[-1:] for a, b in ((last_t, angle.t_s), (last_angle, angle.values)))
         v_hold = v[_inside(t, holds)]
@@ -132,7 +131,9 @@ def measure(recording: Source) -> Measures:
             inside = raw[_inside(angle.t_s, [window])]
             counts[k] = np.min(inside, initial=counts[k][0]), np.max(inside, initial=counts[k][1])
         flips.add(target.values[_inside(target.t_s, holds)])
-        push = float(np.max(np.abs(handle.values[_inside(handle.t_s, holds)]), initial=push))
+        if pushed:
+            handle = block["brake.handle_torque_Nm"]
+            push = float(np.max(np.abs(handle.values[_inside(handle.t_s, holds)]), initial=push))
     if hold.count == 0:
         return Measures(stick_velocity_rms_rad_s=stick.root)
     return Measures(
@@ -141,7 +142,7 @@ def measure(recording: Source) -> Measures:
         torque_flips_per_s=flips.count / (hold.count * period),
         stick_velocity_rms_rad_s=stick.root,
         hold_peak_Hz=spectrum.peak_Hz if hold.total else None,
-        hold_push_Nm=push,
+        hold_push_Nm=push if pushed else None,
     )
 
 
