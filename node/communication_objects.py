@@ -17,6 +17,7 @@ from coulombus.node import core, guarding
 from coulombus.node.communication_checks import CHECKS, CONSUMER, INVALID, PRODUCER, SDO_SERVERS
 from coulombus.node.dictionary import Dictionary
 from coulombus.node.pdo_parameters import Pdos
+from coulombus.node.profile import Profile
 from coulombus.node.sdo_abort import SdoAbort
 from coulombus.node.sizes import FAR_FUTURE_NS, MAX_CONSUMERS, MAX_HISTORY
 from coulombus.wire.frame import Record
@@ -27,10 +28,10 @@ __all__ = ["Communication"]
 class Communication:
     """The communication objects of a node, by its record."""
 
-    def __init__(self, dictionary: Dictionary, node: Record) -> None:
+    def __init__(self, dictionary: Dictionary, node: Record, profile: Profile) -> None:
         self._dictionary = dictionary
         self._node = node
-        self.pdos = Pdos(dictionary, node)
+        self.pdos = Pdos(dictionary, node, profile)
 
     def sdo_servers(self) -> list[tuple[int, int, int]]:
         """Return the SDO servers that are valid: (number from 0,

@@ -53,7 +53,8 @@ class Device:
     node_id
         1 to 127, or `eds.cia305.UNCONFIGURED`: it waits until an LSS master gives it one.
     profile
-        What lives behind the objects: one of `node.kinds.PROFILES`; `node.kinds.GENERIC`: nothing.
+        What lives behind the objects: one of `node.kinds.PROFILES`, or one that was fitted to the
+        file; `node.kinds.GENERIC`: nothing.
     record
         The one of `node.record.new_nodes` that becomes this device.
     store
@@ -80,7 +81,7 @@ class Device:
         self.record = record
         self.record["node_id"], self.record["kind"], self.record["held"] = node_id, number(profile), profile.held
         self.dictionary = Dictionary(description, node_id, profile.objects, record["values"])
-        self.communication = Communication(self.dictionary, record)
+        self.communication = Communication(self.dictionary, record, profile)
         self.store = Store() if store is None else store
         self.parameters = Parameters(self.dictionary, self.store, profile.acts)
         access = Access(self.dictionary, self.communication, self.parameters, profile, self._changed)

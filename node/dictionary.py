@@ -50,8 +50,9 @@ class Dictionary:
         self.node_id = node_id
         self.values = values
         self._ours = description.default(0x1018, 1, node_id) == VENDOR_ID if description.has(0x1018, 1) else False
-        self._slots = {row.key: row.slot for row in core if self._is_meant(row.key)}
-        self._absent = {row.slot: row.absent for row in core if row.key not in self._slots}
+        self._slots = {row.key: row.slot for row in core if self._is_meant(row)}
+        taken = set(self._slots.values())
+        self._absent = {row.slot: row.absent for row in core if row.slot not in taken}
         self._next = max(FIRST_FREE, *(row.slot + 1 for row in core), 0)
         self._read_for, self.unreadable = 0, dict[int, str]()
         """Index of a PDO's communication parameter -> why the EDS' default
@@ -152,10 +153,10 @@ class Dictionary:
         high = self.description.variable(index, subindex).high if (index, subindex) in self else None
         return fallback if high is None else int(high)
 
-    def _is_meant(self, key: Key) -> bool:
+    def _is_meant(self, row: CoreObject) -> bool:
         """Tell whether an object is there and is the one that the core knows by this index."""
-        ours = self._ours or key[0] not in MANUFACTURER
-        return ours and self.description.has(*key) and self._is_number(key)
+        ours = self._ours or row.named or row.index not in MANUFACTURER
+        return ours and self.description.has(*row.key) and self._is_number(row.key)
 
     def _is_number(self, key: Key) -> bool:
         """Tell whether an object has the type of a number, whatever CiA says it should have."""
@@ -248,7 +249,7 @@ def decode(variable: Variable, data: bytes) -> Value:
         value = struct.unpack("<f" if kind.bits == 32 else "<d", data)[0]
     else:
         value = int.from_bytes(data, "little", signed=kind.signed)
-    if (variable.high is not None and value > variable.high) or (kind.kind == "bool" and value > 1):
+    if value > variable.largest or (kind.kind == "bool" and value > 1):
         raise SdoAbort(Abort.VALUE_HIGH)
     if variable.low is not None and value < variable.low:
         raise SdoAbort(Abort.VALUE_LOW)

@@ -7,6 +7,8 @@ The power states are `node.states402`'s, the torque is
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from coulombus.compiled.decorator import kernel
 from coulombus.eds.cia301 import Abort
 from coulombus.eds.own_devices import PRODUCTS
@@ -17,6 +19,8 @@ from coulombus.node.profile import (
     SUPPLY_MISSING,
     SUPPLY_THERE,
     Behaviour,
+    CoreObject,
+    Key,
     Objects,
     Profile,
 )
@@ -24,9 +28,10 @@ from coulombus.node.sdo_abort import SdoAbort
 from coulombus.node.sizes import NodeRecord
 from coulombus.wire.frame import Queue
 
-__all__ = ["DRIVE402"]
+__all__ = ["DRIVE402", "with_own_mode"]
 
 _MODE, _SUPPORTED_MODES = 0x6060, 0x6502
+_TARGET_TORQUE = (0x6071, 0)
 _NO_SPEED_LIMIT = 0xFFFFFFFF
 _LOWEST, _HIGHEST = -0x80000000, 0x7FFFFFFF
 _SCALED = frozenset((0x2010, 0x607D, 0x6080, 0x608F))
@@ -100,6 +105,32 @@ def _check(objects: Objects, index: int, subindex: int, value: int) -> None:
             raise SdoAbort(Abort.VALUE)
     elif value not in states402.OPTION_CODES.get(index, (value,)):
         raise SdoAbort(Abort.VALUE)
+
+
+def with_own_mode(mode: int, setpoint: Key, per_mille: float) -> Profile:
+    """Return a drive with a mode of its maker's own.
+
+    Parameters
+    ----------
+    mode : its number in 6060h; it may be one of CiA's, which then has this set-point
+    setpoint : the object that acts in this mode, at once as in CST
+    per_mille : of the rated torque, for one count of the set-point
+    """
+
+    def started(record: NodeRecord, objects: Objects, t_ns: int) -> None:
+        record["vendor_mode"], record["vendor_pm"] = mode, per_mille
+        record["vendor_slot"] = slots402.TARGET_TORQUE if setpoint == _TARGET_TORQUE else slots402.VENDOR_TARGET
+        if (_MODE, 0) not in objects:
+            record["values"][slots402.MODE] = mode
+        _started(record, objects, t_ns)
+
+    def check(objects: Objects, index: int, subindex: int, value: int) -> None:
+        if index != _MODE or value != mode:
+            _check(objects, index, subindex, value)
+
+    row = CoreObject(*setpoint, slots402.VENDOR_TARGET, acts=slots402.ACTS_TORQUE, named=True)
+    rows = () if setpoint == _TARGET_TORQUE else (row,)
+    return replace(DRIVE402.fitted(*rows), started=started, check=check)
 
 
 DRIVE402 = Profile(

@@ -1,10 +1,11 @@
 """An input and output module of CiA 401, compiled: digital ports of 8
 bits, analogue channels of 16 bits.
 
-    digital in   6000h = in_digital xor 6002h
-    digital out  out_digital = chosen xor 6202h,  chosen = 6200h, after a failure (6207h and 6206h)
-    or (chosen and not 6206h) analogue in  6401h = in_analogue, within INTEGER16 analogue out
-    out_analogue = 6411h, after a failure 6444h where 6443h is 1, else what it was
+    digital in    6000h = in_digital xor 6002h
+    digital out   out_digital = chosen xor 6202h,
+                  chosen = 6200h, after a failure (6207h and 6206h) or (chosen and not 6206h)
+    analogue in   6401h = in_analogue, within INTEGER16
+    analogue out  out_analogue = 6411h, after a failure 6444h where 6443h is 1, else what it was
 
 A failure is a fault of the device itself, a lost connection (heartbeat, guarding, RPDO deadline,
 SYNC, bus-off), what 1029h makes of it, and the NMT command "stop"; from power-on and from a reset
@@ -12,6 +13,10 @@ on every output is 0. An output leaves it when it is written and the device has 
 was never written stays 0. PRE-OPERATIONAL by command leaves the outputs as they are. A file has as
 many ports and channels as it has sub-indices. The triggers of analogue inputs (6421h to 6428h) and
 the filters (6003h, 6208h) are not there.
+
+A CiA 404 module of any maker is the same with other objects: inputs 7130h (and 9130h, the same in
+32 bits), outputs 7300h (9300h), fault mode 6340h, fault value 7341h (9341h). What a count is, is
+its own matter: both sides are raw counts. Our own brake driver is `node.brake404`.
 
 In the kernels: `n` the node's record (`node.record`), `k` the number
 of a port or channel from 0, `out` the queue of frames to send.
@@ -30,7 +35,7 @@ from coulombus.node.sizes import NodeRecord
 from coulombus.node.slots import FIRST_OF_KIND, REGISTER
 from coulombus.wire.frame import Queue
 
-__all__ = ["IO401"]
+__all__ = ["ANALOGUE_IN", "ANALOGUE_OUT", "INPUTS", "IO401", "IO404", "OUTPUTS"]
 
 PORTS, INPUTS, OUTPUTS = 8, 16, 8
 """Most digital ports of each direction, analogue inputs and analogue outputs."""
@@ -48,12 +53,11 @@ ANALOGUE_ERROR_VALUE = ANALOGUE_ERROR_MODE + OUTPUTS
 
 _ACTS_ANALOGUE = PORTS  # bits of the analogue outputs begin behind those of the ports
 _ALL = (1 << PORTS + OUTPUTS) - 1
-_LOWEST, _HIGHEST = -0x8000, 0x7FFF
 
 
 @kernel
-def _within(value: int) -> int:
-    return min(max(value, _LOWEST), _HIGHEST)
+def _within(n: NodeRecord, value: int) -> int:
+    return int(min(max(value, -n.analogue_most - 1), n.analogue_most))
 
 
 @kernel
@@ -62,7 +66,7 @@ def _sample(n: NodeRecord) -> None:
     for k in range(PORTS):
         values[DIGITAL_IN + k] = (n.in_digital[k] ^ values[DIGITAL_IN_POLARITY + k]) & 0xFF
     for k in range(INPUTS):
-        values[ANALOGUE_IN + k] = _within(n.in_analogue[k])
+        values[ANALOGUE_IN + k] = _within(n, n.in_analogue[k])
 
 
 @kernel
@@ -90,7 +94,7 @@ def _fail(n: NodeRecord) -> None:
             n.out_digital[k] = (chosen ^ values[DIGITAL_OUT_POLARITY + k]) & 0xFF
     for k in range(OUTPUTS):
         if n.failed >> (_ACTS_ANALOGUE + k) & 1 == 0 and values[ANALOGUE_ERROR_MODE + k] == 1:
-            n.out_analogue[k] = _within(values[ANALOGUE_ERROR_VALUE + k])
+            n.out_analogue[k] = _within(n, values[ANALOGUE_ERROR_VALUE + k])
     n.failed = _ALL
 
 
@@ -118,14 +122,16 @@ def _react(n: NodeRecord, t_ns: int, cause: int) -> None:
 
 
 def _started(record: NodeRecord, objects: Objects, t_ns: int) -> None:
+    wide = any((index, k + 1) in objects for index in (0x9130, 0x9300) for k in range(INPUTS))
+    record["analogue_most"] = 0x7FFFFFFF if wide else 0x7FFF
     record["failed"] = _ALL
     for name in ("out_digital", "out_analogue"):
         record[name] = 0
 
 
 def _check(objects: Objects, index: int, subindex: int, value: int) -> None:
-    """6443h is 0 or 1."""
-    if index == 0x6443 and subindex and value not in (0, 1):
+    """6443h and 6340h are 0 or 1."""
+    if index in (0x6443, 0x6340) and subindex and value not in (0, 1):
         raise SdoAbort(Abort.VALUE)
 
 
@@ -159,6 +165,7 @@ IO401 = Profile(
         ("in_analogue", np.int64, (INPUTS,)),  # raw, as 6401h
         ("out_digital", np.int64, (PORTS,)),
         ("out_analogue", np.int64, (OUTPUTS,)),  # raw, as 6411h
+        ("analogue_most", np.int64),  # largest count of an analogue channel
         ("failed", np.int64),  # bits of the outputs, as in `carries`, that wait for a new value
     ],
     behaviour=Behaviour(sample=_sample, step=_step, apply=_apply, connection_lost=_connection_lost, react=_react),
@@ -166,3 +173,21 @@ IO401 = Profile(
     check=_check,
 )
 """A CiA 401 module."""
+
+IO404 = Profile(
+    "io404",
+    objects=(
+        REGISTER,
+        *_rows(0x7130, ANALOGUE_IN, INPUTS, changing=True),
+        *_rows(0x9130, ANALOGUE_IN, INPUTS, changing=True),
+        *_rows(0x7300, ANALOGUE_OUT, OUTPUTS, acts=_ACTS_ANALOGUE),
+        *_rows(0x9300, ANALOGUE_OUT, OUTPUTS, acts=_ACTS_ANALOGUE),
+        *_rows(0x6340, ANALOGUE_ERROR_MODE, OUTPUTS, 1),
+        *_rows(0x7341, ANALOGUE_ERROR_VALUE, OUTPUTS),
+        *_rows(0x9341, ANALOGUE_ERROR_VALUE, OUTPUTS),
+    ),
+    behaviour=IO401.behaviour,
+    started=_started,
+    check=_check,
+)
+"""A CiA 404 module: analogue inputs and outputs in counts."""

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from coulombus.eds.own_devices import VENDOR_ID
+from coulombus.eds.description import Description
+from coulombus.eds.own_devices import VENDOR_ID, told_identity
 from coulombus.node.brake404 import BRAKE404
 from coulombus.node.drive402 import DRIVE402
-from coulombus.node.io401 import IO401
+from coulombus.node.io401 import IO401, IO404
 from coulombus.node.profile import Behaviour, Profile
 from coulombus.node.slots import REGISTER
 
-__all__ = ["BEHAVIOURS", "GENERIC", "NO_KIND", "PROFILES", "named", "number", "of_identity"]
+__all__ = ["BEHAVIOURS", "GENERIC", "NO_KIND", "PROFILES", "named", "number", "of_description", "of_identity"]
 
 GENERIC = Profile("generic", objects=(REGISTER,))
 """Any file: objects, PDOs and services. Nothing acts behind the
@@ -23,6 +24,7 @@ PROFILES: tuple[Profile, ...] = (
     DRIVE402,
     BRAKE404,
     IO401,
+    IO404,
 )
 """Every kind, by the number that the record's `kind` has."""
 
@@ -40,7 +42,7 @@ _OWN: Mapping[tuple[int, int], Profile] = {
 
 
 def number(profile: Profile) -> int:
-    """Return the number of a profile in `PROFILES`.
+    """Return the number of a profile in `PROFILES`; one that was fitted to a file has that of its kind.
 
     Raises
     ------
@@ -48,7 +50,7 @@ def number(profile: Profile) -> int:
         It is none of them, so no kernel knows it.
     """
     for k, one in enumerate(PROFILES):
-        if one is profile:
+        if one.name == profile.name and one.behaviour is profile.behaviour:
             return k
     names = ", ".join(one.name for one in PROFILES)
     raise ValueError(f"got kind {profile.name}, expected one of node.kinds.PROFILES: {names}")
@@ -67,3 +69,49 @@ def of_identity(identity: tuple[int, int]) -> Profile:
     1018h:02); behind others' `GENERIC`.
     """
     return _OWN.get(identity, GENERIC)
+
+
+_BY_PROFILE: Mapping[int, Profile] = {401: IO401, 402: DRIVE402, 404: IO404}
+"""What lives behind another maker's device, by the lower half of 1000h (CiA 301, 7.5.2.1)."""
+
+_SIGNS: tuple[tuple[Profile, tuple[int, ...]], ...] = (
+    (DRIVE402, (0x6040, 0x6041)),
+    (IO404, (0x7300,)),
+    (IO404, (0x7130,)),
+    (IO404, (0x9130,)),
+    (IO404, (0x9300,)),
+    (IO401, (0x6411,)),
+    (IO401, (0x6401,)),
+    (IO401, (0x6200,)),
+    (IO401, (0x6000,)),
+)
+"""Objects by which a kind is known where 1000h does not tell it."""
+
+
+def of_description(description: Description) -> Profile:
+    """Return what lives behind a file's objects, as far as they allow.
+
+    Our own devices' is what they are. Else it is the profile of 1000h when the file has its
+    objects, else the kind whose objects the file has, and `GENERIC` where there are none of them.
+    """
+    own = of_identity(told_identity(description))
+    if own is not GENERIC:
+        return own
+    told = description.variable(0x1000, 0).default if description.has(0x1000, 0) else None
+    wanted = _BY_PROFILE.get(told & 0xFFFF) if isinstance(told, int) else None
+    found = [kind for kind, indices in _SIGNS if all(_has(description, index, kind) for index in indices)]
+    if wanted in found:
+        return wanted or GENERIC
+    return found[0] if found else GENERIC
+
+
+def _has(description: Description, index: int, kind: Profile) -> bool:
+    """Tell whether an object is there, and is that of the kind: CiA 406 has others at 6000h and 6401h."""
+    if kind is not IO401:
+        return description.has(index)
+    widths = (
+        {one.bits for subindex, one in description.objects[index].variables.items() if subindex}
+        if description.has(index)
+        else set()
+    )
+    return widths == {8 if index < 0x6400 else 16}

@@ -6,6 +6,7 @@ Torques in per mille of rated, speeds in counts/s, as everywhere in the drive:
     limits      high = min(6072h, 6073h, 60E0h), low = -min(6072h, 6073h, 60E1h); 0 on the side on which the position is
                 beyond 607Dh or the speed beyond 6080h
     CST (10)    demand = clip(6071h + 60B2h, low, high)
+    vendor's    demand = clip(set-point * vendor_pm, low, high): a mode of the maker's own
     torque (4)  d demand / dt = +- 6087h until demand = clip(6071h, low, high)
     speeds      d speed / dt = +- 6083h or 6084h until speed = 60FFh (profile velocity, 3); speed = 60FFh + 60B1h (CSV, 9)
                 demand = clip(Kp (speed - 606Ch) + integral, low, high),   d integral / dt = Ki (speed - 606Ch)
@@ -95,7 +96,9 @@ def high_limit(n: NodeRecord) -> int:
 def low_limit(n: NodeRecord) -> int:
     """Return the most negative torque that is allowed now."""
     values = n.values
-    low: int = -min(min(values[slots402.MAX_TORQUE], values[slots402.NEGATIVE_LIMIT]), values[slots402.MAX_CURRENT])
+    low: int = -min(
+        min(values[slots402.MAX_TORQUE], abs(values[slots402.NEGATIVE_LIMIT])), values[slots402.MAX_CURRENT]
+    )
     return 0 if n.guarded and (_beyond(n) == -1 or _beyond(n) == 2) else low
 
 
@@ -126,7 +129,7 @@ def _take_mode(n: NodeRecord) -> None:
     enabled, only the next set-point gives torque.
     """
     mode = n.values[slots402.MODE]
-    if mode not in MODES:
+    if mode not in MODES and mode != n.vendor_mode:
         mode = 0
     if mode == n.mode:
         return
@@ -271,6 +274,14 @@ def _profile_torque(n: NodeRecord, elapsed_ns: int) -> None:
 
 
 @kernel
+def _vendor_torque(n: NodeRecord) -> None:
+    high, low = float(high_limit(n)), float(low_limit(n))
+    target = 0.0 if n.controlword & _HALT else n.values[n.vendor_slot] * n.vendor_pm
+    n.limited = 1 if target > high or target < low else 0
+    n.torque_demand_pm = min(max(target, low), high)
+
+
+@kernel
 def other_mode(n: NodeRecord, t_ns: int, elapsed_ns: int) -> None:
     """Compute the torque that acts at `t_ns` on a ramp, and in every mode but CST."""
     if n.slowing:
@@ -281,7 +292,9 @@ def other_mode(n: NodeRecord, t_ns: int, elapsed_ns: int) -> None:
         stop(n)
         n.speed_demand = n.in_velocity_counts_s
         return
-    if n.mode == _TORQUE:
+    if n.mode == n.vendor_mode:
+        _vendor_torque(n)
+    elif n.mode == _TORQUE:
         _profile_torque(n, elapsed_ns)
     else:
         _speed_mode(n, elapsed_ns)
@@ -292,7 +305,7 @@ def other_mode(n: NodeRecord, t_ns: int, elapsed_ns: int) -> None:
 def target_bits(n: NodeRecord) -> int:
     """Return bits 10, 12 and 13 of the statusword in Operation Enabled, in every mode but CST."""
     values = n.values
-    if n.mode == _TORQUE:
+    if n.mode == _TORQUE and n.mode != n.vendor_mode:
         target = 0 if n.controlword & _HALT else values[slots402.TARGET_TORQUE]
         return _TARGET_REACHED if n.torque_demand_pm == target and not n.slowing else 0
     if n.mode == _CSV:

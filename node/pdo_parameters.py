@@ -29,6 +29,7 @@ from coulombus.eds.pdo import (
 )
 from coulombus.node.dictionary import Dictionary
 from coulombus.node.kinds import PROFILES
+from coulombus.node.profile import Profile
 from coulombus.node.sdo_abort import SdoAbort
 from coulombus.node.sizes import MAX_PDOS
 from coulombus.wire.frame import Record
@@ -45,9 +46,11 @@ _SYNC_MAX, _RTR_MIN, _EVENT_MIN = 240, 252, 254
 class Pdos:
     """The PDO parameters of a node, by its record."""
 
-    def __init__(self, dictionary: Dictionary, node: Record) -> None:
+    def __init__(self, dictionary: Dictionary, node: Record, profile: Profile) -> None:
         self._dictionary = dictionary
         self._node = node
+        self._profile = profile
+        self._changing = CHANGING | {row.index for row in profile.objects if row.changing}
 
     def locate(self, index: int) -> tuple[Direction, int, bool] | None:
         """Return (direction, number from 0, whether it is a mapping) of a PDO parameter, else None."""
@@ -179,7 +182,7 @@ class Pdos:
         valid = np.flatnonzero(self._node[direction]["cob_id"] >= 0)
         used = int(valid[-1]) + 1 if len(valid) else 0
         if direction == "rpdo":
-            acts = PROFILES[int(node["kind"])].acts
+            acts = self._profile.acts
             node["rpdo_carries"][k] = sum(acts.get((e.index, e.subindex), 0) for e in layout.entries)
             node["rpdo_armed"][k] = node["rpdo_lost"][k] = 0
             node["rpdo_pending"] -= node["rpdo_waits"][k]
@@ -188,7 +191,7 @@ class Pdos:
             return
         mask = 0
         for entry, start in zip(layout.entries, layout.starts, strict=True):
-            if layout.event_ns == 0 or entry.index not in CHANGING:
+            if layout.event_ns == 0 or entry.index not in self._changing:
                 mask |= ((1 << entry.bits) - 1) << start
         node["tpdo_mask"][k] = mask - (1 << 64) if mask >> 63 else mask
         if not counted:

@@ -10,8 +10,8 @@ lacks that the kind cannot do without.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol, TypeAlias
 
@@ -64,6 +64,7 @@ class CoreObject:
     changing : whether it changes all the time, so that its change is
         no event for a TPDO that has an event timer
     needed : whether the kind has nothing to act on without it
+    named : it is the maker's own, from 2000h to 5FFFh, and somebody who knows the device has named it
     """
 
     index: int
@@ -73,6 +74,7 @@ class CoreObject:
     acts: int = 0
     changing: bool = False
     needed: bool = False
+    named: bool = False
 
     @property
     def key(self) -> Key:
@@ -227,6 +229,11 @@ class Profile:
     def outputs(self) -> tuple[str, ...]:
         """The fields that are 0 while the device is off."""
         return tuple(field[0] for field in self.fields if field[0].startswith("out_"))
+
+    def fitted(self, *rows: CoreObject, without: Collection[Key] = ()) -> Profile:
+        """Return the kind as one device has it: with further objects, and with none of `without`."""
+        taken = {*without, *(row.key for row in rows)}
+        return replace(self, objects=(*(row for row in self.objects if row.key not in taken), *rows))
 
     def missing(self, objects: Objects) -> tuple[Key, ...]:
         """Return the objects that the kind cannot do without and a file does not have."""

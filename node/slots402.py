@@ -49,6 +49,7 @@ VELOCITY_WINDOW_MS = 44
 VELOCITY_THRESHOLD = 45
 VELOCITY_THRESHOLD_MS = 46
 MAX_SLIPPAGE = 47
+VENDOR_TARGET = 48  # the set-point of a maker's own mode
 
 OBJECTS: tuple[CoreObject, ...] = (
     *COMMON,
@@ -120,6 +121,9 @@ FIELDS: Fields = [
     ("integral_pm", np.float64),
     ("off_target_ns", np.int64),  # when the speed was last outside its window 606Dh ...
     ("moving_ns", np.int64),  # ... and last above its threshold 606Fh
+    ("vendor_mode", np.int64),  # a mode of the maker's own, whose set-point acts at once; 0: none
+    ("vendor_pm", np.float64),  # per mille of rated torque for one count of its set-point
+    ("vendor_slot", np.int64),  # where that stands
     ("supply_mV", np.int64),  # what 6079h shows while the supply is there
 ]
 """What the drive keeps in its record."""

@@ -242,7 +242,7 @@ def new_setpoint(n: NodeRecord, t_ns: int, speed: bool) -> None:
     n.setpoint_ns = t_ns
     n.setpoint_armed = 1
     n.setpoint_stale = 0
-    if not speed:
+    if not speed and n.mode != n.vendor_mode:
         target = n.values[slots402.TARGET_TORQUE]
         if target > motion402.high_limit(n) or target < motion402.low_limit(n):
             n.clipped_setpoints += 1
@@ -260,7 +260,7 @@ def step(n: NodeRecord, t_ns: int) -> None:
     elapsed_ns = t_ns - n.demand_ns
     n.demand_ns = t_ns
     n.ramping = 0
-    if n.mode != _CST or n.slowing:
+    if n.mode != _CST or n.slowing or n.mode == n.vendor_mode:
         motion402.other_mode(n, t_ns, elapsed_ns)
         return
     high, low = motion402.high_limit(n), motion402.low_limit(n)

@@ -1,0 +1,139 @@
+"""What a stand-in opens in another maker's file: limits and defaults that the real device cannot have.
+
+An EDS file is written by hand. Some limits contradict CiA's own range of an object, and some
+defaults, which the device takes from its own memory, would keep the drive from any torque. Both are
+opened, and each is told. What our own devices' files say is left alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+from coulombus.eds.description import Description, Object, Variable
+from coulombus.eds.own_devices import told_identity
+from coulombus.node.drive402 import DRIVE402
+from coulombus.node.kinds import GENERIC, of_identity
+from coulombus.node.profile import Key, Profile
+
+__all__ = ["Opened", "opened"]
+
+_COB_ID, _CONSUMER, _MAPPED = 0x800007FF, 0x007FFFFF, 0x9FFFFF40
+_RANGES: tuple[tuple[range, range, int, str], ...] = (
+    (range(0x1014, 0x1015), range(1), _COB_ID, "a COB-ID, whose bit 31 makes it not valid"),
+    (range(0x1016, 0x1017), range(1, 128), _CONSUMER, "a node id in bits 16 to 22 and a time in ms"),
+    (range(0x1200, 0x1280), range(1, 3), _COB_ID, "a COB-ID, whose bit 31 makes it not valid"),
+    (range(0x1400, 0x1600), range(1, 2), _COB_ID, "a COB-ID, whose bit 31 makes it not valid"),
+    (range(0x1600, 0x1800), range(1, 65), _MAPPED, "index, sub-index and length of an object"),
+    (range(0x1800, 0x1A00), range(1, 2), _COB_ID, "a COB-ID, whose bit 31 makes it not valid"),
+    (range(0x1A00, 0x1C00), range(1, 65), _MAPPED, "index, sub-index and length of an object"),
+)
+"""Objects of CiA 301: indices, sub-indices, the value that each of them must be able to hold, and what it is."""
+
+_FASTEST, _FARTHEST, _THREE_TIMES = 0xFFFFFFFF, 0x7FFFFFFF, 3000
+_BLOCKING: Mapping[Key, int] = {
+    (0x6072, 0): _THREE_TIMES,
+    (0x6073, 0): _THREE_TIMES,
+    (0x6080, 0): _FASTEST,
+    (0x6087, 0): 1_000_000,
+    (0x60E0, 0): _THREE_TIMES,
+    (0x60E1, 0): _THREE_TIMES,
+}
+"""Objects of a drive that let it do nothing while they are 0, and what they are instead."""
+
+_POSITIONS = ((0x607D, 1), -_FARTHEST - 1), ((0x607D, 2), _FARTHEST)
+_MODES: tuple[tuple[int, int], ...] = ((0x6071, 1 << 3 | 1 << 9), (0x60FF, 1 << 2 | 1 << 8))
+"""Set-points, and the bits of 6502h of the modes that they serve: 4 and 10, 3 and 9."""
+
+
+@dataclass(frozen=True)
+class Opened:
+    """A description as a stand-in serves it, and what was opened for that, a line each."""
+
+    description: Description
+    remarks: tuple[str, ...] = ()
+
+
+def opened(description: Description, profile: Profile) -> Opened:
+    """Return the description that serves a file behind which `profile` stands."""
+    if profile is GENERIC or of_identity(told_identity(description)) is not GENERIC:
+        return Opened(description)
+    changed: dict[Key, Variable] = {}
+    remarks = [*_limits(description, changed)]
+    if profile.behaviour is DRIVE402.behaviour:
+        remarks += _defaults(description, changed)
+    if not changed:
+        return Opened(description)
+    objects = dict(description.objects)
+    for (index, subindex), variable in changed.items():
+        entry: Object = objects[index]
+        objects[index] = replace(entry, variables={**entry.variables, subindex: variable})
+    return Opened(replace(description, objects=objects), tuple(remarks))
+
+
+def _limits(description: Description, changed: dict[Key, Variable]) -> Iterator[str]:
+    for indices, subindices, needed, what in _RANGES:
+        found: list[str] = []
+        highest: int | float = 0
+        for index in indices:
+            entry = description.objects.get(index)
+            for subindex in subindices if entry is not None else ():
+                variable = entry.variables.get(subindex) if entry is not None else None
+                if variable is None or variable.high is None or variable.largest >= needed or variable.bits < 32:
+                    continue
+                changed[index, subindex] = replace(variable, high=None)
+                found.append(_label(variable))
+                highest = variable.high
+        if found:
+            more = f" and {len(found) - 1} more" if len(found) > 1 else ""
+            yield (
+                f"{description.path}: {found[0]}{more} has the HighLimit {highest}, but is {what} (CiA 301); "
+                "served without that limit"
+            )
+
+
+def _defaults(description: Description, changed: dict[Key, Variable]) -> Iterator[str]:
+    limits = [_variable(description, key) for key, _ in _POSITIONS]
+    if any(limits) and not any(one is not None and one.default for one in limits):
+        for (key, value), variable in zip(_POSITIONS, limits, strict=True):
+            if variable is not None:
+                changed[key] = _with(variable, value)
+        yield _told(description, "607Dh", "0 on both sides", "the whole range", "would keep the drive from any torque")
+    for key, value in _BLOCKING.items():
+        variable = _variable(description, key)
+        if variable is not None and not variable.default and not variable.node_relative:
+            changed[key] = _with(variable, value)
+            served = str(changed[key].default)
+            yield _told(
+                description, _label(variable), _stands(variable), served, "would keep the drive from any torque"
+            )
+    modes = _variable(description, (0x6502, 0))
+    if modes is not None and not modes.default:
+        offered = sum(bits for index, bits in _MODES if description.has(index))
+        if offered:
+            changed[0x6502, 0] = _with(modes, offered)
+            numbers = ", ".join(str(k + 1) for k in range(16) if offered >> k & 1)
+            yield _told(description, "6502h", _stands(modes), f"the modes {numbers}", "would allow no mode")
+
+
+def _variable(description: Description, key: Key) -> Variable | None:
+    return description.variable(*key) if description.has(*key) else None
+
+
+def _with(variable: Variable, value: int) -> Variable:
+    """Return the variable with a default that its type and limits can hold."""
+    least, most = variable.whole or (-_FARTHEST - 1, _FASTEST)
+    least = max(least, int(variable.low)) if variable.low is not None else least
+    return replace(variable, default=max(least, min(value, most, int(min(variable.largest, 1 << 63)))))
+
+
+def _stands(variable: Variable) -> str:
+    return "without a default" if variable.default is None else str(variable.default)
+
+
+def _told(description: Description, label: str, stands: str, served: str, why: str) -> str:
+    return f"{description.path}: {label} is {stands} in the file, which {why}; served as {served}"
+
+
+def _label(variable: Variable) -> str:
+    return f"{variable.index:04X}h" + (f":{variable.subindex:02X}" if variable.subindex else "")
