@@ -128,6 +128,7 @@ class _VirtualRun(Course):
             simulated_s=0.0 if enabled is None else (self.world.t_ns - enabled) * 1e-9,
             counters=k.counters(),
             exit_status=7 if trip else 0,
+            opened=list(self.world.opened) or None,
             trip_ns=int(bus_ns(self.world.host_clock, k.trip_ns)) if k.trip_ns else None,
             faults=None if self.injection is None else self.injection.results(),
             controllers=None if self.injection is None else controllers_of(self.world),

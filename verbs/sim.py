@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
@@ -158,14 +158,18 @@ def _pass_on(line: str) -> None:
 
 
 class Kind(click.ParamType):  # type: ignore[type-arg]  # generic to some versions' types only
-    """A kind of device by its name in `node.kinds`, which is imported when one is given: the help starts without numba."""
+    """A kind of device by its name in `node.kinds`, or "auto"; they are imported when one is given: the help starts without numba."""
 
     name = "kind"
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Profile:
-        """Return the profile."""
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> Profile | Literal["auto"]:
+        """Return the profile; "auto" stays what it is."""
         from coulombus.node.kinds import named
 
+        if value == "auto":
+            return "auto"
         try:
             return named(value)
         except ValueError as error:
@@ -186,8 +190,9 @@ class Kind(click.ParamType):  # type: ignore[type-arg]  # generic to some versio
     "--kind",
     type=Kind(),
     default=None,
-    help="What lives behind the objects: generic (nothing), drive (CiA 402), brake (CiA 404), io (CiA 401).  [default: what our own devices' files "
-    "describe, else generic]",
+    help="What lives behind the objects: generic (nothing), drive (CiA 402), brake (our driver of CiA 404), io (CiA 401), io404 (CiA 404), auto: as "
+    "the file's objects allow; what contradicts the real device is opened and told.  [default: our own devices' files as what they describe, else "
+    "generic]",
 )
 @click.option(
     "--store",
@@ -214,7 +219,7 @@ def node_command(
     eds: tuple[Path, ...],
     node_ids: tuple[int, ...],
     bus: str,
-    kind: Profile | None,
+    kind: Profile | Literal["auto"] | None,
     store: Path | None,
     processing_us: float,
     bitrate: int | None,
@@ -229,7 +234,7 @@ def node_command(
 
     \b
     Examples:
-      coulombus node vendor.eds --node-id 5 --bus coulombus:desk
+      coulombus node vendor.eds --node-id 5 --bus coulombus:desk --kind auto
       coulombus node drive.eds brake.eds --node-id 1 --node-id 2 --bus socketcan:vcan0 --json
       coulombus node configured.dcf --bus coulombus:desk
     """

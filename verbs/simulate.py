@@ -105,7 +105,7 @@ def simulate_command(
                 progress=lambda t: report(mode, t, total),
                 force=overwrite,
             )
-        remark(result.losses or ())
+        remark((*(result.opened or ()), *(result.losses or ())))
         with verdict(result.exit_status):
             if as_json:
                 print_json(result.as_dict())

@@ -48,6 +48,11 @@ class Doubts:
     """What bring-up left out, as a device is not ours or has no such object, and what the host
     loses by that.
     """
+    opened: list[str] | None = None
+    """What simulated devices have otherwise than their EDS files, as the real ones have.
+
+    None on a rig, and where nothing was opened.
+    """
     faults: list[dict[str, Any]] | None = None
     """What each fault of a fault file came to: kind, line, times, first_s, last_s."""
     controllers: dict[str, dict[str, Any]] | None = None

@@ -1,16 +1,21 @@
-"""The virtual-time event loop: a bus, its devices, any number of axes and perhaps a host, as functions of time in one compiled kernel.
+"""The virtual-time event loop: a bus, its devices, any number of axes and perhaps a host, as
+functions of time in one compiled kernel.
 
-`run` goes from event to event in integer nanoseconds and returns to Python only when the control plane has work, as a virtual
-machine exits to its monitor (`Exit`). Events at the same instant go in a fixed order: a frame's end first (so what arrives is handled
-before a deadline is judged), then the script, the devices, the host, and at last the start of the next frame (so that everything that is ready
-takes part in the arbitration).
+`run` goes from event to event in integer nanoseconds and returns to Python only when the control
+plane has work, as a virtual machine exits to its monitor (`Exit`). Events at the same instant go in
+a fixed order: a frame's end first (so what arrives is handled before a deadline is judged), then
+the script, the devices, the host, and at last the start of the next frame (so that everything that
+is ready takes part in the arbitration).
 
-There are two of it, compiled from one source when first needed. What is rare on a bus (a frame that is looked at bit by bit, scripted faults, a cut
-cable, a clock that drifts) is a third of the machine code, so the loop that everything begins with has none of it, and says when it is needed
+There are two of it, compiled from one source when first needed. What is rare on a bus (a frame that
+is looked at bit by bit, scripted faults, a cut cable, a clock that drifts) is a third of the
+machine code, so the loop that everything begins with has none of it, and says when it is needed
 (`Exit.CLOSELY`); the other one, with the argument `closely`, then goes on with the same records.
 
-A device is a row of the node records; that row is its station number. An axis is a motor's row, a brake's row, and the rig between them: a row of the
-plants and one of the blocks of the operator's force. A device that belongs to no axis has no rig, and none of this costs it anything.
+A device is a row of the node records; that row is its station number. An axis is a motor's row, a
+brake's row, and the rig between them: a row of the plants and one of the blocks of the operator's
+force. Further devices of an axis show what the rig's roles name (`sim_bus.rig.coupling`). A device
+that belongs to no axis has no rig, and none of this costs it anything.
 """
 
 from __future__ import annotations
@@ -32,6 +37,7 @@ from coulombus.sim_bus.copper.cut import choose
 from coulombus.sim_bus.copper.outcome import MOST_ROWS, end_attempt
 from coulombus.sim_bus.copper.stage import Delivered, Stage
 from coulombus.sim_bus.network.agenda import keep_deadline, look_again, next_device
+from coulombus.sim_bus.rig.coupling import COUPLING, BrakeOutput, brake_torque, show
 from coulombus.sim_bus.rig.plant import advance, coil_current, sample_noise
 from coulombus.wire.clock import CLOCK_FIELDS, bus_ns, own_ns, to_bus
 from coulombus.wire.frame import FRAME, QUEUE_CAPACITY
@@ -119,6 +125,7 @@ AXIS = np.dtype(
         ("force_end_ns", np.int64),  # the time at which it ends
         ("steps_per_knot", np.int64),
         ("truth_on", np.int64),
+        *COUPLING,
     ],
     align=True,
 )
@@ -163,8 +170,9 @@ class Host(NamedTuple):
 
 
 @inlined
-def _sample(p: Any, motor: Any, brake: Any) -> None:
+def _sample(p: Any, axis: Any, nodes: Any) -> None:
     """Let the devices look at the rig: encoder, motor current, transducer, coil."""
+    motor, brake = nodes[axis.motor], nodes[axis.brake]
     if motor.in_faults & ENCODER_LOST:
         motor.in_velocity_counts_s = 0.0  # the counter stands still
     else:
@@ -172,13 +180,17 @@ def _sample(p: Any, motor: Any, brake: Any) -> None:
         motor.in_velocity_counts_s = p.v * p.counts_rad
     motor.in_torque_pm = p.motor / p.motor_Nm_pm
     brake.in_handle_Nm = p.transducer_polarity * (p.f_operator + p.noise * sample_noise(p))
-    brake.in_coil_A = coil_current(p, brake.out_brake_Nm)
+    brake.in_coil_A = coil_current(p, brake.out_brake_Nm if axis.brake_output == BrakeOutput.TORQUE else p.brake_Nm)
     brake.in_coil_degC = p.temperature
+    if axis.foreign != 0:
+        show(axis, p, nodes, brake.in_handle_Nm, brake.in_coil_A)
 
 
 @inlined
 def _advance(world: World, a: int, t_ns: int) -> None:
-    """Bring the plant of axis `a` to the last grid point at or before `t_ns` (within the force block) under the held commands."""
+    """Bring the plant of axis `a` to the last grid point at or before `t_ns` (within the force
+    block) under the held commands.
+    """
     axis, p = world.axes[a], world.plant[a]
     steps = (t_ns - p.t_ns) // p.step_ns
     if steps > 0:
@@ -191,8 +203,7 @@ def _advance(world: World, a: int, t_ns: int) -> None:
 def _look(world: World, a: int, t_ns: int) -> None:
     """Bring the rig of axis `a` to `t_ns` and let its devices look at it."""
     _advance(world, a, t_ns)
-    axis = world.axes[a]
-    _sample(world.plant[a], world.nodes[axis.motor], world.nodes[axis.brake])
+    _sample(world.plant[a], world.axes[a], world.nodes)
 
 
 @inlined
@@ -200,11 +211,12 @@ def _actuate(world: World, a: int, t_ns: int) -> None:
     """Let the rig of axis `a` feel what its devices command from `t_ns` on, when that has changed."""
     axis, p = world.axes[a], world.plant[a]
     motor, brake = world.nodes[axis.motor], world.nodes[axis.brake]
-    if motor.out_torque_pm != p.motor_pm or brake.out_brake_Nm != p.brake_Nm or brake.out_reverse_A != p.reverse_A:
+    brake_Nm = brake.out_brake_Nm if axis.brake_output == BrakeOutput.TORQUE else brake_torque(axis, brake)
+    if motor.out_torque_pm != p.motor_pm or brake_Nm != p.brake_Nm or brake.out_reverse_A != p.reverse_A:
         _advance(world, a, t_ns)
         p.reverse_A = brake.out_reverse_A
         p.motor_pm = motor.out_torque_pm
-        p.brake_Nm = brake.out_brake_Nm
+        p.brake_Nm = brake_Nm
 
 
 @kernel
@@ -224,7 +236,10 @@ def _keep(w: Any, out: Any, first: int) -> None:
 
 @kernel
 def _end_closely(world: World, b: Any) -> None:
-    """End a frame, or a stretch of slow motion, that was looked at closely; tell the devices what became of their controllers."""
+    """End a frame, or a stretch of slow motion, that was looked at closely.
+
+    Tell the devices what became of their controllers.
+    """
     w, nodes, t = world.state, world.nodes, world.state.t_ns
     if b.stage == Stage.FRAME:
         end_frame(b, world.log, w.log_count)
@@ -245,7 +260,9 @@ def _end_closely(world: World, b: Any) -> None:
 
 @kernel
 def refresh(w: Any, nodes: Any, axes: Any, deadlines: Any, wants: Any) -> None:
-    """Bring all that is looked up instead of asked for up to the records that Python may have written."""
+    """Bring all that is looked up instead of asked for up to the records that Python may have
+    written.
+    """
     w.stale = 0
     look_again(nodes, deadlines, wants)
     w.drifting = 0
@@ -282,7 +299,8 @@ def next_event(w: Any, b: Any, out: Any, deadlines: Any, host: Any) -> tuple[int
 def run(world: World, host: Host, law_function: Any, closely: int | None) -> int:
     """Run until Python is needed; return the `Exit` that says why.
 
-    `closely` None: up to where a close look is needed. Numba leaves out what stands behind a condition on an argument that is None.
+    `closely` None: up to where a close look is needed. Numba leaves out what stands behind a
+    condition on an argument that is None.
     """
     world, host = borrowed(world), borrowed(host)  # each use of an array would count its references
     w, bus, out, nodes = world.state, world.bus, world.out, world.nodes

@@ -146,6 +146,8 @@ class VirtualNetwork:
         self.exits = dict.fromkeys(Exit, 0)
         self.devices: list[Device] = []
         self.injection: Injected | None = None
+        self.opened: tuple[str, ...] = ()
+        """What devices have otherwise than their EDS files, a line each (`node.opened`)."""
         self._on_frames = on_frames
         self._stations: list[Station] = []
         self._script: list[tuple[int, int, Callable[[Any], None]]] = []
@@ -160,7 +162,7 @@ class VirtualNetwork:
         w = self._world[0]
         w["script_ns"], w["force_end_ns"], w["stale"], w["host_elsewhere"] = FAR_NS, FAR_NS, 1, mechanics is None
         m = mechanics or without_mechanics(capacity)
-        self.axes, self.plant = m.axes, m.plant
+        self.axes, self.axis_of, self.plant = m.axes, m.axis_of, m.plant
         state = self._world.view(np.recarray)[0]
         agenda = new_deadlines(capacity), new_wants(capacity), self._listening
         rigs = m.axes, m.axis_of, m.plant, m.f_h, m.truth

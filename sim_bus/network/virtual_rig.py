@@ -1,7 +1,7 @@
 """The whole rig in virtual time: bus, nodes, plants and hands, the host's cycle, and `canopen` as its control plane.
 
-`VirtualRig` is a `VirtualNetwork` of two devices for each axis, with the rig's mechanics between them. Nothing sleeps, and the same
-seed gives the same bytes.
+`VirtualRig` is a `VirtualNetwork` of the devices of each axis, with the rig's mechanics between them. Nothing sleeps, and the same
+seed gives the same bytes. The rows of the devices: motor and brake of each axis, then the sensors.
 """
 
 from __future__ import annotations
@@ -11,17 +11,19 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from coulombus.eds.cia301 import CobId
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.records import Trip
-from coulombus.node.brake404 import BRAKE404
-from coulombus.node.drive402 import DRIVE402
 from coulombus.node.emcy import DEVICE_FAULTS, FIRST_DEVICE_CAUSE
 from coulombus.recording.trace import EVENT, Event
 from coulombus.rigs.rig import Rig
 from coulombus.sim_bus.network.kernel import AXIS, BRAKE, MOTOR, Exit, Host
 from coulombus.sim_bus.network.network import CanopenNetwork, Mechanics, VirtualNetwork
+from coulombus.sim_bus.network.stations import Heard
+from coulombus.sim_bus.rig.coupling import brake_torque
 from coulombus.sim_bus.rig.operator import KNOT_S, Operator
 from coulombus.sim_bus.rig.plant import COIL_INTACT, COIL_OPEN, COIL_SHORT, PLANT, TRUTH_COLUMNS, new_plant
+from coulombus.sim_bus.rig.stand_ins import couple, stand_ins
 from coulombus.wire.clock import own_ns, set_clock
 from coulombus.wire.frame import Records, new_records
 
@@ -102,19 +104,28 @@ class VirtualRig(VirtualNetwork):
         for a, one in enumerate(rig.axes):
             plant[a : a + 1] = new_plant(one, seed + a * SEED_STEP)
         k = self.controllers
+        devices = [stand_ins(one) for one in rig.axes]
+        sensors = {one.node_id: (a, one) for a, found in enumerate(devices) for one in found[2:]}  # axes may share one
+        axis_of = np.array([*(np.arange(2 * n) // 2), *(a for a, _ in sensors.values())], np.int64)
         super().__init__(
             rig.bus.bitrate_bit_s,
-            capacity=2 * n,
+            capacity=len(axis_of),
             on_frames=on_frames,
             mechanics=Mechanics(
-                *(axes, np.arange(2 * n) // 2, plant, self._f_h, self._truth_block),
+                *(axes, axis_of, plant, self._f_h, self._truth_block),
                 *(Host(k.axes, k.owner), k.law_function),
             ),
         )
-        self.nodes["coil_A_Nm"][BRAKE::2] = [one.brake.coil_A_Nm for one in rig.axes]
-        for one in rig.axes:
-            self.add(one.description("motor"), one.motor.node_id, DRIVE402)
-            self.add(one.description("brake"), one.brake.node_id, BRAKE404)
+        self.nodes["coil_A_Nm"][self._axes["brake"]] = [one.brake.coil_A_Nm for one in rig.axes]
+        for device in (*(one for found in devices for one in found[:2]), *(one for _, one in sensors.values())):
+            self.add(device.served.description, device.node_id, device.profile)
+            self.opened = (*self.opened, *(text for text in device.served.remarks if text not in self.opened))
+        rows = {device.node_id: (row, device) for row, device in enumerate(self.devices)}
+        for a, found in enumerate(devices):
+            couple(rig.axes[a], self._axes[a], self.plant[a], {one.node: rows[one.node_id] for one in found})
+        self._sensors_nmt: dict[int, int] = {}
+        if sensors:
+            self.station({CobId.HEARTBEAT + node_id for node_id in sensors}, self._hear_sensor)
         self.motor, self.brake = self.devices[MOTOR], self.devices[BRAKE]
         for a in range(n):
             self._new_force_block(a)
@@ -158,9 +169,15 @@ class VirtualRig(VirtualNetwork):
 
     def _actuate(self) -> None:
         """What a service or a script made of the devices' outputs acts from now on: the plants were advanced to the present."""
-        self.plant["reverse_A"] = self.nodes["out_reverse_A"][BRAKE::2]
-        self.plant["motor_pm"] = self.nodes["out_torque_pm"][MOTOR::2]
-        self.plant["brake_Nm"] = self.nodes["out_brake_Nm"][BRAKE::2]
+        motors, brakes = self._axes["motor"], self._axes["brake"]
+        self.plant["reverse_A"] = self.nodes["out_reverse_A"][brakes]
+        self.plant["motor_pm"] = self.nodes["out_torque_pm"][motors]
+        self.plant["brake_Nm"] = self.nodes["out_brake_Nm"][brakes]
+        for a in np.flatnonzero(self._axes["foreign"]):
+            self.plant[a]["brake_Nm"] = brake_torque(self.axes[a], self.nodes[int(brakes[a])])
+
+    def _hear_sensor(self, frame: Heard) -> None:
+        self._sensors_nmt[frame.can_id - CobId.HEARTBEAT] = frame.data[0] & 0x7F if frame.data else 0
 
     def _control_plane(self, t_ns: int, can_id: int, data: bytes) -> None:
         self._heard.add(can_id)
@@ -213,7 +230,7 @@ class VirtualRig(VirtualNetwork):
                 if controller.axis.part(node).node_id == node_id:
                     state = int(controller.host["nmt"][0, k])
                     return None if state < 0 else state
-        return None
+        return self._sensors_nmt.get(node_id)
 
     # the rig
 
@@ -227,7 +244,7 @@ class VirtualRig(VirtualNetwork):
     def inject(self, node: int, fault: str, present: bool) -> None:
         """Let a fault of `node.emcy.DEVICE_FAULTS` come or go in the node of a row; it finds out at once, or by what it measures."""
         if fault in COIL_STATES:
-            plant, broken = self.plant[node // 2], COIL_STATES[fault]
+            plant, broken = self.plant[int(self.axis_of[node])], COIL_STATES[fault]
             if present:
                 plant["coil_fault"] = broken
             elif plant["coil_fault"] == broken:

@@ -2,7 +2,8 @@
 
 What is served is what the description says: every object with its default, PDOs, SDO, NMT,
 heartbeat, EMCY, LSS. There is no behaviour behind it, a value stays what was written to it last,
-unless the file is one of our own devices' or a kind is asked for.
+unless the file is one of our own devices' or a kind is asked for. The kind "auto" is what the
+file's objects allow (`node.kinds.of_description`); what is opened for it (`node.opened`) is told.
 """
 
 from __future__ import annotations
@@ -12,12 +13,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from typing import Literal
 
 from coulombus.eds.cia301 import CobId
 from coulombus.eds.own_devices import told_identity
 from coulombus.eds.reader import Description, read_eds
 from coulombus.node.device import Device
-from coulombus.node.kinds import of_identity
+from coulombus.node.kinds import of_description, of_identity
+from coulombus.node.opened import Opened, opened
 from coulombus.node.profile import Profile
 from coulombus.node.store import FileStore, Store
 from coulombus.sim_bus.network.network import Heard, VirtualNetwork
@@ -45,14 +48,15 @@ class LiveNodes:
     ----------
     eds : sequence of (path, node id); None: the node id of the file, a DCF
     kind : what lives behind the objects of all; None: behind our own devices' files what they are,
-        behind others nothing
+        behind others nothing; "auto": as each file allows
+    opened : what the nodes have otherwise than their files, by file
     bit_rate : [bit/s] that the bus should have; 0: that of the DCFs, else 1 Mbit/s where it is
         served here
     node_ids : of the nodes
     """
 
     eds: Sequence[tuple[Path, int | None]]
-    kind: Profile | None = None
+    kind: Profile | Literal["auto"] | None = None
     store: Path | None = None
     processing_us: float = 20.0
     as_json: bool = False
@@ -61,6 +65,8 @@ class LiveNodes:
     told: set[tuple[str, int]] = field(default_factory=set)
     server: BusServer | None = None
     node_ids: list[int] = field(default_factory=list)
+    opened: list[tuple[str, ...]] = field(default_factory=list)
+    kinds: list[Profile] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.descriptions = [read_eds(path) for path, _ in self.eds]
@@ -80,12 +86,29 @@ class LiveNodes:
                 found = f"{number} diagnos{'i' if number == 1 else 'e'}s"
                 text = f"{found}, read tolerantly; see `coulombus eds check {path}`"
                 say(f"coulombus: {path}: {text}")
+        self._open()
         kept = Store if self.store is None else partial(FileStore, self.store)
         for device in self._devices(
             VirtualNetwork(capacity=len(ids)), kept, tell=False
         ):  # refused before a bus is opened
             for text in device.unreadable:
                 say(f"coulombus: {text}; the PDO is not valid at start, everything else is served")
+
+    def _open(self) -> None:
+        """Settle what lives behind each file, and open what would contradict that."""
+        served = []
+        for description in self.descriptions:
+            if self.kind == "auto":
+                self.kinds.append(of_description(description))
+                found = opened(description, self.kinds[-1])
+            else:
+                self.kinds.append(of_identity(told_identity(description)) if self.kind is None else self.kind)
+                found = Opened(description)
+            served.append(found.description)
+            self.opened.append(found.remarks)
+            for text in found.remarks:
+                say(f"coulombus: {text}")
+        self.descriptions = served
 
     def _commission(self) -> None:
         """Settle node ids and bit rate: what was said wins over what a DCF says."""
@@ -119,9 +142,8 @@ class LiveNodes:
 
     def _devices(self, network: VirtualNetwork, store: Callable[[], Store], *, tell: bool = True) -> list[Device]:
         devices = []
-        for node_id, description in zip(self.node_ids, self.descriptions, strict=True):
+        for node_id, description, profile in zip(self.node_ids, self.descriptions, self.kinds, strict=True):
             kept = store()
-            profile = of_identity(told_identity(description)) if self.kind is None else self.kind
             devices.append(network.add(description, node_id, profile, store=kept))
             self._check_kind(devices[-1])
             devices[-1].record["processing_ns"] = round(self.processing_us * 1e3)
@@ -141,7 +163,7 @@ class LiveNodes:
 
     def _check_kind(self, device: Device) -> None:
         """Refuse a kind that was asked for where the file has not what it acts on."""
-        missing = device.profile.missing(device.dictionary) if self.kind is not None else ()
+        missing = () if self.kind in (None, "auto") else device.profile.missing(device.dictionary)
         if missing:
             objects = ", ".join(f"{index:04X}h:{subindex:02X}" for index, subindex in missing)
             where, name = device.description.path, device.profile.name
@@ -156,6 +178,7 @@ class LiveNodes:
             line: dict[str, object] = {"event": event, "node_id": node_id, "eds": str(path), "bus": str(server.address)}
             if event == "ready":
                 line |= {"bitrate_bit_s": server.bit_rate, "serves_bus": serves(server)}
+                line |= {"kind": device.profile.name, "opened": self.opened[row]}
             else:
                 line |= {"can_id": frame.can_id, "data": frame.data.hex()}
             with printed():  # the node is there, whoever reads of it

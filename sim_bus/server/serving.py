@@ -83,8 +83,11 @@ def run_sim(
 def _tell_ready(server: BusServer, as_json: bool) -> None:
     for right in server.real_time.refused:
         say(f"coulombus: {right}")
+    for text in server.world.opened:
+        say(f"coulombus: {text}")
     if as_json:
         line = {"event": "ready", "bus": str(server.address), "bitrate_bit_s": server.bit_rate}
+        line |= {"opened": server.world.opened}
         print(json.dumps({**line, "real_time": server.real_time.as_dict()}), flush=True)
     else:
         rate = f" at {server.bit_rate / 1e6:g} Mbit/s" if server.bit_rate else ""

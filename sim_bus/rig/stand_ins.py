@@ -1,0 +1,196 @@
+"""The devices of an axis as they are simulated: what lives behind each file, and which object shows or takes what of the plant.
+
+The rig file's roles decide. An object that its own kind of device shows or takes by itself (6064h of a drive, 7130h of our brake driver) stays
+the kind's; every other one that a role names is the rig's, which writes the plant's quantity to it in the role's scale. Where the rig file
+believes something else of a scale than `[plant]` has, the object shows the truth: by how much the plant's rated torque, ratio and encoder differ
+from what is believed of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from coulombus.node.brake404 import BRAKE404
+from coulombus.node.device import Device
+from coulombus.node.drive402 import DRIVE402, with_own_mode
+from coulombus.node.io401 import ANALOGUE_OUT, OUTPUTS
+from coulombus.node.kinds import of_description
+from coulombus.node.motion402 import MODES
+from coulombus.node.opened import Opened, opened
+from coulombus.node.profile import CoreObject, Key, Profile
+from coulombus.node.slots import FIRST_FREE
+from coulombus.rigs.axis import Axis
+from coulombus.rigs.pdo_maps import mode_of
+from coulombus.rigs.plant import Plant
+from coulombus.rigs.roles import PER_MILLE, Binding
+from coulombus.rigs.signals import Node
+from coulombus.sim_bus.rig.coupling import BrakeOutput, Quantity
+
+__all__ = ["StandIn", "couple", "stand_ins"]
+
+_QUANTITIES: Mapping[str, Quantity] = {
+    "position": Quantity.POSITION,
+    "velocity": Quantity.VELOCITY,
+    "torque": Quantity.TORQUE,
+    "handle_torque": Quantity.HANDLE,
+    "coil_current": Quantity.CURRENT,
+    "coil_temperature": Quantity.TEMPERATURE,
+}
+"""Roles that are measured."""
+
+_OWN_INPUTS: Mapping[str, Key] = {
+    "handle_torque": (0x7130, 1),
+    "coil_current": (0x7130, 2),
+    "coil_temperature": (0x7130, 3),
+}
+_DRIVES_TORQUE = ((0x6077, 0), (0x6078, 0))
+_SETPOINT, _POSITION = (0x6071, 0), (0x6064, 0)
+_BY_RATED, _BY_ENCODER, _BY_ROLE = "motor.rated_torque_Nm", "motor.encoder_counts_rev", "role."
+"""How the reasons of a scale begin (`rigs.roles`): the drive's by itself, and the rig file's."""
+
+
+@dataclass(frozen=True)
+class StandIn:
+    """A device of an axis: what it is called, its file as it is served, and what lives behind it."""
+
+    node: Node
+    node_id: int
+    served: Opened
+    profile: Profile
+
+
+def stand_ins(axis: Axis) -> tuple[StandIn, ...]:
+    """Return the devices of an axis, motor and brake first."""
+    return tuple(_stand_in(axis, node) for node in axis.devices)
+
+
+def _stand_in(axis: Axis, node: Node) -> StandIn:
+    description = axis.description(node)
+    base = DRIVE402 if node == "motor" else of_description(description)
+    profile = base
+    for one in axis.allocation.bound.bindings:
+        if one.node == node and one.kind.name in ("torque_setpoint", "brake_setpoint") and base is DRIVE402:
+            profile = _drive(axis, one)
+    taken = [_key(one) for one in _shown(axis, {node: base})]
+    first = max(FIRST_FREE, *(row.slot + 1 for row in profile.objects))
+    rows = (CoreObject(*key, first + k, changing=True, named=True) for k, key in enumerate(taken))
+    return StandIn(node, axis.part(node).node_id, opened(description, base), profile.fitted(*rows))
+
+
+def _drive(axis: Axis, setpoint: Binding) -> Profile:
+    """Return the drive with the mode and the set-point that the rig file names."""
+    part = axis.brake if setpoint.node == "brake" else axis.motor
+    mode = mode_of(part, axis.description(setpoint.node))
+    if _key(setpoint) == _SETPOINT and mode in MODES:
+        return DRIVE402
+    return with_own_mode(mode, _key(setpoint), _per_mille(axis, setpoint))
+
+
+def _per_mille(axis: Axis, setpoint: Binding) -> float:
+    """Return how many per mille of rated torque one count of a set-point is."""
+    if setpoint.entry.index in PER_MILLE:
+        return 1.0
+    if setpoint.kind.name == "torque_setpoint":
+        return abs(setpoint.scale) / (axis.motor.rated_torque_Nm * 1e-3 * axis.mechanics.ratio)
+    if setpoint.table:
+        return 1000 / abs(setpoint.table[-1][0])
+    return 1000 * abs(setpoint.scale) / axis.brake.rated_torque_Nm
+
+
+def _key(one: Binding) -> Key:
+    return one.entry.index, one.entry.subindex
+
+
+def _shown(axis: Axis, kinds: Mapping[Node, Profile]) -> Iterator[Binding]:
+    """Yield the measured roles on the devices `kinds` whose objects the kind does not show by itself."""
+    bound = axis.allocation.bound
+    setpoint = bound.get("torque_setpoint")
+    for one in bound.bindings:
+        kind, name = kinds.get(one.node), one.kind.name
+        if kind is None or name not in _QUANTITIES:
+            continue
+        by_itself = kind is BRAKE404 and one.node == "brake" and _OWN_INPUTS.get(name) == _key(one)
+        if by_itself and not one.decided.startswith(_BY_ROLE):
+            continue
+        if kind is DRIVE402 and one.node == "motor":
+            if name == "position" and _key(one) == _POSITION and one.decided.startswith(_BY_ENCODER):
+                continue
+            by_setpoint = setpoint is not None and setpoint.entry.index in PER_MILLE and one.scale == setpoint.scale
+            if name == "torque" and _key(one) in _DRIVES_TORQUE and (by_setpoint or one.decided.startswith(_BY_RATED)):
+                continue
+        yield one
+
+
+def couple(axis: Axis, record: Any, plant: Any, rows: Mapping[Node, tuple[int, Device]]) -> None:
+    """Write to the records of an axis (`kernel.AXIS`) and its plant what its devices show and take; `rows`: row and device by name."""
+    p = axis.simulation.plant
+    kinds = {node: of_description(axis.description(node)) for node in rows}
+    kinds["motor"] = DRIVE402
+    shown = [*_shown(axis, kinds)]
+    for k, one in enumerate(shown):
+        row, device = rows[one.node]
+        low, high = _range(one)
+        gain, offset = _truth(axis, p, one)
+        record["shown"][k] = (
+            row,
+            device.dictionary.slot(*_key(one)),
+            _QUANTITIES[one.kind.name],
+            gain,
+            offset,
+            low,
+            high,
+        )
+    record["shown_count"] = len(shown)
+    bound = axis.allocation.bound
+    setpoint = bound.get("torque_setpoint")
+    if setpoint is not None and setpoint.entry.index in PER_MILLE and setpoint.decided.startswith(_BY_ROLE):
+        per_mille = abs(setpoint.scale) * p.ratio / axis.mechanics.ratio
+        plant["motor_Nm_pm"] = p.motor_polarity * per_mille * p.motor_rated_torque_Nm / axis.motor.rated_torque_Nm
+    brake = bound.get("brake_setpoint")
+    if brake is not None:
+        _couple_brake(axis, record, brake, *rows[brake.node])
+    record["foreign"] = int(bool(shown) or record["brake_output"] != BrakeOutput.TORQUE)
+
+
+def _couple_brake(axis: Axis, record: Any, one: Binding, row: int, device: Device) -> None:
+    record["brake"] = row
+    acts = {core.key: core.slot for core in device.profile.objects if core.acts}
+    slot = acts.get(_key(one), -1)
+    if device.profile.behaviour is BRAKE404.behaviour and slot >= 0:
+        by_rig = one.decided.startswith(_BY_ROLE)
+        record["brake_output"] = BrakeOutput.DRIVER if by_rig else BrakeOutput.TORQUE
+        record["brake_counts"] = 10.0 ** device.dictionary.number(0x6302, 1)
+        if not by_rig:
+            return
+    elif device.profile.behaviour is DRIVE402.behaviour:
+        record["brake_output"], record["brake_counts"] = BrakeOutput.DRIVE, 1 / _per_mille(axis, one)
+    elif ANALOGUE_OUT <= slot < ANALOGUE_OUT + OUTPUTS:
+        record["brake_output"], record["brake_channel"] = BrakeOutput.ANALOGUE, slot - ANALOGUE_OUT
+    else:
+        record["brake_output"], record["brake_channel"] = BrakeOutput.OBJECT, device.dictionary.slot(*_key(one))
+    record["brake_scale_Nm"] = one.scale
+    record["brake_points"] = len(one.table)
+    for k, (raw, torque) in enumerate(sorted(one.table)):
+        record["brake_table_raw"][k], record["brake_table_Nm"][k] = raw, torque
+
+
+def _range(one: Binding) -> tuple[int, int]:
+    half = 1 << one.entry.bits - 1
+    return (-half, half - 1) if one.entry.signed else (0, 2 * half - 1)
+
+
+def _truth(axis: Axis, p: Plant, one: Binding) -> tuple[float, float]:
+    """Return (counts for one unit, the quantity at the count 0) of an object that shows a quantity of the true plant."""
+    motor, believed = axis.motor, axis.mechanics
+    counts, name = 1 / abs(one.scale), one.kind.name
+    if name == "position":
+        turns = p.encoder_counts_rev * p.ratio / (motor.encoder_counts_rev * believed.ratio)
+        return p.encoder_polarity * counts * turns, 0.0
+    if name == "velocity":
+        return p.encoder_polarity * counts * p.ratio / believed.ratio, 0.0
+    if name == "torque":
+        torque = motor.rated_torque_Nm * believed.ratio / (p.motor_rated_torque_Nm * p.ratio)
+        return p.motor_polarity * counts * torque, 0.0
+    return counts, one.offset * (believed.transducer_polarity if name == "handle_torque" else 1)
