@@ -2,7 +2,8 @@
 its objects, what they may hold, and its part of the core.
 
 The power states are `node.states402`'s, the torque is
-`node.motion402`'s, its objects stand in `node.slots402`.
+`node.motion402`'s, its objects stand in `node.slots402`. The loss of the host - heartbeat, guarding,
+bus-off - is a fault of our own drive; another maker's does what 6007h says, as CiA 402 has it.
 """
 
 from __future__ import annotations
@@ -33,6 +34,8 @@ __all__ = ["DRIVE402", "with_own_mode"]
 _MODE, _SUPPORTED_MODES = 0x6060, 0x6502
 _TARGET_TORQUE = (0x6071, 0)
 _NO_SPEED_LIMIT = 0xFFFFFFFF
+_HOST_LOST = 1 << emcy.HEARTBEAT | 1 << emcy.LIFE_GUARDING | 1 << emcy.BUS_OFF
+"""Causes that are CiA 402's loss of the connection, which 6007h is for."""
 _LOWEST, _HIGHEST = -0x80000000, 0x7FFFFFFF
 _SCALED = frozenset((0x2010, 0x607D, 0x6080, 0x608F))
 
@@ -54,8 +57,20 @@ def _connection_lost(n: NodeRecord, t_ns: int, why: int) -> int:
 
 @kernel
 def _react(n: NodeRecord, t_ns: int, cause: int) -> None:
-    if emcy.FAULT_MASK >> cause & 1:
+    if n.abort_by_option and _HOST_LOST >> cause & 1:
+        _abort_connection(n, t_ns, cause)
+    elif emcy.FAULT_MASK >> cause & 1:
         states402.fault(n, t_ns, bool(emcy.AT_ONCE_MASK >> cause & 1))
+
+
+@kernel
+def _abort_connection(n: NodeRecord, t_ns: int, cause: int) -> None:
+    """Do what 6007h says; only what is a fault by it stays told until the fault reset."""
+    if states402.connection_lost(n, t_ns, 0):
+        n.held |= 1 << cause
+        states402.fault(n, t_ns, False)
+    else:
+        n.held &= ~(1 << cause)
 
 
 @kernel
@@ -86,6 +101,8 @@ def _scale(record: NodeRecord, objects: Objects) -> None:
 
 def _started(record: NodeRecord, objects: Objects, t_ns: int) -> None:
     record["supply_mV"] = objects.number(0x6079, 0, 0)
+    ours = objects.own(0x1018, 1, 0) != 0  # our own takes the fault reaction whatever 6007h says
+    record["abort_by_option"] = int(not ours and (0x6007, 0) in objects)
     _scale(record, objects)
     states402.start(record, t_ns)
 

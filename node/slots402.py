@@ -121,6 +121,7 @@ FIELDS: Fields = [
     ("integral_pm", np.float64),
     ("off_target_ns", np.int64),  # when the speed was last outside its window 606Dh ...
     ("moving_ns", np.int64),  # ... and last above its threshold 606Fh
+    ("abort_by_option", np.int64),  # 1: 6007h decides what a lost host does, as CiA 402 says; 0: it is a fault always
     ("vendor_mode", np.int64),  # a mode of the maker's own, whose set-point acts at once; 0: none
     ("vendor_pm", np.float64),  # per mille of rated torque for one count of its set-point
     ("vendor_slot", np.int64),  # where that stands

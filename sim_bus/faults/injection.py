@@ -31,17 +31,13 @@ __all__ = ["Injection", "controllers_of", "stations_of"]
 
 
 def stations_of(world: VirtualRig) -> tuple[dict[str, int], dict[int, int]]:
-    """Return the stations of a rig's bus by name and by node id: ``motor``, ``brake``
+    """Return the stations of a rig's bus by name and by node id: ``motor``, ``brake``, sensors
     (``AXIS.motor`` with several axes) and ``host``.
 
     Where the host is another process it is one of the clients, and they all stand for it.
     """
-    names, node_ids = {}, {}
-    for a, one in enumerate(world.rig.axes):
-        for k, role in enumerate(("motor", "brake")):
-            names[one.prefix + role] = 2 * a + k
-            node_ids[(one.motor, one.brake)[k].node_id] = 2 * a + k
-    return {**names, "host": SOURCE_HOST if world.has_host else CLIENTS}, node_ids
+    node_ids = {world.devices[row].node_id: row for row in world.rows.values()}
+    return {**world.rows, "host": SOURCE_HOST if world.has_host else CLIENTS}, node_ids
 
 
 class Injection:

@@ -123,6 +123,10 @@ class VirtualRig(VirtualNetwork):
         rows = {device.node_id: (row, device) for row, device in enumerate(self.devices)}
         for a, found in enumerate(devices):
             couple(rig.axes[a], self._axes[a], self.plant[a], {one.node: rows[one.node_id] for one in found})
+        self.rows: dict[str, int] = {
+            rig.axes[a].prefix + one.node: rows[one.node_id][0] for a, found in enumerate(devices) for one in found
+        }
+        """The row of each device by its name: ``motor``, ``brake``, a sensor's (``AXIS.motor`` with several axes)."""
         self._sensors_nmt: dict[int, int] = {}
         if sensors:
             self.station({CobId.HEARTBEAT + node_id for node_id in sensors}, self._hear_sensor)

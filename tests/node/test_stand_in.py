@@ -1,0 +1,397 @@
+"""Another maker's device, simulated: its kind, what is opened for it, a mode of its maker's own, guarding, its first TPDOs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from coulombus.eds.reader import parse_eds, read_eds
+from coulombus.node.brake404 import BRAKE404
+from coulombus.node.drive402 import DRIVE402, with_own_mode
+from coulombus.node.io401 import IO401, IO404
+from coulombus.node.kinds import GENERIC, of_description
+from coulombus.node.opened import opened
+from coulombus.wire.frame import CAN_RTR_FLAG
+from node_bench import EDS, MS, Bench, SdoAborted
+
+CORPUS = Path(__file__).resolve().parents[3] / "shared" / "eds-corpus"
+FILES = sorted(path for kind in ("*.eds", "*.dcf") for path in CORPUS.glob(kind))
+MOTOR = (EDS / "motor.eds").read_text()
+BRAKE = (EDS / "mr_brake.eds").read_text()
+
+U8, U16, U32, I16, I32 = "0x0005", "0x0006", "0x0007", "0x0003", "0x0004"
+
+
+def another(text):
+    """Make a file of ours another maker's."""
+    return edited(text, "1018sub1", DefaultValue="0x99")
+
+
+def edited(text, section, **keys):
+    head, mark, rest = text.partition(f"[{section}]\n")
+    assert mark, section
+    body, _, tail = rest.partition("\n\n")
+    lines = [line for line in body.splitlines() if line.partition("=")[0] not in keys]
+    return head + mark + "\n".join((*lines, *(f"{key}={value}" for key, value in keys.items()))) + "\n\n" + tail
+
+
+def without(text, *indices):
+    parts = text.split("\n\n")
+    return "\n\n".join(p for p in parts if not p.lstrip().startswith(tuple(f"[{i}" for i in indices)))
+
+
+def with_variable(text, section, data_type, default="", access="rww"):
+    keys = {"ParameterName": "X", "ObjectType": "0x7", "DataType": data_type, "AccessType": access}
+    keys |= {"DefaultValue": default, "PDOMapping": 1}
+    return text + f"\n\n[{section}]\n" + "".join(f"{key}={value}\n" for key, value in keys.items()) + "\n"
+
+
+def with_array(text, index, data_type, count, access="rww"):
+    text += f"\n\n[{index}]\nParameterName=X\nObjectType=0x8\nSubNumber={count + 1}\n\n[{index}sub0]\nParameterName=N\n"
+    text += f"ObjectType=0x7\nDataType={U8}\nAccessType=const\nDefaultValue={count}\n"
+    for k in range(1, count + 1):
+        text = with_variable(text, f"{index}sub{k}", data_type, 0, access)
+    return text
+
+
+def described(text):
+    return parse_eds(text.encode(), "x.eds")
+
+
+def served(text, kind=None, node_id=5):
+    description = described(text)
+    kind = kind or of_description(description)
+    bench = Bench("x", node_id, kind, opened(description, kind).description)
+    bench.power_on()
+    bench.take()
+    return bench
+
+
+def enabled(bench, mode):
+    bench.nmt(1)
+    bench.write(0x6060, 0, mode, 1)
+    for controlword in (0x80, 6, 7, 15):
+        bench.write(0x6040, 0, controlword, 2)
+    assert bench.node.power_state == 4
+
+
+# kinds
+
+
+BARE = without(MOTOR, "1018", "60", "6502", "2")
+
+
+@pytest.mark.parametrize(
+    ("text", "kind"),
+    [
+        (MOTOR, DRIVE402),
+        (BRAKE, BRAKE404),
+        (another(MOTOR), DRIVE402),
+        (another(BRAKE), IO404),
+        (edited(another(MOTOR), "1000", DefaultValue=0), DRIVE402),
+        (edited(another(BRAKE), "1000", DefaultValue="0xFFFF0192"), IO404),
+        (BARE, GENERIC),
+        (with_array(BARE, "6411", I16, 2), IO401),
+        (with_array(BARE, "6401", I32, 2), GENERIC),  # CiA 406's work area
+        (with_array(BARE, "6000", U8, 1, "ro"), IO401),
+        (with_variable(BARE, "6000", U16, 0, "ro"), GENERIC),  # CiA 406's operating parameters
+        (with_array(BARE, "9130", I32, 2, "ro"), IO404),
+    ],
+)
+def test_the_kind_is_that_of_1000h_or_of_the_objects(text, kind):
+    assert of_description(described(text)) is kind
+
+
+def test_a_cia_404_module_gives_counts_and_takes_counts():
+    text = with_array(with_array(another(BRAKE), "9300", I32, 1), "9130", I32, 1, "ro")
+    bench = served(text)
+    assert bench.node.out_analogue[0] == 0
+    bench.write(0x7300, 1, 1234, 2)
+    assert bench.node.out_analogue[0] == 1234
+    bench.write(0x9300, 1, 100_000, 4)
+    assert bench.node.out_analogue[0] == 100_000
+    bench.node.in_analogue[0] = -70_000
+    assert bench.number(0x9130, 1, signed=True) == -70_000
+
+
+@pytest.mark.parametrize(("mode", "expected"), [(1, 77), (0, 1234)])
+def test_a_cia_404_output_takes_its_fault_value(mode, expected):
+    bench = served(another(BRAKE))
+    bench.write(0x6340, 1, mode, 1)
+    bench.write(0x7341, 1, 77, 2)
+    bench.nmt(1)
+    bench.write(0x7300, 1, 1234, 2)
+    bench.nmt(2)
+    assert bench.node.out_analogue[0] == expected
+
+
+def test_a_fault_mode_is_0_or_1():
+    bench = served(edited(another(BRAKE), "6340sub1", HighLimit=255))
+    with pytest.raises(SdoAborted, match="06090030"):
+        bench.write(0x6340, 1, 2, 1)
+
+
+# what is opened
+
+
+def test_nothing_of_our_own_files_is_opened():
+    for text, kind in ((MOTOR, DRIVE402), (BRAKE, BRAKE404)):
+        description = described(text)
+        assert opened(description, kind) == opened(description, GENERIC)
+        assert opened(description, kind).description is description
+        assert opened(description, kind).remarks == ()
+
+
+@pytest.mark.parametrize(
+    ("section", "keys", "label", "value"),
+    [
+        ("6072", {"DefaultValue": 0}, "6072h is 0", 3000),
+        ("6072", {"DefaultValue": 0, "HighLimit": 1200}, "6072h is 0", 1200),
+        ("6073", {"DefaultValue": 0}, "6073h is 0", 3000),
+        ("60E0", {"DefaultValue": ""}, "60E0h is without a default", 3000),
+        ("60E1", {"DefaultValue": 0}, "60E1h is 0", 3000),
+        ("6080", {"DefaultValue": 0}, "6080h is 0", 0xFFFFFFFF),
+        ("6087", {"DefaultValue": 0, "HighLimit": 32767}, "6087h is 0", 32767),
+        ("6502", {"DefaultValue": 0}, "6502h is 0", 0x30C),
+        ("6502", {"DefaultValue": ""}, "6502h is without a default", 0x30C),
+    ],
+)
+def test_defaults_that_block_a_drive_are_opened_and_told(section, keys, label, value):
+    text = edited(edited(another(MOTOR), "6072", DefaultValue=1000), section, **keys)
+    found = opened(described(text), DRIVE402)
+    assert found.description.variable(int(section, 16), 0).default == value
+    (remark,) = found.remarks
+    assert remark.startswith(f"x.eds: {label}")
+    assert found.description.variable(0x6040, 0) == described(text).variable(0x6040, 0)
+
+
+def test_a_position_range_of_nothing_is_the_whole_range():
+    text = edited(another(MOTOR), "6072", DefaultValue=1000)
+    blocked = edited(edited(text, "607Dsub1", DefaultValue=0), "607Dsub2", DefaultValue=0)
+    found = opened(described(blocked), DRIVE402)
+    assert [found.description.variable(0x607D, k).default for k in (1, 2)] == [-(1 << 31), (1 << 31) - 1]
+    assert [remark.partition(",")[0] for remark in found.remarks] == ["x.eds: 607Dh is 0 on both sides in the file"]
+    one_sided = edited(blocked, "607Dsub2", DefaultValue=5)
+    assert opened(described(one_sided), DRIVE402).remarks == ()
+
+
+def test_a_limit_below_cia_s_range_is_opened():
+    text = edited(edited(another(BRAKE), "1016sub1", HighLimit=65535), "1400sub1", HighLimit="0x7FF", LowLimit=1)
+    found = opened(described(text), IO404)
+    assert [remark.partition(",")[0] for remark in found.remarks] == [
+        "x.eds: 1016h:01 has the HighLimit 65535",
+        "x.eds: 1400h:01 has the HighLimit 2047",
+    ]
+    bench = served(text)
+    bench.write(0x1016, 1, 0x007F0064, 4)
+    bench.write(0x1400, 1, 0x80000205, 4)
+    strict = Bench("x", 5, GENERIC, described(text))
+    strict.power_on()
+    with pytest.raises(SdoAborted, match="06090031"):
+        strict.write(0x1016, 1, 0x007F0064, 4)
+
+
+def test_a_high_limit_of_0_is_one_that_nobody_has_set():
+    bench = served(edited(another(MOTOR), "6085", LowLimit=0, HighLimit=0))
+    bench.write(0x6085, 0, 5000, 4)
+    assert bench.number(0x6085) == 5000
+
+
+def test_a_negative_60E1h_limits_to_the_negative_side():
+    text = edited(another(MOTOR), "60E1", DataType=I16, DefaultValue=-400, LowLimit=-1000, HighLimit=0)
+    bench = served(text)
+    enabled(bench, 10)
+    bench.write(0x6071, 0, -900, 2)
+    bench.run(MS)
+    assert bench.node.out_torque_pm == -400
+
+
+# a mode of the maker's own
+
+
+def current_mode(mode=-3, per_mille=0.2, **keys):
+    text = with_variable(edited(another(MOTOR), "6072", DefaultValue=1000, **keys), "2030", I16, 0)
+    return served(text, with_own_mode(mode, (0x2030, 0), per_mille))
+
+
+@pytest.mark.parametrize("mode", [-3, -128, 10, 4])
+def test_a_set_point_of_the_makers_own_acts_in_its_mode(mode):
+    bench = current_mode(mode)
+    enabled(bench, mode)
+    bench.write(0x2030, 0, -1503, 2)
+    bench.run(MS)
+    assert bench.node.out_torque_pm == pytest.approx(-300.6)
+    assert bench.number(0x6061, signed=False) == mode & 0xFF
+    bench.write(0x2030, 0, 30_000, 2)
+    bench.run(MS)
+    assert bench.node.out_torque_pm == 1000  # 6072h
+    assert bench.number(0x6041) & 0x0800
+    bench.write(0x6040, 0, 0x10F, 2)  # halt
+    bench.run(MS)
+    assert bench.node.out_torque_pm == 0
+
+
+def test_the_makers_set_point_does_nothing_in_cia_s_modes():
+    bench = current_mode()
+    enabled(bench, 10)
+    bench.write(0x2030, 0, 1500, 2)
+    bench.run(MS)
+    assert bench.node.out_torque_pm == 0
+    bench.write(0x6071, 0, 250, 2)
+    bench.run(MS)
+    assert bench.node.out_torque_pm == 250
+    bench.write(0x6060, 0, -3, 1)  # goes to torque 0 first, and wants a new set-point
+    bench.run(200 * MS)
+    assert bench.node.mode == -3
+    assert bench.node.out_torque_pm == 0
+
+
+def test_a_mode_that_neither_the_drive_nor_its_maker_has_is_refused():
+    bench = current_mode()
+    with pytest.raises(SdoAborted, match="06090030"):
+        bench.write(0x6060, 0, -4, 1)
+    with pytest.raises(SdoAborted, match="06090030"):
+        served(another(MOTOR)).write(0x6060, 0, -3, 1)
+
+
+def test_a_set_point_in_a_pdo_acts_as_one_by_sdo():
+    bench = current_mode()
+    bench.write(0x1400, 1, 0x80000205, 4)
+    bench.write(0x1600, 0, 0, 1)
+    bench.write(0x1600, 1, 0x60400010, 4)
+    bench.write(0x1600, 2, 0x20300010, 4)
+    bench.write(0x1600, 0, 2, 1)
+    bench.write(0x1400, 2, 255, 1)
+    bench.write(0x1400, 1, 0x205, 4)
+    enabled(bench, -3)
+    bench.frame(0x205, bytes((15, 0)) + (500).to_bytes(2, "little"))
+    assert bench.node.out_torque_pm == pytest.approx(100)
+    bench.nmt(128)
+    assert bench.node.out_torque_pm == 0
+
+
+def test_torque_in_32_bits():
+    text = edited(edited(another(MOTOR), "6071", DataType=I32), "6077", DataType=I32)
+    bench = served(edited(text, "6072", DefaultValue=1000))
+    enabled(bench, 10)
+    bench.write(0x6071, 0, -321, 4)
+    bench.run(MS)
+    assert bench.node.out_torque_pm == -321
+    bench.node.in_torque_pm = -320.6
+    assert bench.number(0x6077) == 0x100000000 - 321
+
+
+# guarding, on a drive that has neither heartbeats nor 1029h
+
+
+def guarded(option, guard_ms=50, factor=3):
+    text = without(edited(another(MOTOR), "6072", DefaultValue=1000), "1016", "1017", "1029")
+    bench = served(text, node_id=1)
+    bench.write(0x6007, 0, option, 2)
+    bench.write(0x100C, 0, guard_ms, 2)
+    bench.write(0x100D, 0, factor, 1)
+    enabled(bench, 10)
+    bench.write(0x6071, 0, 100, 2)
+    bench.take()
+    return bench
+
+
+@pytest.mark.parametrize(("option", "state", "torque"), [(0, 4, 100), (1, 7, 0), (2, 1, 0), (3, 1, 0)])
+def test_another_makers_drive_does_what_6007h_says_when_its_guarding_host_is_lost(option, state, torque):
+    bench = guarded(option)
+    answers = []
+    for _ in range(4):
+        bench.frame(0x701 | CAN_RTR_FLAG, length=1)
+        answers += [frame.data[0] for frame in bench.take(0x701)]
+        bench.run(50 * MS)
+    assert answers == [5, 0x85, 5, 0x85]
+    assert bench.node.out_torque_pm == 100
+    bench.run(99 * MS)
+    assert bench.emcy() == []
+    bench.run(2 * MS)
+    assert bench.emcy()[0][0] == 0x8130
+    assert (bench.node.power_state, bench.node.out_torque_pm, bench.node.nmt) == (state, torque, 127)
+    bench.frame(0x701 | CAN_RTR_FLAG, length=1)  # the host is back
+    told = [code for code, _, _ in bench.emcy()]
+    assert told == ([] if option == 1 else [0])  # a fault is told until its reset
+
+
+@pytest.mark.parametrize("option", [0, 1, 2])
+def test_the_loss_of_the_host_is_a_fault_of_a_drive_without_6007h_and_of_our_own(option):
+    foreign = without(edited(another(MOTOR), "6072", DefaultValue=1000), "1016", "1017", "1029", "6007")
+    for text in (foreign, edited(MOTOR, "6072", DefaultValue=1000)):
+        bench = served(text, node_id=1)
+        if "[6007]" in text:
+            bench.write(0x6007, 0, option, 2)
+        bench.write(0x100C, 0, 50, 2)
+        bench.write(0x100D, 0, 2, 1)
+        enabled(bench, 10)
+        bench.frame(0x701 | CAN_RTR_FLAG, length=1)
+        bench.run(100 * MS)
+        assert bench.node.power_state == 7
+
+
+# vendors' files
+
+
+def corpus(test):
+    if not FILES:
+        return pytest.mark.skip(reason="the corpus of vendors' files is not beside this checkout")(test)
+    return pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)(test)
+
+
+@corpus
+def test_a_vendors_file_is_served_and_gives_torque_where_it_has_the_objects(path):
+    description = read_eds(path)
+    kind = of_description(description)
+    bench = Bench("x", 5, kind, opened(description, kind).description)
+    bench.power_on()
+    bench.take()
+    if kind is not DRIVE402 or not description.has(0x6071):
+        bench.nmt(1)
+        bench.run(100 * MS)
+        return
+    modes = bench.device.dictionary.number(0x6502)
+    torque_modes = [mode for mode in (10, 4) if modes >> mode - 1 & 1]
+    if not torque_modes:
+        assert path.stem == "technosoft_iPOS"  # its torque modes are its maker's own
+    for mode in torque_modes:
+        enabled(bench, mode)
+        bench.write(0x6071, 0, 60, description.variable(0x6071, 0).bits // 8)
+        bench.run(400 * MS)
+        assert bench.node.out_torque_pm == 60
+        bench.write(0x6040, 0, 0, 2)
+        assert bench.node.out_torque_pm == 0
+
+
+def starts(description, kind):
+    bench = Bench("x", 5, kind, description)
+    bench.power_on()
+    for command in ((), (2,), (128,), (130,), (129,)):
+        for one in command:
+            bench.nmt(one)
+        bench.take()
+        due = [int(p["cob_id"]) for p in bench.node["tpdo"] if p["cob_id"] >= 0 and p["transmission"] >= 254]
+        bench.nmt(1)
+        sent = [frame.can_id for frame in bench.sent]
+        assert [sent.count(can_id) for can_id in due] == [due.count(can_id) for can_id in due]
+    return due
+
+
+@corpus
+def test_event_driven_tpdos_of_a_vendors_file_are_sent_once_at_every_start(path):
+    description = read_eds(path)
+    for kind in (of_description(description), GENERIC):
+        starts(opened(description, kind).description, kind)
+
+
+def test_event_driven_tpdos_are_sent_once_at_every_start():
+    text = another(MOTOR)
+    for k in range(4):
+        for section, keys in (
+            (f"18{k:02X}sub1", {"DefaultValue": 0x181 + k}),
+            (f"18{k:02X}sub2", {"DefaultValue": 255}),
+        ):
+            text = edited(text, section, **keys)
+    assert len(starts(described(text), DRIVE402)) == 4
