@@ -13,46 +13,11 @@ from coulombus.node.io401 import IO401, IO404
 from coulombus.node.kinds import GENERIC, of_description
 from coulombus.node.opened import opened
 from coulombus.wire.frame import CAN_RTR_FLAG
-from node_bench import EDS, MS, Bench, SdoAborted
+from foreign_eds import BRAKE, I16, I32, MOTOR, U8, U16, another, edited, with_array, with_variable, without
+from node_bench import MS, Bench, SdoAborted
 
 CORPUS = Path(__file__).resolve().parents[3] / "shared" / "eds-corpus"
 FILES = sorted(path for kind in ("*.eds", "*.dcf") for path in CORPUS.glob(kind))
-MOTOR = (EDS / "motor.eds").read_text()
-BRAKE = (EDS / "mr_brake.eds").read_text()
-
-U8, U16, U32, I16, I32 = "0x0005", "0x0006", "0x0007", "0x0003", "0x0004"
-
-
-def another(text):
-    """Make a file of ours another maker's."""
-    return edited(text, "1018sub1", DefaultValue="0x99")
-
-
-def edited(text, section, **keys):
-    head, mark, rest = text.partition(f"[{section}]\n")
-    assert mark, section
-    body, _, tail = rest.partition("\n\n")
-    lines = [line for line in body.splitlines() if line.partition("=")[0] not in keys]
-    return head + mark + "\n".join((*lines, *(f"{key}={value}" for key, value in keys.items()))) + "\n\n" + tail
-
-
-def without(text, *indices):
-    parts = text.split("\n\n")
-    return "\n\n".join(p for p in parts if not p.lstrip().startswith(tuple(f"[{i}" for i in indices)))
-
-
-def with_variable(text, section, data_type, default="", access="rww"):
-    keys = {"ParameterName": "X", "ObjectType": "0x7", "DataType": data_type, "AccessType": access}
-    keys |= {"DefaultValue": default, "PDOMapping": 1}
-    return text + f"\n\n[{section}]\n" + "".join(f"{key}={value}\n" for key, value in keys.items()) + "\n"
-
-
-def with_array(text, index, data_type, count, access="rww"):
-    text += f"\n\n[{index}]\nParameterName=X\nObjectType=0x8\nSubNumber={count + 1}\n\n[{index}sub0]\nParameterName=N\n"
-    text += f"ObjectType=0x7\nDataType={U8}\nAccessType=const\nDefaultValue={count}\n"
-    for k in range(1, count + 1):
-        text = with_variable(text, f"{index}sub{k}", data_type, 0, access)
-    return text
 
 
 def described(text):
