@@ -11,7 +11,6 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from coulombus.eds.cia301 import CobId
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.records import Trip
 from coulombus.node.emcy import DEVICE_FAULTS, FIRST_DEVICE_CAUSE
@@ -19,7 +18,6 @@ from coulombus.recording.trace import EVENT, Event
 from coulombus.rigs.rig import Rig
 from coulombus.sim_bus.network.kernel import AXIS, BRAKE, MOTOR, Exit, Host
 from coulombus.sim_bus.network.network import CanopenNetwork, Mechanics, VirtualNetwork
-from coulombus.sim_bus.network.stations import Heard
 from coulombus.sim_bus.rig.coupling import brake_torque
 from coulombus.sim_bus.rig.operator import KNOT_S, Operator
 from coulombus.sim_bus.rig.plant import COIL_INTACT, COIL_OPEN, COIL_SHORT, PLANT, TRUTH_COLUMNS, new_plant
@@ -127,9 +125,6 @@ class VirtualRig(VirtualNetwork):
             rig.axes[a].prefix + one.node: rows[one.node_id][0] for a, found in enumerate(devices) for one in found
         }
         """The row of each device by its name: ``motor``, ``brake``, a sensor's (``AXIS.motor`` with several axes)."""
-        self._sensors_nmt: dict[int, int] = {}
-        if sensors:
-            self.station({CobId.HEARTBEAT + node_id for node_id in sensors}, self._hear_sensor)
         self.motor, self.brake = self.devices[MOTOR], self.devices[BRAKE]
         for a in range(n):
             self._new_force_block(a)
@@ -179,9 +174,6 @@ class VirtualRig(VirtualNetwork):
         self.plant["brake_Nm"] = self.nodes["out_brake_Nm"][brakes]
         for a in np.flatnonzero(self._axes["foreign"]):
             self.plant[a]["brake_Nm"] = brake_torque(self.axes[a], self.nodes[int(brakes[a])])
-
-    def _hear_sensor(self, frame: Heard) -> None:
-        self._sensors_nmt[frame.can_id - CobId.HEARTBEAT] = frame.data[0] & 0x7F if frame.data else 0
 
     def _control_plane(self, t_ns: int, can_id: int, data: bytes) -> None:
         self._heard.add(can_id)
@@ -234,7 +226,7 @@ class VirtualRig(VirtualNetwork):
                 if controller.axis.part(node).node_id == node_id:
                     state = int(controller.host["nmt"][0, k])
                     return None if state < 0 else state
-        return self._sensors_nmt.get(node_id)
+        return None
 
     # the rig
 

@@ -247,13 +247,9 @@ def test_sensors_on_nodes_of_their_own_and_five_nodes_on_one_axis():
     assert world.devices[3][0x6401, 3] == round(2.0 * float(world.plant[0]["coil_A_Nm"]) / 0.0001)
 
 
-def test_a_sensors_heartbeat_tells_its_state_and_a_fault_file_may_name_it():
+def test_a_fault_file_may_name_a_sensor():
     module = another(BRAKE)
     world = world_of(MOTOR, module, FOREIGN_BRAKE, text=sensor("cell", 3) + role("handle_torque", node="cell"))
-    assert world.nmt_state(3) == 0
-    write(world, 3, 0x1017, 0, 10, 2)
-    world.wait_ns(20 * MS)
-    assert world.nmt_state(3) == 127
     names, node_ids = stations_of(world)
     assert (names["cell"], node_ids[3]) == (2, 2)
 
