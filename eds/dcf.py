@@ -8,7 +8,7 @@ import re
 from dataclasses import replace
 
 from coulombus.eds.description import Variable
-from coulombus.eds.sections import Section
+from coulombus.eds.sections import Section, cut
 from coulombus.eds.values import ValueReader
 
 __all__ = ["COMMISSIONING", "DcfReader"]
@@ -78,7 +78,7 @@ class DcfReader(ValueReader):
             return variable
         value, relative, why = self.value(section, key, variable.data_type, "the default")
         if not why and isinstance(value, int | float) and not (relative or variable.admits(value)):
-            why = f"{section.what(key)}={section.get(key)} is outside the object's limits"
+            why = f"{section.what(key)}={section.shown(key)} is outside the object's limits"
             self.say(section.at(key), why, "the default", "error")
         why = self.ambiguous(section, key) or why
         if why:
@@ -97,7 +97,7 @@ class DcfReader(ValueReader):
         RTR, not valid) are settings of their own and no part of the identifier.
         """
         assert isinstance(variable.default, int)
-        usual, said = variable.default + self.node_id, f"{section.what(key)}={section.get(key)}"
+        usual, said = variable.default + self.node_id, f"{section.what(key)}={section.shown(key)}"
         cob_id = variable.index in COMMUNICATION and variable.bits == 32
         goes = self.node_id > 0 and not (value ^ usual) & ~(COB_ID_FLAGS if cob_id else 0)
         if variable.access in ("ro", "const") and not (goes and value == usual):
@@ -115,12 +115,12 @@ class DcfReader(ValueReader):
         """Say that the file is a DCF, and which of its values stand in other files."""
         values = []
         for name, section in self.sections.items():
-            compact = re.fullmatch(r"[0-9a-f]{4}value", name) is not None
+            compact = name.endswith("value") and re.fullmatch(r"[0-9a-f]{4}value", name) is not None
             for key, (value, line) in section.entries.items():
                 if value and (key == "parametervalue" or (compact and key.isdecimal())):
                     values.append(line)
                 elif value and key in ("uploadfile", "downloadfile"):
-                    self.say(line, f"{section.what(key)}={value} is another file", "no value")
+                    self.say(line, f"{section.what(key)}={cut(value)} is another file", "no value")
         if values:
             text = f"the file is a DCF, with {len(values)} configured value{'s' * (len(values) > 1)}"
             self.say(min(values), text, "that the device starts with them")

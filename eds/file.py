@@ -7,10 +7,11 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping
+from types import MappingProxyType
 
-from coulombus.eds.cia301 import DUMMY_TYPES
+from coulombus.eds.cia301 import DUMMY_TYPES, RECORD, predefined
 from coulombus.eds.dcf import COMMISSIONING, DcfReader
-from coulombus.eds.description import Object
+from coulombus.eds.description import Object, Variable
 from coulombus.eds.sections import OBJECT_SECTION, Section
 
 __all__ = ["FileReader"]
@@ -52,6 +53,9 @@ OBJECT_KEYS = frozenset(
 
 PDO_NUMBERS = {"nrofrxpdo": (0x1400, "RPDOs"), "nroftxpdo": (0x1800, "TPDOs")}
 PDO_COUNT = 512
+MOST_ENTRIES = 64
+COMMUNICATION_TYPES: Mapping[int, int] = {1: 0x07, 2: 0x05, 3: 0x06, 4: 0x05, 5: 0x06, 6: 0x05}
+"""Data types of a PDO's communication parameters by sub-index (CiA 301, table 66)."""
 
 
 class FileReader(DcfReader):
@@ -69,17 +73,35 @@ class FileReader(DcfReader):
             return {}
         for key in ("vendornumber", "productnumber", "revisionnumber", "granularity", "lss_supported"):
             self.integer(device, key, 0)
-        compact = self.integer(device, "compactpdo", 0)
         for key, (first, name) in PDO_NUMBERS.items():
             described = sum(first <= index < first + PDO_COUNT for index in objects)
             said = self.integer(device, key, described)
-            if said > described and compact:
-                text = f"{device.what('compactpdo')}={compact}: {said} {name} are told of, {described} are described"
-                self.say(device.at("compactpdo"), text, "none but those", "error")
-            elif said != described:
+            if said != described:
                 text = f"{device.what(key)}={said}, but {described} {name} are described"
                 self.say(device.at(key), text, str(described))
         return {device.spelled[key]: value for key, (value, _) in device.entries.items()}
+
+    def implied_pdos(self, objects: Mapping[int, Object]) -> dict[int, Object]:
+        """Return the PDO parameters that CompactPDO tells of and the file does not spell out (CiA 306-1).
+
+        Each bit of CompactPDO is a sub-index of the communication parameters, bit 0 is 1. Mapping parameters have 64 entries, none of them mapped.
+        """
+        device = self.sections.get("deviceinfo", Section("", 1))
+        compact, found = self.integer(device, "compactpdo", 0), dict[int, Object]()
+        line = device.at("compactpdo")
+        for key, (first, name) in PDO_NUMBERS.items():
+            described = sum(first <= index < first + PDO_COUNT for index in objects)
+            said = self.integer(device, key, described)
+            if not compact or not described < said <= PDO_COUNT:
+                continue
+            text = f"{device.what('compactpdo')}={compact}: {said} {name} are told of, {described} are described"
+            self.say(line, text, f"the {said - described} that CiA 306 implies")
+            free = [index for index in range(first, first + PDO_COUNT) if index not in objects]
+            for index in free[: said - described]:
+                found[index] = _communication(index, compact, line)
+                if index + 0x200 not in objects:
+                    found[index + 0x200] = _mapping(index + 0x200, line)
+        return found
 
     def dummies(self) -> frozenset[int]:
         """Return the types that may fill a PDO's gaps."""
@@ -168,8 +190,29 @@ class FileReader(DcfReader):
             text = f"[{section.name}] names the sub-index {strange[0]}, which {index:04X}h has not"
             self.say(section.at(keys[strange[0]]), text, "a comment")
         if len(keys) != self.integer(section, "nrofentries", len(keys)):
-            text = f"[{section.name}] has {len(keys)} entries, not {section.get('nrofentries')}"
+            text = f"[{section.name}] has {len(keys)} entries, not {section.shown('nrofentries')}"
             self.say(section.at("nrofentries"), text, str(len(keys)))
+
+
+def _implied(index: int, subindex: int, code: int, default: int | None, line: int, relative: bool = False) -> Variable:
+    access = "const" if subindex == 0 and index & 0x200 == 0 else "rw"
+    name = f"PDO parameter {subindex}"
+    return Variable(index, subindex, name, code, access, default, relative, None, None, False, line)
+
+
+def _communication(index: int, compact: int, line: int) -> Object:
+    subs = [sub for sub in COMMUNICATION_TYPES if compact >> (sub - 1) & 1]
+    variables = {0: _implied(index, 0, 0x05, max(subs, default=0), line)}
+    for sub in subs:
+        identifier = predefined(index, 1, 0) if sub == 1 else None
+        relative = identifier is not None and identifier < 0x800
+        variables[sub] = _implied(index, sub, COMMUNICATION_TYPES[sub], identifier, line, relative)
+    return Object(index, "PDO communication parameter", RECORD, MappingProxyType(variables))
+
+
+def _mapping(index: int, line: int) -> Object:
+    variables = {sub: _implied(index, sub, 0x07 if sub else 0x05, 0, line) for sub in range(MOST_ENTRIES + 1)}
+    return Object(index, "PDO mapping parameter", RECORD, MappingProxyType(variables))
 
 
 def _some(indices: Iterable[int], most: int = 3) -> str:

@@ -23,7 +23,7 @@ from coulombus.eds.cia301 import ARRAY, DATA_TYPES, DEFSTRUCT, DEFTYPE, DOMAIN, 
 from coulombus.eds.description import Description, Diagnosis, EdsError, Object, Severity, Value, Variable
 from coulombus.eds.file import FileReader
 from coulombus.eds.regular_file import NoRegularFile, read_regular
-from coulombus.eds.sections import OBJECT_SECTION, PDO_PARAMETERS, Section, number_of
+from coulombus.eds.sections import OBJECT_SECTION, PDO_PARAMETERS, Section, alike, number_of
 
 __all__ = ["Description", "Diagnosis", "EdsError", "Object", "Value", "Variable", "parse_eds", "read_eds"]
 
@@ -90,11 +90,14 @@ class _Reader(FileReader):
                 heads[int(match[1], 16)] = section
             elif match:
                 subs.setdefault(int(match[1], 16), {})[int(match[2], 16)] = section
+        for index, found in subs.items():
+            subs[index] = self.in_decimal(found)
         numbers = sorted(heads.keys() | subs.keys())
         objects = {index: self.object(index, heads.get(index), subs.get(index, {})) for index in numbers}
         if not objects:
             raise EdsError(f"{self.path}:1: describes no object; expected sections such as [1000], is it an EDS file?")
         self.check_lists(objects, heads)
+        objects |= self.implied_pdos(objects)
         info = self.device_info(objects)
         dummies = self.dummies()
         self.check_rest(objects)
@@ -102,12 +105,26 @@ class _Reader(FileReader):
             self.path,
             self.text,
             MappingProxyType(objects),
-            tuple(sorted(self.diagnoses, key=lambda diagnosis: diagnosis.line)),
+            tuple(sorted(alike(self.diagnoses), key=lambda diagnosis: diagnosis.line)),
             MappingProxyType(info),
             dummies,
             self.node_id,
             bit_rate,
         )
+
+    def in_decimal(self, subs: dict[int, Section]) -> dict[int, Section]:
+        """Return the sub-indices by their numbers; in decimal where sub-index 0 proves that [2000sub10] means the tenth."""
+        if not ({9, 0x10} <= subs.keys() and 0 in subs) or any(sub in subs for sub in range(0xA, 0x10)):
+            return subs
+        if not all(f"{sub:x}".isdecimal() for sub in subs):
+            return subs
+        counted = {int(f"{sub:x}"): section for sub, section in subs.items()}
+        highest = number_of(subs[0].get("defaultvalue"))
+        if highest is None or highest.value != max(counted) or sorted(counted) != list(range(highest.value + 1)):
+            return subs
+        text = f"[{subs[0x10].name}] and the others count in decimal: sub-index 0 says {highest.value}"
+        self.say(subs[0x10].line, text, "decimal numbers")
+        return counted
 
     def object(self, index: int, head: Section | None, subs: dict[int, Section]) -> Object:
         if head is None:
@@ -209,7 +226,7 @@ class _Reader(FileReader):
         code = self.data_type(index, subindex, section, kind)
         access = self.bare(section, "accesstype").lower().replace("/", "")
         if access not in ACCESS_TYPES:
-            said = f"AccessType={section.get('accesstype')} is unknown" if access else "AccessType is missing"
+            said = f"AccessType={section.shown('accesstype')} is unknown" if access else "AccessType is missing"
             usual = "const" if subindex == 0 and kind in (ARRAY, RECORD) else "rw"
             assumed = ACCESS_WORDS.get(re.sub(r"\W", "", access), usual)
             self.say(section.at("accesstype"), f"[{section.name}] {said}", assumed)
@@ -223,7 +240,7 @@ class _Reader(FileReader):
             index, subindex, name, code, access, default, relative, low, high, mappable, section.line, unreadable
         )
         if isinstance(default, int | float) and not (relative or variable.admits(default)):
-            text = f"{section.what('defaultvalue')}={section.get('defaultvalue')} is outside its limits"
+            text = f"{section.what('defaultvalue')}={section.shown('defaultvalue')} is outside its limits"
             self.say(section.at("defaultvalue"), text, str(default))
         return self.configured(variable, section, "parametervalue")
 
@@ -239,14 +256,14 @@ class _Reader(FileReader):
         if named is not None:
             self.say(
                 section.at("datatype"),
-                f"{section.what('datatype')}={section.get('datatype')} is no number",
+                f"{section.what('datatype')}={section.shown('datatype')} is no number",
                 f"0x{named:04X}",
             )
             return named
         code = self.integer(section, "datatype", guess)
         number = number_of(section.get("datatype"))
         if "datatype" in section.conflicts or (number is not None and number.doubtful):
-            text = f"[{section.name}] DataType={section.get('datatype')} can be read in two ways"
+            text = f"[{section.name}] DataType={section.shown('datatype')} can be read in two ways"
             self.say(section.at("datatype"), text, "a type of unknown width", "error")
             return 0
         if not section.get("datatype") and kind != DOMAIN:

@@ -8,13 +8,19 @@ comments behind values, heads without a bracket - is said.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 from coulombus.eds.description import Diagnosis, Severity
 
-__all__ = ["OBJECT_SECTION", "PDO_PARAMETERS", "Number", "Section", "SectionReader", "number_of"]
+__all__ = ["OBJECT_SECTION", "PDO_PARAMETERS", "Number", "Section", "SectionReader", "alike", "cut", "number_of"]
 
 PDO_PARAMETERS = range(0x1400, 0x1C00)
+MOST_QUOTED = 60
+"""Characters of the file that a diagnosis quotes at most."""
+MOST_ALIKE = 20
+"""So many diagnoses of one kind are told one by one; more of them are one line with their number."""
 MOST_DIGITS = 40
 """A longer number is none: no data type is so wide."""
 
@@ -31,6 +37,12 @@ class Number:
     hexadecimal: bool = False
 
 
+def cut(text: str) -> str:
+    """Return a text of the file as a diagnosis quotes it: its beginning, where it is long."""
+    return text if len(text) <= MOST_QUOTED else f"{text[: MOST_QUOTED - 3]}..."
+
+
+@lru_cache(maxsize=4096)
 def number_of(text: str) -> Number | None:
     """Read ``0x1F``, ``31``, ``-31``; also ``1Fh``, ``1F``, ``031``. None where it is no number."""
     if len(text) > MOST_DIGITS:
@@ -76,13 +88,17 @@ class Section:
         """Return the key's value as written; empty when it is absent."""
         return self.entries.get(key, ("", 0))[0]
 
+    def shown(self, key: str) -> str:
+        """Return the key's value as a diagnosis quotes it."""
+        return cut(self.get(key))
+
     def at(self, key: str) -> int:
         """Return the key's line, or the section's."""
         return self.entries.get(key, ("", self.line))[1]
 
     def what(self, key: str) -> str:
         """Return the key as a diagnosis names it."""
-        return f"[{self.name}] {self.spelled.get(key, key)}"
+        return f"[{self.name}] {cut(self.spelled.get(key, key))}"
 
     def numbered(self) -> dict[int, str]:
         """Return the keys that are numbers, by these: sub-indices of [1003Name], entries of a list."""
@@ -103,8 +119,31 @@ _LINE_END = re.compile(r"\r*\n|\r")
 
 
 def _without_comment(text: str) -> str:
+    if ";" not in text and "#" not in text:
+        return text
     comment = re.search(r";|(?<!\S)#", text)
     return text[: comment.start()].rstrip() if comment else text
+
+
+def alike(diagnoses: Iterable[Diagnosis]) -> Iterator[Diagnosis]:
+    """Yield diagnoses by their lines; very many of one kind, which differ in names and numbers only, are one with their number."""
+    kinds: dict[tuple[str, str], list[Diagnosis]] = {}
+    for one in diagnoses:
+        kinds.setdefault((one.severity, _DETAILS.sub("", one.text)), []).append(one)
+    for found in kinds.values():
+        first, last = min(found, key=_line), max(found, key=_line)
+        if len(found) <= MOST_ALIKE:
+            yield from found
+        else:
+            yield replace(first, text=f"{first.text} (and {len(found) - 1} more like this, up to line {last.line})")
+
+
+def _line(diagnosis: Diagnosis) -> int:
+    return diagnosis.line
+
+
+_DETAILS = re.compile(r"\[[^\]]*\]|'[^']*'|=\S*|\b(?:0x)?[0-9A-Fa-f]*\d[0-9A-Fa-f]*h?\b")
+"""Where diagnoses of one kind differ: sections, quotations, values, numbers."""
 
 
 class SectionReader:
@@ -169,22 +208,24 @@ class SectionReader:
         name = name.strip()
         if not bracket:
             name = _without_comment(name)
-            self.say(number, f"the section head '{line[:40]}' has no ']'", f"[{name}]")
+            self.say(number, f"the section head '{line[:40]}' has no ']'", f"[{cut(name)}]")
         elif rest.strip() and rest.strip()[0] not in ";#":
-            self.say(number, f"'{rest.strip()[:40]}' stands behind the section head [{name}]", "a comment")
+            self.say(number, f"'{rest.strip()[:40]}' stands behind the section head [{cut(name)}]", "a comment")
         match = OBJECT_SECTION.fullmatch(name)
         key = name.lower()
         if match and not _STRICT.fullmatch(name):
             strict = f"{int(match[1], 16):04X}" + (f"sub{int(match[2], 16):X}" if match[2] else "")
-            self.say(number, f"the section head [{name}] is not spelled as CiA 306 has it", f"[{strict}]")
+            self.say(number, f"the section head [{cut(name)}] is not spelled as CiA 306 has it", f"[{strict}]")
         if match:  # one key for [1018sub1], [1018Sub01] and [0x1018sub1]
             key = f"{int(match[1], 16):04x}" + (f"sub{int(match[2], 16):x}" if match[2] else "")
         known = self.sections.get(key)
         if known is not None:
-            self.say(number, f"the section [{name}] stands in line {known.line} already", "one section, first values")
+            self.say(
+                number, f"the section [{cut(name)}] stands in line {known.line} already", "one section, first values"
+            )
             known.reopened = True
             return known
-        return self.sections.setdefault(key, Section(name, number))
+        return self.sections.setdefault(key, Section(cut(name), number))
 
     def enter(self, section: Section, spelled: str, value: str, number: int) -> None:
         """Enter a key; of doubled keys the first value counts, and a conflict is kept in mind."""
@@ -196,23 +237,33 @@ class SectionReader:
         first, line = section.entries[key]
         if _same(first, value):
             if not section.reopened:
-                self.say(number, f"[{section.name}] {spelled} stands in line {line} already", "the same")
+                self.say(number, f"[{section.name}] {cut(spelled)} stands in line {line} already", "the same")
             return
         if key != "parametername":
             section.conflicts.add(key)
         severity: Severity = "error" if key in ("defaultvalue", "parametervalue") else "warning"
-        text = f"[{section.name}] {spelled}={value}, but line {line} says {first or 'nothing'}"
-        self.say(number, text, f"the first, {first or 'nothing'}", severity)
+        text = f"[{section.name}] {cut(spelled)}={cut(value)}, but line {line} says {cut(first) or 'nothing'}"
+        self.say(number, text, f"the first, {cut(first) or 'nothing'}", severity)
 
     def bare(self, section: Section, key: str) -> str:
         """Return a value without the comment behind it."""
         text = section.get(key)
+        if not text:
+            return text
         bare = _without_comment(text)
         if bare != text:
-            self.say(section.at(key), f"{section.what(key)}={text} has a comment behind the value", bare or "no value")
+            self.say(
+                section.at(key),
+                f"{section.what(key)}={cut(text)} has a comment behind the value",
+                cut(bare) or "no value",
+            )
             section.entries[key] = (bare, section.at(key))
         if len(bare) > 1 and bare[0] == bare[-1] == '"':
-            self.say(section.at(key), f"{section.what(key)}={bare} stands in quotes", bare[1:-1].strip() or "no value")
+            self.say(
+                section.at(key),
+                f"{section.what(key)}={cut(bare)} stands in quotes",
+                cut(bare[1:-1].strip()) or "no value",
+            )
             bare = bare[1:-1].strip()
             section.entries[key] = (bare, section.at(key))
         return bare
@@ -226,10 +277,10 @@ class SectionReader:
             return assumed
         number = number_of(text)
         if number is None:
-            self.say(section.at(key), f"{section.what(key)}={text} is no number", str(assumed), "error")
+            self.say(section.at(key), f"{section.what(key)}={cut(text)} is no number", str(assumed), "error")
             return assumed
         if number.complaint:
-            self.say(section.at(key), f"{section.what(key)}={text} {number.complaint}", str(number.value))
+            self.say(section.at(key), f"{section.what(key)}={cut(text)} {number.complaint}", str(number.value))
         return number.value
 
     # Sections to objects.

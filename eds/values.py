@@ -10,7 +10,7 @@ import struct
 
 from coulombus.eds.cia301 import DATA_TYPES
 from coulombus.eds.description import Value
-from coulombus.eds.sections import Section, SectionReader, number_of
+from coulombus.eds.sections import Section, SectionReader, cut, number_of
 
 __all__ = ["ValueReader"]
 
@@ -23,6 +23,8 @@ class ValueReader(SectionReader):
 
     def limits(self, section: Section, code: int) -> tuple[int | float | None, int | float | None]:
         """Return LowLimit and HighLimit as values of the data type `code`."""
+        if "lowlimit" not in section.entries and "highlimit" not in section.entries:
+            return None, None
         found: list[int | float | None] = []
         for key in ("lowlimit", "highlimit"):
             number = number_of(self.bare(section, key))
@@ -30,7 +32,7 @@ class ValueReader(SectionReader):
             if key == "lowlimit" and number and number.value < 0 and kind and kind.kind == "int" and not kind.signed:
                 self.say(
                     section.at(key),
-                    f"{section.what(key)}={section.get(key)}, but no {kind.name} is below 0",
+                    f"{section.what(key)}={section.shown(key)}, but no {kind.name} is below 0",
                     "no limit",
                 )
                 found.append(None)
@@ -49,15 +51,17 @@ class ValueReader(SectionReader):
     # Values by data type.
 
     def value(self, section: Section, key: str, code: int, otherwise: str = "no value") -> tuple[Value, bool, str]:
-        """Return a value, whether the node id is to be added, and why
-        it could not be read; `otherwise` is assumed then.
+        """Return a value, whether the node id is to be added, and why it could not be read;
+        `otherwise` is assumed then.
         """
+        if key not in section.entries:
+            return None, False, ""
         kind = DATA_TYPES[code].kind if code in DATA_TYPES else "unknown"
         if kind in ("text", "unicode"):
             text = section.get(key)
             if len(text) > 1 and text[0] == text[-1] == '"':
                 self.say(
-                    section.at(key), f"{section.what(key)}={text} stands in quotes", "that they belong to the text"
+                    section.at(key), f"{section.what(key)}={cut(text)} stands in quotes", "that they belong to the text"
                 )
             return (text if key in section.entries else None), False, ""
         text = self.bare(section, key)
@@ -65,7 +69,9 @@ class ValueReader(SectionReader):
             return None, False, ""
         if kind in ("domain", "record"):
             self.say(
-                section.at(key), f"{section.what(key)}={text}, but a {DATA_TYPES[code].name} has no value here", "none"
+                section.at(key),
+                f"{section.what(key)}={cut(text)}, but a {DATA_TYPES[code].name} has no value here",
+                "none",
             )
             return None, False, ""
         if kind == "bytes":
@@ -79,7 +85,7 @@ class ValueReader(SectionReader):
         if why and kind == "unknown":
             return text, False, ""
         if why:
-            why = f"{section.what(key)}={text} {why}"
+            why = f"{section.what(key)}={cut(text)} {why}"
             self.say(section.at(key), why, otherwise, "error")
         return value, relative, why
 
@@ -88,7 +94,9 @@ class ValueReader(SectionReader):
         try:
             return bytes.fromhex(re.sub("(?i)0x|,", " ", text))
         except ValueError:
-            self.say(section.at(key), f"{section.what(key)}={text} is no row of hexadecimal octets", "its characters")
+            self.say(
+                section.at(key), f"{section.what(key)}={cut(text)} is no row of hexadecimal octets", "its characters"
+            )
             return text.encode("cp1252", "replace")
 
     def real(self, section: Section, key: str, text: str, code: int) -> tuple[float | None, str]:
@@ -98,11 +106,13 @@ class ValueReader(SectionReader):
             size = DATA_TYPES[code].bits // 8
             if not 0 <= number.value < 1 << 8 * size:
                 return None, f"does not fit into {DATA_TYPES[code].name}"
-            self.say(section.at(key), f"{section.what(key)}={text} is hexadecimal", "an IEEE 754 pattern")
+            self.say(section.at(key), f"{section.what(key)}={cut(text)} is hexadecimal", "an IEEE 754 pattern")
             value: float = struct.unpack("<f" if size == 4 else "<d", number.value.to_bytes(size, "little"))[0]
         else:
             if re.fullmatch(r"[-+]?\d+,\d+", text):
-                self.say(section.at(key), f"{section.what(key)}={text} has a decimal comma", text.replace(",", "."))
+                self.say(
+                    section.at(key), f"{section.what(key)}={cut(text)} has a decimal comma", cut(text.replace(",", "."))
+                )
             try:
                 value = float(text.replace(",", "."))
             except ValueError:
@@ -122,9 +132,9 @@ class ValueReader(SectionReader):
         if len(terms) - len(rest) > 1:
             return None, False, "has the node id more than once"
         if relative and terms[0].upper() != "$NODEID":
-            self.say(where, f"{what}={text} has the node id in the wrong place", f"$NODEID+{'+'.join(rest)}")
+            self.say(where, f"{what}={cut(text)} has the node id in the wrong place", f"$NODEID+{cut('+'.join(rest))}")
         if not relative and text.lower() in ("true", "false"):
-            self.say(where, f"{what}={text} is no number", str(int(text.lower() == "true")))
+            self.say(where, f"{what}={cut(text)} is no number", str(int(text.lower() == "true")))
             rest = [str(int(text.lower() == "true"))]
         total, hexadecimal = 0, False
         for term in rest:
@@ -132,7 +142,7 @@ class ValueReader(SectionReader):
             if number is None:
                 return None, False, "is no number"
             if number.complaint:
-                self.say(where, f"{what}={text} {number.complaint}", str(number.value))
+                self.say(where, f"{what}={cut(text)} {number.complaint}", str(number.value))
             if number.doubtful and section.pdo_parameter:
                 return None, False, number.complaint
             total += number.value
@@ -154,7 +164,7 @@ class ValueReader(SectionReader):
         for wider in (16, 32, 64):  # a negative number, extended to the width of the tool's own integers
             if hexadecimal and data_type.signed and full <= number and 0 <= number - (1 << wider) + half < half:
                 value = number - (1 << wider)
-                text = f"{section.what(key)}={section.get(key)} is longer than {data_type.name}"
+                text = f"{section.what(key)}={section.shown(key)} is longer than {data_type.name}"
                 self.say(section.at(key), text, f"{value}, sign-extended")
                 return value, ""
         if not -half <= number < full:
@@ -165,6 +175,6 @@ class ValueReader(SectionReader):
         elif not data_type.signed and number < 0:
             value = number + full
         if value != number and not (hexadecimal and data_type.signed):
-            text = f"{section.what(key)}={section.get(key)} does not fit into {data_type.name}"
+            text = f"{section.what(key)}={section.shown(key)} does not fit into {data_type.name}"
             self.say(section.at(key), text, f"two's complement, {value}")
         return value, ""

@@ -410,7 +410,7 @@ def test_an_entry_of_a_list_that_is_no_number_lists_nothing():
         ("NrOfTXPDO=1\nCompactPDO=0", "warning: [DeviceInfo] NrOfTXPDO=1, but 0 TPDOs are described; assumed 0"),
         (
             "CompactPDO=0x3\nNrOfTXPDO=2",
-            "error: [DeviceInfo] CompactPDO=3: 2 TPDOs are told of, 0 are described; assumed none but those",
+            "warning: [DeviceInfo] CompactPDO=3: 2 TPDOs are told of, 0 are described; assumed the 2 that CiA 306 implies",
         ),
     ],
 )
