@@ -195,7 +195,7 @@ def profile_of(description: Description, node: Node) -> int:
     known = told & 0xFFFF if isinstance(told, int) else 0
     if known in BRAKE_OBJECTS:
         return known
-    signs = ((0x7300, CIA404), (0x7130, CIA404), (0x6411, CIA401), (0x6071, CIA402))
+    signs = ((0x7300, CIA404), (0x7130, CIA404), (0x6411, CIA401), (0x6071, CIA402), (0x6040, CIA402))
     return next((profile for index, profile in signs if description.has(index)), CIA404)
 
 

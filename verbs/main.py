@@ -11,6 +11,7 @@ from coulombus.verbs.check import check
 from coulombus.verbs.common import EXIT_STATUS, Verbs
 from coulombus.verbs.conformance import conformance
 from coulombus.verbs.eds_verb import eds
+from coulombus.verbs.init import init
 from coulombus.verbs.look import dbc, decode, watch
 from coulombus.verbs.plan import plan_command
 from coulombus.verbs.replay import bridge, replay
@@ -22,7 +23,7 @@ __all__ = ["main"]
 
 VERBS = (
     *(demo, simulate_command, sim, node_command, run_command, stop, watch, decode, dbc, replay, bridge),
-    *(check, plan_command, eds, conformance, analyse, identify_command),
+    *(init, check, plan_command, eds, conformance, analyse, identify_command),
 )
 
 

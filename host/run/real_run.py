@@ -40,7 +40,8 @@ from coulombus.recording.measures import Measures
 from coulombus.recording.output_file import new_file
 from coulombus.recording.pcapng_blocks import RecordingError
 from coulombus.recording.recorder import Recorder
-from coulombus.rigs.rig import Rig
+from coulombus.rigs.draft.text import REHEARSAL, rehearsal_marks
+from coulombus.rigs.rig import Rig, RigError
 from coulombus.wire.address import BusAddress, BusUnavailable, default_address
 from coulombus.wire.frame import Records
 from coulombus.wire.stopping import Signals, status_of
@@ -433,6 +434,20 @@ def _say(text: str) -> None:
         print(f"coulombus: {text}", file=sys.stderr, flush=True)
 
 
+def check_no_rehearsal(rig: Rig, address: BusAddress) -> None:
+    """Refuse a rig file for simulated devices on a real bus.
+
+    Raises
+    ------
+    RigError
+        the file has marks of `coulombus init --rehearse`; each is named
+    """
+    marks = () if address.kind == "coulombus" else rehearsal_marks(rig.origin.text)
+    if marks:
+        wanted = f"expected what holds for the devices on {address}, and no mark"
+        raise RigError([f"{rig.path}:{line}: '# {REHEARSAL}' stands there; {wanted}" for line in marks])
+
+
 def real_run(
     rig: Rig,
     mode: str,
@@ -469,17 +484,19 @@ def real_run(
     coulombus.wire.address.BusUnavailable, coulombus.host.errors.HostError
         nothing was armed
     coulombus.rigs.rig.RigError
-        the law, a limit that the drive cannot take, or a law that a limit would cut off
+        the law, a rehearsal's file on a real bus, a limit that the drive cannot take, or a law that a limit would cut off
     coulombus.recording.pcapng_blocks.RecordingError
         the recording cannot be created, or exists
     """
+    address = bus or default_address(rig.name)
     with _refusing():
+        check_no_rehearsal(rig, address)
         check_plan(rig)
         check_demand(rig, mode)
         run = _RealRun(
             rig,
             mode,
-            bus or default_address(rig.name),
+            address,
             record=record,
             signals=signals or Signals(),
             progress=progress,

@@ -1,0 +1,79 @@
+"""One device of a rig that is to be: what its EDS file says, and what the device itself has answered."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from coulombus.eds.own_devices import is_own, told_identity
+from coulombus.eds.pdo import Entry
+from coulombus.eds.reader import Description
+from coulombus.eds.sections import number_of
+from coulombus.rigs.roles import checked_entry
+from coulombus.rigs.signals import Direction, Node
+
+__all__ = ["Device", "Place", "label"]
+
+Place = tuple[int, int]
+
+
+def label(place: Place) -> str:
+    """Return an object as people write it: ``6071h``, ``7300h:1``."""
+    index, subindex = place
+    return f"{index:04X}h:{subindex:X}" if subindex else f"{index:04X}h"
+
+
+@dataclass(frozen=True)
+class Device:
+    """A device, as far as it is known.
+
+    Attributes
+    ----------
+    node : "motor", "brake", or a sensor's name
+    eds : the EDS file, as the rig file is to name it
+    answers : what the live device has for an object; none where none was asked
+    """
+
+    node: Node
+    description: Description
+    eds: str
+    node_id: int
+    answers: Mapping[Place, int] = field(default_factory=dict)
+
+    @property
+    def own(self) -> bool:
+        """Whether it is this project's own device."""
+        return is_own(self.node, told_identity(self.description))
+
+    def told(self, index: int, subindex: int = 0) -> int | None:
+        """Return what an object holds: the device's answer, else the EDS file's default; None where neither tells."""
+        answer = self.answers.get((index, subindex))
+        if answer is not None or not self.description.has(index, subindex):
+            return answer
+        default = self.description.default(index, subindex, self.node_id)
+        return default if isinstance(default, int) else None
+
+    def source(self, index: int, subindex: int = 0) -> str:
+        """Return who says what `told` returns."""
+        return "the device" if (index, subindex) in self.answers else "the EDS file"
+
+    def entry(self, place: Place, direction: Direction) -> Entry | None:
+        """Return the entry that maps an object; None where no PDO of this direction can carry it."""
+        try:
+            return checked_entry(self.description, *place, direction)
+        except ValueError:
+            return None
+
+    def identity(self, subindex: int) -> tuple[int | None, str]:
+        """Return 1018h:1 (vendor) or :2 (product), and whence it is a guess, "" where it is none; None: the file has no such object."""
+        if not self.description.has(0x1018, subindex):
+            return None, ""
+        told = self.told(0x1018, subindex)
+        if told:
+            return told, ""
+        key = ("vendornumber", "productnumber")[subindex - 1]
+        number = number_of({name.lower(): text for name, text in self.description.info.items()}.get(key, ""))
+        where = f"the EDS file does not tell 1018h:{subindex}"
+        if number is not None and 0 < number.value <= 0xFFFFFFFF:
+            return number.value, f"{where}; [DeviceInfo] has this number. Read the device's own"
+        return 0, f"{where}. Read the device's own"

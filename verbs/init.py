@@ -1,0 +1,125 @@
+"""``coulombus init``: a rig file for devices that nobody has described yet."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from itertools import zip_longest
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from coulombus.verbs.common import EXIT_STATUS, OutputFile, bus_option, errors, say, verdict
+
+if TYPE_CHECKING:
+    from coulombus.rigs.rig import Rig
+
+__all__ = ["init"]
+
+NODE_ID = click.IntRange(1, 127)
+ACKNOWLEDGEMENT = re.compile(r'host\.accept = \["([^"]+)"\]')
+"""How a problem names the sentence that acknowledges it."""
+
+
+@click.command(epilog=EXIT_STATUS)
+@click.option("--drive", default="", metavar="F.eds", help="EDS file of the motor's drive; `bench`: our own.")
+@click.option("--brake", default="", metavar="G.eds", help="EDS file of the brake's driver; `bench`: our own.")
+@click.option(
+    "--sensor", "sensors", multiple=True, metavar="H.eds", help="EDS file of a further node: the handle's transducer."
+)
+@click.option("--drive-id", type=NODE_ID, help="Node id of the drive.  [default: a DCF's own, else 1]")
+@click.option("--brake-id", type=NODE_ID, help="Node id of the brake's driver.  [default: a DCF's own, else 2]")
+@click.option("--sensor-id", "sensor_ids", type=NODE_ID, multiple=True, help="Node id of each sensor, in their order.")
+@click.option("--like", default="bench", show_default=True, metavar="R", help="The rig that all else is taken from.")
+@bus_option
+@click.option(
+    "--eds-folder",
+    type=click.Path(path_type=Path, file_okay=False, exists=True),
+    help="Where the EDS files of devices that answer on the bus are.",
+)
+@click.option("--rehearse", is_flag=True, help="With a simulated rig, for `coulombus simulate`; never for a real bus.")
+@click.option("-o", "--output", type=OutputFile(".toml"), metavar="MY.toml", help="A new file.  [default: stdout]")
+def init(
+    drive: str,
+    brake: str,
+    sensors: tuple[str, ...],
+    drive_id: int | None,
+    brake_id: int | None,
+    sensor_ids: tuple[int, ...],
+    like: str,
+    bus_name: str | None,
+    eds_folder: Path | None,
+    rehearse: bool,
+    output: Path | None,
+) -> None:
+    """Write a rig file for a drive and a brake's driver, from their EDS files.
+
+    Every role is bound, and every guess is marked `# CHECK:` with its reason. What a device cannot do is not acknowledged:
+    `coulombus check` names it. A file that exists is never replaced. With --bus the live devices are asked, and those that no
+    option names are found in --eds-folder by their identity (1018h). A device that cannot have its role is refused (3): a drive
+    without a torque or current set-point, for one.
+
+    \b
+    Examples:
+      coulombus init --drive vendor.eds --brake bench -o my-rig.toml
+      coulombus init --drive vendor.eds --brake io.eds --sensor amplifier.eds --drive-id 5
+      coulombus init --drive vendor.eds --brake bench --rehearse -o try.toml
+      coulombus init --bus socketcan:can0 --eds-folder eds -o my-rig.toml
+    """
+    if bus_name is None and not (drive and brake):
+        raise click.UsageError("give --drive and --brake, or --bus to ask who is there")
+    if len(sensor_ids) > len(sensors):
+        raise click.UsageError("--sensor-id is given more often than --sensor")
+    given = [one for one in (drive_id, brake_id, *sensor_ids) if one is not None]
+    if len(set(given)) < len(given):
+        raise click.UsageError("each device has a node id of its own")
+    with errors():
+        from coulombus.rigs.draft.draft import Draft
+        from coulombus.rigs.draft.gather import Wanted, gather
+        from coulombus.rigs.draft.text import CHECK
+        from coulombus.rigs.rig import load_rig
+
+        wanted = [Wanted("motor", drive, drive_id), Wanted("brake", brake, brake_id)]
+        for number, (eds, node_id) in enumerate(zip_longest(sensors, sensor_ids), 1):
+            wanted.append(Wanted("transducer" if number == 1 else f"sensor_{number}", eds, node_id))
+        folder = None if output is None else output.parent.resolve()
+        answered = {} if bus_name is None else _answered(bus_name)
+        devices = gather(wanted, folder, answered, eds_folder)
+        path = "rig.toml" if output is None else str(output)
+        draft = Draft(devices, load_rig(like).one_axis(), path, rehearse=rehearse)
+        if rehearse:
+            draft.acknowledge(_acknowledgements(draft.rig))
+        text = str(draft)
+        if output is None:
+            click.echo(text, nl=False)
+        else:
+            with output.open("x", encoding="utf-8") as file:  # `x`: whoever made one meanwhile keeps it
+                file.write(text)
+        with verdict(0):
+            count, name = text.count(f"# {CHECK}:"), "it" if output is None else str(output)
+            say(f"coulombus: {count} guesses are marked '# {CHECK}:' in {name}; then: coulombus check --rig {path}")
+
+
+def _answered(bus_name: str) -> dict[int, dict[tuple[int, int], int]]:
+    """Ask who is on a bus; say it, and return what the objects of each node hold."""
+    from coulombus.host.run.survey import survey
+    from coulombus.wire.address import parse_address
+
+    found = survey(parse_address(bus_name))
+    for answers in found:
+        say(f"coulombus: {answers}")
+    return {answers.node_id: dict(answers.numbers) for answers in found}
+
+
+def _acknowledgements(rig: Rig) -> Iterator[str]:
+    """Yield what the rig file has to acknowledge of its devices before they are armed, as `coulombus check` names it."""
+    from coulombus.host.cycle.controller import Controller
+    from coulombus.host.setup.device_plan import device_plans
+
+    for axis in rig.axes:
+        for mode in axis.mode:
+            limit_pm = int(Controller(axis, mode).control["motor_limit_pm"][0])
+            for plan in device_plans(axis, mode, limit_pm):
+                for problem in plan.problems:
+                    yield from ACKNOWLEDGEMENT.findall(str(problem))
