@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 from coulombus.eds.description import Diagnosis, Severity
 
@@ -104,7 +104,7 @@ class Section:
         """Return the keys that are numbers, by these: sub-indices of [1003Name], entries of a list."""
         return {int(key): key for key in reversed(self.entries) if key.isdecimal() and len(key) <= MOST_DIGITS}
 
-    @property
+    @cached_property
     def pdo_parameter(self) -> bool:
         """True for the sections of 1400h to 1BFFh, where nothing may be assumed."""
         match = OBJECT_SECTION.fullmatch(re.sub("(?i)value$", "", self.name))

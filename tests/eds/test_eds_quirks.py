@@ -4,6 +4,8 @@ assumed.
 
 from __future__ import annotations
 
+import time
+
 import pytest
 
 from coulombus.eds.check import check
@@ -107,6 +109,66 @@ def test_sub_indices_that_are_counted_in_decimal():
         ),
     )
     assert 0x10 in d.objects[0x2000].variables
+
+
+def test_sub_indices_are_decimal_where_sub_index_0_proves_it():
+    heads = [f"[2000sub{k}]" for k in range(13)]
+    text = record(*heads, said=13).replace("DefaultValue=4", "DefaultValue=12", 1)
+    d = parse(text)
+    assert [x.text for x in d.diagnoses] == ["[2000sub10] and the others count in decimal: sub-index 0 says 12"]
+    assert sorted(d.objects[0x2000].variables) == list(range(13))
+    hexadecimal = parse(text.replace("DefaultValue=12", "DefaultValue=18", 1))
+    assert sorted(hexadecimal.objects[0x2000].variables) == [*range(10), 0x10, 0x11, 0x12]
+
+
+# what is told
+
+
+@pytest.mark.parametrize("key", ["DefaultValue", "DataType", "AccessType", "LowLimit", "PDOMapping", "ObjectType"])
+def test_a_diagnosis_quotes_at_most_60_characters(key):
+    for value in ("x" * 5000, "7" * 5000, '"' + "y" * 5000 + '"', "z" * 5000 + " ; why"):
+        found = parse(variable(**{key: value})).diagnoses
+        assert found
+        assert max(len(d.text + d.assumed) for d in found) < 260
+    long = "q" * 5000
+    for text in (f"[{long}]\na=b\n", f"[2000]\n{long}=1\n", f"[2000] {long}\n", f"{long}\n"):
+        assert max(len(d.text + d.assumed) for d in parse(variable() + text).diagnoses) < 260
+
+
+def test_many_alike_are_one_line_with_their_number():
+    some = parse(variable() + "".join(f"[Junk{k}]\na=b\n" for k in range(20)))
+    assert sum("is none of CiA 306" in d.text for d in some.diagnoses) == 20
+    many = parse(variable() + "".join(f"[Junk{k}]\na=b\n" for k in range(500)))
+    (one,) = (d for d in many.diagnoses if "is none of CiA 306" in d.text)
+    assert one.text.startswith("the section [Junk0] is none of CiA 306 (and 499 more like this, up to line ")
+    assert one.line == line_of(variable() + "[Junk0]", "[Junk0]")
+
+
+@pytest.mark.slow
+def test_a_hundred_thousand_sections_are_read_in_seconds():
+    heads = "".join(f"[{0x2000 + k:04X}]\nParameterName=H\nObjectType=8\nSubNumber=250\n" for k in range(400))
+    subs = "".join(
+        f"[{0x2000 + k // 250:04X}sub{k % 250:X}]\nParameterName=P\nObjectType=7\nDataType=5\nAccessType=rw\nDefaultValue=1\n"
+        for k in range(100_000)
+    )
+    begin = time.process_time()
+    d = parse(heads + subs)
+    assert time.process_time() - begin < 8.0  # 2 s on a quiet machine
+    assert sum(len(one.variables) for one in d.objects.values()) >= 100_000
+
+
+def test_compact_pdo_describes_what_the_file_leaves_out():
+    line = "CompactPDO=0x13\nNrOfRXPDO=1\nNrOfTXPDO=6"
+    d = parse(variable(), HEAD.replace("VendorName=Nobody", line))
+    assert [x.severity for x in d.diagnoses] == ["warning", "warning"]
+    assert sorted(i for i in d.objects if 0x1400 <= i < 0x1C00) == [
+        *(0x1400, 0x1600, *range(0x1800, 0x1806), *range(0x1A00, 0x1A06))
+    ]
+    assert sorted(d.objects[0x1801].variables) == [0, 1, 2, 5]
+    assert [d.default(0x1800 + k, 1, 5) for k in (0, 3, 4)] == [0x185, 0x485, 0x80000000]
+    assert (d.default(0x1801, 0, 5), d.default(0x1A01, 0, 5), len(d.objects[0x1A01].variables)) == (5, 0, 65)
+    first = layouts(d, 5)[0]
+    assert (first.cob_id, first.transmission, first.entries) == (0x205, 255, ())
 
 
 # keys
