@@ -56,6 +56,7 @@ class _Device:
         self.name, self.node_id = plan.name, plan.node_id
         self.node = canopen.RemoteNode(self.node_id, canopen.ObjectDictionary())
         self.identity = (0, 0)
+        self.losses: list[str] = []
         plane.network.add_node(self.node)
         self.node.sdo.RESPONSE_TIMEOUT = plane.sdo_timeout_s
 
@@ -150,12 +151,24 @@ class _Device:
             raise DeviceMismatch(f"{self.name}: supported drive modes 6502h = {modes:#010x} do not include {lacking}")
 
     def configure(self) -> list[str]:
-        """Write every setting in its order, then read all of them back, whole; return the differences in words."""
+        """Write every setting in its order, then read all of them back, whole; return the differences in words.
+
+        What the host can do without, and the device refuses, is a loss.
+        """
+        left_out = set()
         for setting in self.plan.writes:
-            self.write(setting)
+            try:
+                self.write(setting)
+            except SdoAborted as refused:
+                if not setting.soft:
+                    raise
+                left_out.add((setting.index, setting.subindex))
+                self.losses.append(f"{refused}; {setting.lost or setting.why}")
         differences = []
         variables = {(s.index, s.subindex): s.variable(self.description) for s in self.plan.writes}
         for (index, subindex), value in self.plan.read_backs:
+            if (index, subindex) in left_out:
+                continue
             variable = variables.get((index, subindex)) or self.description.variable(index, subindex)
             wanted, there = encoded(variable, value), self.upload(index, subindex)
             if len(there) != len(wanted):
@@ -248,7 +261,7 @@ def bring_up(controllers: Controllers, plane: ControlPlane) -> tuple[str, ...]:
         if state != NmtState.OPERATIONAL:
             told = "was not heard" if state is None else f"says {NmtState(state).name}"
             raise NodeMissing(f"{plan.name} (node {plan.node_id}) {told} after NMT start; OPERATIONAL is expected")
-    return tuple(text for plan in found for text in plan.losses)
+    return tuple(text for device in devices for text in (*device.plan.losses, *device.losses))
 
 
 def _refuse(differences: Iterable[str]) -> None:

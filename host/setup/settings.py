@@ -158,18 +158,13 @@ def _unused_pdos(description: Description, pdos: Sequence[RigPdo], node_id: int)
                 if cob_id & INVALID:
                     continue
                 mapping = index + 0x200
+                lost = f"{direction.upper()}{number} cannot be switched off and may load the bus"
                 stands = not writable(description.variable(index, 1))
                 if stands and description.has(mapping, 0) and writable(description.variable(mapping, 0)):
-                    yield Setting(
-                        mapping, 0, 0, why="it is not used, and its identifier is read-only", while_valid=True
-                    )
+                    why = "it is not used, and its identifier is read-only"
+                    yield Setting(mapping, 0, 0, why=why, lost=lost, soft=True, while_valid=True)
                 else:
-                    yield Setting(
-                        *(index, 1, cob_id | INVALID),
-                        why="it is not used",
-                        soft=True,
-                        lost=f"{direction.upper()}{number} cannot be switched off and may load the bus",
-                    )
+                    yield Setting(index, 1, cob_id | INVALID, why="it is not used", lost=lost, soft=True)
 
 
 def _common_settings(axis: Axis, node: str, part: Device, ours: bool) -> Iterator[Setting]:

@@ -10,12 +10,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from canopen.sdo import SdoAbortedError
 from click.testing import CliRunner
 
 from coulombus.eds.reader import parse_eds
 from coulombus.host.cycle.controller import Controller
 from coulombus.host.cycle.controllers import Controllers
-from coulombus.host.errors import DeviceMismatch
+from coulombus.host.errors import DeviceMismatch, SdoAborted
 from coulombus.host.setup import bringup
 from coulombus.host.setup.bringup import bring_up, plans_of
 from coulombus.host.setup.settings import encoded
@@ -401,6 +402,30 @@ def test_in_a_foreign_drive_constants_are_read_first_and_reactions_are_set():
     ours = Wire(rig_of())
     ours.bring_up()
     assert not {0x6007, 0x605A, 0x1029, 0x60C2} & set(ours.written(1))
+
+
+def test_what_the_host_can_do_without_and_the_device_refuses_is_lost():
+    class Refusing(Other):
+        def download(self, index, subindex, data):
+            if index == 0x6007:
+                raise SdoAbortedError(0x06090031)
+            super().download(index, subindex, data)
+
+    (plan, _) = plans_of(Controllers(rig_of(), "hybrid"))
+    device = bringup._Device(
+        SimpleNamespace(network=SimpleNamespace(add_node=lambda node: None), sdo_timeout_s=0.1), plan
+    )
+    device.node = SimpleNamespace(sdo=Refusing(2, 2, True))
+    settings = (bringup.Setting(0x6071, 0, 1), bringup.Setting(0x6007, 0, 2, soft=True, lost="its own reaction stays"))
+    object.__setattr__(plan, "writes", settings)
+    object.__setattr__(plan, "read_backs", (((0x6071, 0), 1), ((0x6007, 0), 2)))
+    assert device.configure() == []
+    (loss,) = device.losses
+    assert "6007h:00" in loss
+    assert loss.endswith("; its own reaction stays")
+    object.__setattr__(plan, "writes", (settings[0], bringup.Setting(0x6007, 0, 2)))
+    with pytest.raises(SdoAborted, match="06090031"):
+        device.configure()
 
 
 def test_an_identity_that_the_file_does_not_have_is_not_compared():
