@@ -160,6 +160,28 @@ def test_our_own_files_have_their_behaviour_and_others_none(tmp_path):
     assert kinds(GENERIC) == [GENERIC] * 3
 
 
+def test_auto_serves_any_file_as_its_objects_allow_and_tells_what_it_opens(tmp_path, capsys):
+    other = tmp_path / "other.eds"
+    other.write_text(MOTOR.read_text().replace("0x000004C0", "0x000004C1"))
+    bare = tmp_path / "bare.eds"
+    bare.write_text(eds_text.HEAD)
+    nodes = LiveNodes(((MOTOR, 1), (BRAKE, 2), (other, 3), (bare, 4)), "auto")
+    devices = nodes.make_world(1_000_000, True).devices
+    assert [PROFILES[device.record["kind"]] for device in devices] == [DRIVE402, BRAKE404, DRIVE402, GENERIC]
+    assert [device.dictionary.number(0x6072) for device in devices[:3]] == [0, 0, 3000]
+    assert [len(texts) for texts in nodes.opened] == [0, 0, 1, 0]
+    assert "other.eds: 6072h is 0 in the file" in capsys.readouterr().err
+
+
+def test_the_ready_line_tells_kind_and_what_was_opened(tmp_path):
+    other = tmp_path / "other.eds"
+    other.write_text(MOTOR.read_text().replace("0x000004C0", "0x000004C1"))
+    process, ready = start(other, "--node-id", 5, "--bus", "coulombus:desk", "--kind", "auto")
+    end(process)
+    assert ready["kind"] == "drive"
+    assert [text.partition(" is ")[0] for text in ready["opened"]] == [f"{other}: 6072h"]
+
+
 def test_a_kind_whose_objects_a_file_lacks_is_refused():
     with pytest.raises(NodeError, match=r"mr_brake.eds: got no 6040h:00, 6041h:00, which kind drive acts on"):
         LiveNodes(((BRAKE, 1),), DRIVE402)
