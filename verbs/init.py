@@ -98,7 +98,7 @@ def init(
                 file.write(text)
         with verdict(0):
             count, name = text.count(f"# {CHECK}:"), "it" if output is None else str(output)
-            say(f"coulombus: {count} guesses are marked '# {CHECK}:' in {name}; then: coulombus check --rig {path}")
+            say(f"coulombus: guesses marked '# {CHECK}:' in {name}: {count}; then: coulombus check --rig {path}")
 
 
 def _answered(bus_name: str) -> dict[int, dict[tuple[int, int], int]]:

@@ -66,6 +66,9 @@ class Draft:
         values = like.model_dump(by_alias=True, exclude_defaults=True)
         for name in ("sensor", "role", "axis", *(() if rehearse else SIMULATED)):
             values.pop(name, None)
+        for key in ("accept", "deadman"):  # of the other rig's devices
+            values["host"].pop(key, None)
+        values["law"]["function"] = _law_from_anywhere(like)
         self.text = RigText(values)
         self._about()
         for device in self.devices:
@@ -210,6 +213,13 @@ class Draft:
                 raise error
             self.text.drop(f"role.{role}")
             self.text.put(f"role.{role}.object", "none", why)
+
+
+def _law_from_anywhere(like: Axis) -> str:
+    """Return the law of the rig that is like it; a file beside that rig's with its whole path."""
+    file, colon, name = like.law.function.strip().rpartition(":")
+    beside = like.law_directory / file
+    return f"{beside.resolve()}:{name}" if colon and file.endswith(".py") and beside.exists() else like.law.function
 
 
 def _path(device: Device) -> str:

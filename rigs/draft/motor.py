@@ -8,7 +8,7 @@ from coulombus.eds.cia402 import OPERATION_MODE_CST as CST
 from coulombus.eds.cia402 import OPERATION_MODE_PROFILE_TORQUE as PROFILE_TORQUE
 from coulombus.rigs.draft.device import Device, Place, label
 from coulombus.rigs.draft.makers import MakerMode, maker_mode
-from coulombus.rigs.draft.text import RigText
+from coulombus.rigs.draft.text import CHECK, RigText
 from coulombus.rigs.mistakes import RigError
 from coulombus.rigs.roles import Problem
 
@@ -20,8 +20,8 @@ LEAST_COUNTS = 16
 """Counts of an encoder in one turn: 608Fh says 1 where nobody has set it."""
 LEAST_TORQUE_Nm, MOST_TORQUE_Nm = 1e-3, 50.0
 """Rated torque that a drive for a handle may have: what says something else counts in another unit."""
-AT_HANDLE_Nm = (0.5, 14.0)
-"""Rated torque at the handle: less can show nothing, and with more a per mille is a tenth of the device's own friction."""
+MOST_AT_HANDLE_Nm = 14.0
+"""Rated torque at the handle: with more, a per mille is a tenth of the device's own friction."""
 
 
 class Command(NamedTuple):
@@ -92,13 +92,25 @@ def describe_motor(text: RigText, device: Device) -> None:
     _position(text, device)
     if command.maker is not None:
         _own_units(text, device, command.maker, rated_Nm)
-    text.note("mechanics.ratio", "the rig is your own: measure, or calculate; the polarities as well", "CHECK")
-    least, most = AT_HANDLE_Nm
-    ratio = text.get("mechanics.ratio")
-    if not least <= rated_Nm * ratio <= most:
-        near = least if rated_Nm * ratio < least else most
-        why = f"with this drive's rated torque another ratio gives {near:g} Nm at the handle; measure yours, the polarities as well"
-        text.put("mechanics.ratio", float(f"{near / rated_Nm:.4g}"), why)
+    _ratio(text, device, rated_Nm)
+
+
+def _ratio(text: RigText, device: Device, rated_Nm: float) -> None:
+    """Set the transmission's ratio, with which the drive's torque can be limited as each mode wants it."""
+    ratio, modes = text.get("mechanics.ratio"), text.get("mode")
+    limits = [mode["motor_limit_Nm"] for mode in modes.values() if mode["motor_limit_Nm"]]
+    limit = device.description.variable(0x6072, 0) if device.description.has(0x6072, 0) else None
+    low_pm, high_pm = (limit.low or 0, min(limit.largest, 1000)) if limit else (0, 1000)
+    least = max(limits, default=0) * 1000 / max(high_pm, 1)
+    most = min(MOST_AT_HANDLE_Nm, min(limits, default=MOST_AT_HANDLE_Nm) * 1000 / max(low_pm, 1))
+    measure = "the rig is your own: measure it, or calculate; the polarities as well"
+    if least <= rated_Nm * ratio <= most:
+        text.note("mechanics.ratio", measure, CHECK)
+        return
+    near = least if rated_Nm * ratio < least else most
+    near *= 1.001 if near == least else 0.999  # of rounding
+    why = f"{measure}. Here the rated torque becomes {near:.3g} Nm at the handle, which suits the limits of the modes"
+    text.put("mechanics.ratio", float(f"{near / rated_Nm:.4g}"), why)
 
 
 def _rated_torque(text: RigText, device: Device) -> float:

@@ -7,6 +7,7 @@ import textwrap
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+import numpy as np
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
@@ -106,7 +107,8 @@ class RigText:
         for name, value in sorted(own.items(), key=lambda item: (item[0] != "kind", list(fields).index(item[0]))):
             for text in self.notes.get((*key, name), ()):
                 yield from _comment(text)
-            told = f"0x{value:X}" if name in NUMBERS else toml_value(value)
+            plain = value.tolist() if isinstance(value, np.ndarray) else value  # a phase's columns
+            told = f"0x{plain:X}" if name in NUMBERS else toml_value(plain)
             line = f"{name} = {told}"
             description = fields[name].description
             yield f"{line:<{WIDTH}}  # {description}" if description else line

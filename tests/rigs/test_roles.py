@@ -9,45 +9,12 @@ from pathlib import Path
 import pytest
 
 from coulombus.rigs.rig import RigError, load_rig_text
+from eds_edit import edit, fixed, gone, mapped
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 BENCH = (ROOT / "rigs" / "bench.toml").read_text(encoding="utf-8")
 MOTOR, BRAKE = ((ROOT / "eds" / name).read_text(encoding="utf-8") for name in ("motor.eds", "mr_brake.eds"))
 COUNT = 2 * math.pi / (8192 * 9.587)
-
-
-def edit(text, section, **keys):
-    """Set keys of a section of an EDS file."""
-    head, mark, rest = text.partition(f"[{section}]\n")
-    assert mark, section
-    body, gap, tail = rest.partition("\n\n")
-    for key, value in keys.items():
-        line = f"{key}={value}"
-        body = re.sub(f"(?m)^{key}=.*$", line, body) if re.search(f"(?m)^{key}=", body) else f"{body}\n{line}"
-    return head + mark + body + gap + tail
-
-
-def gone(text, *sections):
-    for section in sections:
-        head, mark, rest = text.partition(f"[{section}]\n")
-        assert mark, section
-        text = head + rest.partition("\n\n")[2]
-    return text
-
-
-def fixed(text, *numbers):
-    """Make the maps of PDOs (1600h ..., 1A00h ...) read-only."""
-    for number in numbers:
-        for sub in range(9):
-            text = edit(text, f"{number:04X}sub{sub}", AccessType="ro")
-    return text
-
-
-def mapped(text, number, *words):
-    text = edit(text, f"{number:04X}sub0", DefaultValue=len(words))
-    for sub, word in enumerate(words, start=1):
-        text = edit(text, f"{number:04X}sub{sub}", DefaultValue=f"0x{word:08X}")
-    return text
 
 
 def rig_of(motor=MOTOR, brake=BRAKE, *overrides, text="", **others):
