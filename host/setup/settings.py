@@ -46,7 +46,7 @@ class Setting:
     verify : it is read back
     type : the data type that the rig file says, of an object that the EDS file need not describe
     while_valid : an entry of a PDO's map that is written although the PDO cannot be made invalid
-    listed : the rig file lists it, so that it may be a maker's own object
+    listed : the rig file names it, as a role or in its list, so that it may be a maker's own object
     """
 
     index: int
@@ -211,7 +211,7 @@ def _drive_settings(axis: Axis, part: Motor | Brake, setpoint: Binding, ours: bo
     mode = mode_of(part, description)
     readable = not description.has(0x6060, 0) or description.variable(0x6060, 0).access != "wo"
     yield Setting(0x6060, 0, mode, f"{setpoint.node}.mode", why="the mode of operation", verify=readable)
-    yield Setting(setpoint.entry.index, setpoint.entry.subindex, 0, why="no torque at the start")
+    yield Setting(setpoint.entry.index, setpoint.entry.subindex, 0, why="no torque at the start", listed=True)
     if mode == OPERATION_MODE_PROFILE_TORQUE and description.has(0x6087, 0):
         rate = axis.limits.torque_rate_Nm_s / abs(setpoint.scale)
         steep = int(min(math.ceil(rate), description.variable(0x6087, 0).largest, 0x7FFFFFFF))
