@@ -72,6 +72,17 @@ class Pdos:
     def _valid(self, direction: Direction, k: int) -> bool:
         return not self._cob_id(direction, k) & COB_ID_INVALID
 
+    def _stands(self, direction: Direction, k: int) -> bool:
+        """Tell whether a PDO is valid, so that its parameters stand until a client makes it invalid.
+
+        Where the file lets no client do that (a COB-ID that is read-only), what it lets be written can be
+        written while the PDO is valid: its map by way of 0 entries.
+        """
+        index = COMMUNICATION[direction] + k
+        told = self._dictionary.description.variable(index, 1) if (index, 1) in self._dictionary else None
+        fixed = told is None or told.access in ("ro", "const")
+        return self._valid(direction, k) and not fixed
+
     def check(self, index: int, subindex: int, value: int) -> None:
         """Abort unless `value` may be written now."""
         place = self.locate(index)
@@ -79,7 +90,7 @@ class Pdos:
             return
         direction, k, mapping = place
         if mapping:
-            if self._valid(direction, k):
+            if self._stands(direction, k):
                 raise SdoAbort(Abort.DEVICE_STATE)
             if subindex == 0:
                 self._check_count(direction, index, value)
@@ -93,7 +104,7 @@ class Pdos:
             reserved = range(_SYNC_MAX + 1, _EVENT_MIN if direction == "rpdo" else _RTR_MIN)
             if value in reserved:
                 raise SdoAbort(Abort.VALUE)
-        elif subindex in (3, 6) and direction == "tpdo" and self._valid(direction, k):
+        elif subindex in (3, 6) and direction == "tpdo" and self._stands(direction, k):
             raise SdoAbort(Abort.DEVICE_STATE)  # inhibit time and SYNC start value stand while the PDO exists
 
     def _check_cob_id(self, direction: Direction, k: int, before: int, value: int) -> None:

@@ -247,6 +247,29 @@ def test_torque_in_32_bits():
     assert bench.number(0x6077) == 0x100000000 - 321
 
 
+# PDOs whose COB-ID no client can change
+
+
+@pytest.mark.parametrize("access", ["ro", "const"])
+def test_a_map_that_can_be_written_is_written_where_the_cob_id_cannot(access):
+    text = edited(edited(another(MOTOR), "1400sub1", AccessType=access), "1800sub1", AccessType=access)
+    bench = served(text)
+    with pytest.raises(SdoAborted, match="06010002"):
+        bench.write(0x1400, 1, 0x80000205, 4)
+    with pytest.raises(SdoAborted, match="08000022"):
+        bench.write(0x1600, 1, 0x60710010, 4)  # by way of 0 entries
+    bench.write(0x1600, 0, 0, 1)
+    bench.write(0x1600, 1, 0x60710010, 4)
+    bench.write(0x1600, 0, 1, 1)
+    bench.write(0x1800, 3, 100, 2)
+    bench.write(0x1400, 2, 255, 1)
+    bench.nmt(1)
+    bench.frame(0x205, (250).to_bytes(2, "little"))
+    assert bench.number(0x6071) == 250
+    with pytest.raises(SdoAborted, match="08000022"):
+        served(another(MOTOR)).write(0x1600, 0, 0, 1)
+
+
 # guarding, on a drive that has neither heartbeats nor 1029h
 
 
