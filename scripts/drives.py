@@ -1,0 +1,142 @@
+#!/usr/bin/env python3
+"""Tries every EDS file of a folder as a drive, and as a brake's driver, beside this project's other device; prints the
+tables of docs/drives.md.
+
+    .venv/bin/python scripts/drives.py FOLDER [--write]
+
+Of each file: `coulombus init --rehearse`, `check`, and `simulate` in the modes hybrid and active (a brake: passive), as a user runs
+them. With --write the tables are put into docs/drives.md, between its markers.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
+
+from click.testing import CliRunner
+
+from coulombus.rigs.pdo_maps import mode_of
+from coulombus.rigs.rig import load_rig
+from coulombus.verbs.main import main as coulombus
+
+PAGE = Path(__file__).parents[1] / "docs" / "drives.md"
+SECONDS = "2"
+CST, PROFILE_TORQUE = 10, 4
+MODES = {"drive": ("hybrid", "active"), "brake": ("hybrid", "passive")}
+
+
+class Tried(NamedTuple):
+    """A row: the file, its class, what `check` said, in which modes it was armed, what is lost or why it is refused."""
+
+    name: str
+    kind: str
+    check: str
+    armed: str
+    lost: str
+
+    def line(self) -> str:
+        """Return the row in Markdown."""
+        return "| " + " | ".join(cell.replace("|", "\\|") for cell in self) + " |"
+
+
+def _run(*arguments: str) -> tuple[int, str, str]:
+    found = CliRunner().invoke(coulombus, list(arguments))
+    if found.exception is not None and not isinstance(found.exception, SystemExit):
+        raise found.exception
+    return found.exit_code, found.stdout, found.stderr
+
+
+def _class(rig_file: str) -> str:
+    """Return how a drive is commanded: A cyclic torque, B with fixed PDO maps, C profile torque, D a maker's own mode."""
+    axis = load_rig(rig_file).one_axis()
+    mode = mode_of(axis.motor, axis.description("motor"))
+    if mode not in (CST, PROFILE_TORQUE):
+        return "D"
+    if mode == PROFILE_TORQUE:
+        return "C"
+    return "B" if any(pdo.fixed and pdo.device == "motor" for pdo in axis.pdos()) else "A"
+
+
+def _unit(rig_file: str) -> str:
+    """Return what a brake's set-point is."""
+    bound = load_rig(rig_file).one_axis().allocation.bound["brake_setpoint"]
+    return f"{bound.entry.index:04X}h:{bound.entry.subindex:02X}"
+
+
+def _lost(texts: Sequence[str], role: str, path: Path) -> str:
+    own = [text.partition(": ")[2].replace(f"{path} ", "the file ") for text in texts if text.startswith(role)]
+    return "<br>".join(dict.fromkeys(text.rpartition("; ")[2] for text in own)) or "nothing"
+
+
+def tried(path: Path, role: str, folder: Path) -> Tried | None:
+    """Try one file as "drive" or "brake"; None where it is no brake."""
+    rig_file = str(folder / f"{role}-{path.stem}.toml")
+    others = {"drive": "brake", "brake": "drive"}
+    status, _, said = _run("init", f"--{role}", str(path), f"--{others[role]}", "bench", "--rehearse", "-o", rig_file)
+    if status:
+        if role == "brake":
+            return None
+        line = next(line for line in said.splitlines() if line.startswith("coulombus: "))
+        reason = line.partition(f"{path}: ")[2].partition("; ")[0]
+        return Tried(path.name, "E", "", "no", reason)
+    status, out, _ = _run("check", "--rig", rig_file, "--json")
+    checked: dict[str, Any] = json.loads(out)
+    armed = []
+    for mode in MODES[role]:
+        ended, out, _ = _run("simulate", "--rig", rig_file, "--mode", mode, "--seconds", SECONDS, "--json")
+        armed.append(f"{mode}" if ended == 0 and json.loads(out)["trip"] is None else f"{mode}: no ({ended})")
+    kind = _class(rig_file) if role == "drive" else _unit(rig_file)
+    check = "ok" if checked["ok"] and status == 0 else "; ".join(one["text"] for one in checked["problems"])
+    return Tried(
+        path.name,
+        kind,
+        check,
+        ", ".join(armed),
+        _lost(checked["losses"], "motor" if role == "drive" else "brake", path),
+    )
+
+
+def tables(folder: Path) -> Iterator[str]:
+    """Yield the tables of the drives and of the brakes, each after its marker's name."""
+    files = sorted(path for path in folder.iterdir() if path.suffix.lower() in (".eds", ".dcf"))
+    with TemporaryDirectory() as place:
+        for role, head in (("drive", "class"), ("brake", "set-point")):
+            rows = []
+            for number, path in enumerate(files, 1):
+                print(f"\r{role} {number} of {len(files)}: {path.name:<50}", end="", file=sys.stderr, flush=True)
+                row = tried(path, role, Path(place))
+                if row is not None:
+                    rows.append(row)
+            rows.sort(key=lambda row: (row.kind, row.name))
+            title = "lost, or why it is refused" if role == "drive" else "lost"
+            yield "\n".join(
+                [f"| file | {head} | check | armed | {title} |", "|---|---|---|---|---|", *(row.line() for row in rows)]
+            )
+    print(file=sys.stderr)
+
+
+def main() -> None:
+    """Run the program."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--write", action="store_true", help="put the tables into docs/drives.md")
+    given = parser.parse_args()
+    found = list(tables(given.folder))
+    if not given.write:
+        print("\n\n".join(found))
+        return
+    text = PAGE.read_text()
+    for name, table in zip(("drives", "brakes"), found, strict=True):
+        begin, end = f"<!-- {name} -->\n", f"\n<!-- end of {name} -->"
+        before, _, rest = text.partition(begin)
+        text = before + begin + table + end + rest.partition(end)[2]
+    PAGE.write_text(text)
+
+
+if __name__ == "__main__":
+    main()
