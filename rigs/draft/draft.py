@@ -31,6 +31,8 @@ PERIODS_S = (1e-3, 2e-3, 4e-3, 5e-3)
 """Cycles that are tried."""
 WINDOW = 0.74
 """Share of the cycle in which the host waits for the TPDOs."""
+MISSED, MOST_MISSED = "limits.missed_tpdo_cycles", 10
+"""How long the host may wait for a TPDO that the device sends by its own clock."""
 SAME_IN_PLANT = {
     "ratio": "mechanics.ratio",
     "encoder_counts_rev": "motor.encoder_counts_rev",
@@ -160,14 +162,17 @@ class Draft:
         )
         if finer * longer == 1:
             return
+        position = self.devices[0].entry((0x6064, 0), "tpdo")
+        half = (1 << (position.bits if position else 32) - 1) - 1  # a longer way in a few cycles would be ambiguous
         for path, value, least in (
             ("law.velocity_band_counts", like.law.velocity_band_counts, 1),
             ("limits.encoder_jump_counts", like.limits.encoder_jump_counts, 4),
             ("limits.sign_check_counts", like.limits.sign_check_counts, 3),
         ):
             cycles = 1 if path == "limits.sign_check_counts" else longer
+            most = half // like.limits.missed_tpdo_cycles if path == "limits.encoder_jump_counts" else half
             told = f"{value} in the rig {like.rig.name}, of an encoder with other counts at the handle"
-            text.put(path, max(least, round(value * finer * cycles)))
+            text.put(path, min(max(least, round(value * finer * cycles)), most))
             text.note(path, told)
 
     def _truth(self) -> None:
@@ -202,7 +207,12 @@ class Draft:
         return load_rig_text(str(self.text), self.path)
 
     def _without(self, error: RigError) -> None:
-        """Take out the optional roles that are refused; raise what is refused otherwise."""
+        """Take out the optional roles that are refused, and wait longer for a TPDO that comes seldom; raise what is refused otherwise."""
+        if self.text.get(MISSED) < MOST_MISSED and any(MISSED in problem[-1] for problem in error.problems):
+            self.text.put(
+                MISSED, MOST_MISSED, "; ".join(problem[3] for problem in error.problems if MISSED in problem[-1])
+            )
+            return
         problems = {problem[0]: str(problem) for problem in error.problems}
         refused = {role for role in problems if role not in OPTIONAL}
         if refused or not problems:

@@ -86,19 +86,28 @@ class _Gathering:
     def live(self, node: Node, node_id: int) -> Device:
         """Return a device that answered on the bus."""
         answers = self.left.pop(node_id)
-        description = self.description_of(node_id, answers)
+        description = self.file_of(answers)
+        if description is None:
+            vendor, product = _identity(answers)
+            text = f"node {node_id} has 1018h {vendor:#010x} {product:#010x}, and none of {len(self.files)} EDS files in the folder has it"
+            raise RigError([f"{text}; put its maker's file there, or name it with --drive, --brake or --sensor"])
         self.taken.add(node_id)
         return Device(node, description, self._name(Path(description.path)), node_id, answers)
 
-    def description_of(self, node_id: int, answers: Mapping[Place, int]) -> Description:
-        """Return the EDS file of a live node."""
-        identity = _identity(answers)
-        found = next((one for one in self.files if told_identity(one) == identity), None)
-        if found is None:
-            told = f"1018h {identity[0]:#010x} {identity[1]:#010x}"
-            text = f"node {node_id} has {told}, and none of {len(self.files)} EDS files in the folder has it"
-            raise RigError([f"{text}; put its maker's file there, or name it with --drive, --brake or --sensor"])
-        return found
+    def file_of(self, answers: Mapping[Place, int]) -> Description | None:
+        """Return the EDS file of a live node, None where the folder has none."""
+        return next((one for one in self.files if told_identity(one) == _identity(answers)), None)
+
+    def with_objects(self, indices: Sequence[int]) -> list[int]:
+        """Return the live nodes of CiA 404 and 401 whose EDS file has one of these arrays."""
+        found = {node_id: self.file_of(answers) for node_id, answers in self.left.items()}
+        return [
+            node_id
+            for node_id, description in found.items()
+            if _profile(self.left[node_id]) in (CIA404, CIA401)
+            and description is not None
+            and any(description.has(index, 1) for index in indices)
+        ]
 
     def motor(self) -> int:
         """Return the live node that is to be the motor's drive."""
@@ -106,9 +115,9 @@ class _Gathering:
 
     def brake(self) -> int:
         """Return the live node that is to be the brake's driver: one with an analogue output, else a second drive."""
-        for node_id, answers in self.left.items():
-            if _profile(answers) in (CIA404, CIA401) and _has(self.description_of(node_id, answers), OUTPUTS):
-                return node_id
+        drivers = self.with_objects(OUTPUTS)
+        if drivers:
+            return drivers[0]
         return self._of_profile("a brake's driver (CiA 404, CiA 401 with an output, or a second drive)", CIA402)
 
     def _of_profile(self, what: str, profile: int) -> int:
@@ -147,10 +156,8 @@ def gather(
             if node_id not in here.left:
                 raise RigError([f"node {node_id}, which is to be the {one.node}, did not answer on the bus"])
             found[one.node] = here.live(one.node, node_id)
-    for node_id, answers in tuple(here.left.items()):
-        if _profile(answers) in (CIA404, CIA401) and _has(here.description_of(node_id, answers), INPUTS):
-            name = f"sensor{node_id}"
-            found[name] = here.live(name, node_id)
+    for node_id in here.with_objects(INPUTS):
+        found[f"sensor{node_id}"] = here.live(f"sensor{node_id}", node_id)
     return (found.pop("motor"), found.pop("brake"), *found.values())
 
 
@@ -172,7 +179,3 @@ def _identity(answers: Mapping[Place, int]) -> tuple[int, int]:
 
 def _profile(answers: Mapping[Place, int]) -> int:
     return answers.get((0x1000, 0), 0) & 0xFFFF
-
-
-def _has(description: Description, indices: Sequence[int]) -> bool:
-    return any(description.has(index, 1) for index in indices)

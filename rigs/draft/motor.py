@@ -56,16 +56,15 @@ def command_of(device: Device) -> Command:
         for mode in (CST, PROFILE_TORQUE):
             if offered >> (mode - 1) & 1:
                 return Command(mode, None, "")
+    lacking = f"{label(TARGET_TORQUE)} is not " + (
+        "mappable" if device.description.has(*TARGET_TORQUE) else "described"
+    )
+    if device.entry(TARGET_TORQUE, "rpdo"):
+        lacking = f"{says} offers neither cyclic synchronous torque (10) nor profile torque (4)"
     maker = maker_mode(device)
     if maker is not None:
         known = "" if maker.sure else ", by its objects' names: find its number in the manual"
-        return Command(maker.mode, maker, f"no PDO takes 6071h, or {says}; this is {maker.name}{known}")
-    lacking = (
-        f"{says} offers neither cyclic synchronous torque (10) nor profile torque (4)"
-        if device.entry(TARGET_TORQUE, "rpdo")
-        else f"{label(TARGET_TORQUE)} is "
-        + ("not mappable" if device.description.has(*TARGET_TORQUE) else "not described")
-    )
+        return Command(maker.mode, maker, f"{lacking}; this is {maker.name}{known}")
     text = f"{device.description.path}: no torque or current set-point that a PDO can carry: {lacking}"
     remedy = "take a drive that has one; a drive for positions or speeds cannot display friction"
     role = f"{'brake' if device.node == 'brake' else 'torque'}_setpoint"

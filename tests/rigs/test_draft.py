@@ -12,7 +12,7 @@ from coulombus.rigs.draft.draft import Draft
 from coulombus.rigs.draft.gather import Wanted, gather
 from coulombus.rigs.draft.text import rehearsal_marks
 from coulombus.rigs.rig import RigError, load_rig, load_rig_text
-from eds_edit import edit, gone
+from eds_edit import edit, fixed, gone
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 CORPUS = ROOT.parent / "shared" / "eds-corpus"
@@ -129,6 +129,23 @@ def test_counts_of_the_encoder_scale_what_is_counted(draft):
     assert axis.limits.encoder_jump_counts == round(500 * finer)
     assert axis.law.velocity_band_counts == round(2 * finer)
     assert axis.limits.sign_check_counts == round(20 * finer)
+
+
+def test_counts_stay_below_half_the_range_of_a_narrow_position(draft):
+    narrow = edit(edit(FOREIGN, "6064", DataType="0x0003"), "608Fsub1", DefaultValue=1 << 20)
+    limits = draft(narrow.replace("0x60640020", "0x60640010")).rig.one_axis().limits
+    assert 10_000 < limits.encoder_jump_counts < (1 << 15) / limits.missed_tpdo_cycles
+
+
+def test_a_position_that_comes_seldom_is_waited_for(draft):
+    text = edit(
+        edit(FOREIGN, "1800sub2", AccessType="const", DefaultValue=255), "1800sub5", AccessType="const", DefaultValue=8
+    )
+    made = draft(fixed(text, 0x1A00, 0x1A01, 0x1A02, 0x1A03))
+    assert made.rig.one_axis().limits.missed_tpdo_cycles == 10
+    assert "every 8 ms" in marks(made, "limits.missed_tpdo_cycles")
+    with pytest.raises(RigError, match="sent every 20 ms"):
+        draft(edit(fixed(text, 0x1A00, 0x1A01, 0x1A02, 0x1A03), "1800sub5", DefaultValue=20))
 
 
 @pytest.mark.parametrize("rated_mNm", [5, 20_000])
