@@ -41,6 +41,7 @@ BASE = {
     "check": "check",
     "plan": "plan",
     "eds check": "eds check EDS",
+    "init": "init --drive EDS --brake bench",
     "node": "node EDS --node-id 1 --bus coulombus:none",
     "conformance": "conformance --bus coulombus:none --node 1 --eds EDS",
     "analyse": "analyse",
@@ -65,7 +66,7 @@ WITH_RIG = (
 WITH_RIG += ("analyse", "analyse hold", "analyse map", "identify")
 WITH_SET = ("demo", "simulate", "sim", "run", "watch", "dbc", "check", "plan", "analyse", "analyse hold", "analyse map")
 WITH_RECORDING = ("decode", "replay --host", "replay --virtual", "replay --bus", "identify")
-WITH_EDS = ("eds check", "node", "conformance")
+WITH_EDS = ("eds check", "init", "node", "conformance")
 WITH_BUS = ("run", "stop", "watch", "replay --bus", "bridge", "conformance")
 OUTPUTS = (
     ("simulate", "--record", ".pcapng"),
