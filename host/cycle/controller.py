@@ -17,6 +17,7 @@ from coulombus.host.cycle.guarding import beats, is_guarded
 from coulombus.host.cycle.records import CONTROL, DRIVE_PDOS, HOST, Image, Phase, SignResult, Trip
 from coulombus.host.laws.laws import LAW, LAW_STATE, MOTION, OWN_LAWS, LawError, load_law
 from coulombus.rigs.axis import Axis
+from coulombus.rigs.model import MOST_DEVICES
 from coulombus.rigs.signals import RigPdo, Signal
 from coulombus.rigs.switch import deadman_mask
 from coulombus.wire.frame import Records, new_records
@@ -342,8 +343,7 @@ class Controller:
         """Begin with the first cycle at `t_ns`; all nodes were heard just now."""
         h = self.host[0]
         h["next_ns"] = h["heartbeat_due_ns"] = h["guard_due_ns"] = t_ns
-        for k in range(len(self.axis.devices)):
-            h["heard_ns"][k], h["nmt"][k] = t_ns, NmtState.OPERATIONAL
+        self.host["heard_ns"], self.host["nmt"] = [t_ns] * MOST_DEVICES, [NmtState.OPERATIONAL] * MOST_DEVICES
         h["phase"] = Phase.STILL
 
     def stop(self, trip: Trip = Trip.NONE) -> None:
