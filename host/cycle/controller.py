@@ -13,10 +13,10 @@ from coulombus.eds.cia301 import CobId, NmtState
 from coulombus.eds.codec import PDO
 from coulombus.eds.pdo import fill
 from coulombus.host.cycle.demand import brake_end_Nm, brake_limit_raw
-from coulombus.host.cycle.guarding import beats, is_guarded
 from coulombus.host.cycle.records import CONTROL, DRIVE_PDOS, HOST, Image, Phase, SignResult, Trip
 from coulombus.host.laws.laws import LAW, LAW_STATE, MOTION, OWN_LAWS, LawError, load_law
 from coulombus.rigs.axis import Axis
+from coulombus.rigs.guarding import beats, is_guarded
 from coulombus.rigs.model import MOST_DEVICES
 from coulombus.rigs.signals import RigPdo, Signal
 from coulombus.rigs.switch import deadman_mask

@@ -19,11 +19,11 @@ from coulombus.eds.own_devices import MANUFACTURER, is_own
 from coulombus.eds.reader import Value, Variable
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.demand import check_demand
-from coulombus.host.cycle.guarding import beats, is_guarded
 from coulombus.host.cycle.records import Image
 from coulombus.host.errors import DeviceMismatch, NodeMissing, SdoAborted
 from coulombus.host.setup.device_plan import DevicePlan, device_plans, missing_mode
 from coulombus.host.setup.settings import Setting, encoded, number_of
+from coulombus.rigs.guarding import beats, is_guarded
 from coulombus.rigs.plan.rig_plan import plans
 from coulombus.rigs.rig import Rig
 

@@ -6,10 +6,10 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from coulombus.eds.own_devices import is_own, told_identity
-from coulombus.host.cycle.guarding import is_guarded
 from coulombus.host.setup.settings import Setting
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.devices import Brake, Motor
+from coulombus.rigs.guarding import is_guarded
 from coulombus.rigs.roles import CIA402, profile_of
 
 __all__ = ["NO_REACTION", "Reaction", "reactions_of"]

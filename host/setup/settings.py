@@ -15,9 +15,9 @@ from coulombus.eds.cia301 import DATA_TYPES, CobId, predefined
 from coulombus.eds.cia402 import OPERATION_MODE_PROFILE_TORQUE
 from coulombus.eds.own_devices import is_own, told_identity
 from coulombus.eds.reader import Description, Variable
-from coulombus.host.cycle.guarding import is_guarded
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.devices import Brake, Device, Motor
+from coulombus.rigs.guarding import is_guarded
 from coulombus.rigs.pdo_maps import mode_of, writable
 from coulombus.rigs.roles import CIA401, CIA402, CIA404, Binding, profile_of
 from coulombus.rigs.signals import RigPdo

@@ -12,10 +12,12 @@ from functools import cached_property
 from typing import Any
 
 from coulombus.eds.cia301 import CobId
+from coulombus.rigs.guarding import is_guarded
 from coulombus.rigs.model import CIA_301_BIT_RATES, to_ns
 from coulombus.rigs.plan.response_times import NO_ERRORS, Errors, Message, Response, bit_ns, response_times, utilisation
 from coulombus.rigs.plan.worst_cycle import Cycle, Timing, worst_cycle
 from coulombus.rigs.rig import Rig
+from coulombus.wire.can_id import CAN_RTR_FLAG
 
 __all__ = [
     "Assumptions",
@@ -85,6 +87,8 @@ class DeviceTraffic:
     rpdo_deadline_ns: int
     sync_timeout_ns: int
     response_ns: int = 0
+    guard_ns: int = 0
+    """How often the host guards it by a remote frame, to which it answers; 0: it has a heartbeat."""
 
     def moved(self, axis: int, node_id: int, name: str) -> DeviceTraffic:
         """Return the same device as part of another axis, under another node id."""
@@ -120,6 +124,7 @@ def devices_of(rig: Rig, period_ns: int, axes: int | None = None) -> tuple[Devic
             rpdo_deadline_ns,
             round(to_ns(sync_timeout_s) * scale),
             round(axis.part(node).response_us * 1e3),
+            to_ns(rig.host.heartbeat_s) if is_guarded(axis.description(node)) else 0,
         )
         for number, axis in enumerate(rig.axes)
         for node, rpdo_deadline_ns, sync_timeout_s in (
@@ -180,7 +185,15 @@ def messages_of(
             yield Message(
                 f"{name} SDO response", CobId.SDO_TX + node, 8, sporadic_ns, sdo_timeout_ns, device.response_ns, request
             )
-            beat = device.heartbeat_ns
+            beat = device.guard_ns or device.heartbeat_ns
+            if device.guard_ns:
+                yield Message(
+                    f"{name} guard request",
+                    CAN_RTR_FLAG | (CobId.HEARTBEAT + node),
+                    1,
+                    beat,
+                    device.heartbeat_timeout_ns - beat,
+                )
             yield Message(f"{name} heartbeat", CobId.HEARTBEAT + node, 1, beat, device.heartbeat_timeout_ns - beat)
         yield Message("host heartbeat", CobId.HEARTBEAT + host_id, 1, host_heartbeat_ns, watch)
 

@@ -20,10 +20,11 @@ from coulombus.host.errors import DeviceMismatch, SdoAborted
 from coulombus.host.setup import bringup
 from coulombus.host.setup.bringup import bring_up, plans_of
 from coulombus.host.setup.settings import encoded
+from coulombus.rigs.plan.rig_plan import plan as plan_cycle
 from coulombus.rigs.rig import RigError, load_rig_text
 from coulombus.sim_bus.network.virtual_rig import BOOT_NS, VirtualRig
 from coulombus.verbs.main import main
-from coulombus.wire.frame import data_bytes
+from coulombus.wire.frame import CAN_RTR_FLAG, data_bytes
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 CORPUS = ROOT.parent / "shared" / "eds-corpus"
@@ -346,6 +347,16 @@ def test_a_node_without_heartbeats_is_guarded():
         0b01,
         150_000_000,
     )
+    guarded = {
+        m.name: (m.can_id, m.length, m.period_ns)
+        for m in plan_cycle(rig_of(motor)).messages
+        if m.can_id & 0x7FF == 0x701
+    }
+    assert guarded == {
+        "motor guard request": (CAN_RTR_FLAG | 0x701, 1, 50_000_000),
+        "motor heartbeat": (0x701, 1, 50_000_000),
+    }
+    assert plan_cycle(rig_of(motor)).fits
     mute = gone(motor, "100C")
     control = Controller(rig_of(mute).one_axis(), "hybrid").control[0]
     assert (control["guard_ns"], control["guarded"], control["heartbeat_timeout_ns"][0]) == (0, 0, 0)
