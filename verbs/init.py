@@ -116,10 +116,14 @@ def _acknowledgements(rig: Rig) -> Iterator[str]:
     """Yield what the rig file has to acknowledge of its devices before they are armed, as `coulombus check` names it."""
     from coulombus.host.cycle.controller import Controller
     from coulombus.host.setup.device_plan import device_plans
+    from coulombus.rigs.mistakes import RigError
 
     for axis in rig.axes:
         for mode in axis.mode:
-            limit_pm = int(Controller(axis, mode).control["motor_limit_pm"][0])
+            try:
+                limit_pm = int(Controller(axis, mode).control["motor_limit_pm"][0])
+            except RigError:  # of this mode; `check` tells
+                continue
             for plan in device_plans(axis, mode, limit_pm):
                 for problem in plan.problems:
                     yield from ACKNOWLEDGEMENT.findall(str(problem))
