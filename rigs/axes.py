@@ -55,7 +55,7 @@ def split_axes(values: dict[str, Any], source: Source) -> dict[str, dict[str, An
         source.say(("axis",), "is no table of axes; expected [axis.NAME], once for each axis")
         return {}
     if not 1 <= len(axes) <= MAX_AXES:
-        source.say(("axis",), f"{len(axes)} axes stand there; expected 1 to {MAX_AXES}")
+        source.say(("axis",), f"got {len(axes)} axes, expected 1 to {MAX_AXES}")
     found: dict[str, dict[str, Any]] = {}
     for name, own in axes.items():
         if not NAME.fullmatch(name) or name in TAKEN:

@@ -197,7 +197,7 @@ class Axis(Sections):
         for part in path:
             value = value[part]
         place = source.where(path)[1]
-        stands = f"{place}: {source.spelled(path)}: '{shown(value)}' stands there; expected {source.said(expected)}"
+        stands = f"{place}: {source.spelled(path)}: got '{shown(value)}', expected {source.said(expected)}"
         return RigError([stands])
 
     def _identity(self) -> tuple[Any, ...]:

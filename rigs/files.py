@@ -41,7 +41,7 @@ def read_descriptions(values: Table, source: Source, eds_texts: Mapping[str, str
         try:
             found[str(key[-1])] = _from_file(name, source.path) if eds_texts is None else _from_text(name, eds_texts)
         except EdsError as error:
-            source.say((*key, "eds"), f"'{name}' stands there, but {error}")
+            source.say((*key, "eds"), f"got '{name}', but {error}")
     return found
 
 
@@ -116,18 +116,18 @@ def _rows(path: Path, columns: tuple[list[float], list[float]]) -> Iterator[str]
     rows = [(n, line.strip()) for n, line in enumerate(lines, 1) if line.strip() and not line.lstrip().startswith("#")]
     if not rows or [cell.strip() for cell in rows[0][1].split(",")] != list(COLUMNS):
         number, head = rows[0] if rows else (1, "")
-        yield f"{path}:{number}: '{head[:60]}' stands there; expected the header t_s,torque_Nm"
+        yield f"{path}:{number}: got '{head[:60]}', expected the header t_s,torque_Nm"
         return
     before = -math.inf
     for number, line in rows[1:]:
         cells = line.split(",")
         row = [_number(cell) for cell in cells]
         if len(cells) != 2 or any(cell is None for cell in row):
-            yield f"{path}:{number}: '{line[:60]}' stands there; expected two finite numbers, t_s,torque_Nm"
+            yield f"{path}:{number}: got '{line[:60]}', expected two finite numbers, t_s,torque_Nm"
             continue
         t, torque = (cell for cell in row if cell is not None)
         if t <= before or t < 0:
-            yield f"{path}:{number}: t_s: '{cells[0].strip()}' stands there; expected times that grow, from 0 on"
+            yield f"{path}:{number}: t_s: got '{cells[0].strip()}', expected times that grow, from 0 on"
         before = t
         columns[0].append(t)
         columns[1].append(torque)

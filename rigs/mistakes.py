@@ -91,7 +91,7 @@ class Source:
     def stands(self, key: Key, value: Any, wanted: str, known: Iterable[str] = ()) -> None:
         """Note that `value` is not what is `wanted`."""
         hint = nearest(value, known) if isinstance(value, str) else ""
-        self.say(key, f"'{shown(value)}' stands there; expected {wanted}{hint}")
+        self.say(key, f"got '{shown(value)}', expected {wanted}{hint}")
 
     def is_wrong(self, key: Key) -> bool:
         """Tell whether the value of `key`, or one that holds it, is known to be wrong."""

@@ -187,7 +187,7 @@ def check(values: Table, source: Source) -> None:
             source.say(key, f"'{key[-1]}' names a sensor; expected {wanted}")
     if len(device_keys(values)) > MOST_DEVICES:
         source.say(
-            ("sensor",), f"{len(device_keys(values)) - 2} sensors stand there; expected at most {MOST_DEVICES - 2}"
+            ("sensor",), f"got {len(device_keys(values)) - 2} sensors, expected at most {MOST_DEVICES - 2}"
         )
     for one, other in permutations(SIMULATION):
         if one in values and other not in values:
@@ -216,7 +216,7 @@ def check_roles(parts: Parts, values: Table, source: Source) -> None:
         else:
             node = problem.node if problem.node in parts.devices else "motor"
             device = next(key for key in device_keys(values) if key[-1] == node)
-            source.say((*device, "eds"), f"'{parts.part(node).eds}' stands there, but {problem}")
+            source.say((*device, "eds"), f"got '{parts.part(node).eds}', but {problem}")
         source.problems.append(problem)
 
 
@@ -231,7 +231,7 @@ def _check_columns(phase: Table, key: Key, source: Source) -> None:
     if len(times) != len(torques) or len(times) < 2:
         source.say(
             (*key, "torque_Nm"),
-            f"{len(torques)} values stand there, t_s has {len(times)}; expected as many, two or more",
+            f"got {len(torques)} values where t_s has {len(times)}, expected as many, two or more",
         )
     elif times[0] < 0 or any(later <= earlier for earlier, later in pairwise(times)):
         source.stands((*key, "t_s"), times, "times that grow, from 0 on")
@@ -240,7 +240,7 @@ def _check_columns(phase: Table, key: Key, source: Source) -> None:
 def remarks(values: Table, source: Source) -> tuple[str, ...]:
     """Return what is allowed and yet may not be meant, with file:line."""
     found = [
-        f"{source.where(key)[1]}: {source.spelled(key)}: '{shown(value)}' stands there; expected {source.said(wanted)}"
+        f"{source.where(key)[1]}: {source.spelled(key)}: got '{shown(value)}', expected {source.said(wanted)}"
         for key, value, wanted in _broken_rules(REMARKS, values, source)
     ]
     for i, phase in enumerate(values.get("phase", ())):

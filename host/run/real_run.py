@@ -445,7 +445,7 @@ def check_no_rehearsal(rig: Rig, address: BusAddress) -> None:
     marks = () if address.kind == "coulombus" else rehearsal_marks(rig.origin.text)
     if marks:
         wanted = f"expected what holds for the devices on {address}, and no mark"
-        raise RigError([f"{rig.path}:{line}: '# {REHEARSAL}' stands there; {wanted}" for line in marks])
+        raise RigError([f"{rig.path}:{line}: got '# {REHEARSAL}'; {wanted}" for line in marks])
 
 
 def real_run(

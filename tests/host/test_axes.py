@@ -83,10 +83,10 @@ def test_an_axis_may_have_a_schedule_of_its_own():
 @pytest.mark.parametrize(
     ("override", "text"),
     [
-        ("axis.right.motor.node_id=1", "axis.right.motor.node_id: '1' stands there; expected another id"),
+        ("axis.right.motor.node_id=1", "axis.right.motor.node_id: got '1', expected another id"),
         (
             "axis.right.brake.node_id=1",
-            "axis.right.brake.node_id: '1' stands there; expected another id than the motor's",
+            "axis.right.brake.node_id: got '1', expected another id than the motor's",
         ),
         ("axis.right.motor.nod_id=1", "axis.right.motor.nod_id: unknown key"),
         ("axis.right.bus.period_s=0.001", "axis.right.bus.period_s"),
@@ -109,7 +109,7 @@ def test_a_mistake_is_told_with_the_line_of_the_axis():
     rig = load_rig("two_axes")
     line = next(n for n, text in enumerate(rig.text.splitlines(), 1) if text == "motor.node_id = 3")
     assert str(rig.axes[1].mistake("motor.node_id", "another")) == (
-        f"{rig.path}:{line}: axis.right.motor.node_id: '3' stands there; expected another"
+        f"{rig.path}:{line}: axis.right.motor.node_id: got '3', expected another"
     )
 
 

@@ -239,7 +239,7 @@ def test_eds_mistakes(tmp_path: Path) -> None:
     number = line(BENCH, 'eds = "motor.eds"')
     (error,) = errors(changed(('"motor.eds"', '"motr.eds"')))
     assert error.startswith(
-        f"r.toml:{number}: motor.eds: 'motr.eds' stands there, but its text is not given; expected one of"
+        f"r.toml:{number}: motor.eds: got 'motr.eds', but its text is not given; expected one of"
     )
     path = tmp_path / "r.toml"
     path.write_text(changed(('"motor.eds"', '"motr.eds"'), ('"mr_brake.eds"', '"empty.eds"')), encoding="utf-8")
@@ -248,10 +248,10 @@ def test_eds_mistakes(tmp_path: Path) -> None:
         load_rig(str(path))
     missing, empty = caught.value.errors
     assert missing.startswith(
-        f"{path}:{number}: motor.eds: 'motr.eds' stands there, but there is no such file; looked for {tmp_path}"
+        f"{path}:{number}: motor.eds: got 'motr.eds', but there is no such file; looked for {tmp_path}"
     )
     assert missing.endswith("did you mean 'motor.eds'?")
-    assert f"brake.eds: 'empty.eds' stands there, but {tmp_path / 'empty.eds'}:1: " in empty
+    assert f"brake.eds: got 'empty.eds', but {tmp_path / 'empty.eds'}:1: " in empty
 
 
 def test_a_recording_needs_no_files() -> None:
@@ -308,7 +308,7 @@ def test_a_mistake_in_a_variant_stands_where_it_was_given():
 @pytest.mark.parametrize(
     ("override", "expected"),
     [
-        ("bus.period_s=1ms", "bus.period_s: '\"1ms\"' stands there; expected a number from 0.0001 to 1, in s"),
+        ("bus.period_s=1ms", "bus.period_s: got '\"1ms\"', expected a number from 0.0001 to 1, in s"),
         ("mode.active.F_s=1", "mode.active.F_s: unknown key; expected one of the keys of [mode.active]"),
         ("mode.activ.F_s_Nm=1", "mode.activ: unknown key; expected one of the keys of [mode]: active, passive, hybrid; did you mean 'active'?"),
         ("phase.3.duration_s=1", "phase.3: there are 3 entries in phase; expected phase.0 to phase.2"),
@@ -386,12 +386,12 @@ def test_schedule_from_a_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "expected"),
     [
-        ("", ["push.csv:1: '' stands there; expected the header t_s,torque_Nm"]),
-        ("t_s;torque_Nm\n", ["push.csv:1: 't_s;torque_Nm' stands there; expected the header t_s,torque_Nm"]),
+        ("", ["push.csv:1: got '', expected the header t_s,torque_Nm"]),
+        ("t_s;torque_Nm\n", ["push.csv:1: got 't_s;torque_Nm', expected the header t_s,torque_Nm"]),
         ("t_s,torque_Nm\n0,0\n", ["push.csv:2: the file has 1 rows; expected at least two"]),
-        ("t_s,torque_Nm\n0,0\n1,x\n#\n2\n2,nan\n3,1,1\n", [f"push.csv:{n}: '{row}' stands there; expected two finite numbers"
+        ("t_s,torque_Nm\n0,0\n1,x\n#\n2\n2,nan\n3,1,1\n", [f"push.csv:{n}: got '{row}', expected two finite numbers"
                                                        for n, row in ((3, "1,x"), (5, "2"), (6, "2,nan"), (7, "3,1,1"))]),
-        ("t_s,torque_Nm\n0,0\n1,1\n1,2\n0.5,1\n", ["push.csv:4: t_s: '1' stands there; expected times that grow, from 0 on",
+        ("t_s,torque_Nm\n0,0\n1,1\n1,2\n0.5,1\n", ["push.csv:4: t_s: got '1', expected times that grow, from 0 on",
                                                   "push.csv:5: t_s: '0.5' stands there"]),
         ("t_s,torque_Nm\n-1,0\n1,1\n", ["push.csv:2: t_s: '-1' stands there"]),
         ("t_s,torque_Nm\n" + "x\n" * 30, ["push.csv:2: 'x'"] * 10 + ["push.csv: 20 further lines cannot be read"]),
@@ -411,16 +411,16 @@ def test_schedule_without_a_file_and_given_in_place() -> None:
     (error,) = errors(BENCH + '[[phase]]\nkind = "file"\n')
     assert error.startswith(f"r.toml:{lines + 1}: phase.3.path: missing in [[phase]]; expected a CSV file")
     (error,) = errors(BENCH + '[[phase]]\nkind = "file"\npath = "no.csv"\n')
-    assert error.startswith(f"r.toml:{lines + 3}: phase.3.path: '\"no.csv\"' stands there; expected a CSV file")
+    assert error.startswith(f"r.toml:{lines + 3}: phase.3.path: got '\"no.csv\"', expected a CSV file")
     head = BENCH + '[[phase]]\nkind = "file"\n'
     rig = load_rig_text(head + "t_s = [0, 1]\ntorque_Nm = [1, 2.5]\n", "r.toml", EDS)
     assert rig.one_axis().phases[-1].torque_Nm.tolist() == [1.0, 2.5]
     for rows, expected in (
-        ("t_s = [0, 1]\ntorque_Nm = [1]\n", "phase.3.torque_Nm: 1 values stand there, t_s has 2"),
-        ("t_s = [1, 1]\ntorque_Nm = [1, 2]\n", "phase.3.t_s: '[1, 1]' stands there; expected times that grow"),
+        ("t_s = [0, 1]\ntorque_Nm = [1]\n", "phase.3.torque_Nm: got 1 values where t_s has 2"),
+        ("t_s = [1, 1]\ntorque_Nm = [1, 2]\n", "phase.3.t_s: got '[1, 1]', expected times that grow"),
         (
             "t_s = [0, nan]\ntorque_Nm = [1, 2]\nduration_s = 1\n",
-            "phase.3.t_s: '[0, nan]' stands there; expected a list of numbers",
+            "phase.3.t_s: got '[0, nan]', expected a list of numbers",
         ),
         ("t_s = [0, true]\ntorque_Nm = [1, 2]\nduration_s = 1\n", "phase.3.t_s: '[0, true]' stands there"),
         ("t_s = [0, 1]\n", "phase.3.torque_Nm: missing in [phase.3]"),

@@ -148,8 +148,8 @@ def test_a_sensor_has_a_node_of_its_own_and_the_role_keeps_its_name():
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
-        (("node_id = 3", "node_id = 2"), "sensor.cell.node_id: '2' stands there; expected another id than brake.node_id, which is 2"),
-        (("node_id = 3", "node_id = 2000"), "sensor.cell.node_id: '2000' stands there; expected an integer from 1 to 127"),
+        (("node_id = 3", "node_id = 2"), "sensor.cell.node_id: got '2', expected another id than brake.node_id, which is 2"),
+        (("node_id = 3", "node_id = 2000"), "sensor.cell.node_id: got '2000', expected an integer from 1 to 127"),
         (("heartbeat_s = 0.05", "hartbeat_s = 0.05"), "sensor.cell.hartbeat_s: unknown key"),
         (("heartbeat_s = 0.05", "heartbeat_s = 0.2"), "less than sensor.cell.heartbeat_timeout_s, which is 0.15"),
         (('node = "cell"', 'node = "sell"'), "role.handle_torque: there is no device 'sell'; name one of motor, brake, cell"),

@@ -141,7 +141,7 @@ def test_another_unit_is_refused(section: str, value: str, expected: str) -> Non
         load_rig_text(BENCH, "r.toml", texts)
     (error,) = caught.value.errors
     number = BENCH[: BENCH.index('eds = "mr_brake.eds"')].count("\n") + 1
-    assert error.startswith(f"r.toml:{number}: brake.eds: 'mr_brake.eds' stands there, but mr_brake.eds:")
+    assert error.startswith(f"r.toml:{number}: brake.eds: got 'mr_brake.eds', but mr_brake.eds:")
     text, _, remedy = error.rpartition("; ")
     assert text.endswith(expected)
     assert re.fullmatch(
