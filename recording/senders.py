@@ -11,6 +11,7 @@ import numpy.typing as npt
 from coulombus.eds.cia301 import CobId
 from coulombus.recording.signals import blocks
 from coulombus.rigs.rig import Rig, RigError, load_rig
+from coulombus.wire.frame import CAN_RTR_FLAG
 
 __all__ = ["HOST", "rig_of", "senders"]
 
@@ -28,6 +29,8 @@ TO_NODES = (CobId.RPDO1, CobId.RPDO2, CobId.RPDO3, CobId.RPDO4, CobId.SDO_RX)
 def senders(can_ids: npt.NDArray[np.int64], rig: Rig | None = None) -> npt.NDArray[np.int64]:
     """Return the node id of each frame's sender, 0 for the host, -1 where the identifier (with
     flags) tells nothing.
+
+    A remote frame is a request (node guarding, a PDO that is asked for): the host's.
     """
     table = np.full(0x800, NOBODY, np.int64)
     nodes = np.arange(1, 128)
@@ -41,8 +44,9 @@ def senders(can_ids: npt.NDArray[np.int64], rig: Rig | None = None) -> npt.NDArr
         for pdo in rig.pdos():
             layout = pdo.layout
             table[layout.cob_id] = HOST if layout.direction == "rpdo" else pdo.node_id
-    bare = can_ids & ~0x40000000
-    return np.where(bare <= 0x7FF, table[bare & 0x7FF], NOBODY)
+    bare = can_ids & ~CAN_RTR_FLAG
+    sender = np.where(can_ids & CAN_RTR_FLAG, HOST, table[bare & 0x7FF])
+    return np.where(bare <= 0x7FF, sender, NOBODY)
 
 
 def rig_of(path: str, name: str | None) -> Rig | None:

@@ -21,7 +21,7 @@ from coulombus.verbs.main import main
 from coulombus.wire.address import parse_address
 from coulombus.wire.bits import frame_bits
 from coulombus.wire.client import BusFull, Client
-from coulombus.wire.frame import FRAME, data_word
+from coulombus.wire.frame import CAN_RTR_FLAG, FRAME, data_word
 from coulombus.wire.hello import Hello
 from coulombus.wire.identifiers import IdentifierError, among, parse_identifiers
 
@@ -182,6 +182,11 @@ def test_a_part_of_it(bus, file, options, expected):
 def test_who_sent_what_without_a_rig():
     found = senders(np.array([0x000, 0x080, 0x081, 0x185, 0x205, 0x585, 0x605, 0x705, EFF | 0x181, 0x7E4, 0x7E5]))
     assert found.tolist() == [0, 0, 1, 5, 0, 5, 0, 5, -1, -1, 0]
+
+
+def test_a_remote_frame_is_the_hosts_request():
+    found = senders(np.array([CAN_RTR_FLAG | 0x705, CAN_RTR_FLAG | 0x185, EFF | CAN_RTR_FLAG | 0x705]))
+    assert found.tolist() == [0, 0, -1]
 
 
 @pytest.mark.parametrize("suffix", [".log", ".asc", ".blf", ".csv", ".trc", ".log.gz"])
