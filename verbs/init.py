@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from coulombus.verbs.common import EXIT_STATUS, OutputFile, bus_option, errors, say, verdict
+from coulombus.verbs.common import EXIT_STATUS, OutputFile, errors, say, verdict
 
 if TYPE_CHECKING:
     from coulombus.rigs.rig import Rig
@@ -32,7 +32,7 @@ ACKNOWLEDGEMENT = re.compile(r'host\.accept = \["([^"]+)"\]')
 @click.option("--brake-id", type=NODE_ID, help="Node id of the brake's driver.  [default: a DCF's own, else 2]")
 @click.option("--sensor-id", "sensor_ids", type=NODE_ID, multiple=True, help="Node id of each sensor, in their order.")
 @click.option("--like", default="bench", show_default=True, metavar="R", help="The rig that all else is taken from.")
-@bus_option
+@click.option("--bus", "bus_name", metavar="B", help="Ask who is on coulombus:NAME or socketcan:IF.")
 @click.option(
     "--eds-folder",
     type=click.Path(path_type=Path, file_okay=False, exists=True),

@@ -70,6 +70,10 @@ class Draft:
             values.pop(name, None)
         for key in ("accept", "deadman"):  # of the other rig's devices
             values["host"].pop(key, None)
+        taken = {device.node_id for device in self.devices}
+        values["host"]["node_id"] = next(
+            number for number in (like.host.node_id, *range(127, 0, -1)) if number not in taken
+        )
         values["law"]["function"] = _law_from_anywhere(like)
         self.text = RigText(values)
         self._about()
@@ -140,9 +144,7 @@ class Draft:
                 self.text.put(f"{at}.{key}", 0, f"a simulated device has 0, as its file tells none{real}", REHEARSAL)
             else:
                 self.text.put(f"{at}.{key}", number, doubt)
-        self.text.put(
-            f"{at}.response_us", RESPONSE_US, "nobody has measured this device: `coulombus measure`, or its manual"
-        )
+        self.text.put(f"{at}.response_us", RESPONSE_US, "nobody has measured this device; see its manual")
 
     def _replace(self, device: Device, part: dict[str, Any]) -> None:
         if device.node in ("motor", "brake"):

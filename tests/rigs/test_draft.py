@@ -335,6 +335,12 @@ def test_another_rigs_acknowledgements_and_switch_are_not_taken_over(draft):
     assert (host.accept, host.deadman) == ((), "")
 
 
+def test_the_host_gives_way_to_a_device_with_its_id(tmp_path):
+    devices = gather((Wanted("motor", "bench", 127), Wanted("brake", "bench", 126)), tmp_path)
+    rig = Draft(devices, load_rig("bench").one_axis(), str(tmp_path / "my.toml")).rig
+    assert rig.host.node_id == 125
+
+
 def test_a_law_beside_another_rig_is_found_from_anywhere(draft, tmp_path):
     folder = tmp_path / "other"
     folder.mkdir()
