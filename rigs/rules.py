@@ -186,9 +186,7 @@ def check(values: Table, source: Source) -> None:
             wanted = "a name of small letters, digits and _, which begins with a letter and is not " + ", ".join(TAKEN)
             source.say(key, f"'{key[-1]}' names a sensor; expected {wanted}")
     if len(device_keys(values)) > MOST_DEVICES:
-        source.say(
-            ("sensor",), f"got {len(device_keys(values)) - 2} sensors, expected at most {MOST_DEVICES - 2}"
-        )
+        source.say(("sensor",), f"got {len(device_keys(values)) - 2} sensors, expected at most {MOST_DEVICES - 2}")
     for one, other in permutations(SIMULATION):
         if one in values and other not in values:
             source.say(

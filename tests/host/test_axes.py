@@ -93,8 +93,8 @@ def test_an_axis_may_have_a_schedule_of_its_own():
         ("axis.right.law.function=coulomb", "one compiled law drives all axes"),
         ("axis.right.host.node_id=100", "one host drives all axes"),
         ("axis.top.motor.node_id=9", "there is no such axis; the rig's axes are left, right"),
-        ("plant.inertia_kg_m2=-1", "plant.inertia_kg_m2: '-1' stands there"),
-        ("axis.right.plant.coulomb_Nm=-1", "axis.right.plant.coulomb_Nm: '-1' stands there"),
+        ("plant.inertia_kg_m2=-1", "plant.inertia_kg_m2: got '-1'"),
+        ("axis.right.plant.coulomb_Nm=-1", "axis.right.plant.coulomb_Nm: got '-1'"),
         ("axis.right.bus.bitrate_bit_s=500000", "both hang on one bus"),
     ],
 )

@@ -82,7 +82,7 @@ def test_the_brakes_own_limit_counts_and_is_named():
     rig = load_rig("paper", ["brake.eds=mr_brake.eds"])
     assert cut_off(rig, "active") == []
     (text,) = cut_off(rig, "passive")
-    assert re.search(r"paper\.toml:\d+: mode\.passive\.F_d_Nm: '10\.0' stands there", text)
+    assert re.search(r"paper\.toml:\d+: mode\.passive\.F_d_Nm: got '10\.0'", text)
     assert re.search(r"at most 5 Nm, not 10 Nm: the brake's 7300h:01 \(.*mr_brake\.eds:\d+\)", text)
 
 

@@ -30,6 +30,7 @@ ENDS = {
     "conformance": (f"conformance --bus coulombus:none --node 1 --eds {EDS}", 4),
     "eds": ("eds check OTHER", 3),
     "eds ok": (f"eds check {EDS}", 0),
+    "init": (f"init --drive {EDS} --brake bench", 0),
     "check": ("check --rig bench --set bus.bitrate_bit_s=125000", 1),
     "check ok": ("check --rig bench", 0),
     "plan": ("plan --rig bench --bitrate 125000", 1),
