@@ -82,9 +82,11 @@ class FileReader(DcfReader):
         return {device.spelled[key]: value for key, (value, _) in device.entries.items()}
 
     def implied_pdos(self, objects: Mapping[int, Object]) -> dict[int, Object]:
-        """Return the PDO parameters that CompactPDO tells of and the file does not spell out (CiA 306-1).
+        """Return the PDO parameters that CompactPDO tells of and the file does not spell out (CiA
+        306-1).
 
-        Each bit of CompactPDO is a sub-index of the communication parameters, bit 0 is 1. Mapping parameters have 64 entries, none of them mapped.
+        Each bit of CompactPDO is a sub-index of the communication parameters, bit 0 is 1. Mapping
+        parameters have 64 entries, none of them mapped.
         """
         device = self.sections.get("deviceinfo", Section("", 1))
         compact, found = self.integer(device, "compactpdo", 0), dict[int, Object]()

@@ -113,7 +113,10 @@ class _Reader(FileReader):
         )
 
     def in_decimal(self, subs: dict[int, Section]) -> dict[int, Section]:
-        """Return the sub-indices by their numbers; in decimal where sub-index 0 proves that [2000sub10] means the tenth."""
+        """Return the sub-indices by their numbers.
+
+        In decimal where sub-index 0 proves that [2000sub10] means the tenth.
+        """
         if not ({9, 0x10} <= subs.keys() and 0 in subs) or any(sub in subs for sub in range(0xA, 0x10)):
             return subs
         if not all(f"{sub:x}".isdecimal() for sub in subs):

@@ -20,7 +20,10 @@ PDO_PARAMETERS = range(0x1400, 0x1C00)
 MOST_QUOTED = 60
 """Characters of the file that a diagnosis quotes at most."""
 MOST_ALIKE = 20
-"""So many diagnoses of one kind are told one by one; more of them are one line with their number."""
+"""So many diagnoses of one kind are told one by one.
+
+More of them are one line with their number.
+"""
 MOST_DIGITS = 40
 """A longer number is none: no data type is so wide."""
 
@@ -126,7 +129,10 @@ def _without_comment(text: str) -> str:
 
 
 def alike(diagnoses: Iterable[Diagnosis]) -> Iterator[Diagnosis]:
-    """Yield diagnoses by their lines; very many of one kind, which differ in names and numbers only, are one with their number."""
+    """Yield diagnoses by their lines.
+
+    Very many of one kind, which differ in names and numbers only, are one with their number.
+    """
     kinds: dict[tuple[str, str], list[Diagnosis]] = {}
     for one in diagnoses:
         kinds.setdefault((one.severity, _DETAILS.sub("", one.text)), []).append(one)

@@ -1,1 +1,3 @@
-"""All that runs on the rig's PC: bring-up, the cycle, the laws, the data plane, the course of a run."""
+"""All that runs on the rig's PC: bring-up, the cycle, the laws, the data plane, the course of a
+run.
+"""

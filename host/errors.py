@@ -31,7 +31,10 @@ class SdoAborted(HostError):
 
 
 class DeviceMismatch(HostError):
-    """A node's identity or configuration is not what the rig file says; the text names each difference."""
+    """A node's identity or configuration is not what the rig file says.
+
+    The text names each difference.
+    """
 
     exit_status = 3
 

@@ -48,7 +48,10 @@ def start(n: NodeRecord) -> None:
 
 @kernel
 def look(n: NodeRecord, t_ns: int) -> None:
-    """Bring `detected` and `limit_Nm` up to what is measured; almost always there is nothing to do."""
+    """Bring `detected` and `limit_Nm` up to what is measured.
+
+    Almost always there is nothing to do.
+    """
     measured = abs(n.in_coil_A)
     expected = n.out_brake_Nm * n.coil_A_Nm
     missing = expected > n.least_A and measured < _OPEN_SHARE * expected

@@ -107,7 +107,10 @@ class Device:
         return self.dictionary[key]
 
     def __setitem__(self, key: tuple[int, int], value: Value) -> None:
-        """Set an object as the device itself does: no access right, no limit; the record follows."""
+        """Set an object as the device itself does: no access right, no limit.
+
+        The record follows.
+        """
         self.dictionary[key] = value
         self._changed(*key)
         self.record["next_ns"] = min(int(self.record["next_ns"]), self._now)

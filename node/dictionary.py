@@ -74,7 +74,10 @@ class Dictionary:
                     self[index, subindex] = self.default(index, subindex)
 
     def default(self, index: int, subindex: int) -> Value:
-        """Return the EDS' default; where there is none, CiA 301's, and else the zero of its type."""
+        """Return the EDS' default.
+
+        Where there is none, CiA 301's, and else the zero of its type.
+        """
         value = self._told(index, subindex)
         if index in self.unreadable and subindex == 1:
             return int(value) | COB_ID_INVALID if isinstance(value, int) else COB_ID_INVALID

@@ -2,8 +2,9 @@
 its objects, what they may hold, and its part of the core.
 
 The power states are `node.states402`'s, the torque is
-`node.motion402`'s, its objects stand in `node.slots402`. The loss of the host - heartbeat, guarding,
-bus-off - is a fault of our own drive; another maker's does what 6007h says, as CiA 402 has it.
+`node.motion402`'s, its objects stand in `node.slots402`. The loss of the host - heartbeat,
+guarding, bus-off - is a fault of our own drive; another maker's does what 6007h says, as CiA 402
+has it.
 """
 
 from __future__ import annotations

@@ -42,7 +42,9 @@ _OWN: Mapping[tuple[int, int], Profile] = {
 
 
 def number(profile: Profile) -> int:
-    """Return the number of a profile in `PROFILES`; one that was fitted to a file has that of its kind.
+    """Return the number of a profile in `PROFILES`.
+
+    One that was fitted to a file has that of its kind.
 
     Raises
     ------
@@ -106,7 +108,9 @@ def of_description(description: Description) -> Profile:
 
 
 def _has(description: Description, index: int, kind: Profile) -> bool:
-    """Tell whether an object is there, and is that of the kind: CiA 406 has others at 6000h and 6401h."""
+    """Tell whether an object is there, and is that of the kind: CiA 406 has others at 6000h and
+    6401h.
+    """
     if kind is not IO401:
         return description.has(index)
     widths = (

@@ -1,4 +1,5 @@
-"""What a stand-in opens in another maker's file: limits and defaults that the real device cannot have.
+"""What a stand-in opens in another maker's file: limits and defaults that the real device cannot
+have.
 
 An EDS file is written by hand. Some limits contradict CiA's own range of an object, and some
 defaults, which the device takes from its own memory, would keep the drive from any torque. Both are
@@ -28,7 +29,9 @@ _RANGES: tuple[tuple[range, range, int, str], ...] = (
     (range(0x1800, 0x1A00), range(1, 2), _COB_ID, "a COB-ID, whose bit 31 makes it not valid"),
     (range(0x1A00, 0x1C00), range(1, 65), _MAPPED, "index, sub-index and length of an object"),
 )
-"""Objects of CiA 301: indices, sub-indices, the value that each of them must be able to hold, and what it is."""
+"""Objects of CiA 301: indices, sub-indices, the value that each of them must be able to hold, and
+what it is.
+"""
 
 _FASTEST, _FARTHEST, _THREE_TIMES = 0xFFFFFFFF, 0x7FFFFFFF, 3000
 _BLOCKING: Mapping[Key, int] = {

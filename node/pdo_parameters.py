@@ -73,10 +73,11 @@ class Pdos:
         return not self._cob_id(direction, k) & COB_ID_INVALID
 
     def _stands(self, direction: Direction, k: int) -> bool:
-        """Tell whether a PDO is valid, so that its parameters stand until a client makes it invalid.
+        """Tell whether a PDO is valid, so that its parameters stand until a client makes it
+        invalid.
 
-        Where the file lets no client do that (a COB-ID that is read-only), what it lets be written can be
-        written while the PDO is valid: its map by way of 0 entries.
+        Where the file lets no client do that (a COB-ID that is read-only), what it lets be written
+        can be written while the PDO is valid: its map by way of 0 entries.
         """
         index = COMMUNICATION[direction] + k
         told = self._dictionary.description.variable(index, 1) if (index, 1) in self._dictionary else None

@@ -64,7 +64,8 @@ class CoreObject:
     changing : whether it changes all the time, so that its change is
         no event for a TPDO that has an event timer
     needed : whether the kind has nothing to act on without it
-    named : it is the maker's own, from 2000h to 5FFFh, and somebody who knows the device has named it
+    named : it is the maker's own, from 2000h to 5FFFh, and somebody who knows the device has named
+        it
     """
 
     index: int

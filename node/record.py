@@ -41,7 +41,8 @@ NODE = np.dtype(
         ("next_ns", _I),  # when on_time wants to be called; FAR_FUTURE_NS: never
         *CLOCK_FIELDS,
         ("processing_ns", _I),  # from a frame or an event to the answer that is ready to be sent
-        # simulated inputs that every kind has (written by sim_bus). After a change of one of them set next_ns to the
+        # simulated inputs that every kind has (written by sim_bus). After a change of one of them
+        # set next_ns to the
         # present: both are looked at on SYNC, on an RPDO and on time
         ("in_supply_ok", _I),
         ("in_faults", _I),  # device faults that are present, bits of node.emcy's causes
@@ -119,7 +120,8 @@ NODE = np.dtype(
         ("sdo_deadline_ns", _I, (MAX_SDO_SERVERS,)),
         ("sdo_abort_id", _I, (MAX_SDO_SERVERS,)),
         ("sdo_abort_word", _I, (MAX_SDO_SERVERS,)),
-        # segments of block downloads that the core collects; Python opens and closes a channel's row
+        # segments of block downloads that the core collects; Python opens and closes a channel's
+        # row
         ("segments_open", _I),  # how many rows are open
         ("segments_id", _I, (MAX_SDO_SERVERS,)),  # identifier of the requests; 0: closed
         ("segments_next", _I, (MAX_SDO_SERVERS,)),  # number of the segment that comes next

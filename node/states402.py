@@ -117,7 +117,10 @@ def _driven(n: NodeRecord) -> bool:
 
 @kernel
 def fault(n: NodeRecord, t_ns: int, at_once: bool) -> None:
-    """Transitions 13 and 14: the fault reaction and FAULT; what was commanded before acts no more."""
+    """Transitions 13 and 14: the fault reaction and FAULT.
+
+    What was commanded before acts no more.
+    """
     n.setpoint_stale = 1
     ramp = _ramp(n.values[slots402.FAULT_OPTION])
     if at_once or ramp == 0 or not _driven(n):

@@ -57,7 +57,9 @@ class Measures:
     window.
     """
     hold_push_Nm: float | None = None
-    """Largest handle torque that the transducer shows in the hold window; None of a rig without one."""
+    """Largest handle torque that the transducer shows in the hold window; None of a rig without
+    one.
+    """
 
 
 def phases(recording: Source) -> list[PhaseSpan]:

@@ -1,4 +1,5 @@
-"""Several axes in one rig file: what each has of its own in ``[axis.NAME]``, and what all must share.
+"""Several axes in one rig file: what each has of its own in ``[axis.NAME]``, and what all must
+share.
 
 ::
 

@@ -1,6 +1,8 @@
-"""One axis of a rig: a motor and a brake on one handle, with what the host believes of them and what the law is to display.
+"""One axis of a rig: a motor and a brake on one handle, with what the host believes of them and
+what the law is to display.
 
-What is per axis takes an `Axis`; what belongs to all of them - buses, host, name - is the `rigs.rig.Rig`'s. An axis is frozen through and through.
+What is per axis takes an `Axis`; what belongs to all of them - buses, host, name - is the
+`rigs.rig.Rig`'s. An axis is frozen through and through.
 """
 
 from __future__ import annotations
@@ -31,7 +33,9 @@ HYBRID_MARGIN = 1.2
 
 
 class Sections(Section):
-    """The sections of a rig file, as one axis has them: its own values, and the shared ones in the places of those that it does not have."""
+    """The sections of a rig file, as one axis has them: its own values, and the shared ones in the
+    places of those that it does not have.
+    """
 
     rig: About = Field(description="what the rig is called")
     bus: Bus = Field(description="the CAN bus and the cycle")
@@ -168,29 +172,39 @@ class Axis(Sections):
         return allocate(self, self.prefix)
 
     def motor_limit_Nm(self, mode: str) -> float:
-        """Return the largest motor torque at the handle [Nm] in a mode, which the drive's own limit 6072h is set to.
+        """Return the largest motor torque at the handle [Nm] in a mode, which the drive's own limit
+        6072h is set to.
 
-        In `hybrid` the motor has friction to compensate and nothing else: at most 1.2 times the identified friction.
+        In `hybrid` the motor has friction to compensate and nothing else: at most 1.2 times the
+        identified friction.
         """
         limit = self.mode[mode].motor_limit_Nm
         return min(limit, HYBRID_MARGIN * self.mechanics.friction_Nm) if mode == "hybrid" else limit
 
     @property
     def law_of_recording(self) -> bool:
-        """Whether nobody but a recording names the law: then it is run only if it is one of the project's own."""
+        """Whether nobody but a recording names the law: then it is run only if it is one of the
+        project's own.
+        """
         return self.origin.attached and not self.origin.law_named
 
     @property
     def law_directory(self) -> Path:
-        """Where the file of a law is looked for before the current folder: beside the rig file, never beside a recording."""
+        """Where the file of a law is looked for before the current folder: beside the rig file,
+        never beside a recording.
+        """
         return Path() if self.origin.attached else Path(self.origin.path).parent
 
     def said(self, text: str) -> str:
-        """Return `text` with each of the rig file's keys in it as the user wrote it: ``axis.NAME.limits.travel_rad`` where this axis has its own."""
+        """Return `text` with each of the rig file's keys in it as the user wrote it:
+        ``axis.NAME.limits.travel_rad`` where this axis has its own.
+        """
         return self.origin.source(self.name).said(text) if self.name else text
 
     def mistake(self, key: str, expected: str) -> RigError:
-        """Return the error that says where `key` stands, what stands there, and what was `expected`, for later checks."""
+        """Return the error that says where `key` stands, what stands there, and what was
+        `expected`, for later checks.
+        """
         path: Key = tuple(key.split("."))
         source = self.origin.source(self.name)
         value: Any = self.model_dump(by_alias=True)

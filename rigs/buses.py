@@ -1,7 +1,7 @@
 """Which of a rig's buses is where: the values of ``--bus`` and ``--channel``.
 
-``--bus`` is ``B`` for a rig with one bus, ``CHANNEL=B`` for each of several. What is not given is the virtual bus ``coulombus:RIG``, or
-``coulombus:RIG.CHANNEL`` where there are several.
+``--bus`` is ``B`` for a rig with one bus, ``CHANNEL=B`` for each of several. What is not given is
+the virtual bus ``coulombus:RIG``, or ``coulombus:RIG.CHANNEL`` where there are several.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ def bus_addresses(rig: Rig, given: Sequence[str] = (), channel: str | None = Non
 
 
 def one_bus(rig: Rig, given: str | None, channel: str | None) -> tuple[Rig, BusAddress]:
-    """Return the rig as it is on one bus, and that bus' address, for who looks at one bus at a time.
+    """Return the rig as it is on one bus, and that bus' address, for who looks at one bus at a
+    time.
 
     Raises
     ------

@@ -1,7 +1,8 @@
-"""The devices of a rig, and which of their objects has which role: [motor], [brake], [sensor.NAME] and [role.NAME].
+"""The devices of a rig, and which of their objects has which role: [motor], [brake], [sensor.NAME]
+and [role.NAME].
 
-A role is what the host's cycle needs of the devices: a position, a torque set-point, a handle torque. Where [role] says nothing, the
-CANopen profile of the device's EDS file does (`rigs.roles`).
+A role is what the host's cycle needs of the devices: a position, a torque set-point, a handle
+torque. Where [role] says nothing, the CANopen profile of the device's EDS file does (`rigs.roles`).
 """
 
 from __future__ import annotations
@@ -52,7 +53,9 @@ SdoType = Literal[
 
 
 class Sdo(Section):
-    """[[motor.sdo]], [[brake.sdo]], [[sensor.NAME.sdo]]: an object that bring-up writes because the rig file says so."""
+    """[[motor.sdo]], [[brake.sdo]], [[sensor.NAME.sdo]]: an object that bring-up writes because the
+    rig file says so.
+    """
 
     index: int = Field(ge=0x1000, le=0xFFFF, description="the object")
     sub: int = Field(0, ge=0, le=255, description="its sub-index")
@@ -137,7 +140,9 @@ class Brake(_Actuator):
 
 
 class Sensor(Device):
-    """[sensor.NAME]: a further node on the bus that only tells: a torque transducer's amplifier, an encoder."""
+    """[sensor.NAME]: a further node on the bus that only tells: a torque transducer's amplifier, an
+    encoder.
+    """
 
 
 class Role(Section):
@@ -229,7 +234,10 @@ class BrakeRole(Role):
 
 
 class Roles(Section):
-    """[role.NAME]: which object of which device has which role; what is absent follows from the devices' profiles."""
+    """[role.NAME]: which object of which device has which role.
+
+    What is absent follows from the devices' profiles.
+    """
 
     position: AngleRole | None = Field(None, description="the encoder's counts")
     torque_setpoint: TorqueRole | None = Field(None, description="the motor's torque that is commanded")

@@ -22,14 +22,20 @@ MOST_ERRORS = 10
 
 
 def _find(name: str, rig_path: str, package: Path | None) -> tuple[Path | None, list[Path]]:
-    """Look for a file beside the rig file, in the package, in the current folder; return it and where was looked."""
+    """Look for a file beside the rig file, in the package, in the current folder.
+
+    Return it and where was looked.
+    """
     folders = [Path(rig_path).parent, *([package] if package else []), Path()]
     tried = list(dict.fromkeys(folder / name for folder in folders))
     return next((path for path in tried if path.exists()), None), tried  # a FIFO is found, and refused when it is read
 
 
 def read_descriptions(values: Table, source: Source, eds_texts: Mapping[str, str] | None) -> dict[Node, Description]:
-    """Return the devices' EDS files by "motor", "brake" and the sensors' names; mistakes are noted in `source`."""
+    """Return the devices' EDS files by "motor", "brake" and the sensors' names.
+
+    Mistakes are noted in `source`.
+    """
     found: dict[Node, Description] = {}
     for key in device_keys(values):
         section: Any = values
@@ -64,9 +70,12 @@ def _from_file(name: str, rig_path: str) -> Description:
 
 
 def read_schedules(values: Table, source: Source, *, attached: bool = False) -> None:
-    """Fill in `t_s`, `torque_Nm` and `duration_s` of the phases of kind "file"; mistakes are noted in `source`.
+    """Fill in `t_s`, `torque_Nm` and `duration_s` of the phases of kind "file".
 
-    Of a rig that is `attached` to a recording no file is read: the recording has the schedule's values.
+    Mistakes are noted in `source`.
+
+    Of a rig that is `attached` to a recording no file is read: the recording has the schedule's
+    values.
     """
     phases = values.get("phase")
     for i, phase in enumerate(phases if isinstance(phases, list) else ()):

@@ -1,4 +1,6 @@
-"""A mapping of names to models that pydantic validates, and that nobody can change: ``[sensor.NAME]`` of the rig file."""
+"""A mapping of names to models that pydantic validates, and that nobody can change:
+``[sensor.NAME]`` of the rig file.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Which nodes the host guards: those that cannot watch its heartbeat, or have none of their own (CiA 301, section 7.2.8.3.2.1)."""
+"""Which nodes the host guards: those that cannot watch its heartbeat, or have none of their own
+(CiA 301, section 7.2.8.3.2.1).
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,9 @@ __all__ = ["beats", "is_guarded"]
 
 
 def is_guarded(description: Description) -> bool:
-    """Tell whether a node is guarded by remote frames: it lacks a heartbeat or its consumer, and has guard time and life time factor."""
+    """Tell whether a node is guarded by remote frames: it lacks a heartbeat or its consumer, and
+    has guard time and life time factor.
+    """
     by_heartbeat = description.has(0x1016, 1) and description.has(0x1017, 0)
     return not by_heartbeat and description.has(0x100C, 0) and description.has(0x100D, 0)
 

@@ -36,13 +36,18 @@ class RigError(Exception):
 
 @dataclass
 class Source:
-    """Where values come from: a file's lines, and overrides by their ``--set`` text. Collects the mistakes."""
+    """Where values come from: a file's lines, and overrides by their ``--set`` text.
+
+    Collects the mistakes.
+    """
 
     path: str
     document: Document
     overrides: dict[Key, str] = field(default_factory=dict)
     axis: Key = ()
-    """("axis", NAME) while the values of one axis are looked at: what it has of its own stands below this."""
+    """("axis", NAME) while the values of one axis are looked at: what it has of its own stands
+    below this.
+    """
     found: list[tuple[float, str]] = field(default_factory=list)
     wrong: set[Key] = field(default_factory=set)
     problems: list[tuple[str, ...]] = field(default_factory=list)
@@ -53,7 +58,9 @@ class Source:
         return Source(self.path, self.document, self.overrides, ("axis", name))
 
     def full(self, key: Key) -> Key:
-        """Return `key` as the user wrote it: below the axis where the axis has it of its own, or more of what holds it than all axes share."""
+        """Return `key` as the user wrote it: below the axis where the axis has it of its own, or
+        more of what holds it than all axes share.
+        """
         if not self.axis:
             return key
         values = self.document.values

@@ -1,9 +1,9 @@
 """The rig file as frozen models: bus, host, the controller's beliefs, law, modes, limits.
 
-The models are the schema: every key has its range and its meaning here, `docs/rig-file.md` is held against them by a
-test, and `rigs.mistakes` makes its texts of them. The devices and their roles are in `rigs.devices`, the simulated rig ([plant],
-[operator], [[phase]]) is in `rigs.plant`. SI units stand in the keys' names. Times are seconds in the file; `*_ns` properties give
-int64 nanoseconds.
+The models are the schema: every key has its range and its meaning here, `docs/rig-file.md` is held
+against them by a test, and `rigs.mistakes` makes its texts of them. The devices and their roles are
+in `rigs.devices`, the simulated rig ([plant], [operator], [[phase]]) is in `rigs.plant`. SI units
+stand in the keys' names. Times are seconds in the file; `*_ns` properties give int64 nanoseconds.
 """
 
 from __future__ import annotations
@@ -76,7 +76,9 @@ SAYS_POLARITY: JsonDict = {"expected": "1 or -1"}
 
 
 class Section(BaseModel):
-    """A section of the rig file: frozen, no key beyond its own, no silent conversion, finite numbers."""
+    """A section of the rig file: frozen, no key beyond its own, no silent conversion, finite
+    numbers.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False, populate_by_name=True)
 
@@ -111,7 +113,9 @@ class Bus(Section):
 
     @property
     def transmission(self) -> int:
-        """Transmission type of the host's RPDOs (CiA 301 table 68): 1 acts on the next SYNC, 255 at once."""
+        """Transmission type of the host's RPDOs (CiA 301 table 68): 1 acts on the next SYNC, 255 at
+        once.
+        """
         return 1 if self.actuation == "next_sync" else 255
 
 

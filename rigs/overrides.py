@@ -14,4 +14,7 @@ SHARED_MACHINE = (
     "limits.missed_tpdo_cycles=50",
     "host.loss_limit=1.0",
 )
-"""Overrides for a machine that is shared with others and may stand still for tens of milliseconds; the rig's PC needs none of them."""
+"""Overrides for a machine that is shared with others and may stand still for tens of milliseconds.
+
+The rig's PC needs none of them.
+"""

@@ -1,14 +1,19 @@
-"""Which PDO carries which role: each device's PDOs as its EDS file lets them be mapped, filled with the roles that the host needs of it.
+"""Which PDO carries which role: each device's PDOs as its EDS file lets them be mapped, filled with
+the roles that the host needs of it.
 
-1. A PDO that cannot be mapped anew or made invalid, and carries nothing but roles, is taken as it is.
-2. PDOs that can be mapped anew take up what is left, in the order of their numbers, those that cannot be made invalid for it last: at most 64
-   bits, and as many entries as the EDS file has sub-indices. Statusword and position stay together where they fit, so do a controlword and its
+1. A PDO that cannot be mapped anew or made invalid, and carries nothing but roles, is taken as it
+   is.
+2. PDOs that can be mapped anew take up what is left, in the order of their numbers, those that
+   cannot be made invalid for it last: at most 64 bits, and as many entries as the EDS file has
+   sub-indices. Statusword and position stay together where they fit, so do a controlword and its
    set-point.
-3. What is left then is looked for in the PDOs that cannot be mapped anew. Further entries of a TPDO are not used; those of an RPDO are sent
-   with the value that bring-up set, or the EDS file's default.
+3. What is left then is looked for in the PDOs that cannot be mapped anew. Further entries of a TPDO
+   are not used; those of an RPDO are sent with the value that bring-up set, or the EDS file's
+   default.
 
-Identifiers are those of the pre-defined connection set for the first four PDOs of each direction, where the device lets them be set, and
-the device's own elsewhere. A TPDO follows SYNC (transmission type 1) where it can; one that cannot is sent by the device's event timer.
+Identifiers are those of the pre-defined connection set for the first four PDOs of each direction,
+where the device lets them be set, and the device's own elsewhere. A TPDO follows SYNC (transmission
+type 1) where it can; one that cannot is sent by the device's event timer.
 """
 
 from __future__ import annotations
@@ -33,7 +38,9 @@ __all__ = ["MOST_CONSTANTS", "MOST_PDOS", "AxisPdos", "PdoRecord", "allocate", "
 FIRST = {"rpdo": CobId.RPDO1, "tpdo": CobId.TPDO1}
 PREDEFINED = 4
 MOST_PDOS, MOST_CONSTANTS = 8, 16
-"""What the host's tables have room for: PDOs of an axis each way, entries of RPDOs that it does not command."""
+"""What the host's tables have room for: PDOs of an axis each way, entries of RPDOs that it does not
+command.
+"""
 ON_SYNC, ON_EVENT = 1, 255
 INVALID, NO_RTR, EXTENDED = 1 << 31, 1 << 30, 1 << 29
 TOGETHER = (("controlword", "torque_setpoint"), ("statusword", "position"), ("brake_controlword", "brake_setpoint"))
@@ -56,7 +63,8 @@ class PdoRecord:
     settable : its identifier can be written, so that it can be made invalid while it is mapped
     entries : its default map; empty where there is none, or none that can be read
     transmission : the type that it will have
-    event_ns : of a TPDO that does not follow SYNC, the event timer that it will have; 0: it has none
+    event_ns : of a TPDO that does not follow SYNC, the event timer that it will have; 0: it has
+        none
     deadline : an RPDO's deadline can be set (1400h:05)
     """
 
@@ -127,7 +135,9 @@ def _transmission(description: Description, index: int, wanted: int, direction: 
 
 
 def _event_ns(description: Description, index: int, node_id: int, period_ns: int) -> int:
-    """Return the event timer of a TPDO that does not follow SYNC: the cycle in whole milliseconds, or what the device has."""
+    """Return the event timer of a TPDO that does not follow SYNC: the cycle in whole milliseconds,
+    or what the device has.
+    """
     if not description.has(index, 5):
         return 0
     variable = description.variable(index, 5)
@@ -241,7 +251,10 @@ class _Device:
         """Roles that find no place, and that the host can do without."""
 
     def fill(self, wanted: Sequence[Binding]) -> list[RigPdo]:
-        """Return the PDOs that carry `wanted`, by their numbers; what finds no place is noted in `problems`."""
+        """Return the PDOs that carry `wanted`, by their numbers.
+
+        What finds no place is noted in `problems`.
+        """
         if not wanted:
             return []
         transmission = ON_SYNC if self.direction == "tpdo" else self.parts.bus.transmission
@@ -322,7 +335,10 @@ class _Device:
         return RigPdo(self.prefix + self.node, self.part.node_id, layout, signals, fixed=stands, constants=constants)
 
     def _timed(self, record: PdoRecord, name: str, mine: Sequence[Binding]) -> None:
-        """Tell that a TPDO does not follow SYNC; refuse it where it comes too seldom for its roles."""
+        """Tell that a TPDO does not follow SYNC.
+
+        Refuse it where it comes too seldom for its roles.
+        """
         cycles = record.transmission if 0 < record.transmission <= 240 else 0
         every_ns = cycles * self.parts.bus.period_ns if cycles else record.event_ns
         what = f"transmission type {record.transmission}"
@@ -378,7 +394,9 @@ class _Device:
 
 
 def mode_of(part: Motor | Brake, description: Description) -> int:
-    """Return the mode of operation of a CiA 402 drive: the rig file's, else CST where 6502h offers it or tells nothing, else profile torque."""
+    """Return the mode of operation of a CiA 402 drive: the rig file's, else CST where 6502h offers
+    it or tells nothing, else profile torque.
+    """
     if part.mode is not None:
         return part.mode
     modes = description.variable(0x6502, 0).default if description.has(0x6502, 0) else None
@@ -393,7 +411,10 @@ def _carries(entry: Entry, left: Mapping[tuple[int, int], Binding]) -> bool:
 
 
 def _groups(left: Iterable[Binding]) -> list[list[Entry]]:
-    """Return the entries that are to be placed, in their order; those of `TOGETHER` in one group."""
+    """Return the entries that are to be placed, in their order.
+
+    Those of `TOGETHER` in one group.
+    """
     groups: list[list[Entry]] = []
     names: list[str] = []
     for one in left:
@@ -407,7 +428,10 @@ def _groups(left: Iterable[Binding]) -> list[list[Entry]]:
 
 
 def _first_fit(free: Sequence[PdoRecord], groups: Sequence[list[Entry]]) -> Iterator[tuple[PdoRecord, list[Entry]]]:
-    """Put each group into the first PDO that has room for it; one that fits nowhere is put there entry by entry."""
+    """Put each group into the first PDO that has room for it.
+
+    One that fits nowhere is put there entry by entry.
+    """
     placed: dict[int, list[Entry]] = {record.number: [] for record in free}
 
     def put(group: list[Entry]) -> bool:

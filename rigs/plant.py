@@ -1,4 +1,6 @@
-"""The rig file's second half: the simulated rig as it truly is, the simulated hand, and its schedule."""
+"""The rig file's second half: the simulated rig as it truly is, the simulated hand, and its
+schedule.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,10 @@ __all__ = ["FilePhase", "HoldPhase", "Operator", "PaperPhase", "Phase", "Plant",
 
 
 class Plant(Section):
-    """[plant]: the rig as it truly is, for the simulation only; nothing is taken over from [mechanics]."""
+    """[plant]: the rig as it truly is, for the simulation only.
+
+    Nothing is taken over from [mechanics].
+    """
 
     step_s: Nanoseconds = Field(
         ge=1e-7, le=1e-2, description="step of the physics; divides bus.period_s", json_schema_extra=NS
@@ -112,7 +117,8 @@ class StrokePhase(_Phase):
 class PaperPhase(_Phase):
     """[[phase]] of kind "paper": the force of the paper's section 4.
 
-    f_h(t) = 40 sin(pi^2/4 t) + sin(pi/8 t) + 2 [1 - cos(pi/2 t)], in N (Nm at a handle of 1 m radius).
+    f_h(t) = 40 sin(pi^2/4 t) + sin(pi/8 t) + 2 [1 - cos(pi/2 t)], in N (Nm at a handle of 1 m
+    radius).
     """
 
     kind: Literal["paper"]
@@ -137,7 +143,8 @@ def _column(value: Any) -> Any:
 class FilePhase(Section):
     """[[phase]] of kind "file": torque over time from a CSV file, straight lines between its rows.
 
-    The loader reads `path` into `t_s` and `torque_Nm`; a file that has both (a recording's rig) needs no CSV file.
+    The loader reads `path` into `t_s` and `torque_Nm`; a file that has both (a recording's rig)
+    needs no CSV file.
     """
 
     model_config = ConfigDict(arbitrary_types_allowed=True)

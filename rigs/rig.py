@@ -1,9 +1,10 @@
-"""The rig file: one TOML file says what hangs on the bus, what the controller believes, and what the simulation knows.
+"""The rig file: one TOML file says what hangs on the bus, what the controller believes, and what
+the simulation knows.
 
-``load_rig("bench")`` finds a rig of the package, ``load_rig("lab/handle.toml")`` a file. The result is frozen and
-complete; `docs/rig-file.md` explains every key. A rig has buses, a host, and one or more axes (`rigs.axis`): a motor and a brake each. Every
-mistake of a file is reported at once, each with ``file:line``, the key, what stands there, what is expected and the
-nearest known key.
+``load_rig("bench")`` finds a rig of the package, ``load_rig("lab/handle.toml")`` a file. The result
+is frozen and complete; `docs/rig-file.md` explains every key. A rig has buses, a host, and one or
+more axes (`rigs.axis`): a motor and a brake each. Every mistake of a file is reported at once, each
+with ``file:line``, the key, what stands there, what is expected and the nearest known key.
 """
 
 from __future__ import annotations
@@ -35,7 +36,9 @@ __all__ = ["Rig", "RigError", "RigNode", "known_rigs", "load_rig", "load_rig_tex
 
 @dataclass(frozen=True)
 class RigNode:
-    """One device of a rig: "motor", "brake" or a sensor's name, with its axis before it ("x.motor") where there are several."""
+    """One device of a rig: "motor", "brake" or a sensor's name, with its axis before it ("x.motor")
+    where there are several.
+    """
 
     name: str
     device: Node
@@ -50,14 +53,18 @@ class RigNode:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Rig:
-    """A rig: what belongs to all its axes, and the axes. Frozen, with the EDS files that the rig file names.
+    """A rig: what belongs to all its axes, and the axes.
 
-    What an axis has - devices, mechanics, law, modes, limits, schedule - is asked of one of `axes`, or of `one_axis()`.
+    Frozen, with the EDS files that the rig file names.
+
+    What an axis has - devices, mechanics, law, modes, limits, schedule - is asked of one of `axes`,
+    or of `one_axis()`.
 
     Attributes
     ----------
     axes : tuple of Axis
-        At least one. Their host is the same, and so is their cycle: period, actuation, window, law, names of the modes (`rigs.axes.SHARED`).
+        At least one. Their host is the same, and so is their cycle: period, actuation, window, law,
+        names of the modes (`rigs.axes.SHARED`).
     origin : Origin
         Where the values come from.
     warnings : tuple of str
@@ -110,7 +117,8 @@ class Rig:
         Raises
         ------
         TypeError
-            the rig has several buses: ask one of `buses`, or take the rig as it is on one of them (`on`)
+            the rig has several buses: ask one of `buses`, or take the rig as it is on one of them
+            (`on`)
         """
         if len(self.channels) > 1:
             raise TypeError(f"the rig {self.name} has the buses {', '.join(self.channels)}; take it on one with Rig.on")
@@ -118,12 +126,17 @@ class Rig:
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """The names of the buses on which the axes hang, in the file's order; ("",) for one bus without a name."""
+        """The names of the buses on which the axes hang, in the file's order; ("",) for one bus
+        without a name.
+        """
         return tuple(dict.fromkeys(axis.bus.channel for axis in self.axes))
 
     @property
     def schedule_s(self) -> float:
-        """The length of the operator's schedule; of several axes', the longest [s]. 0.0 where there is none."""
+        """The length of the operator's schedule; of several axes', the longest [s].
+
+        0.0 where there is none.
+        """
         return max(axis.phase_starts_s[-1] for axis in self.axes)
 
     @property
@@ -152,7 +165,8 @@ class Rig:
         return self.axes[names.index(name)]
 
     def alone(self, name: str | None = None) -> Rig:
-        """Return the axis `name` as a rig of its own, whose nodes and signals have no axis in their names.
+        """Return the axis `name` as a rig of its own, whose nodes and signals have no axis in their
+        names.
 
         Raises
         ------
@@ -197,17 +211,23 @@ class Rig:
 
     @property
     def law_of_recording(self) -> bool:
-        """Whether nobody but a recording names the law: then it is run only if it is one of the project's own."""
+        """Whether nobody but a recording names the law: then it is run only if it is one of the
+        project's own.
+        """
         return self.axes[0].law_of_recording
 
     @property
     def law_directory(self) -> Path:
-        """Where the file of a law is looked for before the current folder: beside the rig file, never beside a recording."""
+        """Where the file of a law is looked for before the current folder: beside the rig file,
+        never beside a recording.
+        """
         return self.axes[0].law_directory
 
     @property
     def eds_texts(self) -> Mapping[str, str]:
-        """The EDS files' texts by the names that the rig file has for them; a recording attaches them."""
+        """The EDS files' texts by the names that the rig file has for them; a recording attaches
+        them.
+        """
         return {node.part.eds: node.description.text for node in self.nodes}
 
     @property
@@ -292,14 +312,16 @@ def known_rigs() -> tuple[str, ...]:
 
 
 def load_rig(name_or_path: str, overrides: Sequence[str] = ()) -> Rig:
-    """Load a rig by its name in the package, or from a file (a path has a separator or ends in .toml).
+    """Load a rig by its name in the package, or from a file (a path has a separator or ends in
+    .toml).
 
     Parameters
     ----------
     name_or_path : str
         "bench", "paper", or a path.
     overrides : sequence of str
-        "SECTION.KEY=VALUE", a TOML value: "mode.active.F_s_Nm=1.0", "phase.1.duration_s=2" (phases count from 0).
+        "SECTION.KEY=VALUE", a TOML value: "mode.active.F_s_Nm=1.0", "phase.1.duration_s=2" (phases
+        count from 0).
 
     Raises
     ------
@@ -340,10 +362,12 @@ def load_rig_text(
     *,
     attached: bool = False,
 ) -> Rig:
-    """Load a rig from its text; `name` stands in for the file in errors, and gives the folder for relative paths.
+    """Load a rig from its text; `name` stands in for the file in errors, and gives the folder for
+    relative paths.
 
-    With `eds_texts` (by the names that the rig file has for them) no EDS file is read. With `attached` the text is of a recording, perhaps a
-    stranger's: no file is read at all, and its law is run only if it is one of the project's own, or named by an override.
+    With `eds_texts` (by the names that the rig file has for them) no EDS file is read. With
+    `attached` the text is of a recording, perhaps a stranger's: no file is read at all, and its law
+    is run only if it is one of the project's own, or named by an override.
 
     Raises
     ------
@@ -392,7 +416,9 @@ def _load(
 
 
 class _Unnamed:
-    """An axis while it is checked: its sections, and what the EDS files say of its devices (`rigs.signals.Parts`)."""
+    """An axis while it is checked: its sections, and what the EDS files say of its devices
+    (`rigs.signals.Parts`).
+    """
 
     def __init__(self, sections: Sections, descriptions: Mapping[Node, Description]) -> None:
         self._sections, self._descriptions = sections, descriptions

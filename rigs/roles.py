@@ -1,6 +1,8 @@
-"""The roles of an axis: what the host's cycle needs, and the object of a device that each of them is.
+"""The roles of an axis: what the host's cycle needs, and the object of a device that each of them
+is.
 
-A role is bound by the rig file's ``[role.NAME]``; what stands not there follows from the CANopen profile of the device (1000h):
+A role is bound by the rig file's ``[role.NAME]``; what stands not there follows from the CANopen
+profile of the device (1000h):
 
 ====================  =====================  ==========================  ==================
 role                  CiA 402 (motor)        CiA 404 (brake, sensors)    CiA 401, 402 (brake)
@@ -15,10 +17,11 @@ coil current                                 7130h:2
 coil temperature                             7130h:3
 ====================  =====================  ==========================  ==================
 
-A drive's torque counts in per mille of its rated torque and its position in encoder counts (CiA 402); ratio and polarity, which turn them to
-the handle, are the rig file's. A CiA 404 block carries its unit (6131, 6301) and its decimal digits (6132, 6302): the EDS gives the
-scale, and a unit that is not what the role wants is refused, unless the rig file gives the scale. A role that no device has is absent, and what
-the host loses by that is told.
+A drive's torque counts in per mille of its rated torque and its position in encoder counts (CiA
+402); ratio and polarity, which turn them to the handle, are the rig file's. A CiA 404 block carries
+its unit (6131, 6301) and its decimal digits (6132, 6302): the EDS gives the scale, and a unit that
+is not what the role wants is refused, unless the rig file gives the scale. A role that no device
+has is absent, and what the host loses by that is told.
 """
 
 from __future__ import annotations
@@ -61,7 +64,9 @@ WIDEST = 32
 
 
 class Kind(NamedTuple):
-    """A role: the signal that it is, its direction and unit, whether the host can do without it, and what it loses then."""
+    """A role: the signal that it is, its direction and unit, whether the host can do without it,
+    and what it loses then.
+    """
 
     name: str
     signal: str
@@ -144,9 +149,11 @@ class Problem(NamedTuple):
 
 @dataclass(frozen=True)
 class Binding:
-    """A role and the object that it is: SI value = raw x `scale` + `offset`; `decided` says what gave the scale.
+    """A role and the object that it is: SI value = raw x `scale` + `offset`; `decided` says what
+    gave the scale.
 
-    `table` is the brake's, raw counts and torque at the handle; then `scale` is that of its last step.
+    `table` is the brake's, raw counts and torque at the handle; then `scale` is that of its last
+    step.
     """
 
     kind: Kind
@@ -165,7 +172,9 @@ class Binding:
 
 @dataclass(frozen=True)
 class Bound:
-    """The roles that were bound, what is lost with those that are absent, and why the rig is refused."""
+    """The roles that were bound, what is lost with those that are absent, and why the rig is
+    refused.
+    """
 
     bindings: tuple[Binding, ...]
     losses: tuple[str, ...]
@@ -188,7 +197,9 @@ class _Refused(Exception):
 
 
 def profile_of(description: Description, node: Node) -> int:
-    """Return the CANopen profile of a device: that of 1000h, else the one whose objects it has; a motor's is CiA 402's always."""
+    """Return the CANopen profile of a device: that of 1000h, else the one whose objects it has; a
+    motor's is CiA 402's always.
+    """
     if node == "motor":
         return CIA402
     told = description.variable(0x1000, 0).default if description.has(0x1000, 0) else None
@@ -376,7 +387,9 @@ def _with(
 
 
 def _velocity_unit(description: Description) -> tuple[float, str]:
-    """Return rad/s for one count of 606Ch as 60A9h tells, and where it does: revolutions per second or minute, with a prefix."""
+    """Return rad/s for one count of 606Ch as 60A9h tells, and where it does: revolutions per second
+    or minute, with a prefix.
+    """
     value = description.variable(0x60A9, 0).default if description.has(0x60A9, 0) else None
     if not isinstance(value, int):
         raise ValueError(f"{description.path} does not tell the unit of a velocity (60A9h)")
@@ -388,9 +401,11 @@ def _velocity_unit(description: Description) -> tuple[float, str]:
 
 
 def _block_scale(description: Description, index: int, subindex: int, unit: str) -> tuple[float, str]:
-    """Return SI units per raw count of a CiA 404 block, 10^-decimals, with the prefix of its unit object; and where that stands.
+    """Return SI units per raw count of a CiA 404 block, 10^-decimals, with the prefix of its unit
+    object; and where that stands.
 
-    The unit's four bytes are, from the highest: prefix (power of ten, INTEGER8), numerator, denominator, reserved.
+    The unit's four bytes are, from the highest: prefix (power of ten, INTEGER8), numerator,
+    denominator, reserved.
     """
     if index not in BLOCK_UNITS:
         raise ValueError(f"no object tells what a count of {index:04X}h:{subindex} is")

@@ -28,7 +28,10 @@ SIMULATION = ("plant", "operator")
 
 @dataclass(frozen=True)
 class Rule:
-    """`holds` over the values of `keys`; when it does not, the first key is named and `expected` is formatted."""
+    """`holds` over the values of `keys`.
+
+    When it does not, the first key is named and `expected` is formatted.
+    """
 
     keys: tuple[Key, ...]
     holds: Callable[..., bool]
@@ -113,7 +116,10 @@ PER_MILLE_RULES = tuple(
     )
     for mode in MODES
 )
-"""They hold of 6071h; another object's type and limits are looked at when the limit is made of it."""
+"""They hold of 6071h.
+
+Another object's type and limits are looked at when the limit is made of it.
+"""
 
 REMARKS = (
     _rule("bus.bitrate_bit_s", lambda rate: rate in CIA_301_BIT_RATES, "one of CiA 301's bit rates for a real bus"),
@@ -148,7 +154,9 @@ REMARKS = (
 
 
 def _rules_of_sensors(values: Table) -> Iterator[Rule]:
-    """Yield for each sensor what holds for motor and brake: an id of its own, heartbeats faster than their time-outs."""
+    """Yield for each sensor what holds for motor and brake: an id of its own, heartbeats faster
+    than their time-outs.
+    """
     others: list[Key] = [("host",), ("motor",), ("brake",)]
     for key in device_keys(values)[2:]:
         for other in others:

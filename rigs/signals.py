@@ -7,8 +7,9 @@ Of our own devices::
     brake  RPDO1  7300:1 set-point
            TPDO1  7130:1 handle torque   7130:2 coil current   7130:3 coil temperature
 
-Which object has which role is `rigs.roles`', which PDO carries it `rigs.pdo_maps`'. A signal is named by its role, wherever its object is:
-"brake.handle_torque_Nm" is the handle torque of a transducer's own node, too.
+Which object has which role is `rigs.roles`', which PDO carries it `rigs.pdo_maps`'. A signal is
+named by its role, wherever its object is: "brake.handle_torque_Nm" is the handle torque of a
+transducer's own node, too.
 """
 
 from __future__ import annotations
@@ -56,7 +57,9 @@ class Signal:
 
 @dataclass(frozen=True)
 class Constant:
-    """An entry that a device has in an RPDO beside what the host commands: it is always sent with the same value."""
+    """An entry that a device has in an RPDO beside what the host commands: it is always sent with
+    the same value.
+    """
 
     index: int
     subindex: int
@@ -93,7 +96,10 @@ class RigPdo:
 
     @property
     def every_cycle(self) -> bool:
-        """Whether the device sends it after each SYNC; else it is sent by the device's own timer, or when something changes."""
+        """Whether the device sends it after each SYNC.
+
+        Else it is sent by the device's own timer, or when something changes.
+        """
         return self.layout.transmission == 1
 
 

@@ -1,4 +1,6 @@
-"""The dead man's switch where it is an object of a device: ``host.deadman = "object:60FD:0:0x00010000"``."""
+"""The dead man's switch where it is an object of a device:
+``host.deadman = "object:60FD:0:0x00010000"``.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,10 @@ from coulombus.rigs.signals import Parts
 __all__ = ["bind_switch", "deadman_mask"]
 
 ANY_BIT = 8
-"""Up to so many bits an object may be a switch by itself. A wider one has other inputs beside it, such as limit switches in 60FDh."""
+"""Up to so many bits an object may be a switch by itself.
+
+A wider one has other inputs beside it, such as limit switches in 60FDh.
+"""
 
 
 def deadman_mask(deadman: str) -> int:
@@ -21,14 +26,16 @@ def deadman_mask(deadman: str) -> int:
 
 
 def bind_switch(parts: Parts, bindings: Sequence[Binding]) -> Binding | None:
-    """Return the dead man's switch that ``host.deadman`` names, of the first device that has the object; None when it is no object.
+    """Return the dead man's switch that ``host.deadman`` names, of the first device that has the
+    object; None when it is no object.
 
     The switch is held while all bits of its mask (`deadman_mask`) are 1; with 0: while any bit is.
 
     Raises
     ------
     ValueError
-        no device has the object, it cannot be mapped, or its mask is missing, 0 or wider than the object
+        no device has the object, it cannot be mapped, or its mask is missing, 0 or wider than the
+        object
     """
     deadman = parts.host.deadman
     if not deadman.startswith("object:"):

@@ -1,7 +1,8 @@
 """Read TOML with the line of every key, and go on behind a line that cannot be read.
 
-`tomllib` gives the values; it stops at the first error and forgets lines. Here a light scan finds where each key
-stands, and a statement that `tomllib` refuses is blanked out, so that one reading reports every error of the file.
+`tomllib` gives the values; it stops at the first error and forgets lines. Here a light scan finds
+where each key stands, and a statement that `tomllib` refuses is blanked out, so that one reading
+reports every error of the file.
 """
 
 from __future__ import annotations
@@ -55,8 +56,8 @@ _HINTS = (
 class Document:
     """A TOML file's values, where its keys stand, and what could not be read.
 
-    `lines` holds the keys and the sections' headers; `broken` the keys and sections whose statement could not be read
-    (they are not missing); `problems` are (line, text) in the file's order.
+    `lines` holds the keys and the sections' headers; `broken` the keys and sections whose statement
+    could not be read (they are not missing); `problems` are (line, text) in the file's order.
     """
 
     values: dict[str, Any] = field(default_factory=dict)
@@ -65,14 +66,18 @@ class Document:
     problems: list[tuple[int, str]] = field(default_factory=list)
 
     def line(self, key: Key) -> int:
-        """Return the line of the key, or of the nearest section or value that holds it; 1 where there is none."""
+        """Return the line of the key, or of the nearest section or value that holds it; 1 where
+        there is none.
+        """
         for length in range(len(key), 0, -1):
             if key[:length] in self.lines:
                 return self.lines[key[:length]]
         return 1
 
     def is_broken(self, key: Key) -> bool:
-        """Tell whether the key, or a section that holds it, stands in a statement that could not be read."""
+        """Tell whether the key, or a section that holds it, stands in a statement that could not be
+        read.
+        """
         return any(key[:length] in self.broken for length in range(len(key) + 1))
 
 
@@ -94,7 +99,9 @@ def split_key(dotted: str) -> list[str] | None:
 
 
 def _excess(text: str) -> tuple[int, str] | None:
-    """Return line and text of the first thing that no file of ours has, and that would keep a reader busy for minutes."""
+    """Return line and text of the first thing that no file of ours has, and that would keep a
+    reader busy for minutes.
+    """
     if len(text) > MOST_CHARACTERS:
         return 1, f"{len(text)} characters; expected at most {MOST_CHARACTERS}"
     if text.count("\n") > MOST_LINES:
@@ -254,7 +261,10 @@ def _statements(lines: list[str]) -> list[_Statement]:
 
 
 def _scan(text: str, depth: int, quote: str) -> tuple[int, str]:
-    """Follow brackets and quotes through one line; return the depth and the open multi-line quote."""
+    """Follow brackets and quotes through one line.
+
+    Return the depth and the open multi-line quote.
+    """
     i = 0
     while i < len(text):
         if quote:

@@ -1,4 +1,6 @@
-"""The rig file's models in words: what a key accepts, and pydantic's findings as a lab engineer reads them."""
+"""The rig file's models in words: what a key accepts, and pydantic's findings as a lab engineer
+reads them.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +54,9 @@ def fields_of(model: type[BaseModel]) -> dict[str, FieldInfo]:
 
 
 def named_in(info: FieldInfo | None) -> type[BaseModel] | None:
-    """Return the model of a table of tables with names of the user's own ([sensor.NAME]); None where the field is none."""
+    """Return the model of a table of tables with names of the user's own ([sensor.NAME]); None
+    where the field is none.
+    """
     if info is None or get_origin(info.annotation) is not FrozenMap:
         return None
     found: type[BaseModel] = get_args(info.annotation)[0]
@@ -162,7 +166,9 @@ def _value(values: Any, key: Key) -> Any:
 def _follow(
     loc: Sequence[str | int], values: Any, schema: type[BaseModel]
 ) -> tuple[Key, type[BaseModel], FieldInfo | None]:
-    """Turn pydantic's location into a key (union tags are no part of it), the model that holds it, and its field."""
+    """Turn pydantic's location into a key (union tags are no part of it), the model that holds it,
+    and its field.
+    """
     key: Key = ()
     holder: type[BaseModel] = schema
     here: type[BaseModel] | None = schema
@@ -188,7 +194,9 @@ def _follow(
 
 
 def _unknown(key: Key, holder: type[BaseModel], schema: type[BaseModel], source: Source) -> None:
-    """Note an unknown key: what its section knows, and where the same name is known, or the nearest name here."""
+    """Note an unknown key: what its section knows, and where the same name is known, or the nearest
+    name here.
+    """
     name, section = str(key[-1]), dotted(key[:-1])
     known = list(fields_of(holder))
     homes = [path for path in _paths(schema) if path.rpartition(".")[2] == name]

@@ -1,11 +1,12 @@
 #!/usr/bin/env python3
-"""Tries every EDS file of a folder as a drive, and as a brake's driver, beside this project's other device; prints the
-tables of docs/drives.md.
+"""Tries every EDS file of a folder as a drive, and as a brake's driver, beside this project's other
+device; prints the tables of docs/drives.md.
 
     .venv/bin/python scripts/drives.py FOLDER [--write]
 
-Of each file: `coulombus init --rehearse`, `check`, and `simulate` in the modes hybrid and active (a brake: passive), as a user runs
-them. With --write the tables are put into docs/drives.md, between its markers.
+Of each file: `coulombus init --rehearse`, `check`, and `simulate` in the modes hybrid and active (a
+brake: passive), as a user runs them. With --write the tables are put into docs/drives.md, between
+its markers.
 """
 
 from __future__ import annotations
@@ -31,7 +32,9 @@ MODES = {"drive": ("hybrid", "active"), "brake": ("hybrid", "passive")}
 
 
 class Tried(NamedTuple):
-    """A row: the file, its class, what `check` said, in which modes it was armed, what is lost or why it is refused."""
+    """A row: the file, its class, what `check` said, in which modes it was armed, what is lost or
+    why it is refused.
+    """
 
     name: str
     kind: str
@@ -52,7 +55,9 @@ def _run(*arguments: str) -> tuple[int, str, str]:
 
 
 def _class(rig_file: str) -> str:
-    """Return how a drive is commanded: A cyclic torque, B with fixed PDO maps, C profile torque, D a maker's own mode."""
+    """Return how a drive is commanded: A cyclic torque, B with fixed PDO maps, C profile torque, D
+    a maker's own mode.
+    """
     axis = load_rig(rig_file).one_axis()
     mode = mode_of(axis.motor, axis.description("motor"))
     if mode not in (CST, PROFILE_TORQUE):

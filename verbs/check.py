@@ -24,11 +24,13 @@ __all__ = ["check"]
 @click.option("--steps", is_flag=True, help="List every object that bring-up writes, in its order, and why.")
 @json_option
 def check(rig_name: str, overrides: tuple[str, ...], steps: bool, as_json: bool) -> None:
-    """Check a rig file, its EDS files, its PDO layout, what bring-up will set, and whether a cycle fits on the bus; nothing is run.
+    """Check a rig file, its EDS files, its PDO layout, what bring-up will set, and whether a cycle
+    fits on the bus; nothing is run.
 
-    A line "FAIL" is what bring-up would refuse: an object that is missing, read-only or too narrow for its value, another identity, a
-    limit that would cut the law off, a device that does not notice the host's loss.
-    "lost" is what bring-up leaves out, as the device is not ours or has no such object; "open" is what the device itself is asked.
+    A line "FAIL" is what bring-up would refuse: an object that is missing, read-only or too narrow
+    for its value, another identity, a limit that would cut the law off, a device that does not
+    notice the host's loss. "lost" is what bring-up leaves out, as the device is not ours or has no
+    such object; "open" is what the device itself is asked.
 
     \b
     Examples:
@@ -54,7 +56,9 @@ def check(rig_name: str, overrides: tuple[str, ...], steps: bool, as_json: bool)
 
 
 def _refused(error: Any) -> list[dict[str, str]]:
-    """Return the mistakes of a rig file as problems: those of roles with their role, the others as they are told."""
+    """Return the mistakes of a rig file as problems: those of roles with their role, the others as
+    they are told.
+    """
     names = ("role", "node", "object", "text", "remedy")
     known = [dict(zip(names, problem, strict=True)) for problem in error.problems]
     told = [text for text in error.errors if not any(problem["text"] in text for problem in known)]

@@ -55,10 +55,11 @@ def init(
 ) -> None:
     """Write a rig file for a drive and a brake's driver, from their EDS files.
 
-    Every role is bound, and every guess is marked `# CHECK:` with its reason. What a device cannot do is not acknowledged:
-    `coulombus check` names it. A file that exists is never replaced. With --bus the live devices are asked, and those that no
-    option names are found in --eds-folder by their identity (1018h). A device that cannot have its role is refused (3): a drive
-    without a torque or current set-point, for one.
+    Every role is bound, and every guess is marked `# CHECK:` with its reason. What a device cannot
+    do is not acknowledged: `coulombus check` names it. A file that exists is never replaced. With
+    --bus the live devices are asked, and those that no option names are found in --eds-folder by
+    their identity (1018h). A device that cannot have its role is refused (3): a drive without a
+    torque or current set-point, for one.
 
     \b
     Examples:
@@ -113,7 +114,9 @@ def _answered(bus_name: str) -> dict[int, dict[tuple[int, int], int]]:
 
 
 def _acknowledgements(rig: Rig) -> Iterator[str]:
-    """Yield what the rig file has to acknowledge of its devices before they are armed, as `coulombus check` names it."""
+    """Yield what the rig file has to acknowledge of its devices before they are armed, as
+    `coulombus check` names it.
+    """
     from coulombus.host.cycle.controller import Controller
     from coulombus.host.setup.device_plan import device_plans
     from coulombus.rigs.mistakes import RigError

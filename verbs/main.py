@@ -34,8 +34,8 @@ VERBS = (
 def main() -> None:
     """Friction you can feel, over a CAN bus.
 
-    A DC motor drive and an MR brake as CANopen nodes, a host that runs a friction law at 1 kHz through PDOs, and a bit-exact virtual
-    bus with a simulated rig that stands in for the hardware.
+    A DC motor drive and an MR brake as CANopen nodes, a host that runs a friction law at 1 kHz
+    through PDOs, and a bit-exact virtual bus with a simulated rig that stands in for the hardware.
 
     \b
     Examples:

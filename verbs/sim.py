@@ -76,9 +76,10 @@ def sim(
 ) -> None:
     """Serve a bus with the simulated nodes and the rig on it, in real time.
 
-    One process is bus, motor drive, MR brake, mechanics and the operator's hand. Clients attach with --bus (coulombus run, watch), as
-    python-can interface "coulombus" (can_logger -i coulombus -c bench), or on the SocketCAN interface. Prints one line when the bus is
-    ready; ends with 0 on Ctrl-C, SIGTERM, SIGHUP and SIGQUIT.
+    One process is bus, motor drive, MR brake, mechanics and the operator's hand. Clients attach
+    with --bus (coulombus run, watch), as python-can interface "coulombus" (can_logger -i coulombus
+    -c bench), or on the SocketCAN interface. Prints one line when the bus is ready; ends with 0 on
+    Ctrl-C, SIGTERM, SIGHUP and SIGQUIT.
 
     \b
     Examples:
@@ -158,7 +159,10 @@ def _pass_on(line: str) -> None:
 
 
 class Kind(click.ParamType):  # type: ignore[type-arg]  # generic to some versions' types only
-    """A kind of device by its name in `node.kinds`, or "auto"; they are imported when one is given: the help starts without numba."""
+    """A kind of device by its name in `node.kinds`, or "auto".
+
+    They are imported when one is given: the help starts without numba.
+    """
 
     name = "kind"
 
@@ -226,11 +230,13 @@ def node_command(
     seconds: float | None,
     as_json: bool,
 ) -> None:
-    """Serve any EDS description as a live node: a stand-in for a device that is not on the desk yet.
+    """Serve any EDS description as a live node: a stand-in for a device that is not on the desk
+    yet.
 
-    All objects with their defaults, PDOs, SDO, NMT, heartbeat, EMCY and LSS; a DCF's with the values that it configures. On coulombus:NAME
-    it joins the bus that another process serves; where nobody does, it serves the bus itself, and others may join. Ends with 0 on Ctrl-C,
-    SIGTERM, SIGHUP and SIGQUIT, with 4 when the bus goes away.
+    All objects with their defaults, PDOs, SDO, NMT, heartbeat, EMCY and LSS; a DCF's with the
+    values that it configures. On coulombus:NAME it joins the bus that another process serves; where
+    nobody does, it serves the bus itself, and others may join. Ends with 0 on Ctrl-C, SIGTERM,
+    SIGHUP and SIGQUIT, with 4 when the bus goes away.
 
     \b
     Examples:

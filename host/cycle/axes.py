@@ -1,10 +1,12 @@
 """The axes of one bus as one host: the cycle's compiled functions over all their records.
 
-Each axis is one AXIS record of the array `axes`, with its own phases, limits and law's parameters; the functions of `host.cycle.step` know one
-axis only. They share the cycle: the first axis leads, it sends SYNC and the host's heartbeat. A trip of one axis stops all
-(`Trip.OTHER_AXIS`): a hand that holds one handle may hold the next.
+Each axis is one AXIS record of the array `axes`, with its own phases, limits and law's parameters;
+the functions of `host.cycle.step` know one axis only. They share the cycle: the first axis leads,
+it sends SYNC and the host's heartbeat. A trip of one axis stops all (`Trip.OTHER_AXIS`): a hand
+that holds one handle may hold the next.
 
-`owner[identifier]` is the axis that a frame belongs to; the first one counts what belongs to nobody.
+`owner[identifier]` is the axis that a frame belongs to; the first one counts what belongs to
+nobody.
 """
 
 from __future__ import annotations
@@ -39,7 +41,9 @@ def phases(axes: Any) -> int:
 
 @kernel
 def on_frame(axes: Any, owner: Any, t_ns: int, can_id: int, length: int, data: int) -> int:
-    """Take a frame; return 1 when it completes an axis' TPDOs of this cycle, 2 when the control plane wants it, else 0."""
+    """Take a frame; return 1 when it completes an axis' TPDOs of this cycle, 2 when the control
+    plane wants it, else 0.
+    """
     k = owner[can_id] if can_id <= 0x7FF else 0
     return int(step.on_frame(axes[k], t_ns, can_id, length, data))
 
@@ -53,7 +57,10 @@ def begin(axes: Any, t_ns: int, out: Any) -> None:
 
 @kernel
 def ask_to_stop(axes: Any, trip: int) -> None:
-    """Ask all axes for the safe state for the reason `trip`, or without one (1); the first reason counts."""
+    """Ask all axes for the safe state for the reason `trip`, or without one (1).
+
+    The first reason counts.
+    """
     for k in range(axes.shape[0]):
         h = axes[k].host
         if h.stop < trip and h.stop <= 1:
@@ -74,7 +81,9 @@ def _couple(axes: Any) -> None:
 
 @kernel
 def finish(axes: Any, law_function: Any, t_ns: int, window_over: int, out: Any) -> int:
-    """Finish the cycle of the axes whose TPDOs have all come; when the window for them is over, of all that still wait.
+    """Finish the cycle of the axes whose TPDOs have all come.
+
+    When the window for them is over, of all that still wait.
 
     Returns how many axes still wait.
     """
@@ -91,7 +100,9 @@ def finish(axes: Any, law_function: Any, t_ns: int, window_over: int, out: Any) 
 
 @kernel
 def on_time(axes: Any, law_function: Any, t_ns: int, out: Any) -> None:
-    """Do what is due at `t_ns`: the end of the window for TPDOs, or the next cycle, whose SYNC the first axis sends."""
+    """Do what is due at `t_ns`: the end of the window for TPDOs, or the next cycle, whose SYNC the
+    first axis sends.
+    """
     finish(axes, law_function, t_ns, 1, out)
     first = axes[0]
     if t_ns >= first.host.sync_ns + first.control.period_ns or first.host.cycle == 0:
@@ -100,9 +111,11 @@ def on_time(axes: Any, law_function: Any, t_ns: int, out: Any) -> None:
 
 @kernel
 def safe_setpoints(axes: Any, t_ns: int, out: Any) -> None:
-    """Send the last set-points: drive disabled and without torque, the brake no stronger than the safe state's, which its driver ramps off.
+    """Send the last set-points: drive disabled and without torque, the brake no stronger than the
+    safe state's, which its driver ramps off.
 
-    A brake that is a CiA 402 drive is disabled, too: nothing tells that it would ramp its current off by itself.
+    A brake that is a CiA 402 drive is disabled, too: nothing tells that it would ramp its current
+    off by itself.
 
     A SYNC follows, since RPDOs may act on the next SYNC only.
     """

@@ -40,9 +40,13 @@ AXIS = np.dtype(
 
 TARGET_TORQUE, MAX_TORQUE = 0x6071, 0x6072
 BRAKE_LAG_S = 0.02
-"""Time constant with which the brake's torque is expected at the handle (coil and fluid of a typical MR brake)."""
+"""Time constant with which the brake's torque is expected at the handle (coil and fluid of a
+typical MR brake).
+"""
 SIGN_HAND_S = 0.12
-"""A little more than the period of a hand's tremor (8-12 Hz), over which the sign check averages it out."""
+"""A little more than the period of a hand's tremor (8-12 Hz), over which the sign check averages it
+out.
+"""
 SIGN_HAND_NM = 0.008
 SETTLE_S = 0.05
 ENABLE_TIMEOUT_S = 1.0
@@ -105,7 +109,9 @@ def _cycles(seconds: float, period_s: float) -> int:
 
 
 def slot_of_signal(signal: Signal) -> int:
-    """Return the slot of the process image that holds a signal's raw value; -1 where the host does not use it."""
+    """Return the slot of the process image that holds a signal's raw value; -1 where the host does
+    not use it.
+    """
     return int(Image.DEADMAN if signal.key.endswith(".deadman") else IMAGE_OF_SIGNAL.get(signal.key, -1))
 
 
@@ -124,7 +130,8 @@ class Controller:
     Raises
     ------
     coulombus.rigs.rig.RigError
-        the law cannot be loaded, or only a recording names it and it is none of the project's own; or a limit that the drive cannot take
+        the law cannot be loaded, or only a recording names it and it is none of the project's own;
+        or a limit that the drive cannot take
     """
 
     def __init__(self, axis: Axis, mode: str) -> None:
@@ -303,7 +310,9 @@ class Controller:
         c["brake_is_drive"] = bound.get("brake_statusword") is not None
 
     def drive_limit_pm(self) -> int:
-        """Return the drive's own torque limit in per mille of the rated torque: of 6071h the host's limit, of another set-point what it is in Nm."""
+        """Return the drive's own torque limit in per mille of the rated torque: of 6071h the host's
+        limit, of another set-point what it is in Nm.
+        """
         setpoint = self.axis.allocation.bound["torque_setpoint"]
         limit = int(self.control["motor_limit_pm"][0])
         if setpoint.entry.index == TARGET_TORQUE:
@@ -312,7 +321,9 @@ class Controller:
         return math.ceil(limit * abs(setpoint.scale) / rated_Nm * 1000)
 
     def motor_limit_pm(self, Nm_pm: float) -> int:
-        """Return the motor's torque limit in counts of its set-point (6071h: per mille), rounded down."""
+        """Return the motor's torque limit in counts of its set-point (6071h: per mille), rounded
+        down.
+        """
         limit = math.floor(self.axis.motor_limit_Nm(self.mode) / abs(Nm_pm) + 1e-9)
         motor, entry = self.axis.description("motor"), self.axis.allocation.bound["torque_setpoint"].entry
         target = motor.variable(entry.index, entry.subindex)
@@ -375,7 +386,9 @@ class Controller:
 
     @property
     def _starved(self) -> bool:
-        """Whether so many TPDOs were lost that even a handle at rest could not count as still for long enough."""
+        """Whether so many TPDOs were lost that even a handle at rest could not count as still for
+        long enough.
+        """
         c = self.control[0]
         return bool(self.host["lost_pdos"][0] * c["still_cycles"] >= c["still_timeout_cycles"])
 

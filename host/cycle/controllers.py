@@ -1,4 +1,6 @@
-"""The controllers of all axes on one bus, on one array of AXIS records: what `host.cycle.axes` and the data plane work on."""
+"""The controllers of all axes on one bus, on one array of AXIS records: what `host.cycle.axes` and
+the data plane work on.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ __all__ = ["Controllers", "unused_law"]
 
 
 def unused_law() -> Any:
-    """Return a compiled law, for kernels that are called without a host and need an argument of its type."""
+    """Return a compiled law, for kernels that are called without a host and need an argument of its
+    type.
+    """
     return load_law("coulomb")
 
 
@@ -29,7 +33,8 @@ class Controllers:
     ----------
     each : tuple of Controller
         They work on the rows of `axes`.
-    axes : array of AXIS; `control`, `host` and `rpdos` are views of its parts, the first index is the axis
+    axes : array of AXIS; `control`, `host` and `rpdos` are views of its parts, the first index is
+        the axis
     owner : int64 array of 2048, the axis of each identifier
     law_function : the compiled law, one for all axes
 
@@ -54,7 +59,9 @@ class Controllers:
         self.adopt(new_records(AXIS, len(self.each)))
 
     def adopt(self, axes: Records) -> None:
-        """Go on in another array of the same shape, such as shared memory: the present state is copied there."""
+        """Go on in another array of the same shape, such as shared memory: the present state is
+        copied there.
+        """
         for k, controller in enumerate(self.each):
             axes[k : k + 1] = controller.records
             controller.records = axes[k : k + 1]
@@ -123,7 +130,10 @@ class Controllers:
 
     @property
     def arming_s(self) -> float:
-        """How long the slowest axis may take from the first cycle to Operation Enabled [s]; it trips by itself when it takes longer."""
+        """How long the slowest axis may take from the first cycle to Operation Enabled [s].
+
+        It trips by itself when it takes longer.
+        """
         return max(self._seconds(k, "still_timeout_cycles", "enable_timeout_cycles") for k in self)
 
     @property
@@ -144,13 +154,18 @@ class Controllers:
 
     @property
     def tripped(self) -> Controller | None:
-        """The axis that tripped first; one that was stopped because of another only where that is on another bus."""
+        """The axis that tripped first.
+
+        One that was stopped because of another only where that is on another bus.
+        """
         found = [k for k in self.each if k.host["trip"][0] != Trip.NONE]
         return min(found, key=lambda k: (k.host["trip"][0] == Trip.OTHER_AXIS, int(k.host["trip_ns"][0])), default=None)
 
     @property
     def trip(self) -> str | None:
-        """Why the safe state was entered, in words, with the axis where there are several; None when it was not."""
+        """Why the safe state was entered, in words, with the axis where there are several; None
+        when it was not.
+        """
         first = self.tripped
         if first is None:
             return None

@@ -1,8 +1,10 @@
-"""What a law asks of motor and brake at most, held against what they can show: a law that a limit cuts off is refused before it is armed.
+"""What a law asks of motor and brake at most, held against what they can show: a law that a limit
+cuts off is refused before it is armed.
 
-Of the project's own laws the largest outputs follow from the mode's parameters (`host.laws.laws.OWN_LAWS`). Those of a law of
-the user's own are not known before it runs; what is cut off then is counted in every cycle (``clipped_torque``,
-``clipped_setpoints``) and told at the end of the run.
+Of the project's own laws the largest outputs follow from the mode's parameters
+(`host.laws.laws.OWN_LAWS`). Those of a law of the user's own are not known before it runs; what is
+cut off then is counted in every cycle (``clipped_torque``, ``clipped_setpoints``) and told at the
+end of the run.
 """
 
 from __future__ import annotations
@@ -26,7 +28,9 @@ class Demand(NamedTuple):
 
 
 def brake_limit_raw(axis: Axis) -> int:
-    """Return the largest set-point that the brake's object takes: the high limit of the EDS file, or what its data type holds."""
+    """Return the largest set-point that the brake's object takes: the high limit of the EDS file,
+    or what its data type holds.
+    """
     one = axis.allocation.bound["brake_setpoint"]
     variable = axis.description(one.node).variable(one.entry.index, one.entry.subindex)
     most = int(min(variable.largest, 0xFFFFFFFF))
@@ -40,13 +44,17 @@ def brake_limit_raw(axis: Axis) -> int:
 
 
 def brake_end_Nm(axis: Axis) -> float:
-    """Return the largest braking torque that the brake's object can say: that of its largest count, or of its table's last point."""
+    """Return the largest braking torque that the brake's object can say: that of its largest count,
+    or of its table's last point.
+    """
     one = axis.allocation.bound["brake_setpoint"]
     return one.table[-1][1] if one.table else float(brake_limit_raw(axis) * one.scale)
 
 
 def _motor(axis: Axis, mode: str) -> Iterator[RigError]:
-    """Yield what the motor's limit cuts off: of the law in mode active, of the compensation in each."""
+    """Yield what the motor's limit cuts off: of the law in mode active, of the compensation in
+    each.
+    """
     chosen, scale = axis.mode[mode], _scale(axis, "motor.target_torque_Nm")
     compensation = chosen.compensation * axis.mechanics.friction_Nm
     wanted = [Demand("compensation", compensation)]
@@ -95,7 +103,9 @@ def _scale(axis: Axis, key: str) -> float:
 
 
 def cut_off(rig: Rig, mode: str) -> list[str]:
-    """Return what a limit of any axis would cut off of the law in this mode, each with ``file:line``, key and remedy."""
+    """Return what a limit of any axis would cut off of the law in this mode, each with
+    ``file:line``, key and remedy.
+    """
     found = (error for axis in rig.axes for part in (_motor, _brake) for error in part(axis, mode))
     return list(dict.fromkeys(text for error in found for text in error.errors))
 

@@ -1,7 +1,9 @@
-"""The phases of the cycle, compiled: what arms the rig, what the law's torque becomes, and how it is made safe.
+"""The phases of the cycle, compiled: what arms the rig, what the law's torque becomes, and how it
+is made safe.
 
-One function a phase: it does what the phase does in one cycle, and returns the motor's torque [Nm] before the limits, and the phase that
-follows. `host.cycle.transitions` has the table of what follows when. `enter` does what the beginning of a phase needs.
+One function a phase: it does what the phase does in one cycle, and returns the motor's torque [Nm]
+before the limits, and the phase that follows. `host.cycle.transitions` has the table of what
+follows when. `enter` does what the beginning of a phase needs.
 
     c : the CONTROL record of an axis        h : its HOST record        axis : the AXIS record, which holds both and the law
 """
@@ -92,7 +94,9 @@ def count_still(h: Any) -> None:
 
 @kernel
 def still(c: Any, h: Any) -> tuple[float, int]:
-    """STILL: wait, switched on and without torque, until the handle has been still and little loaded for long enough."""
+    """STILL: wait, switched on and without torque, until the handle has been still and little
+    loaded for long enough.
+    """
     count_still(h)
     loaded = abs(h.handle_Nm) > c.still_handle_Nm
     if loaded or h.still == 0:
@@ -116,7 +120,9 @@ def still(c: Any, h: Any) -> tuple[float, int]:
 
 @kernel
 def enable(c: Any, h: Any, t_ns: int) -> tuple[float, int]:
-    """ENABLE: wait until the drive says that it is enabled, and a brake with power states, too; a mode with a motor goes on with the sign check."""
+    """ENABLE: wait until the drive says that it is enabled, and a brake with power states, too; a
+    mode with a motor goes on with the sign check.
+    """
     if h.drive == PowerState.OPERATION_ENABLED and h.brake_drive == PowerState.OPERATION_ENABLED:
         h.enabled_ns = t_ns
         h.torque_Nm = 0.0
@@ -128,12 +134,14 @@ def enable(c: Any, h: Any, t_ns: int) -> tuple[float, int]:
 
 @kernel
 def sign_check(c: Any, h: Any) -> tuple[float, int]:
-    """SIGN: ramp a small motor torque until the handle moves: the encoder must count with it, the hand must resist.
+    """SIGN: ramp a small motor torque until the handle moves: the encoder must count with it, the
+    hand must resist.
 
-    The encoder's verdict falls at `sign_counts`; the ramp goes on to a few times that, so that the hand's
-    mean torque over `sign_hand_cycles` (a tremor's period) tells the transducer's sign. The positive sense is tried first. A hand that rests
-    on the handle may hold it by friction against that; then the negative sense is tried, and nothing that moves before the torque has
-    turned its sign is evidence.
+    The encoder's verdict falls at `sign_counts`; the ramp goes on to a few times that, so that the
+    hand's mean torque over `sign_hand_cycles` (a tremor's period) tells the transducer's sign. The
+    positive sense is tried first. A hand that rests on the handle may hold it by friction against
+    that; then the negative sense is tried, and nothing that moves before the torque has turned its
+    sign is evidence.
     """
     u = h.torque_Nm * h.sign_direction  # torque in the sense that is tried
     if u < 0.0:
@@ -185,7 +193,9 @@ def settle(c: Any, h: Any) -> tuple[float, int]:
 
 @kernel
 def split_law(axis: Any) -> float:
-    """Split the law by mode: the brake bears it, or the motor shows it; the motor compensates the inherent friction in slip.
+    """Split the law by mode: the brake bears it, or the motor shows it.
+
+    The motor compensates the inherent friction in slip.
 
     Returns the motor's torque [Nm].
     """
@@ -256,7 +266,10 @@ def disable(h: Any) -> tuple[float, int]:
 
 @kernel
 def _act(axis: Any, law_function: Any, t_ns: int) -> tuple[float, int]:
-    """Do what the present phase does in a cycle, its controlword included; return the motor's torque [Nm] and the phase that follows."""
+    """Do what the present phase does in a cycle, its controlword included.
+
+    Return the motor's torque [Nm] and the phase that follows.
+    """
     c, h = axis.control, axis.host
     h.image[Image.CONTROLWORD] = CONTROLWORDS[h.phase, h.drive]
     h.image[Image.BRAKE_CONTROLWORD] = CONTROLWORDS[h.phase, h.brake_drive]
@@ -282,8 +295,8 @@ def _act(axis: Any, law_function: Any, t_ns: int) -> tuple[float, int]:
 def advance(axis: Any, law_function: Any, doubt: int, t_ns: int) -> float:
     """Bring the axis' phase on by a cycle; return the motor's torque [Nm] before the limits.
 
-    A doubt (or the wish to stop) makes the axis safe in this very cycle, whether a watch has it or the phase itself; only the first reason
-    counts.
+    A doubt (or the wish to stop) makes the axis safe in this very cycle, whether a watch has it or
+    the phase itself; only the first reason counts.
     """
     c, h = axis.control, axis.host
     if doubt != Trip.NONE or h.stop != 0:

@@ -1,6 +1,8 @@
-"""The host's compiled records: limits and scales (`CONTROL`), the process image, and what the cycle keeps (`HOST`).
+"""The host's compiled records: limits and scales (`CONTROL`), the process image, and what the cycle
+keeps (`HOST`).
 
-Everything here is SI at the handle, except where a name says counts, raw or pm (per mille of the motor's rated torque).
+Everything here is SI at the handle, except where a name says counts, raw or pm (per mille of the
+motor's rated torque).
 """
 
 from __future__ import annotations

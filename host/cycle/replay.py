@@ -1,4 +1,5 @@
-"""The host's cycle fed with what it received once: the same inputs give the same outputs, bit for bit.
+"""The host's cycle fed with what it received once: the same inputs give the same outputs, bit for
+bit.
 
 What the step depends on, and where a recording has it:
 
@@ -38,7 +39,9 @@ AHEAD = 4096
 
 
 class Sent(NamedTuple):
-    """A frame that the step sends: in which cycle (from 1), ready when, and until when it was on its way if at all."""
+    """A frame that the step sends: in which cycle (from 1), ready when, and until when it was on
+    its way if at all.
+    """
 
     cycle: int
     t_ns: int
@@ -55,7 +58,8 @@ class Inputs:
     """What the host received, in the order in which it did.
 
     frames : FRAME records that the host received
-    trace : rows of `recording.trace.TRACE`; or of EVENT: virtual time, where a frame is handled at its stamp and the host at its deadline
+    trace : rows of `recording.trace.TRACE`; or of EVENT: virtual time, where a frame is handled at
+    its stamp and the host at its deadline
     """
 
     frames: Records
@@ -68,7 +72,9 @@ class Inputs:
 
 
 def replay(controllers: Controllers, inputs: Inputs) -> Iterator[Sent]:
-    """Yield the frames that new `controllers` send on these inputs, until the trace ends (virtual time: for ever)."""
+    """Yield the frames that new `controllers` send on these inputs, until the trace ends (virtual
+    time: for ever).
+    """
     run = _Replay(controllers, inputs)
     return run.in_virtual_time(inputs.trace) if inputs.virtual else run.by_trace(inputs.trace)
 
@@ -135,7 +141,9 @@ class _Replay:
             yield from self._sent(cycle, until_ns, later - refused_before)
 
     def in_virtual_time(self, events: npt.NDArray[Any]) -> Iterator[Sent]:
-        """Do what the kernel of `sim_bus.network.kernel` did: at one instant first what arrives, then the host."""
+        """Do what the kernel of `sim_bus.network.kernel` did: at one instant first what arrives,
+        then the host.
+        """
         running = False
         for t_ns, received, next_ns, kind, value in (*events.tolist(), (0, FOREVER_NS, FOREVER_NS, None, 0)):
             while self.row < received or (running and int(self.host["next_ns"].min()) < next_ns):
@@ -160,7 +168,9 @@ class _Replay:
 
 
 def _rows(trace: npt.NDArray[Any]) -> Iterator[tuple[int, ...]]:
-    """Yield the rows, behind each when the next cycle was due, and how many frames the bus had refused by then."""
+    """Yield the rows, behind each when the next cycle was due, and how many frames the bus had
+    refused by then.
+    """
     cycles = np.flatnonzero(np.isin(trace["kind"], (Moment.BEGIN, Moment.END)))
     following = np.searchsorted(cycles, np.arange(len(trace)), "right")
     columns = [trace[name] for name in ("t_ns", "received", "kind", "value", "refused")]

@@ -1,13 +1,17 @@
-"""The cycle's compiled step: process image in, set-points out. The same code in virtual time, in real time and in replay.
+"""The cycle's compiled step: process image in, set-points out.
 
-A cycle is: `begin` (SYNC) - `on_frame` for what arrives - `finish` (measure, watch, phase, law, limits, RPDOs), each for one axis. `host.cycle.axes`
-calls them for all axes of a bus, `host.cycle.phases` has what a phase does.
+The same code in virtual time, in real time and in replay.
+
+A cycle is: `begin` (SYNC) - `on_frame` for what arrives - `finish` (measure, watch, phase, law,
+limits, RPDOs), each for one axis. `host.cycle.axes` calls them for all axes of a bus,
+`host.cycle.phases` has what a phase does.
 
     c : the CONTROL record of an axis        h : its HOST record        axis : the AXIS record, which holds both, its PDOs and the law
 
-Safety that lives here: the brake's set-point is never negative and never becomes motor torque; the motor's torque is limited in
-size, rate and per mille, is never accelerating near the speed limit, and is 0 when stale; arming is refused unless the handle is still,
-little loaded, and motor, encoder and transducer agree on the sign.
+Safety that lives here: the brake's set-point is never negative and never becomes motor torque; the
+motor's torque is limited in size, rate and per mille, is never accelerating near the speed limit,
+and is 0 when stale; arming is refused unless the handle is still, little loaded, and motor, encoder
+and transducer agree on the sign.
 """
 
 from __future__ import annotations
@@ -32,7 +36,9 @@ SPEED_TAPER = 0.8  # above this share of the speed limit the motor may only brak
 
 @kernel
 def limit_torque(c: Any, h: Any, torque_Nm: float) -> float:
-    """Return the motor torque [Nm] that may be sent: 0 outside the phases that show torque, when stale or not a number; then rate, speed and size."""
+    """Return the motor torque [Nm] that may be sent: 0 outside the phases that show torque, when
+    stale or not a number; then rate, speed and size.
+    """
     if h.phase < Phase.SIGN or h.phase > Phase.RUN or h.position_age > 1:
         return 0.0
     if torque_Nm != torque_Nm:
@@ -53,7 +59,9 @@ def limit_torque(c: Any, h: Any, torque_Nm: float) -> float:
 
 @kernel
 def brake_raw(c: Any, h: Any) -> int:
-    """Return the brake's set-point in counts: without a wrap, from 0 Nm to what its object takes, or to the end of its table."""
+    """Return the brake's set-point in counts: without a wrap, from 0 Nm to what its object takes,
+    or to the end of its table.
+    """
     if c.brake_points == 0:
         return min(max(round(h.brake_Nm / c.brake_Nm_raw), 0), c.brake_limit_raw)
     k = 1
@@ -75,7 +83,9 @@ def _node(c: Any, node_id: int) -> int:
 
 @kernel
 def begin(axis: Any, t_ns: int, out: Any) -> None:
-    """Begin the cycle that is due at `t_ns`: count what the last one lost, send SYNC (the host's heartbeat and what guards nodes when due)."""
+    """Begin the cycle that is due at `t_ns`: count what the last one lost, send SYNC (the host's
+    heartbeat and what guards nodes when due).
+    """
     c, h = axis.control, axis.host
     if h.cycle > 0 and h.phase < Phase.SAFE and h.arrived & c.every_cycle != c.every_cycle:
         h.lost_pdos += 1
@@ -98,7 +108,10 @@ def begin(axis: Any, t_ns: int, out: Any) -> None:
 
 @kernel
 def on_frame(axis: Any, t_ns: int, can_id: int, length: int, data: int) -> int:
-    """Take a frame from the bus; return 1 when it completes this cycle's TPDOs, 2 when the control plane wants it, else 0."""
+    """Take a frame from the bus.
+
+    Return 1 when it completes this cycle's TPDOs, 2 when the control plane wants it, else 0.
+    """
     c, h = axis.control, axis.host
     for k in range(c.tpdos):
         pdo = axis.tpdos[k]
@@ -166,7 +179,9 @@ def send(axis: Any, t_ns: int, out: Any) -> None:
 
 @kernel
 def finish(axis: Any, law_function: Any, t_ns: int, out: Any) -> None:
-    """Finish the cycle at `t_ns`: measure, watch, advance the phase (which asks the law), limit, and send the RPDOs."""
+    """Finish the cycle at `t_ns`: measure, watch, advance the phase (which asks the law), limit,
+    and send the RPDOs.
+    """
     c, h = axis.control, axis.host
     _close(c, h, t_ns)
     jump = measure(c, h)

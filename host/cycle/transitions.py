@@ -1,8 +1,10 @@
-"""The phases of the cycle as tables: which phase follows which, when, and why; and what controlword each sends.
+"""The phases of the cycle as tables: which phase follows which, when, and why; and what controlword
+each sends.
 
-`host.cycle.phases` does what the table says; the tests hold every transition of the compiled step against it. The diagram of docs/safety.md is
-drawn from it. Two changes of the phase are none of the step's: `Controller.start` begins with STILL, and the data plane that
-ends is DONE, whatever its phase was.
+`host.cycle.phases` does what the table says; the tests hold every transition of the compiled step
+against it. The diagram of docs/safety.md is drawn from it. Two changes of the phase are none of the
+step's: `Controller.start` begins with STILL, and the data plane that ends is DONE, whatever its
+phase was.
 """
 
 from __future__ import annotations
@@ -19,7 +21,10 @@ __all__ = ["CONTROLWORDS", "TRANSITIONS", "Transition", "allowed", "diagram"]
 
 
 class Transition(NamedTuple):
-    """A row: in one of `phases`, under the condition, `following` begins; into SAFE with one of the reasons `trips`."""
+    """A row: in one of `phases`, under the condition, `following` begins.
+
+    Into SAFE with one of the reasons `trips`.
+    """
 
     phases: tuple[Phase, ...]
     condition: str
@@ -74,7 +79,10 @@ TRANSITIONS = (
 
 
 def _controlwords() -> npt.NDArray[np.int64]:
-    """Controlword by phase and by the drive's state; the last column is for a statusword of no state (-1)."""
+    """Controlword by phase and by the drive's state.
+
+    The last column is for a statusword of no state (-1).
+    """
     table = np.zeros((len(Phase), len(PowerState) + 1), np.int64)
     table[[Phase.STILL, Phase.ENABLE], :-1] = CONTROLWORD_TO_ENABLE
     table[Phase.STILL, PowerState.SWITCHED_ON] = CONTROLWORD[Command.SWITCH_ON]  # and no further
@@ -83,11 +91,15 @@ def _controlwords() -> npt.NDArray[np.int64]:
 
 
 CONTROLWORDS = _controlwords()
-"""``CONTROLWORDS[phase, state of the drive]``: what the host sends; 0, disable voltage, wherever it does not want the drive enabled."""
+"""``CONTROLWORDS[phase, state of the drive]``: what the host sends; 0, disable voltage, wherever it
+does not want the drive enabled.
+"""
 
 
 def allowed(phase: Phase, following: Phase, trip: Trip = Trip.NONE) -> bool:
-    """Return whether the table has a row from `phase` to `following` (for SAFE: with this reason), or the phase goes on."""
+    """Return whether the table has a row from `phase` to `following` (for SAFE: with this reason),
+    or the phase goes on.
+    """
     if phase is following:
         return True
     return any(

@@ -1,4 +1,5 @@
-"""What the host watches in every cycle: each function returns the trip that its doubt demands, or `Trip.NONE`.
+"""What the host watches in every cycle: each function returns the trip that its doubt demands, or
+`Trip.NONE`.
 
 Compiled and allocation-free. `c` is the CONTROL record of an axis, `h` its HOST record.
 """
@@ -19,9 +20,12 @@ VOLTAGE_LOW_CYCLES = 2
 
 @kernel
 def measure(c: Any, h: Any) -> int:
-    """Turn the process image into position, velocity (backward difference) and handle torque; may trip on an encoder jump.
+    """Turn the process image into position, velocity (backward difference) and handle torque.
 
-    The position is followed across its wrap, after 2**32 counts of 6064h. A stale position keeps the last velocity's value and ages.
+    May trip on an encoder jump.
+
+    The position is followed across its wrap, after 2**32 counts of 6064h. A stale position keeps
+    the last velocity's value and ages.
     """
     h.drive = STATE_OF_STATUSWORD[h.image[Image.STATUSWORD] & 0x7F]
     h.brake_drive = STATE_OF_STATUSWORD[h.image[Image.BRAKE_STATUSWORD] & 0x7F] if c.brake_is_drive else h.drive
@@ -74,7 +78,8 @@ def watch_motion(c: Any, h: Any) -> int:
     if h.coil_A2 > c.coil_limit_A2:
         return Trip.COIL_I2T
 
-    # The hand's torque must be what brake, friction and motor make of it: exactly so in slip, at most so when stuck.
+    # The hand's torque must be what brake, friction and motor make of it: exactly so in slip, at
+    # most so when stuck.
     h.brake_lagged_Nm = h.brake_Nm + (h.brake_lagged_Nm - h.brake_Nm) * c.brake_lag_decay
     level = h.brake_lagged_Nm + c.friction_Nm
     if abs(h.v_counts) > c.velocity_band_counts:
@@ -116,7 +121,9 @@ def watch_switch(c: Any, h: Any) -> None:
 
 @kernel
 def watch(c: Any, h: Any, jump: int, t_ns: int) -> int:
-    """Return the first doubt of this cycle: the encoder's (`jump`), the motion's, the devices', the drive's, the switch's, others'."""
+    """Return the first doubt of this cycle: the encoder's (`jump`), the motion's, the devices', the
+    drive's, the switch's, others'.
+    """
     trip = jump
     if trip == Trip.NONE:
         trip = watch_motion(c, h)

@@ -484,7 +484,8 @@ def real_run(
     coulombus.wire.address.BusUnavailable, coulombus.host.errors.HostError
         nothing was armed
     coulombus.rigs.rig.RigError
-        the law, a rehearsal's file on a real bus, a limit that the drive cannot take, or a law that a limit would cut off
+        the law, a rehearsal's file on a real bus, a limit that the drive cannot take, or a law that
+        a limit would cut off
     coulombus.recording.pcapng_blocks.RecordingError
         the recording cannot be created, or exists
     """

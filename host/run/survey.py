@@ -1,4 +1,6 @@
-"""Who is on a bus, and what they say of themselves: identity, modes, rated values, units. Nothing is written to any device.
+"""Who is on a bus, and what they say of themselves: identity, modes, rated values, units.
+
+Nothing is written to any device.
 
 Every node id is asked for its device type (1000h) once; whoever answers is asked for the rest.
 """
@@ -24,7 +26,10 @@ ASKED = (
     *((0x6502, 0), (0x6075, 0), (0x6076, 0), (0x608F, 1), (0x608F, 2), (0x6410, 1)),
     *((0x6301, 1), (0x6302, 1), (0x6131, 1), (0x6132, 1)),
 )
-"""Numbers: device type, identity; a drive's modes, rated current and torque, encoder; units of CiA 404."""
+"""Numbers: device type, identity; a drive's modes, rated current and torque, encoder.
+
+Units of CiA 404.
+"""
 TOLD = ((0x1008, 0), (0x1009, 0), (0x100A, 0))
 """Texts: the device's name, its hardware's and its software's version."""
 NODES = range(1, 128)

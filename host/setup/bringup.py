@@ -1,7 +1,10 @@
-"""Bring-up over SDO: know the devices, configure them, read everything back, start them. Then, and only then, the cycle may begin.
+"""Bring-up over SDO: know the devices, configure them, read everything back, start them.
 
-What is written and read back stands in `host.setup.device_plan`, made from EDS and rig file. What is wrong with it is told before anything is
-sent, all of it at once; every difference of the devices is collected and told at once, too. With any of them the host refuses to go on.
+Then, and only then, the cycle may begin.
+
+What is written and read back stands in `host.setup.device_plan`, made from EDS and rig file. What
+is wrong with it is told before anything is sent, all of it at once; every difference of the devices
+is collected and told at once, too. With any of them the host refuses to go on.
 """
 
 from __future__ import annotations
@@ -103,7 +106,8 @@ class _Device:
         return int.from_bytes(data, "little")
 
     def write(self, setting: Setting) -> None:
-        """Write the object in the size that the EDS declares; a maker's own only where the maker is this project, or the rig file lists it.
+        """Write the object in the size that the EDS declares; a maker's own only where the maker is
+        this project, or the rig file lists it.
 
         Raises
         ------
@@ -126,7 +130,10 @@ class _Device:
             raise self._guard(index, subindex, error) from None
 
     def identify(self) -> list[str]:
-        """Read device type (1000h) and identity (1018h); return how they differ from the EDS and the rig file."""
+        """Read device type (1000h) and identity (1018h).
+
+        Return how they differ from the EDS and the rig file.
+        """
         expected: dict[tuple[int, int], tuple[str, str, Value]] = {
             (0x1000, 0): ("device type", "the EDS file", self.description.default(0x1000, 0, self.node_id)),
             **{(0x1018, sub): (what, "the rig file", value) for sub, what, value in self.plan.identity},
@@ -151,7 +158,9 @@ class _Device:
             raise DeviceMismatch(f"{self.name}: supported drive modes 6502h = {modes:#010x} do not include {lacking}")
 
     def configure(self) -> list[str]:
-        """Write every setting in its order, then read all of them back, whole; return the differences in words.
+        """Write every setting in its order, then read all of them back, whole.
+
+        Return the differences in words.
 
         What the host can do without, and the device refuses, is a loss.
         """
@@ -186,7 +195,9 @@ def _signed(variable: Variable) -> bool:
 
 
 def _without_fill(data: bytes, variable: Variable | None) -> bytes:
-    """Return an expedited upload of no told size without the bytes behind the object's own, if those only extend its number."""
+    """Return an expedited upload of no told size without the bytes behind the object's own, if
+    those only extend its number.
+    """
     size = (variable.bits + 7) // 8 if variable is not None else 0
     if not 0 < size < len(data) or variable is None:
         return data
@@ -208,7 +219,9 @@ def check_plan(rig: Rig) -> None:
 
 
 def plans_of(controllers: Controllers) -> tuple[DevicePlan, ...]:
-    """Return what bring-up does to each device of all axes: drive, brake and sensors of the first, of the second ..."""
+    """Return what bring-up does to each device of all axes: drive, brake and sensors of the first,
+    of the second ...
+    """
     return tuple(
         plan
         for controller in controllers
@@ -227,12 +240,14 @@ def bring_up(controllers: Controllers, plane: ControlPlane) -> tuple[str, ...]:
     Returns
     -------
     tuple of str
-        What was not written, as a device has no such object or is not ours, and what the host loses by that.
+        What was not written, as a device has no such object or is not ours, and what the host loses
+        by that.
 
     Raises
     ------
     NodeMissing, SdoAborted, DeviceMismatch
-        nothing was armed; the nodes are left in PRE-OPERATIONAL, or nothing was sent where EDS and rig file do not fit
+        nothing was armed; the nodes are left in PRE-OPERATIONAL, or nothing was sent where EDS and
+        rig file do not fit
     coulombus.rigs.rig.RigError
         a limit would cut the law off; the nodes were not touched
     """
@@ -272,10 +287,12 @@ def _refuse(differences: Iterable[str]) -> None:
 
 
 def release(controllers: Controllers, plane: ControlPlane) -> None:
-    """Put the nodes into PRE-OPERATIONAL and, at a normal end, take the watch over this host off them (1016h:01 = 0).
+    """Put the nodes into PRE-OPERATIONAL and, at a normal end, take the watch over this host off
+    them (1016h:01 = 0).
 
-    Else each of them would tell of a lost heartbeat (EMCY 8130h) as soon as this host has gone. After a trip, or where a drive is not known to be
-    disabled, the watch stays. To be called before the host's heartbeat is missed.
+    Else each of them would tell of a lost heartbeat (EMCY 8130h) as soon as this host has gone.
+    After a trip, or where a drive is not known to be disabled, the watch stays. To be called before
+    the host's heartbeat is missed.
     """
     plane.network.nmt.send_command(NmtCommand.ENTER_PRE_OPERATIONAL)
     drives = [STATE_OF_STATUSWORD[int(k.host["image"][0, Image.STATUSWORD]) & 0x7F] for k in controllers]
@@ -291,6 +308,9 @@ def release(controllers: Controllers, plane: ControlPlane) -> None:
 
 
 def shut_down(plane: ControlPlane) -> None:
-    """Leave the nodes in PRE-OPERATIONAL, where no PDO acts; only the heartbeat is still watched there."""
+    """Leave the nodes in PRE-OPERATIONAL, where no PDO acts.
+
+    Only the heartbeat is still watched there.
+    """
     plane.network.nmt.send_command(NmtCommand.ENTER_PRE_OPERATIONAL)
     plane.wait_ns(SETTLE_NS)

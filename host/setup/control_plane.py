@@ -47,7 +47,9 @@ def _open(address: BusAddress, can_ids: Iterable[int]) -> can.BusABC:
 
 
 class RealControlPlane:
-    """The control plane of `rig` on the bus at `address`; implements `host.setup.bringup.ControlPlane`.
+    """The control plane of `rig` on the bus at `address`.
+
+    Implements `host.setup.bringup.ControlPlane`.
 
     It takes SDO responses, EMCY and heartbeats only: the PDOs are the data plane's.
 
@@ -85,7 +87,9 @@ class RealControlPlane:
             self._nmt[can_id & 0x7F] = data[0] & 0x7F
 
     def check_alone(self, until_s: float) -> None:
-        """Listen until `time.monotonic()` is `until_s`; then listen no more for SYNC, which this host is to send.
+        """Listen until `time.monotonic()` is `until_s`.
+
+        Then listen no more for SYNC, which this host is to send.
 
         Raises
         ------

@@ -1,8 +1,9 @@
 """What bring-up does to one device, and why it would be refused: judged before anything is sent.
 
-`coulombus check` tells what `host.setup.bringup` executes, so that both say the same: one list of steps (`DevicePlan.steps`). The objects 2000h to
-5FFFh are written where 1018h of the EDS file is our own device's (and, in `host.setup.bringup`, of the device as well), or where the
-rig file lists them: elsewhere they mean what another maker says.
+`coulombus check` tells what `host.setup.bringup` executes, so that both say the same: one list of
+steps (`DevicePlan.steps`). The objects 2000h to 5FFFh are written where 1018h of the EDS file is
+our own device's (and, in `host.setup.bringup`, of the device as well), or where the rig file lists
+them: elsewhere they mean what another maker says.
 """
 
 from __future__ import annotations
@@ -35,7 +36,8 @@ class DevicePlan:
     name, node_id, role, part, description : which device it is
     mode : of operation, of a CiA 402 drive; None of any other device
     writes : settings in their order; an object may be written more than once
-    read_backs : ((index, sub-index), value) that each object must have afterwards; some are not written, as they cannot be
+    read_backs : ((index, sub-index), value) that each object must have afterwards; some are not
+        written, as they cannot be
     problems : why bring-up would be refused, each with what to do; empty when it may begin
     questions : what the EDS file does not tell, and the device itself is asked
     losses : what is not written, and what the host loses by that
@@ -257,7 +259,9 @@ def _label(description: Description, setting: Setting) -> str:
 
 
 def _opened(variable: Variable, setting: Setting) -> bool:
-    """Tell whether the file's limits leave no room for what CiA 301 says of the object: 1016h has the node id above bit 16."""
+    """Tell whether the file's limits leave no room for what CiA 301 says of the object: 1016h has
+    the node id above bit 16.
+    """
     return setting.index == 0x1016 and variable.high is not None and 0 < variable.high <= 0xFFFF and variable.bits == 32
 
 
@@ -289,7 +293,9 @@ def _misfit(variable: Variable, setting: Setting) -> tuple[str, str] | None:
 
 
 def _locked(description: Description, setting: Setting) -> str:
-    """Return why an object cannot be written, "" where it can: it is read-only, or belongs to a PDO that cannot be made invalid for it."""
+    """Return why an object cannot be written, "" where it can: it is read-only, or belongs to a PDO
+    that cannot be made invalid for it.
+    """
     access = setting.variable(description).access
     if access in READ_ONLY:
         return f"AccessType is {access}"
@@ -306,7 +312,9 @@ def _locked(description: Description, setting: Setting) -> str:
 def _other(
     variable: Variable, final: Mapping[tuple[int, int], int], node_id: int, locked: str
 ) -> tuple[str, str] | None:
-    """Return why an object that cannot be written will not have its value, and what to do; None where it can, or has it already."""
+    """Return why an object that cannot be written will not have its value, and what to do; None
+    where it can, or has it already.
+    """
     if not locked:
         return None
     wanted, default = final[variable.index, variable.subindex], variable.default
@@ -322,7 +330,9 @@ def _other(
 
 
 def missing_mode(modes: int, mode: int) -> str:
-    """Return the mode that 6502h does not name, in words; "" where it does, or a maker's own mode is used."""
+    """Return the mode that 6502h does not name, in words; "" where it does, or a maker's own mode
+    is used.
+    """
     words: Mapping[int, str] = {
         OPERATION_MODE_CST: "cyclic synchronous torque",
         OPERATION_MODE_PROFILE_TORQUE: "profile torque",

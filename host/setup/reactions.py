@@ -1,4 +1,6 @@
-"""Who notices the loss of the host, within what time, and what happens then: of each device, from what bring-up sets in it."""
+"""Who notices the loss of the host, within what time, and what happens then: of each device, from
+what bring-up sets in it.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ FAULTS = ("host dies", "bus cut", "host hangs")
 
 
 class Reaction(NamedTuple):
-    """A device, a fault, by what the device notices it ("" where by nothing), within what time [s], and what happens."""
+    """A device, a fault, by what the device notices it ("" where by nothing), within what time [s],
+    and what happens.
+    """
 
     device: str
     fault: str
@@ -30,7 +34,9 @@ class Reaction(NamedTuple):
 
 
 def reactions_of(axis: Axis, node: str, settings: Iterable[Setting]) -> tuple[Reaction, ...]:
-    """Return what motor or brake does when the host is lost, with these `settings`: the fastest of its watches acts."""
+    """Return what motor or brake does when the host is lost, with these `settings`: the fastest of
+    its watches acts.
+    """
     part, description = axis.part(node), axis.description(node)
     assert isinstance(part, Motor | Brake)
     set_there = {(s.index, s.subindex) for s in settings}

@@ -1,7 +1,8 @@
 """The objects that bring-up sets in each device, made from its EDS file and the rig file alone.
 
-Nothing is assumed of a drive's defaults: PDOs are mapped anew where they can be, inhibit times set to 0, limits written and read back. In a device
-that is not ours the reactions to the host's loss are set, too, and objects that a maker may have made constant are read first.
+Nothing is assumed of a drive's defaults: PDOs are mapped anew where they can be, inhibit times set
+to 0, limits written and read back. In a device that is not ours the reactions to the host's loss
+are set, too, and objects that a maker may have made constant are read first.
 """
 
 from __future__ import annotations
@@ -117,7 +118,9 @@ def _listed(part: Device, node: str, when: Literal["before", "after", "end"]) ->
 
 
 def _pdo_settings(pdo: RigPdo, node: str, deadline_ms: int, ours: bool) -> Iterator[Setting]:
-    """The prescribed procedure: invalid, no entries, parameters, entries, their number, valid (CiA 301, 7.5.2.36)."""
+    """The prescribed procedure: invalid, no entries, parameters, entries, their number, valid (CiA
+    301, 7.5.2.36).
+    """
     layout, why = pdo.layout, f"{pdo.name} carries {', '.join(signal.key for signal in pdo.signals)}"
     receive = layout.direction == "rpdo"
     communication = (0x1400 if receive else 0x1800) + layout.number - 1
@@ -206,7 +209,9 @@ def _common_settings(axis: Axis, node: str, part: Device, ours: bool) -> Iterato
 
 
 def _drive_settings(axis: Axis, part: Motor | Brake, setpoint: Binding, ours: bool) -> Iterator[Setting]:
-    """What every CiA 402 drive needs: the mode, a set-point of 0, and a free shaft where something is lost."""
+    """What every CiA 402 drive needs: the mode, a set-point of 0, and a free shaft where something
+    is lost.
+    """
     description = axis.description(setpoint.node)
     mode = mode_of(part, description)
     readable = not description.has(0x6060, 0) or description.variable(0x6060, 0).access != "wo"
@@ -235,7 +240,10 @@ def _drive_settings(axis: Axis, part: Motor | Brake, setpoint: Binding, ours: bo
 
 
 def torque_limits(description: Description) -> tuple[int, ...]:
-    """Return the objects that limit a drive's torque: 6072h, else 60E0h and 60E1h, else 6073h; none where it has none that can be written."""
+    """Return the objects that limit a drive's torque: 6072h, else 60E0h and 60E1h, else 6073h.
+
+    None where it has none that can be written.
+    """
 
     def usable(index: int) -> bool:
         return description.has(index, 0) and description.variable(index, 0).access not in ("ro", "const")

@@ -1,4 +1,6 @@
-"""What a brake's driver and further sensors can be in a rig: CiA 404, 401, or a drive in a torque or current mode."""
+"""What a brake's driver and further sensors can be in a rig: CiA 404, 401, or a drive in a torque
+or current mode.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,8 @@ VOLT = 0x26
 FULL_SCALE_V = 10.0
 OUTPUTS: dict[int, tuple[Place, ...]] = {CIA404: ((0x7300, 1), (0x9300, 1)), CIA401: ((0x6411, 1),)}
 INPUTS: tuple[Place, ...] = ((0x7130, 1), (0x9130, 1), (0x6401, 1))
-"""Where a torque transducer's amplifier may tell its value: CiA 404 in 16 and in 32 bits, CiA 401."""
+"""Where a torque transducer's amplifier may tell its value: CiA 404 in 16 and in 32 bits, CiA 401.
+"""
 UNIT_OF = {0x7300: (0x6301, 0x6302), 0x9300: (0x6301, 0x6302), 0x7130: (0x6131, 0x6132), 0x9130: (0x6131, 0x6132)}
 
 
@@ -85,7 +88,10 @@ def _drive(text: RigText, device: Device) -> None:
 
 
 def describe_sensors(text: RigText, devices: Sequence[Device]) -> None:
-    """Bind the handle torque to the first sensor that has an analogue input; the others are watched only."""
+    """Bind the handle torque to the first sensor that has an analogue input.
+
+    The others are watched only.
+    """
     for device in devices:
         place = next((at for at in INPUTS if device.entry(at, "tpdo")), None)
         if place is None or text.get("role.handle_torque.node"):
@@ -110,7 +116,9 @@ def describe_sensors(text: RigText, devices: Sequence[Device]) -> None:
 
 
 def _unit(device: Device, place: Place) -> tuple[int, float]:
-    """Return the notation index of an object's unit, and what a count of it is; (0, 1) where nothing tells."""
+    """Return the notation index of an object's unit, and what a count of it is; (0, 1) where
+    nothing tells.
+    """
     index, subindex = place
     if index not in UNIT_OF:
         return 0, 1.0

@@ -1,4 +1,6 @@
-"""One device of a rig that is to be: what its EDS file says, and what the device itself has answered."""
+"""One device of a rig that is to be: what its EDS file says, and what the device itself has
+answered.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +48,9 @@ class Device:
         return is_own(self.node, told_identity(self.description))
 
     def told(self, index: int, subindex: int = 0) -> int | None:
-        """Return what an object holds: the device's answer, else the EDS file's default; None where neither tells."""
+        """Return what an object holds: the device's answer, else the EDS file's default; None where
+        neither tells.
+        """
         answer = self.answers.get((index, subindex))
         if answer is not None or not self.description.has(index, subindex):
             return answer
@@ -65,7 +69,9 @@ class Device:
             return None
 
     def identity(self, subindex: int) -> tuple[int | None, str]:
-        """Return 1018h:1 (vendor) or :2 (product), and whence it is a guess, "" where it is none; None: the file has no such object."""
+        """Return 1018h:1 (vendor) or :2 (product), and whence it is a guess, "" where it is none;
+        None: the file has no such object.
+        """
         if not self.description.has(0x1018, subindex):
             return None, ""
         told = self.told(0x1018, subindex)

@@ -1,9 +1,13 @@
-"""The draft of a rig file: devices put in the places of those of a rig that is known, every guess marked.
+"""The draft of a rig file: devices put in the places of those of a rig that is known, every guess
+marked.
 
-1. What belongs to the handle, the hand and the law is taken over from the rig that it is to be like.
-2. What belongs to the devices is taken from their EDS files, and from the devices themselves where they were asked.
-3. The file is loaded. An optional role that finds no object or no place is taken out, and the file says why; a cycle that is too short for
-   the bus is made longer. What cannot be mended by either is refused.
+1. What belongs to the handle, the hand and the law is taken over from the rig that it is to be
+   like.
+2. What belongs to the devices is taken from their EDS files, and from the devices themselves where
+   they were asked.
+3. The file is loaded. An optional role that finds no object or no place is taken out, and the file
+   says why; a cycle that is too short for the bus is made longer. What cannot be mended by either
+   is refused.
 """
 
 from __future__ import annotations
@@ -209,7 +213,9 @@ class Draft:
         return load_rig_text(str(self.text), self.path)
 
     def _without(self, error: RigError) -> None:
-        """Take out the optional roles that are refused, and wait longer for a TPDO that comes seldom; raise what is refused otherwise."""
+        """Take out the optional roles that are refused, and wait longer for a TPDO that comes
+        seldom; raise what is refused otherwise.
+        """
         if self.text.get(MISSED) < MOST_MISSED and any(MISSED in problem[-1] for problem in error.problems):
             self.text.put(
                 MISSED, MOST_MISSED, "; ".join(problem[3] for problem in error.problems if MISSED in problem[-1])

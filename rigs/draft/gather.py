@@ -1,4 +1,6 @@
-"""Which devices a rig is to have: those that the user names, and those that answered on a bus, with their EDS files."""
+"""Which devices a rig is to have: those that the user names, and those that answered on a bus, with
+their EDS files.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,9 @@ Answered = Mapping[int, Mapping[Place, int]]
 
 @dataclass(frozen=True)
 class Wanted:
-    """What the user says of a device: its EDS file ("bench": our own; "": whoever answers on the bus), and its node id."""
+    """What the user says of a device: its EDS file ("bench": our own; "": whoever answers on the
+    bus), and its node id.
+    """
 
     node: Node
     eds: str = ""
@@ -71,7 +75,9 @@ class _Gathering:
         return self._name(Path(wanted.eds)), read_eds(wanted.eds)
 
     def _name(self, path: Path) -> str:
-        """Return how the rig file names a file: from its own folder on, unless nothing but the root is common to both."""
+        """Return how the rig file names a file: from its own folder on, unless nothing but the root
+        is common to both.
+        """
         whole = path.resolve()
         if self.folder is None or os.path.commonpath((whole, self.folder)) == os.sep:
             return str(whole)
@@ -114,7 +120,9 @@ class _Gathering:
         return self._of_profile("a drive (CiA 402)", CIA402)
 
     def brake(self) -> int:
-        """Return the live node that is to be the brake's driver: one with an analogue output, else a second drive."""
+        """Return the live node that is to be the brake's driver: one with an analogue output, else
+        a second drive.
+        """
         drivers = self.with_objects(OUTPUTS)
         if drivers:
             return drivers[0]
@@ -134,7 +142,8 @@ def gather(
 
     Parameters
     ----------
-    wanted : motor, brake, sensors; a motor or brake without a file is looked for among the live nodes
+    wanted : motor, brake, sensors; a motor or brake without a file is looked for among the live
+        nodes
     folder : where the rig file is to stand, None where that is not known
     answered : what live nodes said
     eds_folder : where the EDS files of live nodes are

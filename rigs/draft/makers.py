@@ -1,4 +1,5 @@
-"""Torque and current modes of makers' own: which object is the set-point, where a drive has neither CST nor profile torque.
+"""Torque and current modes of makers' own: which object is the set-point, where a drive has neither
+CST nor profile torque.
 
 What is not in the table is looked for by the objects' names.
 """
@@ -60,7 +61,9 @@ SOMETHING_ELSE = re.compile(
 
 
 def maker_mode(device: Device) -> MakerMode | None:
-    """Return a maker's own mode by which a drive can be commanded, None where nothing looks like one."""
+    """Return a maker's own mode by which a drive can be commanded, None where nothing looks like
+    one.
+    """
     vendor, _ = device.identity(1)
     for row in MAKERS:
         if row.vendor_id == vendor and device.entry(row.setpoint, "rpdo"):

@@ -19,13 +19,16 @@ SLOPE, TORQUE_OFFSET, INTERPOLATION = 0x6087, 0x60B2, 0x60C2
 LEAST_COUNTS = 16
 """Counts of an encoder in one turn: 608Fh says 1 where nobody has set it."""
 LEAST_TORQUE_Nm, MOST_TORQUE_Nm = 1e-3, 50.0
-"""Rated torque that a drive for a handle may have: what says something else counts in another unit."""
+"""Rated torque that a drive for a handle may have: what says something else counts in another unit.
+"""
 MOST_AT_HANDLE_Nm = 14.0
 """Rated torque at the handle: with more, a per mille is a tenth of the device's own friction."""
 
 
 class Command(NamedTuple):
-    """How a drive is commanded a torque: the mode of operation, the maker's own mode if it is one, and why it is a guess."""
+    """How a drive is commanded a torque: the mode of operation, the maker's own mode if it is one,
+    and why it is a guess.
+    """
 
     mode: int
     maker: MakerMode | None
@@ -95,7 +98,9 @@ def describe_motor(text: RigText, device: Device) -> None:
 
 
 def _ratio(text: RigText, device: Device, rated_Nm: float) -> None:
-    """Set the transmission's ratio, with which the drive's torque can be limited as each mode wants it."""
+    """Set the transmission's ratio, with which the drive's torque can be limited as each mode wants
+    it.
+    """
     ratio, modes = text.get("mechanics.ratio"), text.get("mode")
     limits = [mode["motor_limit_Nm"] for mode in modes.values() if mode["motor_limit_Nm"]]
     limit = device.description.variable(0x6072, 0) if device.description.has(0x6072, 0) else None
@@ -144,7 +149,9 @@ def _position(text: RigText, device: Device) -> None:
 
 
 def _own_units(text: RigText, device: Device, maker: MakerMode, rated_Nm: float) -> None:
-    """Set the scale of a set-point that is not in per mille of the rated torque, and of the torque that flows."""
+    """Set the scale of a set-point that is not in per mille of the rated torque, and of the torque
+    that flows.
+    """
     setpoint = device.entry(maker.setpoint, "rpdo")
     assert setpoint is not None
     text.put("role.torque_setpoint.object", _spelled(maker.setpoint))

@@ -1,4 +1,6 @@
-"""The text of a rig file: sections, keys, and over each key that is a guess a comment that says why."""
+"""The text of a rig file: sections, keys, and over each key that is a guess a comment that says
+why.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""The picture of a plan: the worst cycle frame by frame, and what each kind of traffic adds to the latest RPDO."""
+"""The picture of a plan: the worst cycle frame by frame, and what each kind of traffic adds to the
+latest RPDO.
+"""
 
 from __future__ import annotations
 
@@ -61,7 +63,9 @@ def _on_white(pad: float = 0.12) -> dict[str, Any]:
 
 
 def draw_cycle(axes: Axes, plan: Plan) -> None:
-    """Draw the worst cycle of ordinary operation: one row for each frame, from the top in the order in which they go."""
+    """Draw the worst cycle of ordinary operation: one row for each frame, from the top in the order
+    in which they go.
+    """
     from matplotlib.patches import Patch
 
     bars = plan.cycle.bars

@@ -1,19 +1,23 @@
-"""Worst-case response time of every message on a CAN bus: Davis, Burns, Bril and Lukkien 2007, doi:10.1007/s11241-007-9012-7.
+"""Worst-case response time of every message on a CAN bus: Davis, Burns, Bril and Lukkien 2007,
+doi:10.1007/s11241-007-9012-7.
 
-A message m of period (or least interval) T, release jitter J and longest frame C waits for one frame of lower priority that has just
-begun, B, and for every frame of higher priority (hp) that is released before its own start::
+A message m of period (or least interval) T, release jitter J and longest frame C waits for one
+frame of lower priority that has just begun, B, and for every frame of higher priority (hp) that is
+released before its own start::
 
     t    = E(t) + B + sum over hp and m of ceil((t + J_k) / T_k) C_k             busy period; Q = ceil((t + J) / T) instances
     w(q) = E(w + C) + B + q C + sum over hp of ceil((w + J_k + tau) / T_k) C_k     q = 0 .. Q - 1, least solution
     R(q) = J + w(q) - q T + C,       R = max over q                              (their equations 10 to 13, 16 to 18)
 
-tau is one bit. All Q instances count: a frame that is on the wire is not interrupted, so the first instance can push interference on to
-the second, and the first need not be the worst. E is the errors' share::
+tau is one bit. All Q instances count: a frame that is on the wire is not interrupted, so the first
+instance can push interference on to the second, and the first need not be the worst. E is the
+errors' share::
 
     E(t) = n ceil(t / T_E) (31 tau + max C over hp and m)
 
-for at most n errors in any T_E: each costs an error frame of 31 bits at most, and the frame again. C has the three bits of inter-frame space in
-it; R therefore ends three bits after the frame's end of frame.
+for at most n errors in any T_E: each costs an error frame of 31 bits at most, and the frame again.
+C has the three bits of inter-frame space in it; R therefore ends three bits after the frame's end
+of frame.
 
 All times are integer nanoseconds; durations are rounded up.
 """
@@ -59,11 +63,13 @@ class Message:
     jitter_ns : int
         By how much it may be released late.
     follows : str
-        Name of the message whose end releases it: it inherits that one's response time as jitter, beside `jitter_ns`.
+        Name of the message whose end releases it: it inherits that one's response time as jitter,
+        beside `jitter_ns`.
     stage : str
         Its part in the cycle ("" for none).
     axis : int
-        Number of the axis whose PDO it is: the host sends an axis' RPDOs when that axis' TPDOs have come.
+        Number of the axis whose PDO it is: the host sends an axis' RPDOs when that axis' TPDOs have
+        come.
     emergency : bool
         Not sent in ordinary operation: EMCY, NMT.
     """
@@ -140,15 +146,17 @@ def bit_ns(bits: int, bitrate_bit_s: int) -> int:
 
 
 def utilisation(messages: Sequence[Message], bitrate_bit_s: int) -> float:
-    """Return the share of the bus that the messages take with their longest frames, errors aside: the sum of C / T."""
+    """Return the share of the bus that the messages take with their longest frames, errors aside:
+    the sum of C / T.
+    """
     return sum(message.bits * 1e9 / (bitrate_bit_s * message.period_ns) for message in messages)
 
 
 def response_times(messages: Sequence[Message], bitrate_bit_s: int, errors: Errors = NO_ERRORS) -> tuple[Response, ...]:
     """Return every message's response time, the highest priority first.
 
-    A message that `follows` another takes that one's response time as its jitter; since this may go in circles it is repeated
-    until nothing changes (jitters only grow).
+    A message that `follows` another takes that one's response time as its jitter; since this may go
+    in circles it is repeated until nothing changes (jitters only grow).
 
     Raises
     ------
@@ -190,7 +198,9 @@ def response_times(messages: Sequence[Message], bitrate_bit_s: int, errors: Erro
 def _response(
     rank: int, order: Sequence[Message], frames: Sequence[int], bitrate_bit_s: int, errors: Errors
 ) -> Response:
-    """Return the response of `order[rank]`, whose messages have all their jitter; `frames` are their durations."""
+    """Return the response of `order[rank]`, whose messages have all their jitter; `frames` are
+    their durations.
+    """
     tau = bit_ns(1, bitrate_bit_s)
     m, own = order[rank], frames[rank]
     higher = [(k.period_ns, k.jitter_ns, c) for k, c in zip(order[:rank], frames, strict=False)]

@@ -1,6 +1,7 @@
 """The plan of a rig: which messages its bus carries, whether they fit, and what would.
 
-`messages_of` composes the messages of any number of devices and one host, so that a bus with several axes is the same call with more devices.
+`messages_of` composes the messages of any number of devices and one host, so that a bus with
+several axes is the same call with more devices.
 """
 
 from __future__ import annotations
@@ -50,11 +51,14 @@ class Assumptions:
     Attributes
     ----------
     node_ns : int or None
-        Longest time that a device computes between SYNC and its TPDOs; None: what the rig file says of each (`response_us`).
+        Longest time that a device computes between SYNC and its TPDOs; None: what the rig file says
+        of each (`response_us`).
     host_ns : int or None
-        Longest time that the host computes between the last TPDO and its RPDOs; None: the rig file's `host.compute_s`.
+        Longest time that the host computes between the last TPDO and its RPDOs; None: the rig
+        file's `host.compute_s`.
     sporadic_ns : int or None
-        Least interval between two EMCYs of a node, two SDO transfers with a node, two NMT commands; None: ten periods.
+        Least interval between two EMCYs of a node, two SDO transfers with a node, two NMT commands;
+        None: ten periods.
     """
 
     node_ns: int | None = None
@@ -88,7 +92,8 @@ class DeviceTraffic:
     sync_timeout_ns: int
     response_ns: int = 0
     guard_ns: int = 0
-    """How often the host guards it by a remote frame, to which it answers; 0: it has a heartbeat."""
+    """How often the host guards it by a remote frame, to which it answers; 0: it has a heartbeat.
+    """
 
     def moved(self, axis: int, node_id: int, name: str) -> DeviceTraffic:
         """Return the same device as part of another axis, under another node id."""
@@ -98,7 +103,8 @@ class DeviceTraffic:
 
 
 def devices_of(rig: Rig, period_ns: int, axes: int | None = None) -> tuple[DeviceTraffic, ...]:
-    """Return the devices of the rig's axes on one bus: of the first `axes`, and copies beyond them under the next free node ids.
+    """Return the devices of the rig's axes on one bus: of the first `axes`, and copies beyond them
+    under the next free node ids.
 
     With another period than the rig's the watches of PDOs and SYNC keep their share of it.
 
@@ -159,8 +165,9 @@ def messages_of(
 ) -> tuple[Message, ...]:
     """Return every message of a bus with one host and these devices.
 
-    SYNC and PDOs once a period; a heartbeat of everyone; of each device an SDO request and its response, and an EMCY; NMT commands. EMCY
-    and NMT are no part of ordinary operation. Deadlines are those of the watches: what comes later trips somebody.
+    SYNC and PDOs once a period; a heartbeat of everyone; of each device an SDO request and its
+    response, and an EMCY; NMT commands. EMCY and NMT are no part of ordinary operation. Deadlines
+    are those of the watches: what comes later trips somebody.
     """
     period = timing.period_ns
     after_sync = max(min(device.sync_timeout_ns for device in devices) - period, timing.window_ns)
@@ -213,7 +220,8 @@ class Plan:
     def responses(self) -> tuple[Response, ...]:
         """Worst-case response times, everything at once; the highest priority first.
 
-        The deadline of a frame that may be late in its cycle is the cycle's, that of any other its watch's.
+        The deadline of a frame that may be late in its cycle is the cycle's, that of any other its
+        watch's.
         """
         late = {frame.message.name: frame.deadline_ns for frame in self.cycle.frames if not frame.fits}
         messages = [replace(m, deadline_ns=min(m.deadline_ns, late.get(m.name, m.deadline_ns))) for m in self.messages]
@@ -251,7 +259,9 @@ class Plan:
 
     @property
     def interference_ns(self) -> dict[str, int]:
-        """The latest RPDO with more and more of the bus: the cyclic frames alone, heartbeats, SDO, EMCY and NMT."""
+        """The latest RPDO with more and more of the bus: the cyclic frames alone, heartbeats, SDO,
+        EMCY and NMT.
+        """
         return {
             "cycle": self.cycle_under(lambda m: False).latest_ns("rpdo"),
             "heartbeats": self.cycle_under(lambda m: "heartbeat" in m.name).latest_ns("rpdo"),
@@ -346,7 +356,9 @@ def plan(
 
 
 def plans(rig: Rig, **options: Any) -> dict[str, Plan]:
-    """Return `plan` for each bus of the rig, by the bus' name ("" where there is one without a name)."""
+    """Return `plan` for each bus of the rig, by the bus' name ("" where there is one without a
+    name).
+    """
     return {channel: plan(rig.on(channel), **options) for channel in rig.channels}
 
 
@@ -366,7 +378,9 @@ def bitrates_that_fit(rig: Rig, found: Plan) -> tuple[int, ...]:
 
 
 def shortest_period_ns(rig: Rig, found: Plan) -> int | None:
-    """Return the shortest period, in whole microseconds, at which the plan would fit; None when none up to 1 s does."""
+    """Return the shortest period, in whole microseconds, at which the plan would fit; None when
+    none up to 1 s does.
+    """
     steps = range(SHORTEST_NS // STEP_NS, LONGEST_NS // STEP_NS + 1)
     at = bisect_left(steps, True, key=lambda step: _again(rig, found, period_ns=step * STEP_NS).fits)
     return steps[at] * STEP_NS if at < len(steps) else None

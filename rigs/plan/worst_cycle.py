@@ -1,18 +1,21 @@
-"""The cycle in its worst case: by when SYNC, the TPDOs and the RPDOs are through, counted from the instant at which SYNC is queued.
+"""The cycle in its worst case: by when SYNC, the TPDOs and the RPDOs are through, counted from the
+instant at which SYNC is queued.
 
-`rigs.plan.response_times` takes every frame for independent of the others, so that it counts SYNC and the TPDOs against an RPDO although
-they are through when the host sends it. Here their order is used: a TPDO is released by SYNC's end, an axis' RPDOs by the last
-of its TPDOs. From SYNC on one of them is pending all the time, so the bus does not rest and no lower frame comes between, but
-where a device's or the host's computing outlasts the inter-frame space::
+`rigs.plan.response_times` takes every frame for independent of the others, so that it counts SYNC
+and the TPDOs against an RPDO although they are through when the host sends it. Here their order is
+used: a TPDO is released by SYNC's end, an axis' RPDOs by the last of its TPDOs. From SYNC on one of
+them is pending all the time, so the bus does not rest and no lower frame comes between, but where a
+device's or the host's computing outlasts the inter-frame space::
 
     F(m) = B + C + sum of C over what goes before m in the cycle + gaps + E(F)
              + sum over hp of ceil((F - C + J_k + tau) / T_k) C_k
 
-B is the longest frame from outside the cycle that may have begun just before; the cycle before is through by then, or the
-plan does not fit. hp are the messages outside the cycle that have a higher priority than m, or than any TPDO of m's axis if
-m is an RPDO. A gap of length d > 3 tau (`node_ns` before the TPDOs, `host_ns` before the RPDOs) costs d - 3 tau and one more
-frame that may begin in it; then every frame of the cycle that has such a priority is taken to go before m. The host waits for
-the TPDOs no longer than `window_ns`.
+B is the longest frame from outside the cycle that may have begun just before; the cycle before is
+through by then, or the plan does not fit. hp are the messages outside the cycle that have a higher
+priority than m, or than any TPDO of m's axis if m is an RPDO. A gap of length d > 3 tau (`node_ns`
+before the TPDOs, `host_ns` before the RPDOs) costs d - 3 tau and one more frame that may begin in
+it; then every frame of the cycle that has such a priority is taken to go before m. The host waits
+for the TPDOs no longer than `window_ns`.
 
 The same instants, one after the other, are the picture (`rigs.plan.gantt`).
 """
@@ -41,7 +44,8 @@ class Timing:
     window_ns : int
         How long after SYNC the host waits for the TPDOs.
     node_ns, host_ns : int
-        Longest time that a device computes between SYNC and its TPDOs, the host between the last TPDO and its RPDOs.
+        Longest time that a device computes between SYNC and its TPDOs, the host between the last
+        TPDO and its RPDOs.
     """
 
     bitrate_bit_s: int
@@ -67,7 +71,9 @@ class CycleFrame:
 
 @dataclass(frozen=True)
 class Bar:
-    """Something in the picture of the worst cycle; `kind` is a message's stage, "other", "gap" or "error"."""
+    """Something in the picture of the worst cycle; `kind` is a message's stage, "other", "gap" or
+    "error".
+    """
 
     name: str
     kind: str
@@ -77,7 +83,9 @@ class Bar:
 
 @dataclass(frozen=True)
 class Cycle:
-    """The cycle's frames in the order in which they go, and the bars of the worst case of the last one."""
+    """The cycle's frames in the order in which they go, and the bars of the worst case of the last
+    one.
+    """
 
     frames: tuple[CycleFrame, ...]
     bars: tuple[Bar, ...]
@@ -93,11 +101,13 @@ class Cycle:
 
 
 def worst_cycle(messages: Sequence[Message], timing: Timing, errors: Errors = NO_ERRORS) -> Cycle:
-    """Return the worst cycle of `messages`, those with a `stage`, under the interference of the others.
+    """Return the worst cycle of `messages`, those with a `stage`, under the interference of the
+    others.
 
-    SYNC and the TPDOs are due within the window. An RPDO is due to be on the wire when the next SYNC is released: SYNC goes behind it
-    then, and the device acts on it. SYNC waits for a frame from outside just as long, so that the next cycle's bounds stay as they are; an RPDO that
-    is longer than any such frame is due before.
+    SYNC and the TPDOs are due within the window. An RPDO is due to be on the wire when the next
+    SYNC is released: SYNC goes behind it then, and the device acts on it. SYNC waits for a frame
+    from outside just as long, so that the next cycle's bounds stay as they are; an RPDO that is
+    longer than any such frame is due before.
     """
     order = sorted(messages, key=lambda message: arbitration_key(message.can_id))
     chain = _in_order([m for m in order if m.stage])
@@ -117,7 +127,9 @@ def _due_ns(case: _Case, sync: _Case) -> int:
 
 
 def _in_order(cyclic: Sequence[Message]) -> list[Message]:
-    """Return the cycle's frames, given by priority, in the order in which they go when nobody needs time to compute."""
+    """Return the cycle's frames, given by priority, in the order in which they go when nobody needs
+    time to compute.
+    """
     gone = [m for m in cyclic if m.stage == "sync"]
     waiting = [m for m in cyclic if m.stage == "tpdo"]
     held = [m for m in cyclic if m.stage == "rpdo"]
@@ -181,7 +193,10 @@ class _Case:
         return max(messages, key=lambda k: k.bits, default=None)
 
     def bars(self) -> Iterable[Bar]:
-        """Yield the worst case as it goes over the wire; the independent frames of higher priority come first."""
+        """Yield the worst case as it goes over the wire.
+
+        The independent frames of higher priority come first.
+        """
         t = 0
 
         def bar(name: str, kind: str, duration_ns: int) -> Bar:

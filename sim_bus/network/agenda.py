@@ -1,9 +1,12 @@
-"""What a loop over many devices looks up instead of asking each of them: whose deadline is next, and who wants a frame.
+"""What a loop over many devices looks up instead of asking each of them: whose deadline is next,
+and who wants a frame.
 
-`deadlines` is a tournament tree of int64 [ns]: ``deadlines[leaves + i]`` is when device `i` wants `on_time`, every inner place the earlier of its
-two children ``2 k`` and ``2 k + 1``, so ``deadlines[1]`` the next of all. `wants` has a row for each 11-bit identifier: how many devices take
-such a frame, and which, in their order. Both follow the node records: the loop keeps the deadline of a device that it has called, `look_again`
-all of them after Python has worked on the records.
+`deadlines` is a tournament tree of int64 [ns]: ``deadlines[leaves + i]`` is when device `i` wants
+`on_time`, every inner place the earlier of its two children ``2 k`` and ``2 k + 1``, so
+``deadlines[1]`` the next of all. `wants` has a row for each 11-bit identifier: how many devices
+take such a frame, and which, in their order. Both follow the node records: the loop keeps the
+deadline of a device that it has called, `look_again` all of them after Python has worked on the
+records.
 """
 
 from __future__ import annotations

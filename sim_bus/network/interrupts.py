@@ -1,7 +1,8 @@
 """Signals that end a verb (`wire.stopping`), held until a compiled kernel has returned.
 
-At the entry of a kernel that takes a friction law, numba runs Python code (`numba.experimental.function_type`) and does not look whether an
-exception came of it: with one pending it goes on, and what follows is a wrong TypeError, or the end of the interpreter.
+At the entry of a kernel that takes a friction law, numba runs Python code
+(`numba.experimental.function_type`) and does not look whether an exception came of it: with one
+pending it goes on, and what follows is a wrong TypeError, or the end of the interpreter.
 """
 
 from __future__ import annotations
@@ -17,7 +18,10 @@ __all__ = ["InterruptsHeld"]
 
 
 class InterruptsHeld:
-    """While entered, a signal is only noted; `pass_on`, and the end, give it to who had it before. In other threads than the main one: nothing."""
+    """While entered, a signal is only noted; `pass_on`, and the end, give it to who had it before.
+
+    In other threads than the main one: nothing.
+    """
 
     def __init__(self) -> None:
         self._before: dict[int, Any] = {}

@@ -1,6 +1,8 @@
-"""A CANopen network in virtual time: a bit-true bus, any number of devices, and stations written in Python.
+"""A CANopen network in virtual time: a bit-true bus, any number of devices, and stations written in
+Python.
 
-For tests, conformance runs and fuzzers. Nothing sleeps, no thread runs, and the same calls give the same frames to the nanosecond::
+For tests, conformance runs and fuzzers. Nothing sleeps, no thread runs, and the same calls give the
+same frames to the nanosecond::
 
     from coulombus.eds.cia301 import NmtCommand
     from coulombus.sim_bus.network.network import VirtualNetwork
@@ -17,13 +19,16 @@ For tests, conformance runs and fuzzers. Nothing sleeps, no thread runs, and the
     assert tester.wait_for(0x585, timeout_ns=10_000_000) is not None
     device[0x6064, 0]                                     # look into the device, or write as it does itself
 
-A station may answer at once: ``network.station(on_frame=lambda frame: ...)`` is called with each `Heard` at its end of frame, and may `send`.
-``network.at(t_ns, action)`` calls ``action(network)`` at a time; `run_until` takes a condition that ends it sooner. Devices are switched with
-`power_on` and `power_off`; ``network.canopen()`` is a `canopen.Network` on this bus (its SDO requests let virtual time pass).
-``on_frames`` of the constructor sees every batch of frames that the bus has carried, as FRAME records, for recordings.
+A station may answer at once: ``network.station(on_frame=lambda frame: ...)`` is called with each
+`Heard` at its end of frame, and may `send`. ``network.at(t_ns, action)`` calls ``action(network)``
+at a time; `run_until` takes a condition that ends it sooner. Devices are switched with `power_on`
+and `power_off`; ``network.canopen()`` is a `canopen.Network` on this bus (its SDO requests let
+virtual time pass). ``on_frames`` of the constructor sees every batch of frames that the bus has
+carried, as FRAME records, for recordings.
 
-What costs: a device that a frame does not concern costs nothing, and a frame that no Python station hears is not seen by Python at all. So
-name the identifiers that a station hears where speed matters. A device whose EDS cannot be read right raises `eds.reader.EdsError`.
+What costs: a device that a frame does not concern costs nothing, and a frame that no Python station
+hears is not seen by Python at all. So name the identifiers that a station hears where speed
+matters. A device whose EDS cannot be read right raises `eds.reader.EdsError`.
 """
 
 from __future__ import annotations
@@ -73,16 +78,22 @@ __all__ = ["CanopenNetwork", "Heard", "Station", "VirtualNetwork"]
 
 CAPACITY = 16
 FIRST_STATION, MOST_STATIONS = 192, 62
-"""Station numbers of Python's stations: devices have their rows, clients of a bus in real time 128 and so on, the host -1."""
+"""Station numbers of Python's stations: devices have their rows, clients of a bus in real time 128
+and so on, the host -1.
+"""
 TAP = 254
-"""An analyser that only acknowledges, so that a device alone on the bus does not send one frame for ever; a fault file takes it away."""
+"""An analyser that only acknowledges, so that a device alone on the bus does not send one frame for
+ever; a fault file takes it away.
+"""
 
 
 @dataclass(frozen=True)
 class Mechanics:
-    """What hangs on the devices of a network: its axes with their plants and force blocks, and the host, as the kernel's arrays.
+    """What hangs on the devices of a network: its axes with their plants and force blocks, and the
+    host, as the kernel's arrays.
 
-    Their types are the same without an axis and without a host, so that one compiled kernel serves every network.
+    Their types are the same without an axis and without a host, so that one compiled kernel serves
+    every network.
     """
 
     axes: Any
@@ -130,7 +141,8 @@ class VirtualNetwork:
     ----------
     bitrate_bit_s : any number; 0: a frame takes no time
     capacity : devices that may be added, at most 127
-    on_frames : called with each batch of frames (FRAME records, end-of-frame stamps) as the bus has carried them
+    on_frames : called with each batch of frames (FRAME records, end-of-frame stamps) as the bus has
+        carried them
     """
 
     def __init__(
@@ -176,7 +188,10 @@ class VirtualNetwork:
 
     @property
     def arguments(self) -> tuple[World, Host, Any]:
-        """The arguments of `sim_bus.network.kernel.run` but for `closely`; since it ran last, somebody may have written to the records."""
+        """The arguments of `sim_bus.network.kernel.run` but for `closely`.
+
+        Since it ran last, somebody may have written to the records.
+        """
         self._world["stale"] = 1
         return self._arguments
 
@@ -188,7 +203,8 @@ class VirtualNetwork:
     # what is on the bus
 
     def add(self, eds: Description | str | Path, node_id: int, profile: Profile = GENERIC, **options: Any) -> Device:
-        """Put a device on the bus, switched off, and return it; `options` are those of `node.device.Device`.
+        """Put a device on the bus, switched off, and return it; `options` are those of
+        `node.device.Device`.
 
         Raises
         ------
@@ -209,9 +225,11 @@ class VirtualNetwork:
     def station(
         self, can_ids: Collection[int] | None = None, on_frame: Callable[[Heard], None] | None = None
     ) -> Station:
-        """Put a station on the bus that hears the frames `can_ids` (11-bit identifiers; None: every frame) of the others.
+        """Put a station on the bus that hears the frames `can_ids` (11-bit identifiers; None: every
+        frame) of the others.
 
-        `on_frame` is called with each of them at its end of frame; without it they wait in `Station.heard`.
+        `on_frame` is called with each of them at its end of frame; without it they wait in
+        `Station.heard`.
         """
         if len(self._stations) >= MOST_STATIONS:
             raise ValueError(f"the network has {MOST_STATIONS} stations already")
@@ -227,7 +245,10 @@ class VirtualNetwork:
         return station
 
     def canopen(self, sdo_timeout_s: float = 1.0) -> CanopenNetwork:
-        """Return a `canopen.Network` on this bus; add nodes to it, and let time pass with `wait_ns`."""
+        """Return a `canopen.Network` on this bus.
+
+        Add nodes to it, and let time pass with `wait_ns`.
+        """
 
         def send(can_id: int, data: bytes, remote: bool) -> None:
             station.send(can_id | (CAN_RTR_FLAG if remote else 0), data)
@@ -262,7 +283,10 @@ class VirtualNetwork:
             self.look_closely()
 
     def _go_on(self, condition: Callable[[], bool] | None) -> Exit:
-        """Run to `until_ns`, until `condition` holds, or until a close look is needed; return the last exit."""
+        """Run to `until_ns`, until `condition` holds, or until a close look is needed.
+
+        Return the last exit.
+        """
         self._run.load(*self._arguments, self._closely)  # where a signal ends it: compiling may take half a minute
         with InterruptsHeld() as interrupts:
             while True:
@@ -276,7 +300,10 @@ class VirtualNetwork:
                     return reason
 
     def look_closely(self) -> None:
-        """Run from now on with the loop that knows all that is rare; without this it is compiled, or loaded, when that happens."""
+        """Run from now on with the loop that knows all that is rare.
+
+        Without this it is compiled, or loaded, when that happens.
+        """
         self._closely, self._run = 1, Entry(run)
 
     def at(self, t_ns: int, action: Callable[[Self], None]) -> None:

@@ -1,4 +1,5 @@
-"""What happens to the nodes of ``coulombus sim`` and ``coulombus simulate``, and when: the script file.
+"""What happens to the nodes of ``coulombus sim`` and ``coulombus simulate``, and when: the script
+file.
 
 ::
 
@@ -9,7 +10,8 @@
     fault = "over_current"    # with "fault" and "clear": one of FAULTS; "clear" without it ends all of the node
     after = "enabled"         # t_s counts from the drive's first Operation Enabled; default: "start", the power-on
 
-A node has the faults that FAULTS names for it. "clear" takes the cause away; the device then wants its own reset.
+A node has the faults that FAULTS names for it. "clear" takes the cause away; the device then wants
+its own reset.
 """
 
 from __future__ import annotations

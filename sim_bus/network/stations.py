@@ -1,4 +1,6 @@
-"""Participants of a network in virtual time that are written in Python: a station, and `canopen`'s network."""
+"""Participants of a network in virtual time that are written in Python: a station, and `canopen`'s
+network.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ SDO_ABORT = 0x80
 
 @dataclass(frozen=True)
 class Heard:
-    """A frame that the bus has carried; `can_id` with Linux's flags (`wire.frame`), `t_ns` its end of frame."""
+    """A frame that the bus has carried; `can_id` with Linux's flags (`wire.frame`), `t_ns` its end
+    of frame.
+    """
 
     t_ns: int
     can_id: int
@@ -79,7 +83,10 @@ class Station:
         return taken
 
     def wait_for(self, can_id: int, timeout_ns: int) -> Heard | None:
-        """Let time pass until a frame `can_id` comes, and return it, or None after `timeout_ns`; it stays in `heard`."""
+        """Let time pass until a frame `can_id` comes, and return it, or None after `timeout_ns`.
+
+        It stays in `heard`.
+        """
         seen, network = len(self.heard), self._network
         network.run_until(network.t_ns + timeout_ns, lambda: any(f.can_id == can_id for f in self.heard[seen:]))
         return next((frame for frame in self.heard[seen:] if frame.can_id == can_id), None)
@@ -93,15 +100,21 @@ class Station:
 
 
 class CanopenNetwork(canopen.Network):  # type: ignore[misc]  # canopen has no types
-    """A `canopen` network without threads: what it sends goes into the virtual bus, and an SDO request lets time pass."""
+    """A `canopen` network without threads: what it sends goes into the virtual bus, and an SDO
+    request lets time pass.
+    """
 
     def __init__(self, send: Callable[[int, bytes, bool], None], answer: Callable[[int], None]) -> None:
-        """`send` sends a frame; `answer` lets time pass until a frame with an identifier was heard, or for the SDO time-out."""
+        """`send` sends a frame; `answer` lets time pass until a frame with an identifier was heard,
+        or for the SDO time-out.
+        """
         super().__init__()
         self._send, self._answer = send, answer
 
     def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
-        """Queue a frame; when it is an SDO request, run the bus until the node's response or the time-out."""
+        """Queue a frame; when it is an SDO request, run the bus until the node's response or the
+        time-out.
+        """
         self._send(can_id, bytes(data), remote)
         if can_id & 0x780 == CobId.SDO_RX and data[0] != SDO_ABORT:  # nobody answers an abort
             self._answer(CobId.SDO_TX + (can_id & 0x7F))

@@ -1,7 +1,9 @@
-"""The whole rig in virtual time: bus, nodes, plants and hands, the host's cycle, and `canopen` as its control plane.
+"""The whole rig in virtual time: bus, nodes, plants and hands, the host's cycle, and `canopen` as
+its control plane.
 
-`VirtualRig` is a `VirtualNetwork` of the devices of each axis, with the rig's mechanics between them. Nothing sleeps, and the same
-seed gives the same bytes. The rows of the devices: motor and brake of each axis, then the sensors.
+`VirtualRig` is a `VirtualNetwork` of the devices of each axis, with the rig's mechanics between
+them. Nothing sleeps, and the same seed gives the same bytes. The rows of the devices: motor and
+brake of each axis, then the sensors.
 """
 
 from __future__ import annotations
@@ -57,7 +59,8 @@ class VirtualRig(VirtualNetwork):
     Parameters
     ----------
     seed : starts the transducer's noise
-    on_frames : called with each batch of frames (FRAME records, end-of-frame stamps) as the bus has carried them
+    on_frames : called with each batch of frames (FRAME records, end-of-frame stamps) as the bus has
+        carried them
     truth : keep the plant's true course (`truth()` returns it)
     """
 
@@ -82,8 +85,9 @@ class VirtualRig(VirtualNetwork):
         self._heard: set[int] = set()
         self._had, self._events = 0, list[tuple[int, ...]]()
         self.on_host: Callable[[Records, Records, Records], None] | None = None
-        """Called with each batch, after `on_frames`: which of its frames the host received, rows of `recording.trace.EVENT`, what the host asked
-        for."""
+        """Called with each batch, after `on_frames`: which of its frames the host received, rows of
+        `recording.trace.EVENT`, what the host asked for.
+        """
         self._waiting: list[Planned] = []
 
         n = len(rig.axes)
@@ -124,7 +128,9 @@ class VirtualRig(VirtualNetwork):
         self.rows: dict[str, int] = {
             rig.axes[a].prefix + one.node: rows[one.node_id][0] for a, found in enumerate(devices) for one in found
         }
-        """The row of each device by its name: ``motor``, ``brake``, a sensor's (``AXIS.motor`` with several axes)."""
+        """The row of each device by its name: ``motor``, ``brake``, a sensor's (``AXIS.motor`` with
+        several axes).
+        """
         self.motor, self.brake = self.devices[MOTOR], self.devices[BRAKE]
         for a in range(n):
             self._new_force_block(a)
@@ -133,12 +139,16 @@ class VirtualRig(VirtualNetwork):
 
     @property
     def starts_ns(self) -> tuple[int | None, ...]:
-        """When each axis' drive entered Operation Enabled, which began its operator's schedule; None while it has not."""
+        """When each axis' drive entered Operation Enabled, which began its operator's schedule;
+        None while it has not.
+        """
         return tuple(None if start < 0 else start for start in self._axes["operator_start_ns"].tolist())
 
     @property
     def enabled_ns(self) -> int | None:
-        """When the last axis' drive entered Operation Enabled, which began its operator's schedule; None while one has not."""
+        """When the last axis' drive entered Operation Enabled, which began its operator's schedule;
+        None while one has not.
+        """
         starts = self._axes["operator_start_ns"]
         return None if starts.min() < 0 else int(starts.max())
 
@@ -167,7 +177,9 @@ class VirtualRig(VirtualNetwork):
         self._actuate()
 
     def _actuate(self) -> None:
-        """What a service or a script made of the devices' outputs acts from now on: the plants were advanced to the present."""
+        """What a service or a script made of the devices' outputs acts from now on: the plants were
+        advanced to the present.
+        """
         motors, brakes = self._axes["motor"], self._axes["brake"]
         self.plant["reverse_A"] = self.nodes["out_reverse_A"][brakes]
         self.plant["motor_pm"] = self.nodes["out_torque_pm"][motors]
@@ -207,7 +219,9 @@ class VirtualRig(VirtualNetwork):
         self._events.append((t_ns, received, next_ns if w["host_on"] else 0, event, value))
 
     def flush(self) -> None:
-        """Hand over the frames that the bus has carried since the last time, and what the host did meanwhile."""
+        """Hand over the frames that the bus has carried since the last time, and what the host did
+        meanwhile.
+        """
         w = self._world[0]
         had = w["had"][: w["log_count"]].astype(bool)
         super().flush()
@@ -238,7 +252,10 @@ class VirtualRig(VirtualNetwork):
                 self.at(entry.t_ns, entry.act)
 
     def inject(self, node: int, fault: str, present: bool) -> None:
-        """Let a fault of `node.emcy.DEVICE_FAULTS` come or go in the node of a row; it finds out at once, or by what it measures."""
+        """Let a fault of `node.emcy.DEVICE_FAULTS` come or go in the node of a row.
+
+        It finds out at once, or by what it measures.
+        """
         if fault in COIL_STATES:
             plant, broken = self.plant[int(self.axis_of[node])], COIL_STATES[fault]
             if present:
@@ -286,7 +303,9 @@ class VirtualRig(VirtualNetwork):
         return self._world.view(np.recarray)[0]
 
     def stop_host(self) -> None:
-        """End the host's cycle at once, as if it had died: no safe set-points, no SYNC, no heartbeat."""
+        """End the host's cycle at once, as if it had died: no safe set-points, no SYNC, no
+        heartbeat.
+        """
         self._world["host_on"] = 0
 
     # the true course
@@ -299,7 +318,9 @@ class VirtualRig(VirtualNetwork):
             self._truth_from[a] = step
 
     def truth(self, a: int = 0) -> Mapping[str, Any]:
-        """Return the true course of the plant of axis `a` so far, one array for each of TRUTH_COLUMNS."""
+        """Return the true course of the plant of axis `a` so far, one array for each of
+        TRUTH_COLUMNS.
+        """
         self._keep_truth(a)
         table = np.concatenate(self._truth[a]) if self._truth[a] else np.zeros((0, len(TRUTH_COLUMNS)))
         self._truth[a] = [table]

@@ -1,6 +1,8 @@
-"""How the devices of an axis and its plant feel each other, compiled, where they are not our own two.
+"""How the devices of an axis and its plant feel each other, compiled, where they are not our own
+two.
 
-Our own motor drive and brake driver take and give physical quantities, and this costs them nothing. Another maker's device has counts:
+Our own motor drive and brake driver take and give physical quantities, and this costs them nothing.
+Another maker's device has counts:
 
     shown  = clip(floor((quantity - offset) * gain + 1/2), low, high), or the low bits of it where the object counts on (a position)
     brake  = table(raw) or scale * raw, never below 0,   raw: an analogue output, a drive's set-point, or the value of an object

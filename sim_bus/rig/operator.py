@@ -1,16 +1,17 @@
 r"""The operator's muscle torque :math:`f_h(t)`: the schedule of a rig file as a function of time.
 
-The hand's impedance is the plant's part; here is what its muscles do. A hand that wants to be at :math:`\theta_d(t)` drives
-its own impedance with
+The hand's impedance is the plant's part; here is what its muscles do. A hand that wants to be at
+:math:`\theta_d(t)` drives its own impedance with
 
 .. math:: f_h = K_o\,\theta_d + B_o\,\dot\theta_d,
 
-and pushes, taps and tremor are added as torques. Time counts from the start of the schedule, which is the instant at which
-the drive enters Operation Enabled; before it, and after the last phase, the hand is at rest and only trembles. Where the
-display ends in the middle of the schedule, the hand does not fling the freed handle about: what it did last fades within `LET_GO_S`.
+and pushes, taps and tremor are added as torques. Time counts from the start of the schedule, which
+is the instant at which the drive enters Operation Enabled; before it, and after the last phase, the
+hand is at rest and only trembles. Where the display ends in the middle of the schedule, the hand
+does not fling the freed handle about: what it did last fades within `LET_GO_S`.
 
-The plant is given the torque at knots `KNOT_S` apart and takes it as linear between them: continuous, never held, and off a
-9 Hz tremor's true course by less than 0.05 % of its size.
+The plant is given the torque at knots `KNOT_S` apart and takes it as linear between them:
+continuous, never held, and off a 9 Hz tremor's true course by less than 0.05 % of its size.
 """
 
 from __future__ import annotations
@@ -38,7 +39,9 @@ def paper_force_N(t: Floats) -> Floats:
 
 
 class Operator:
-    """The muscle torque of the operator of `axis` in mode `mode`, which sets the size of a push (share of F_s)."""
+    """The muscle torque of the operator of `axis` in mode `mode`, which sets the size of a push
+    (share of F_s).
+    """
 
     def __init__(self, axis: Axis, mode: str) -> None:
         self._hand = axis.simulation.operator
@@ -47,7 +50,8 @@ class Operator:
         self.starts_s = np.array(axis.phase_starts_s)
 
     def torque_Nm(self, t: Floats, start_s: float | None, end_s: float | None = None) -> Floats:
-        r"""Return f_h [Nm] at the absolute times `t` [s] when the schedule began at `start_s` (None: it has not), and was left at `end_s`.
+        r"""Return f_h [Nm] at the absolute times `t` [s] when the schedule began at `start_s`
+        (None: it has not), and was left at `end_s`.
 
         .. math:: f_h(t) = f_h(t_e)\,\tfrac{1}{2}\left(1 + \cos\frac{\pi (t - t_e)}{T}\right), \quad t_e < t < t_e + T
         """
@@ -66,7 +70,9 @@ class Operator:
         return tremor
 
     def schedule_Nm(self, t: Floats) -> Floats:
-        """Return the schedule's torque [Nm] at the rising times `t` [s] since its start; 0 outside of it."""
+        """Return the schedule's torque [Nm] at the rising times `t` [s] since its start; 0 outside
+        of it.
+        """
         torque = np.zeros_like(t)
         hand = self._hand
         wanted = 0.0  # where the hand wants to be when a phase begins

@@ -1,35 +1,41 @@
 r"""The simulated rig at the handle: motor, MR brake, inherent friction and the operator's hand.
 
-One degree of freedom, angle :math:`x` [rad], speed :math:`v` [rad/s], all torques [Nm] at the handle:
+One degree of freedom, angle :math:`x` [rad], speed :math:`v` [rad/s], all torques [Nm] at the
+handle:
 
 .. math::
 
     (m + m_o)\,\dot v + (b + b_o)\,v + k_o\,x = f_h(t) + \tau_m - \lambda_b - \lambda_f
 
-with the operator :math:`f_h - f = Z_o v`, :math:`Z_o = m_o s + b_o + k_o/s` (paper, eq. 19). Brake and inherent friction
-are set-valued: :math:`\lambda \in F\,\mathrm{Sgn}(v)`. They are *solved*, never approximated by a steep function of speed:
-stuck is exactly :math:`v = 0`, and :math:`\lambda v \ge 0` holds in every step, so neither can ever push.
+with the operator :math:`f_h - f = Z_o v`, :math:`Z_o = m_o s + b_o + k_o/s` (paper, eq. 19). Brake
+and inherent friction are set-valued: :math:`\lambda \in F\,\mathrm{Sgn}(v)`. They are *solved*,
+never approximated by a steep function of speed: stuck is exactly :math:`v = 0`, and
+:math:`\lambda v \ge 0` holds in every step, so neither can ever push.
 
-A step is the implicit midpoint rule for the smooth part. When the speed would change its sign inside a step, the step is
-split at the instant of the crossing: from there the handle sticks if the friction can hold the load, else it slips on in the
-other direction. The work of each torque is its torque times the step's mean speed, so the energy balance
+A step is the implicit midpoint rule for the smooth part. When the speed would change its sign
+inside a step, the step is split at the instant of the crossing: from there the handle sticks if the
+friction can hold the load, else it slips on in the other direction. The work of each torque is its
+torque times the step's mean speed, so the energy balance
 
 .. math:: W_{op} + W_m - W_{visc} + W_b + W_f = \Delta(\tfrac12 m v^2)
 
 closes to rounding in every step, whatever the step's length.
 
-The motor follows its command with a first-order lag. The brake's torque capacity follows its command through two
-first-order lags in series, the coil and the fluid; its off-state torque is always there.
+The motor follows its command with a first-order lag. The brake's torque capacity follows its
+command through two first-order lags in series, the coil and the fluid; its off-state torque is
+always there.
 
-Between them is the iron. It remembers a share :math:`r` of the largest torque, and a current of the opposite sign takes
-that away: with the coil at :math:`c` (the torque that its current stands for) and the remanent torque :math:`R`
+Between them is the iron. It remembers a share :math:`r` of the largest torque, and a current of the
+opposite sign takes that away: with the coil at :math:`c` (the torque that its current stands for)
+and the remanent torque :math:`R`
 
 .. math:: M = \max(c, R),\ R \leftarrow \max(R, r c) \quad (c \ge 0), \qquad
           R \leftarrow \min(R, \max(R_0 + c, 0)),\ M = \max(R, -R_0 - c) \quad (c < 0)
 
-with :math:`R_0`, the :math:`R` at which the current changed its sign. The coil's temperature is one thermal lag,
-:math:`\tau\dot T = T_{amb} + R_{th} R_{coil} i^2 - T`, and has no part in the mechanics. An open coil carries no current; one
-that is short takes the supply's, outside the winding.
+with :math:`R_0`, the :math:`R` at which the current changed its sign. The coil's temperature is one
+thermal lag, :math:`\tau\dot T = T_{amb} + R_{th} R_{coil} i^2 - T`, and has no part in the
+mechanics. An open coil carries no current; one that is short takes the supply's, outside the
+winding.
 """
 
 from __future__ import annotations
@@ -131,8 +137,9 @@ TRUTH_COLUMNS = (
     "viscous_loss_J",
     "kinetic_energy_J",
 )
-"""Columns of the true course at the plant's step; torques are those on the handle at the end of the step that ends
-at t (after the stop, where the speed crosses zero within it); the works are exact."""
+"""Columns of the true course at the plant's step; torques are those on the handle at the end of the
+step that ends at t (after the stop, where the speed crosses zero within it); the works are exact.
+"""
 
 
 def _decay(step_s: float, lag_s: float) -> float:
@@ -140,7 +147,9 @@ def _decay(step_s: float, lag_s: float) -> float:
 
 
 def new_plant(axis: Axis, seed: int = 0) -> Records:
-    """Return the plant of `axis` at rest at angle 0, as an array of one record; `seed` starts the transducer's noise."""
+    """Return the plant of `axis` at rest at angle 0, as an array of one record; `seed` starts the
+    transducer's noise.
+    """
     p, hand = axis.simulation
     plant = new_records(PLANT)
     r = plant[0]
@@ -168,7 +177,9 @@ def new_plant(axis: Axis, seed: int = 0) -> Records:
 
 @kernel
 def sample_noise(p: Any) -> float:
-    """Return the next value of the transducer's noise: four uniforms summed, unit variance, bounded at 3.5 sigma."""
+    """Return the next value of the transducer's noise: four uniforms summed, unit variance, bounded
+    at 3.5 sigma.
+    """
     total = 0.0
     state = int(p.random)
     for _ in range(4):
@@ -208,13 +219,18 @@ def _heat(p: Any, duration_s: float, square: float) -> None:
 
 @inlined
 def _settled(value: float) -> float:
-    """Let a lag that decays to 0 reach it: it would stay at a subnormal number for ever, with which a processor computes slowly."""
+    """Let a lag that decays to 0 reach it: it would stay at a subnormal number for ever, with which
+    a processor computes slowly.
+    """
     return 0.0 if abs(value) < NEGLIGIBLE_Nm else value
 
 
 @kernel
 def _move(p: Any, dt: float, drive: float, f_h: float, level: float, motor: float, capacity: float) -> float:
-    """Move on by at most `dt` [s] without a change of the speed's sign; return the time [s] that was left over."""
+    """Move on by at most `dt` [s] without a change of the speed's sign.
+
+    Return the time [s] that was left over.
+    """
     x, v0 = p.x, p.v
     stiffness = p.operator_stiffness
     load = drive - stiffness * x
@@ -234,7 +250,8 @@ def _move(p: Any, dt: float, drive: float, f_h: float, level: float, motor: floa
     v1 = (v0 * (mass - c) + dt * (load - sign * level)) / (mass + c)
     left = 0.0
     if v1 * sign < 0.0:
-        # The speed reaches zero inside the step, at the root of the midpoint rule (linear guess, one Newton step).
+        # The speed reaches zero inside the step, at the root of the midpoint rule (linear guess,
+        # one Newton step).
         slope = load - sign * level - 0.5 * damping * v0
         t = -mass * v0 / slope
         curve = -0.25 * stiffness * v0
@@ -263,14 +280,17 @@ def _move(p: Any, dt: float, drive: float, f_h: float, level: float, motor: floa
 
 @kernel
 def advance(p: Any, f_h: Any, per_knot: int, first: int, steps: int, truth: Any, row: int) -> None:
-    """Advance the plant by `steps` of its steps under the commands that are held (`motor_pm`, `brake_Nm`, `reverse_A`).
+    """Advance the plant by `steps` of its steps under the commands that are held (`motor_pm`,
+    `brake_Nm`, `reverse_A`).
 
     Parameters
     ----------
     p : PLANT record
-    f_h : float64 array, the operator's muscle torque [Nm] at knots of `per_knot` steps each, linear between them
+    f_h : float64 array, the operator's muscle torque [Nm] at knots of `per_knot` steps each, linear
+        between them
     first : the first step, counted from f_h[0]
-    truth : float64 array (rows, len(TRUTH_COLUMNS)); rows from `row` on are written unless `row` is negative
+    truth : float64 array (rows, len(TRUTH_COLUMNS)); rows from `row` on are written unless `row` is
+        negative
     """
     motor_pm = min(max(p.motor_pm, -p.motor_peak_pm), p.motor_peak_pm)
     target = motor_pm * p.motor_Nm_pm

@@ -1,9 +1,11 @@
-"""The devices of an axis as they are simulated: what lives behind each file, and which object shows or takes what of the plant.
+"""The devices of an axis as they are simulated: what lives behind each file, and which object shows
+or takes what of the plant.
 
-The rig file's roles decide. An object that its own kind of device shows or takes by itself (6064h of a drive, 7130h of our brake driver) stays
-the kind's; every other one that a role names is the rig's, which writes the plant's quantity to it in the role's scale. Where the rig file
-believes something else of a scale than `[plant]` has, the object shows the truth: by how much the plant's rated torque, ratio and encoder differ
-from what is believed of them.
+The rig file's roles decide. An object that its own kind of device shows or takes by itself (6064h
+of a drive, 7130h of our brake driver) stays the kind's; every other one that a role names is the
+rig's, which writes the plant's quantity to it in the role's scale. Where the rig file believes
+something else of a scale than `[plant]` has, the object shows the truth: by how much the plant's
+rated torque, ratio and encoder differ from what is believed of them.
 """
 
 from __future__ import annotations
@@ -104,7 +106,9 @@ def _key(one: Binding) -> Key:
 
 
 def _shown(axis: Axis, kinds: Mapping[Node, Profile]) -> Iterator[Binding]:
-    """Yield the measured roles on the devices `kinds` whose objects the kind does not show by itself."""
+    """Yield the measured roles on the devices `kinds` whose objects the kind does not show by
+    itself.
+    """
     bound = axis.allocation.bound
     setpoint = bound.get("torque_setpoint")
     for one in bound.bindings:
@@ -124,7 +128,9 @@ def _shown(axis: Axis, kinds: Mapping[Node, Profile]) -> Iterator[Binding]:
 
 
 def couple(axis: Axis, record: Any, plant: Any, rows: Mapping[Node, tuple[int, Device]]) -> None:
-    """Write to the records of an axis (`kernel.AXIS`) and its plant what its devices show and take; `rows`: row and device by name."""
+    """Write to the records of an axis (`kernel.AXIS`) and its plant what its devices show and take;
+    `rows`: row and device by name.
+    """
     p = axis.simulation.plant
     kinds = {node: of_description(axis.description(node)) for node in rows}
     kinds["motor"] = DRIVE402
@@ -182,7 +188,9 @@ def _range(one: Binding) -> tuple[int, int]:
 
 
 def _truth(axis: Axis, p: Plant, one: Binding) -> tuple[float, float]:
-    """Return (counts for one unit, the quantity at the count 0) of an object that shows a quantity of the true plant."""
+    """Return (counts for one unit, the quantity at the count 0) of an object that shows a quantity
+    of the true plant.
+    """
     motor, believed = axis.motor, axis.mechanics
     counts, name = 1 / abs(one.scale), one.kind.name
     if name == "position":

@@ -1,4 +1,6 @@
-"""Bring-up and devices of others: what is written to which device, what is refused before anything is sent, what is read back."""
+"""Bring-up and devices of others: what is written to which device, what is refused before anything
+is sent, what is read back.
+"""
 
 from __future__ import annotations
 
@@ -83,7 +85,9 @@ class Wire:
             self.world.flush()
 
     def requests(self, node, specifier):
-        """(index, sub-index, data) of the SDO requests of one kind to a node, in their order: 1 downloads, 2 uploads."""
+        """(index, sub-index, data) of the SDO requests of one kind to a node, in their order: 1
+        downloads, 2 uploads.
+        """
         frames = np.concatenate(self.log) if self.log else []
         rows = [data_bytes(int(f["word"]), 8) for f in frames if f["can_id"] == 0x600 + node]
         return [
@@ -122,7 +126,9 @@ def test_nothing_of_another_makers_own_objects_is_written(text):
 @pytest.mark.parametrize("rig", [OURS, FOREIGN])
 @pytest.mark.parametrize("eds", [OURS, FOREIGN, ""])
 def test_a_maker_s_own_objects_are_written_where_file_and_device_are_ours(eds, rig, device):
-    """Neither the EDS file alone nor the rig file alone opens 2000h to 5FFFh, nor the two of them against the device."""
+    """Neither the EDS file alone nor the rig file alone opens 2000h to 5FFFh, nor the two of them
+    against the device.
+    """
     text = edit(MOTOR, "1018sub2", DefaultValue=eds)
     wire = Wire(rig_of(text, BRAKE, f"motor.product_code={rig}"))
 
@@ -217,7 +223,9 @@ def test_no_value_is_ever_cut(code, value, data):
 
 
 class Other:
-    """An SDO server of another width: it keeps `keep` bytes of what is written and sends `send` bytes, the size told or not."""
+    """An SDO server of another width: it keeps `keep` bytes of what is written and sends `send`
+    bytes, the size told or not.
+    """
 
     RESPONSE_TIMEOUT = 0.0
 

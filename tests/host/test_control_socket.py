@@ -1,4 +1,6 @@
-"""The host's door and who comes there: a stop that stopped nothing is never told as a success, and no asker holds the host up."""
+"""The host's door and who comes there: a stop that stopped nothing is never told as a success, and
+no asker holds the host up.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""The data plane's loop and its surroundings, without a simulated rig: allocation, the ring, sockets that misbehave, the door, the switch."""
+"""The data plane's loop and its surroundings, without a simulated rig: allocation, the ring,
+sockets that misbehave, the door, the switch.
+"""
 
 from __future__ import annotations
 
@@ -95,7 +97,9 @@ def running(*overrides, rig="bench"):
 @pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
 def test_the_loop_allocates_nothing():
     def machine_code(function):
-        """What the disk cache keeps of a kernel: its machine code with the callees', and the names that it calls."""
+        """What the disk cache keeps of a kernel: its machine code with the callees', and the names
+        that it calls.
+        """
         module = function.py_func.__module__.rpartition(".")[2]
         files = list(CACHE_DIR.rglob(f"{module}.{function.py_func.__qualname__}-*.nbc"))
         assert files
@@ -382,7 +386,9 @@ def test_an_object_as_switch_must_be_one():
 
 
 def rig_with_input(deadman, data_type=0x0007):
-    """Return the bench rig whose drive has an object 60FDh of this type, mapped beside the velocity."""
+    """Return the bench rig whose drive has an object 60FDh of this type, mapped beside the
+    velocity.
+    """
     folder = Path(__file__).resolve().parent.parent.parent / "eds"
     motor = (folder / "motor.eds").read_text()
     count = int(re.search(r"\[OptionalObjects\]\nSupportedObjects=(\d+)", motor).group(1))
@@ -452,7 +458,10 @@ def test_only_all_bits_of_its_mask_hold_the_switch(deadman, data_type, holds, le
 
 
 def test_an_input_of_the_drive_as_switch():
-    """60FD is mapped into a TPDO of its own; the bench arms while its bit 16 is 1, and stops in the cycle in which it is not."""
+    """60FD is mapped into a TPDO of its own.
+
+    The bench arms while its bit 16 is 1, and stops in the cycle in which it is not.
+    """
     rig = rig_with_input("object:60FD:0:0x00010000")
     assert [s.name for pdo in rig.pdos() if pdo.node == "motor" for s in pdo.signals][-1] == "motor.deadman"
     seen = {}

@@ -1,4 +1,6 @@
-"""A law that a limit cuts off: refused where it is known beforehand, counted and told where it is not."""
+"""A law that a limit cuts off: refused where it is known beforehand, counted and told where it is
+not.
+"""
 
 from __future__ import annotations
 

@@ -65,7 +65,10 @@ def test_a_wrong_sign_refuses(direction, hand, text):
     ("encoder", "transducer", "text"), [(1, 1, None), (-1, 1, "SIGN_ENCODER"), (1, -1, "SIGN_TRANSDUCER")]
 )
 def test_a_hand_that_rests_on_the_handle(preload_Nm, encoder, transducer, text):
-    """Its pull and the friction hold the handle against a torque in one sense; in the other one it moves, and every sign is told."""
+    """Its pull and the friction hold the handle against a torque in one sense.
+
+    In the other one it moves, and every sign is told.
+    """
     bench = HostBench()
     angle = 0.0
     for _ in range(3000):

@@ -1,4 +1,6 @@
-"""The cycle of two axes on one bus, step by step: whose frame it is, who waits, and that all stop together."""
+"""The cycle of two axes on one bus, step by step: whose frame it is, who waits, and that all stop
+together.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""What the rig file's limits become in the compiled cycle: each key reaches its field, in the field's unit."""
+"""What the rig file's limits become in the compiled cycle: each key reaches its field, in the
+field's unit.
+"""
 
 from __future__ import annotations
 

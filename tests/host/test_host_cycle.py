@@ -1,4 +1,6 @@
-"""The host's cycle, function by function: SYNC, frames, the motor's limit, and what each phase sends; both senses, away from 0."""
+"""The host's cycle, function by function: SYNC, frames, the motor's limit, and what each phase
+sends; both senses, away from 0.
+"""
 
 from __future__ import annotations
 

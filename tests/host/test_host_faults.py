@@ -1,6 +1,8 @@
-"""The host's parent while the rig is armed: whatever call fails, once, the rig is made safe, the recording is readable, nothing is left behind.
+"""The host's parent while the rig is armed: whatever call fails, once, the rig is made safe, the
+recording is readable, nothing is left behind.
 
-The data plane is played in virtual time, on the real shared memory; door, recording and course are the real ones.
+The data plane is played in virtual time, on the real shared memory; door, recording and course are
+the real ones.
 """
 
 from __future__ import annotations
@@ -33,7 +35,9 @@ MS = 1_000_000
 BUS = parse_address("coulombus:x")
 TORQUE_NM = 0.5
 CALLS = 3
-"""Of each place, with --every-fault: it is called some thousand times, always in one of a few states."""
+"""Of each place, with --every-fault: it is called some thousand times, always in one of a few
+states.
+"""
 
 
 class Clock:
@@ -73,7 +77,10 @@ class Process:
 
 
 class PlayedPlane(DataPlane):
-    """Cycles each ms: enabled 20 ms after the start, then torque; safe at the next ms after it was asked to, done 30 ms later."""
+    """Cycles each ms: enabled 20 ms after the start, then torque.
+
+    Safe at the next ms after it was asked to, done 30 ms later.
+    """
 
     def __init__(self, controllers, address, *, priority=None, cpu=None):
         self.shared = SharedPlane.create(len(controllers.each))
@@ -128,7 +135,9 @@ def descriptors():
 
 @pytest.fixture
 def bench(tmp_path, monkeypatch):
-    """Return a function that does one run, with the n-th call failing while the rig is armed, and returns what came of it."""
+    """Return a function that does one run, with the n-th call failing while the rig is armed, and
+    returns what came of it.
+    """
     rig = load_rig("bench", ("host.deadman=none",))
     network = SimpleNamespace(nmt=SimpleNamespace(send_command=lambda command: None))
 
@@ -259,9 +268,12 @@ def test_a_stop_by_command_is_no_fault(bench):
 
 @pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
 def test_whatever_call_of_the_parent_fails_the_rig_is_made_safe(bench, pytestconfig):
-    """Each place in the code that calls into C, at its first call; with --every-fault at its first calls and its last one.
+    """Each place in the code that calls into C, at its first call.
 
-    What a call that failed half-way through opening leaves is closed with its last reference: ResourceWarning tells of that.
+    With --every-fault at its first calls and its last one.
+
+    What a call that failed half-way through opening leaves is closed with its last reference:
+    ResourceWarning tells of that.
     """
     bench()  # loads what is compiled
     reference = bench().shim

@@ -1,4 +1,6 @@
-"""Whole courses, mirrored: what the hand feels is the same in either sense, with every polarity, and wherever counting began."""
+"""Whole courses, mirrored: what the hand feels is the same in either sense, with every polarity,
+and wherever counting began.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ KEYS = ("motor_polarity", "encoder_polarity", "transducer_polarity")
 
 
 class Handle(HostBench):
-    """The bench in the handle's own sense: position in counts, torques in Nm; `sign` mirrors all of it."""
+    """The bench in the handle's own sense: position in counts, torques in Nm; `sign` mirrors all of
+    it.
+    """
 
     def __init__(self, mode, polarity=(1, 1, 1), sign=1, *overrides):
         super().__init__(mode, *(f"mechanics.{k}={p}" for k, p in zip(KEYS, polarity, strict=True)), *overrides)
@@ -34,7 +38,8 @@ class Handle(HostBench):
 def armed(handle, hand=-1):
     """Lead the handle through its arming, away from where counting began; return the course.
 
-    The sign check tries the handle's positive sense first, so only the polarities are mirrored here.
+    The sign check tries the handle's positive sense first, so only the polarities are mirrored
+    here.
     """
     assert handle.sign == 1
     course = [handle.show(5 * n, 0.0) for n in range(60)]  # it is moved first

@@ -1,4 +1,6 @@
-"""Arming, the law's split and the safe state, function by function: in both senses, in every polarity, away from 0."""
+"""Arming, the law's split and the safe state, function by function: in both senses, in every
+polarity, away from 0.
+"""
 
 from __future__ import annotations
 
@@ -210,7 +212,10 @@ def checking(direction=1, motor=1, encoder=1, start=-640):
 
 
 def asked(bench, moved, torque=None, handle=0.0):
-    """One cycle with the handle `moved` counts in the sense that is tried; return the torque in that sense."""
+    """One cycle with the handle `moved` counts in the sense that is tried.
+
+    Return the torque in that sense.
+    """
     c, h = bench.c, bench.h
     sense = h.sign_direction
     h.counts = h.reference_counts + moved * sense * (1 if c.rad_count > 0 else -1)
@@ -284,7 +289,10 @@ def test_what_moves_before_the_torque_has_turned_is_no_evidence(sign):
 
 
 def test_a_handle_that_does_not_move_is_tried_the_other_way_and_refused():
-    """Full torque, and then as long as the hand is looked at, in either sense; the second sense begins at the torque of the first."""
+    """Full torque, and then as long as the hand is looked at, in either sense.
+
+    The second sense begins at the torque of the first.
+    """
     bench = checking(1)
     h = bench.h
     for _ in range(8):

@@ -1,4 +1,6 @@
-"""The cycle on other devices: widths, units, a brake that is a drive, further nodes, and roles that are absent. Both senses."""
+"""The cycle on other devices: widths, units, a brake that is a drive, further nodes, and roles that
+are absent. Both senses.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""The compiled step's limits, trips and safe state: whatever the devices or the law do, the hand is safe."""
+"""The compiled step's limits, trips and safe state: whatever the devices or the law do, the hand is
+safe.
+"""
 
 from __future__ import annotations
 
@@ -120,7 +122,10 @@ def test_only_the_first_reason_is_told():
 
 
 def test_safe_state_in_its_order():
-    """Torque 0 at once; brake at min(present, 1 Nm) until still or 0.2 s; ramp over 0.5 s; then the drive is disabled."""
+    """Torque 0 at once; brake at min(present, 1 Nm) until still or 0.2 s; ramp over 0.5 s.
+
+    Then the drive is disabled.
+    """
     bench = armed("hybrid")
     assert bench.brake_Nm == pytest.approx(3.5)
     bench.frame(0x081, 8, 0x7305)

@@ -1,4 +1,6 @@
-"""What the host watches, rule by rule: each limit at its edge, in both senses, away from position 0 and torque 0."""
+"""What the host watches, rule by rule: each limit at its edge, in both senses, away from position 0
+and torque 0.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,10 @@ FAR = 1e9
 
 
 def binary(**control):
-    """A bench whose scales are powers of two, so that a limit can be met exactly; no limit is near."""
+    """A bench whose scales are powers of two, so that a limit can be met exactly.
+
+    No limit is near.
+    """
     bench = HostBench("hybrid")
     c, h = bench.c, bench.h
     c.period_ns, c.rad_count, c.Nm_pm, c.handle_Nm_raw, c.coil_A_raw = 500_000_000, 2.0**-6, 2.0**-8, 2.0**-7, 2.0**-4
@@ -149,7 +154,9 @@ def test_travel_beyond_its_limit_trips(sign, polarity):
 @BOTH
 @pytest.mark.parametrize("polarity", [(1, 1), (1, -1), (-1, 1), (-1, -1)])
 def test_the_motors_net_work_is_summed_over_a_sliding_window(sign, polarity):
-    """Work that goes in counts, in either sense of the handle, what comes back is taken off, and what is old is forgotten."""
+    """Work that goes in counts, in either sense of the handle, what comes back is taken off, and
+    what is old is forgotten.
+    """
     motor, encoder = polarity
     bench = binary(Nm_pm=motor * 2.0**-8, rad_count=encoder * 2.0**-6)
     c, h = bench.c, bench.h

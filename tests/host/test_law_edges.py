@@ -1,4 +1,6 @@
-"""The project's own laws at their edges: both senses, slow slip, and what they keep from cycle to cycle."""
+"""The project's own laws at their edges: both senses, slow slip, and what they keep from cycle to
+cycle.
+"""
 
 from __future__ import annotations
 

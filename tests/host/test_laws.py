@@ -138,7 +138,9 @@ def test_a_law_that_cannot_be_had_says_why(tmp_path, name, text):
 
 
 def test_a_law_that_raises_gives_no_number_and_one_is_not_cached(tmp_path):
-    """What a law imports may change without the law's file changing: it is compiled anew in each process."""
+    """What a law imports may change without the law's file changing: it is compiled anew in each
+    process.
+    """
     (tmp_path / "own.py").write_text(
         "def f(motion, law, state):\n    if motion.x_rad > 1.0:\n        raise ValueError('far')\n    return 0.5\n"
     )
@@ -168,7 +170,10 @@ def test_a_law_that_writes_beyond_its_records_raises_and_touches_nothing(tmp_pat
 
 
 def index_law(tmp_path, where, index):
-    """Write state.user[index] in a law, and look at the memory around its state; return what the law gives."""
+    """Write state.user[index] in a law, and look at the memory around its state.
+
+    Return what the law gives.
+    """
     decorator = {"here": "", "in a helper": "@numba.njit\n", "in an eager helper": "@numba.njit('f8(f8[:], i8)')\n"}[
         where
     ]

@@ -1,6 +1,8 @@
-"""Calls of the C library fail in the compiled loops, each once: the data plane ends safe, the bus ends as documented and leaves nothing.
+"""Calls of the C library fail in the compiled loops, each once: the data plane ends safe, the bus
+ends as documented and leaves nothing.
 
-The calls fail in a process of their own, into which tests/support/libc_shim.c is preloaded; tests/support/libc_faults.py is what runs there.
+The calls fail in a process of their own, into which tests/support/libc_shim.c is preloaded;
+tests/support/libc_faults.py is what runs there.
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""`coulombus run`, `stop` and the demo in real time, on the built-in bus: what they do, never how fast."""
+"""`coulombus run`, `stop` and the demo in real time, on the built-in bus: what they do, never how
+fast.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,10 @@ BUS = "coulombus:r"
 
 
 def test_a_run_is_recorded_and_measured(tmp_path):
-    """Hybrid, with sign check, through the hold; the recording gives the same figures as in virtual time."""
+    """Hybrid, with sign check, through the hold.
+
+    The recording gives the same figures as in virtual time.
+    """
     record, picture = tmp_path / "r.pcapng", tmp_path / "h.png"
     overrides = (f"phase={HOLD}",)
     with (
@@ -137,7 +142,10 @@ def test_one_host_at_a_time():
 
 
 def test_a_host_elsewhere_is_heard():
-    """By its heartbeat (or its SYNC), which need not come from this machine; its nodes are left alone."""
+    """By its heartbeat (or its SYNC), which need not come from this machine.
+
+    Its nodes are left alone.
+    """
     over = threading.Event()
     with simulation(BUS, mode="passive"), Observer(BUS) as observer, host(BUS, mode="passive") as second:
 

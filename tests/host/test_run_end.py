@@ -1,4 +1,6 @@
-"""The end of a run, and its markers: the watch over the host taken off, the frames that the markers stand on."""
+"""The end of a run, and its markers: the watch over the host taken off, the frames that the markers
+stand on.
+"""
 
 from __future__ import annotations
 
@@ -58,7 +60,10 @@ def test_only_a_normal_end_with_the_drive_disabled_takes_the_watch_off(phase, tr
 
 @pytest.mark.parametrize("orderly", [True, False])
 def test_a_host_that_leaves_in_order_leaves_no_error_behind(orderly):
-    """Both nodes told of a lost heartbeat after every run that had ended well; of a host that dies they still do."""
+    """Both nodes told of a lost heartbeat after every run that had ended well.
+
+    Of a host that dies they still do.
+    """
     emcys = []
 
     def on_frames(frames):
@@ -102,9 +107,11 @@ class Clock:
 
 
 class Plane:
-    """A data plane: a frame each millisecond, the drive enabled at 1 s, safe 1 ms after a stop and done 600 ms later.
+    """A data plane: a frame each millisecond, the drive enabled at 1 s, safe 1 ms after a stop and
+    done 600 ms later.
 
-    The first batch that is taken from it takes 1.4 s, as what has to be compiled first does, or a machine that stands still.
+    The first batch that is taken from it takes 1.4 s, as what has to be compiled first does, or a
+    machine that stands still.
     """
 
     status, alive, lost_text, real_time = Status.CYCLING, True, "", ()
@@ -156,7 +163,10 @@ class Plane:
 
 
 def marked(tmp_path, monkeypatch, *, slow_batch=1, trip=Trip.NONE, rig="bench", enabled_s=(1,)):
-    """Return the markers of a run of 5 s, in ms; the drives of the axes are enabled at these times."""
+    """Return the markers of a run of 5 s, in ms.
+
+    The drives of the axes are enabled at these times.
+    """
     rig = load_rig(rig)
     run = object.__new__(real_run._RealRun)
     k = Controllers(rig, "hybrid")
@@ -177,7 +187,9 @@ def marked(tmp_path, monkeypatch, *, slow_batch=1, trip=Trip.NONE, rig="bench", 
 
 @pytest.mark.parametrize("slow_batch", [1, 95])
 def test_markers_stand_on_their_frames_however_slow_the_recording_is(tmp_path, monkeypatch, slow_batch):
-    """A first batch that was compiled while the drive was enabled put "phase rest" 0.9 s late; "safe" stood on the last frame."""
+    """A first batch that was compiled while the drive was enabled put "phase rest" 0.9 s late;
+    "safe" stood on the last frame.
+    """
     found = marked(tmp_path, monkeypatch, slow_batch=slow_batch)
     assert [text for _, text in found] == ["phase rest", "phase hold", "phase stroke", "phase end", "safe"]
     assert [t for t, _ in found[:3]] == [1000, 2000, 6000][: len(found[:3])]

@@ -1,4 +1,7 @@
-"""Faults in real time on the built-in bus: whatever dies, the rig becomes safe by those who live. Function is asserted, never speed."""
+"""Faults in real time on the built-in bus: whatever dies, the rig becomes safe by those who live.
+
+Function is asserted, never speed.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +37,10 @@ EMCY_S = 0.1
     ids=["stroke", "active hold", "active hold, data plane alone"],
 )
 def test_the_host_is_killed(mode, phase, victim):
-    """With its data plane: both nodes save themselves; when the data plane dies alone, the host saves them."""
+    """With its data plane: both nodes save themselves.
+
+    When the data plane dies alone, the host saves them.
+    """
     overrides = (f"phase={phase}",)
     with (
         simulation(BUS, mode=mode, overrides=overrides),
@@ -85,7 +91,10 @@ def test_the_host_is_killed(mode, phase, victim):
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
 def test_the_parent_alone_dies_or_stands_still(number):
-    """The data plane goes to the safe state: torque 0 and the drive disabled while SYNC goes on; after a dead parent it ends, too."""
+    """The data plane goes to the safe state: torque 0 and the drive disabled while SYNC goes on.
+
+    After a dead parent it ends, too.
+    """
     overrides = (f"phase={HOLD}",)
     with (
         simulation(BUS, mode="active", overrides=overrides),
@@ -148,7 +157,10 @@ def test_a_node_loses_its_power(tmp_path, node):
 
 
 def test_a_flood_of_unknown_identifiers():
-    """At full bus load, of the lowest priority: the cycle goes on; the flood ends at the bus, by the filters."""
+    """At full bus load, of the lowest priority: the cycle goes on.
+
+    The flood ends at the bus, by the filters.
+    """
     over = threading.Event()
     with simulation(BUS, mode="passive"), Observer(BUS) as observer, Observer(BUS) as flooder:
 

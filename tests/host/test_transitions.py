@@ -1,4 +1,6 @@
-"""The table of phases and the compiled step: every row happens, with each of its reasons, and nothing else does."""
+"""The table of phases and the compiled step: every row happens, with each of its reasons, and
+nothing else does.
+"""
 
 from __future__ import annotations
 
@@ -105,7 +107,10 @@ ANYWHERE = {
     Trip.DRIVE_STATE: lambda bench: setattr(bench, "state", int(PowerState.SWITCHED_ON)),
     Trip.NONE: set_host("stop", 1),
 }
-"""What makes the watches doubt, or others ask for the safe state; any other reason comes as the wish to stop."""
+"""What makes the watches doubt, or others ask for the safe state.
+
+Any other reason comes as the wish to stop.
+"""
 
 OWN = {
     (Phase.STILL, Phase.ENABLE, Trip.NONE): lambda bench: still(bench, still=20),
@@ -183,7 +188,10 @@ def test_without_a_reason_a_phase_goes_on(phase):
 
 @pytest.mark.parametrize("seed", range(40))
 def test_whatever_happens_the_phases_change_as_the_table_says(seed):
-    """`HostBench.cycle` holds each cycle against the table; here are many that no other test thinks of."""
+    """`HostBench.cycle` holds each cycle against the table.
+
+    Here are many that no other test thinks of.
+    """
     draw = random.Random(seed)
     bench = HostBench(draw.choice(("active", "hybrid", "passive"))).enter(draw.choice(list(Phase)), counts=40)
     bench.c.still_cycles, bench.c.settle_cycles, bench.c.still_timeout_cycles = 3, 3, 20

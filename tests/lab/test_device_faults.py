@@ -1,4 +1,6 @@
-"""Device faults on purpose, as docs/devices.md tells them: its table is walked, in the whole simulated rig, by scripts."""
+"""Device faults on purpose, as docs/devices.md tells them: its table is walked, in the whole
+simulated rig, by scripts.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Faults in the whole stack: whatever fails, torque goes to zero, the brake is ramped, and the reason is told."""
+"""Faults in the whole stack: whatever fails, torque goes to zero, the brake is ramped, and the
+reason is told.
+"""
 
 from __future__ import annotations
 

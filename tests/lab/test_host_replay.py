@@ -66,7 +66,10 @@ def test_it_does_not_matter_how_many_are_taken_at_a_time(recorded, monkeypatch):
 
 
 def test_frames_that_were_disturbed_in_their_last_bit_were_sent_once(tmp_path):
-    """Receivers have such a frame twice, and so has the recording; the host has sent it once (ISO 11898-1)."""
+    """Receivers have such a frame twice, and so has the recording.
+
+    The host has sent it once (ISO 11898-1).
+    """
     file, path = tmp_path / "faults.toml", tmp_path / "r.pcapng"
     strikes = [
         ("50th SYNC", "all"),
@@ -136,7 +139,9 @@ def test_what_a_fault_did_to_the_host_is_in_the_recording(tmp_path, name):
 
 
 def test_the_trip_of_another_bus_is_an_input(tmp_path):
-    """Where one bus of a rig trips, the hosts of the others are stopped at that instant: which no frame tells."""
+    """Where one bus of a rig trips, the hosts of the others are stopped at that instant: which no
+    frame tells.
+    """
 
     def stumble(world):
         if world.rig.axes[0].name == "right":
@@ -275,7 +280,10 @@ def law(motion, law, state):
 
 @pytest.fixture
 def strangers(recorded, tmp_path, monkeypatch):
-    """Return a recording whose rig names a law, by its name; what the law's file leaves behind when it is run."""
+    """Return a recording whose rig names a law, by its name.
+
+    What the law's file leaves behind when it is run.
+    """
     witness = tmp_path / "it-ran"
     (tmp_path / "evil.py").write_text(STRANGE.format(witness=str(witness)))
     monkeypatch.chdir(tmp_path)

@@ -1,4 +1,7 @@
-"""Recordings played onto a bus: what is sent, in which order and when; files that cannot be played."""
+"""Recordings played onto a bus: what is sent, in which order and when.
+
+Files that cannot be played.
+"""
 
 from __future__ import annotations
 
@@ -65,7 +68,10 @@ def arrived(bus, count):
 
 
 class Clock:
-    """Time that passes only where somebody waits; stands in for `time` and for what stops a playing."""
+    """Time that passes only where somebody waits.
+
+    Stands in for `time` and for what stops a playing.
+    """
 
     def __init__(self, stop_after=None):
         self.now_ns, self.waits, self.stop_after = 1_000_000_000, [], stop_after

@@ -1,4 +1,6 @@
-"""The whole stack in virtual time: bring-up, arming, display, safe end - over real PDOs on the exact bus."""
+"""The whole stack in virtual time: bring-up, arming, display, safe end - over real PDOs on the
+exact bus.
+"""
 
 from __future__ import annotations
 
@@ -147,7 +149,9 @@ def test_figures_are_null_without_markers_or_recording(tmp_path):
 
 @pytest.mark.parametrize(("actuation", "frequency"), [("next_sync", 125.0), ("on_reception", 166.7)])
 def test_the_papers_plant_chatters_at_its_delayed_limit_cycle(tmp_path, actuation, frequency):
-    """Undelayed, the exact orbit is 4 samples long; a cycle of delay makes it 8, half a cycle 6 (250, 125, 166.7 Hz)."""
+    """Undelayed, the exact orbit is 4 samples long; a cycle of delay makes it 8, half a cycle 6
+    (250, 125, 166.7 Hz).
+    """
     overrides = ("phase.0.duration_s=4", f"bus.actuation={actuation}")
     result = simulate("paper", "active", 4.0, record=tmp_path / "paper.pcapng", overrides=overrides)
     assert result.trip is None

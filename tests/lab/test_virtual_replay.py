@@ -92,7 +92,9 @@ def test_attachments_that_tell_nothing_are_refused(recorded, tmp_path, changed, 
 
 
 def test_stamps_that_no_run_has_end_it_at_once(recorded, tmp_path):
-    """Half a century of virtual time is not computed to find that a frame of another day does not come out."""
+    """Half a century of virtual time is not computed to find that a frame of another day does not
+    come out.
+    """
     capture = read_pcapng(recorded)
     path = tmp_path / "a.pcapng"
     for shift, first in ((1_700_000_000 * 10**9, 0), (10**17, len(capture.frames) // 2)):
@@ -122,7 +124,9 @@ def test_a_recording_with_faults_is_refused(tmp_path):
 
 
 def test_a_session_in_real_time_comes_out_again_in_virtual_time(tmp_path, monkeypatch):
-    """Whatever the machine did meanwhile: what was asked when is in the recording, and all else follows from it."""
+    """Whatever the machine did meanwhile: what was asked when is in the recording, and all else
+    follows from it.
+    """
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     path = tmp_path / "session.pcapng"
     server = SimServer(load_rig("bench"), parse_address("coulombus:s"), seed=4, record=path)

@@ -1,4 +1,6 @@
-"""The brake's driver, function by function: set-point, hold, ramp, the coil's watch and the pulse, each at its edge."""
+"""The brake's driver, function by function: set-point, hold, ramp, the coil's watch and the pulse,
+each at its edge.
+"""
 
 from __future__ import annotations
 

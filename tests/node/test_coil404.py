@@ -1,4 +1,6 @@
-"""The brake driver's coil: current limit, temperature, open and short, the pulse; and the blocks' scales and status."""
+"""The brake driver's coil: current limit, temperature, open and short, the pulse; and the blocks'
+scales and status.
+"""
 
 from __future__ import annotations
 

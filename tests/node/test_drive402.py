@@ -1,4 +1,7 @@
-"""The motor drive: CiA 402's states, torque modes, limits, statusword; the expectations are written from IEC 61800-7-201."""
+"""The motor drive: CiA 402's states, torque modes, limits, statusword.
+
+The expectations are written from IEC 61800-7-201.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""The drive's power states and set-points, function by function: every state, every option code, both senses."""
+"""The drive's power states and set-points, function by function: every state, every option code,
+both senses.
+"""
 
 from __future__ import annotations
 

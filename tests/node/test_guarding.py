@@ -1,4 +1,6 @@
-"""Node guarding and life time, heartbeat versus guarding, 1029h, start-up by 1F80h, TIME, the window of 1007h."""
+"""Node guarding and life time, heartbeat versus guarding, 1029h, start-up by 1F80h, TIME, the
+window of 1007h.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""A CiA 401 module: digital and analogue channels, error modes and error values, what a failure is and how it ends."""
+"""A CiA 401 module: digital and analogue channels, error modes and error values, what a failure is
+and how it ends.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ def structure(name, *rows, kind=8):
 
 
 def module(*, without=(), transmission=255, deadline_ms=0, **defaults):
-    """An EDS with two ports and two channels of each kind; RPDO1 6200h:1 and 6411h:1, TPDO1 6000h:1 and 6401h:1."""
+    """An EDS with two ports and two channels of each kind; RPDO1 6200h:1 and 6411h:1, TPDO1 6000h:1
+    and 6401h:1.
+    """
     text = "[DeviceInfo]\nVendorName=test\n\n" + variable("1000", U32, 0xF0191, "ro") + variable("1001", U8, 0, "ro")
     text += variable("1014", U32, "$NODEID+0x80") + variable("1017", U16)
     text += structure("1016", (U32,)) + structure("1029", (U8, defaults.get("behaviour", 0)), (U8, 1))

@@ -1,4 +1,6 @@
-"""What a node tells of its CAN controller: 8120h in error passive, 8140h when it is back from bus-off, and 1029h:01."""
+"""What a node tells of its CAN controller: 8120h in error passive, 8140h when it is back from
+bus-off, and 1029h:01.
+"""
 
 from __future__ import annotations
 

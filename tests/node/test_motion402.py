@@ -1,4 +1,6 @@
-"""The drive's modes of operation on a load of its own: speeds, limits, windows, changes of the mode."""
+"""The drive's modes of operation on a load of its own: speeds, limits, windows, changes of the
+mode.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""The drive's torque, function by function: limits, ramps, slopes and the velocity loop, in both senses."""
+"""The drive's torque, function by function: limits, ramps, slopes and the velocity loop, in both
+senses.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ LOWEST, HIGHEST = -(2**31), 2**31 - 1
 
 
 def drive(mode=TORQUE, torque=0.0, speed=0.0, **values):
-    """An enabled drive whose limits are 800 upwards and 700 downwards; Kp is 1/4, Ki 64 per mille per (count/s)."""
+    """An enabled drive whose limits are 800 upwards and 700 downwards; Kp is 1/4, Ki 64 per mille
+    per (count/s).
+    """
     nodes = new_nodes(1)
     n = nodes[0]
     n.kind, n.nmt, n.powered, n.power_state, n.mode, n.controlword = KIND_DRIVE, 5, 1, OE, mode, 15

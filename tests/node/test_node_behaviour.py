@@ -1,4 +1,6 @@
-"""What each kind of device does when the communication side calls it: nothing, torque 0, or the brake's ramp."""
+"""What each kind of device does when the communication side calls it: nothing, torque 0, or the
+brake's ramp.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""What the core does by itself equals what Python does; and a device with as many PDOs as there is room for."""
+"""What the core does by itself equals what Python does; and a device with as many PDOs as there is
+room for.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,9 @@ def test_the_core_answers_expedited_uploads_as_python_does(name, node_id):
 
 
 def many_pdos() -> bytes:
-    """An EDS of one byte for each of `MAX_PDOS` RPDOs and TPDOs, and of one PDO more than there is room for."""
+    """An EDS of one byte for each of `MAX_PDOS` RPDOs and TPDOs, and of one PDO more than there is
+    room for.
+    """
     text = "[DeviceInfo]\nVendorName=test\n\n"
 
     def variable(name: str, data_type: int, default: int, mappable: int = 0, access: str = "rw") -> str:

@@ -1,4 +1,6 @@
-"""PDOs of a node: transmission types, lengths, inhibit and event times, RTR, remapping by the prescribed procedure."""
+"""PDOs of a node: transmission types, lengths, inhibit and event times, RTR, remapping by the
+prescribed procedure.
+"""
 
 from __future__ import annotations
 
@@ -245,7 +247,9 @@ DefaultValue=0x20000010
 
 
 def events(*, start_up=None):
-    """A device with four event-driven TPDOs: both transmission types, with and without an inhibit time, none with a timer."""
+    """A device with four event-driven TPDOs: both transmission types, with and without an inhibit
+    time, none with a timer.
+    """
     rows = ((254, 0), (255, 0), (254, 5000), (255, 65535))
     text = HEAD + variable(PDOMapping="1", DefaultValue="0")
     for k, (kind, inhibit) in enumerate(rows):
@@ -265,7 +269,10 @@ EVENT_IDS = [0x185, 0x285, 0x385, 0x485]
 @pytest.mark.parametrize("start_up", [None, "4", ""])
 @pytest.mark.parametrize("waited_ns", [0, 1, 3 * MS, 700 * MS])
 def test_event_driven_tpdos_are_sent_once_at_every_start_the_first_one_too(kind, start_up, waited_ns):
-    """Without a timer nothing else would ever send them: no value changes here. The inhibit time of the last start is over with it."""
+    """Without a timer nothing else would ever send them: no value changes here.
+
+    The inhibit time of the last start is over with it.
+    """
     bench = Bench("", 5, kind, events(start_up=start_up))
     bench.power_on()
     assert [s.can_id for s in bench.take()] == [0x705]
@@ -282,7 +289,10 @@ def test_event_driven_tpdos_are_sent_once_at_every_start_the_first_one_too(kind,
 
 
 def test_a_device_that_starts_by_itself_sends_its_event_driven_tpdos_behind_the_boot_up():
-    """1F80h with bit 2 clear: the first NMT start finds it OPERATIONAL and is no start any more; the next one is."""
+    """1F80h with bit 2 clear: the first NMT start finds it OPERATIONAL and is no start any more.
+
+    The next one is.
+    """
     bench = Bench("", 5, GENERIC, events(start_up="0"))
     bench.power_on()
     assert [s.can_id for s in sorted(bench.take(), key=lambda s: s.t_ns)] == [0x705, *EVENT_IDS]

@@ -1,4 +1,6 @@
-"""Files that describe a communication object and give it no default: the device takes CiA 301's (section 7.3.5), never identifier 0."""
+"""Files that describe a communication object and give it no default: the device takes CiA 301's
+(section 7.3.5), never identifier 0.
+"""
 
 from __future__ import annotations
 
@@ -78,7 +80,9 @@ def test_a_pdo_whose_sub_indices_are_not_described_is_where_it_belongs():
 
 @pytest.mark.parametrize("index", ["1005", "1012", "1014"])
 def test_nothing_is_ever_sent_with_the_identifier_of_nmt(index):
-    """1005h, 1012h with the bit of a producer; SYNC each millisecond, an emergency that a short RPDO causes."""
+    """1005h, 1012h with the bit of a producer; SYNC each millisecond, an emergency that a short
+    RPDO causes.
+    """
     text = f"[{index}]\n{WITHOUT}DefaultValue=0{'' if index == '1014' else 'x40000000'}\n"
     text += f"[1006]\n{WITHOUT}DefaultValue=1000\n" + mapped("1400", "1600") + variable(PDOMapping="1")
     network, _, station = node(text)
@@ -132,7 +136,10 @@ UNREADABLE = {
 
 @pytest.mark.parametrize("name", UNREADABLE)
 def test_a_pdo_that_cannot_be_read_is_not_valid_at_start_and_the_rest_is_served(name):
-    """Nothing is guessed of it; a client maps it anew. A reset and 1011h bring back what was at start."""
+    """Nothing is guessed of it; a client maps it anew.
+
+    A reset and 1011h bring back what was at start.
+    """
     network, device, station = node(BARE + UNREADABLE[name])
     assert len(device.unreadable) == 1
     assert device.unreadable[0].startswith("bare.eds:")

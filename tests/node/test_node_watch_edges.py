@@ -1,4 +1,6 @@
-"""A node's watchdogs, function by function: each deadline at its nanosecond, each loss told once and released when it is over."""
+"""A node's watchdogs, function by function: each deadline at its nanosecond, each loss told once
+and released when it is over.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Loss of the host: heartbeat, RPDO deadline, SYNC, age of the set-point; safe output and EMCY at their times."""
+"""Loss of the host: heartbeat, RPDO deadline, SYNC, age of the set-point.
+
+Safe output and EMCY at their times.
+"""
 
 from __future__ import annotations
 

@@ -1,6 +1,8 @@
-"""CiA 402's power states: every transition, and every controlword in every state, written from the standard's figure and tables.
+"""CiA 402's power states: every transition, and every controlword in every state, written from the
+standard's figure and tables.
 
-The tables below are typed from IEC 61800-7-201 (figure 2, tables 23, 24 and 27 to 32), not made by the code under test.
+The tables below are typed from IEC 61800-7-201 (figure 2, tables 23, 24 and 27 to 32), not made by
+the code under test.
 """
 
 from __future__ import annotations
@@ -111,7 +113,10 @@ def drive(at: int = ENABLED, *, mode: int = 10, torque: int = 0, **objects: int)
 @pytest.mark.parametrize("at", [DISABLED, READY, ON, ENABLED, QUICK], ids=lambda at: NAMES[at])
 @pytest.mark.parametrize("high", [0x0000, 0x0080, 0xFE70])
 def test_every_controlword_in_every_state(at, high):
-    """The low four bits are the command; outside FAULT no other bit makes a transition (bit 8, halt, stays 0 here)."""
+    """The low four bits are the command.
+
+    Outside FAULT no other bit makes a transition (bit 8, halt, stays 0 here).
+    """
     for low in range(16):
         bench = drive(at)
         command(bench, high | low)
@@ -175,8 +180,10 @@ def test_option_codes_hold_what_is_supported(index, good, bad):
     assert bench.number(index) == good[-1]
 
 
-# The ramps, in profile torque with 6087h = 1000 per mille a second: 100 per mille are gone in 100 ms.
-# option code, its value, what starts the ramp, the state on the ramp (None: there is no ramp), the state behind it
+# The ramps, in profile torque with 6087h = 1000 per mille a second: 100 per mille are gone in 100
+# ms.
+# option code, its value, what starts the ramp, the state on the ramp (None: there is no ramp), the
+# state behind it
 RAMPS = [
     (0x605A, 0, 0x02, None, DISABLED),
     (0x605A, 1, 0x02, QUICK, DISABLED),

@@ -1,4 +1,6 @@
-"""SDO block transfers both ways: byte for byte, every block size, lost segments, every abort, canopen's client."""
+"""SDO block transfers both ways: byte for byte, every block size, lost segments, every abort,
+canopen's client.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,9 @@ TEXT = (EDS / "motor.eds").read_bytes()
 
 
 def crc_bitwise(data: bytes) -> int:
-    """CRC-16-CCITT by its definition: polynomial 1021h, start 0, bits from the left, no final inversion."""
+    """CRC-16-CCITT by its definition: polynomial 1021h, start 0, bits from the left, no final
+    inversion.
+    """
     remainder = 0
     for byte in data:
         remainder ^= byte << 8
@@ -55,7 +59,9 @@ def send(bench: Bench, data: bytes) -> list[bytes]:
 
 
 def block_upload(bench, index, subindex=0, *, sizes=(127,), crc=True, lose=frozenset(), asked=None):
-    """Read an object as a client that loses the segments whose number of all that were sent is in `lose`."""
+    """Read an object as a client that loses the segments whose number of all that were sent is in
+    `lose`.
+    """
     sizes = itertools.cycle(sizes)
     size = next(sizes)
     (answer,) = send(bench, bytes((0xA4 if crc else 0xA0,)) + head(index, subindex) + bytes((size, 0)))
@@ -90,7 +96,9 @@ def block_upload(bench, index, subindex=0, *, sizes=(127,), crc=True, lose=froze
 
 
 def block_download(bench, index, data, subindex=0, *, crc=True, sized=True, lose=frozenset(), wrong_crc=0):
-    """Write an object as a client of which the segments in `lose` (counted over all that it sends) do not arrive."""
+    """Write an object as a client of which the segments in `lose` (counted over all that it sends)
+    do not arrive.
+    """
     first = (
         bytes((0xC0 | 4 * crc | 2 * sized,)) + head(index, subindex) + (len(data) if sized else 0).to_bytes(4, "little")
     )
@@ -437,7 +445,9 @@ _PIECES = tuple(
 
 @pytest.mark.parametrize("seed", range(4))
 def test_with_and_without_the_core_s_collecting_a_node_sends_the_same_bytes(seed, monkeypatch):
-    """Random downloads: gaps, repetitions, numbers that are none, pauses over the time-out, lengths, other requests."""
+    """Random downloads: gaps, repetitions, numbers that are none, pauses over the time-out,
+    lengths, other requests.
+    """
     rng = random.Random(seed)
     benches = [powered(), powered()]
     plain = next(iter(benches[1].device._sdo._channels.values())).server
@@ -467,7 +477,9 @@ def test_with_and_without_the_core_s_collecting_a_node_sends_the_same_bytes(seed
 
 
 class Wire(canopen.Network):
-    """canopen's network without a thread: what it sends reaches the device, and the answers its subscribers, at once."""
+    """canopen's network without a thread: what it sends reaches the device, and the answers its
+    subscribers, at once.
+    """
 
     def __init__(self, bench: Bench):
         super().__init__()

@@ -1,4 +1,6 @@
-"""The SDO servers against a model: two clients, every protocol, interrupted anywhere; and frames of any kind."""
+"""The SDO servers against a model: two clients, every protocol, interrupted anywhere; and frames of
+any kind.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,9 @@ texts = st.binary(max_size=300).map(lambda raw: bytes(32 + byte % 95 for byte in
 
 
 class Clients(RuleBasedStateMachine):
-    """What a client wrote last and in full is what every client reads, whatever else was begun and left."""
+    """What a client wrote last and in full is what every client reads, whatever else was begun and
+    left.
+    """
 
     @initialize()
     def switch_on(self) -> None:

@@ -1,4 +1,6 @@
-"""The SDO server: transfers both ways, abort codes in their places, canopen's client against every object."""
+"""The SDO server: transfers both ways, abort codes in their places, canopen's client against every
+object.
+"""
 
 from __future__ import annotations
 
@@ -281,13 +283,16 @@ def test_every_request_ends_in_a_response_or_an_abort(requests):
     server = SdoServer(Echo(b"0123456789"))
     for data in requests:
         answer = server.request(data)
-        # no answer: to an abort, within a block, and when the client says that it has the whole of one
+        # no answer: to an abort, within a block, and when the client says that it has the whole of
+        # one
         assert answer is not None or data[0] >> 5 == 4 or server.transfer or data[0] & 0xE3 == 0xA1
         assert answer is None or len(answer) == 8
 
 
 class Wire(canopen.Network):
-    """canopen's network without a thread: what it sends reaches the device at once, and the answer its subscribers."""
+    """canopen's network without a thread: what it sends reaches the device at once, and the answer
+    its subscribers.
+    """
 
     def __init__(self, bench: Bench):
         super().__init__()

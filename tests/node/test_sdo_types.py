@@ -1,4 +1,6 @@
-"""Every data type and access by SDO, several SDO servers at once, sub-index FFh, limits: on an EDS that has them all."""
+"""Every data type and access by SDO, several SDO servers at once, sub-index FFh, limits: on an EDS
+that has them all.
+"""
 
 from __future__ import annotations
 

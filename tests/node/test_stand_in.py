@@ -1,4 +1,6 @@
-"""Another maker's device, simulated: its kind, what is opened for it, a mode of its maker's own, guarding, its first TPDOs."""
+"""Another maker's device, simulated: its kind, what is opened for it, a mode of its maker's own,
+guarding, its first TPDOs.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Parameters that survive: 1010h, 1011h, 1020h, and a file that survives a power cut at any instant."""
+"""Parameters that survive: 1010h, 1011h, 1020h, and a file that survives a power cut at any
+instant.
+"""
 
 from __future__ import annotations
 
@@ -220,9 +222,11 @@ class PowerCut(BaseException):
 
 
 class Disk:
-    """A file system that loses what was not synced, and a power supply that fails after `steps` system calls and bytes.
+    """A file system that loses what was not synced, and a power supply that fails after `steps`
+    system calls and bytes.
 
-    `os` for `node.store`. A name is durable once its directory was synced, a content once its file was.
+    `os` for `node.store`. A name is durable once its directory was synced, a content once its file
+    was.
     """
 
     O_WRONLY, O_CREAT, O_EXCL, O_NOFOLLOW, O_RDONLY = os.O_WRONLY, os.O_CREAT, os.O_EXCL, os.O_NOFOLLOW, os.O_RDONLY

@@ -1,4 +1,6 @@
-"""The draft of a rig file: which objects of a device it takes, which guesses it marks, and what it refuses."""
+"""The draft of a rig file: which objects of a device it takes, which guesses it marks, and what it
+refuses.
+"""
 
 from __future__ import annotations
 

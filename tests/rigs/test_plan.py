@@ -1,4 +1,6 @@
-"""The planner: textbook sets, its bounds against the bus of the simulation, and the critical instant where they are reached."""
+"""The planner: textbook sets, its bounds against the bus of the simulation, and the critical
+instant where they are reached.
+"""
 
 from __future__ import annotations
 
@@ -43,9 +45,12 @@ class Bits(Message):
 
 
 def carry(releases, first=None):
-    """Let the simulation's bus carry releases (t_ns, nominal_ns, message); return (message, nominal_ns, free_ns) of each.
+    """Let the simulation's bus carry releases (t_ns, nominal_ns, message).
 
-    `first` is on the wire already when the releases at 0 come: the limit of a frame that has just begun.
+    Return (message, nominal_ns, free_ns) of each.
+
+    `first` is on the wire already when the releases at 0 come: the limit of a frame that has just
+    begun.
     """
     bus, log = new_bus(RATE), frames(1)
     out = new_queue()
@@ -73,7 +78,9 @@ def worst(done):
 
 
 def random_set(rng, count, load):
-    """A set whose times are whole bits, so that the simulation's instants and the planner's one bit agree."""
+    """A set whose times are whole bits, so that the simulation's instants and the planner's one bit
+    agree.
+    """
     ids = rng.sample(range(1, 0x7FF), count)
     shares = [rng.random() + 0.1 for _ in ids]
     made = []
@@ -91,7 +98,9 @@ def random_set(rng, count, load):
 
 
 def test_the_example_of_davis_et_al():
-    """The second instance of C is the worst: table 2 of the paper, 3.5 ms, where the analysis before it found 3.0."""
+    """The second instance of C is the worst: table 2 of the paper, 3.5 ms, where the analysis
+    before it found 3.0.
+    """
     times = ((1, 2.5, 2.5), (2, 3.5, 3.25), (3, 3.5, 3.25))
     messages = [Bits("ABC"[i - 1], i, 8, int(t * MS), int(d * MS), given=125) for i, t, d in times]
     found = response_times(messages, 125_000)
@@ -190,7 +199,9 @@ def test_no_simulated_response_exceeds_its_bound(rng, count, load):
 
 @pytest.mark.parametrize("seed", range(12))
 def test_the_bound_is_reached_at_the_critical_instant(seed):
-    """All of higher priority at once, each as late as its jitter allows, while the longest lower frame has just begun."""
+    """All of higher priority at once, each as late as its jitter allows, while the longest lower
+    frame has just begun.
+    """
     rng = random.Random(seed)
     messages = random_set(rng, rng.randint(2, 8), rng.uniform(0.3, 0.92))
     order = sorted(messages, key=lambda m: arbitration_key(m.can_id))
@@ -211,7 +222,10 @@ def test_the_bound_is_reached_at_the_critical_instant(seed):
 
 
 def chain(axes=1):
-    """SYNC and PDOs of some axes, and two messages besides them; actual frames, not the longest ones."""
+    """SYNC and PDOs of some axes, and two messages besides them.
+
+    Actual frames, not the longest ones.
+    """
 
     def sent(name, can_id, length, stage="", axis=0):
         return Sent(name, can_id, length, 4 * MS, 4 * MS, stage=stage, axis=axis, word=0x1234_5678_9ABC)
@@ -231,9 +245,11 @@ def chain(axes=1):
 
 
 def run_cycle(messages, node_ns=0, host_ns=0, intruder=True):
-    """Send one cycle frame by frame: what each device and the host do is what `sim_bus.network.kernel` lets them do.
+    """Send one cycle frame by frame: what each device and the host do is what
+    `sim_bus.network.kernel` lets them do.
 
-    The longest frame from outside has just begun at 0, and another one begins at the last instant of each time of computing.
+    The longest frame from outside has just begun at 0, and another one begins at the last instant
+    of each time of computing.
     """
     outside = max((m for m in messages if not m.stage), key=lambda m: m.bits)
     free, ends = outside.bits * BIT, {}

@@ -1,4 +1,6 @@
-"""`coulombus plan --json` held against Davis, Burns, Bril and Lukkien 2007, computed anew from the printed columns alone."""
+"""`coulombus plan --json` held against Davis, Burns, Bril and Lukkien 2007, computed anew from the
+printed columns alone.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ DATA_BYTES = {"NMT": 2, "SYNC": 0, "EMCY": 8, "SDO request": 8, "SDO response": 
 
 
 def longest_bits(data_bytes):
-    """Frame of 11 bits' identifier with all the stuffing that it may need, and the inter-frame space."""
+    """Frame of 11 bits' identifier with all the stuffing that it may need, and the inter-frame
+    space.
+    """
     return 8 * data_bytes + 44 + (34 + 8 * data_bytes - 1) // 4 + 3
 
 
@@ -28,7 +32,9 @@ def exact(value):
 
 
 def recomputed(rows, rank, bitrate, errors=0, errors_interval_us=1):
-    """Return (blocking, response) of a row [us], None for a response that nothing bounds (equations 10 to 13, 16 to 18)."""
+    """Return (blocking, response) of a row [us], None for a response that nothing bounds (equations
+    10 to 13, 16 to 18).
+    """
     tau = Fraction(1_000_000, bitrate)
     c = [row["bits"] * tau for row in rows]
     t, j = ([exact(row[key]) for row in rows] for key in ("period_us", "jitter_us"))
@@ -127,7 +133,9 @@ def test_a_plan_fits_when_every_response_meets_its_deadline_and_else_names_the_f
 
 
 def test_a_frame_that_may_miss_its_cycle_is_held_against_its_cycle():
-    """At 800 kbit/s no watch of the bench rig trips, and yet its TPDOs may come after a window of 550 us."""
+    """At 800 kbit/s no watch of the bench rig trips, and yet its TPDOs may come after a window of
+    550 us.
+    """
     found = plan(load_rig("bench", ["bus.tpdo_window_s=550e-6"]), bitrate_bit_s=800_000)
     rows = {row["name"]: row for row in message_rows(found)}
     assert not found.fits

@@ -1,4 +1,6 @@
-"""The plan of a rig: its messages, the verdict, what would fit, the command, the picture; and a rig in virtual time under its bounds."""
+"""The plan of a rig: its messages, the verdict, what would fit, the command, the picture; and a rig
+in virtual time under its bounds.
+"""
 
 from __future__ import annotations
 
@@ -143,7 +145,8 @@ def test_the_bench_fits_with_devices_of_150_us_and_a_host_of_50_us():
     assert found.fits
     assert found.timing.period_ns == 1_000_000
     ends = {f.message.name: f.end_ns // 1000 for f in found.cycle.frames}
-    # an SDO frame, SYNC, 150 us less the inter-frame space and an SDO frame that began in it, the TPDOs; the same of 50 us; the RPDOs
+    # an SDO frame, SYNC, 150 us less the inter-frame space and an SDO frame that began in it, the
+    # TPDOs; the same of 50 us; the RPDOs
     tpdos = 135 + 55 + (147 + 135) + 135 + 115
     assert ends["brake TPDO1"] == tpdos
     assert ends["brake RPDO1"] == tpdos + (47 + 135) + 95 + 75
@@ -158,7 +161,9 @@ def test_each_device_has_its_own_response_time():
 
 
 def test_an_rpdo_that_is_on_the_wire_when_sync_is_released_is_in_time():
-    """An RPDO is due to have begun then: SYNC waits for it as for any frame from outside, and not longer."""
+    """An RPDO is due to have begun then: SYNC waits for it as for any frame from outside, and not
+    longer.
+    """
     found = plan(load_rig("bench"), assumptions=AT_ONCE)
     due = {f.message.name: f.deadline_ns for f in found.cycle.frames}
     assert due["motor RPDO1"] == 1_000_000 + 94_000

@@ -1,4 +1,6 @@
-"""The rig file: what is read, what is refused and in which words, overrides, the effective configuration, the document."""
+"""The rig file: what is read, what is refused and in which words, overrides, the effective
+configuration, the document.
+"""
 
 from __future__ import annotations
 
@@ -99,7 +101,9 @@ def test_paper_is_section_4() -> None:
 
 
 def test_paper_limits_do_not_trip_where_nothing_resists() -> None:
-    """Without friction the motion is largest: semi-implicit steps of (m + 1.287) v' + 29.83 v + 178 x = f_h."""
+    """Without friction the motion is largest: semi-implicit steps of (m + 1.287) v' + 29.83 v + 178
+    x = f_h.
+    """
     rig = load_rig("paper")
     axis = rig.one_axis()
     x = v = 0.0

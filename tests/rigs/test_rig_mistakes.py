@@ -1,4 +1,6 @@
-"""Every kind of mistake in a rig file: its line, its key, what stands there, what is expected, the nearest name."""
+"""Every kind of mistake in a rig file: its line, its key, what stands there, what is expected, the
+nearest name.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,8 @@ def line(text: str, needle: str) -> int:
     return text[: text.index(needle)].count("\n") + 1
 
 
-# The mistake: the text in bench.toml and what replaces it; the error behind "r.toml:LINE: ", where LINE is the changed one.
+# The mistake: the text in bench.toml and what replaces it; the error behind "r.toml:LINE: ", where
+# LINE is the changed one.
 
 WRONG_VALUES = {
     "a text for a number": (

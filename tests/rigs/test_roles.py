@@ -1,4 +1,6 @@
-"""Roles and PDOs: which object has which role, by which scale, and which PDO carries it, for devices of every kind of map."""
+"""Roles and PDOs: which object has which role, by which scale, and which PDO carries it, for
+devices of every kind of map.
+"""
 
 from __future__ import annotations
 

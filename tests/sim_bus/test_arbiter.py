@@ -21,7 +21,10 @@ from coulombus.wire.frame import (
 
 
 def carry(waiting, bitrate=1_000_000):
-    """Carry frames (ready_ns, can_id, data) until none waits; return (id, start, end) in the order of the wire."""
+    """Carry frames (ready_ns, can_id, data) until none waits.
+
+    Return (id, start, end) in the order of the wire.
+    """
     bus = new_bus(bitrate)
     out = new_queue()
     log = frames(len(waiting))

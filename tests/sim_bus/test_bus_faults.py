@@ -1,4 +1,6 @@
-"""Fault files: their mistakes with places, and the whole rig under faults of the bus: torque 0 and the brake off on any doubt."""
+"""Fault files: their mistakes with places, and the whole rig under faults of the bus: torque 0 and
+the brake off on any doubt.
+"""
 
 from __future__ import annotations
 
@@ -205,7 +207,9 @@ def test_same_seed_same_bytes_and_what_was_injected(tmp_path):
 
 
 def test_frame_errors_lose_nothing_that_is_not_told(tmp_path):
-    """1 % of the frames destroyed: each is sent again, and the recording has each frame that the host has received."""
+    """1 % of the frames destroyed: each is sent again, and the recording has each frame that the
+    host has received.
+    """
     file = write(tmp_path, '[[fault]]\nkind = "noise"\nrate = 1e-4\n')
     result = simulate("bench", "hybrid", 6.0, faults=file, record=tmp_path / "r.pcapng")
     frames = read(tmp_path / "r.pcapng").frames
@@ -226,7 +230,9 @@ def test_frame_errors_lose_nothing_that_is_not_told(tmp_path):
 
 @pytest.mark.parametrize("node", ["host", "motor", "brake"])
 def test_one_controller_alone_may_see_a_wrong_bit(tmp_path, node):
-    """Bit 10 of SYNC (0 00010000000b) is the stuff bit after five dominant ones: who sees it dominant, sender or receiver, has a stuff error."""
+    """Bit 10 of SYNC (0 00010000000b) is the stuff bit after five dominant ones: who sees it
+    dominant, sender or receiver, has a stuff error.
+    """
     on = f'[[fault]]\nkind = "flip"\non = "20th SYNC"\nbit = 10\nseen_by = "{node}"\n'
     result = simulate("bench", "hybrid", 0.2, faults=write(tmp_path, on))
     assert result.controllers[node]["errors"]["stuff"] == 1
@@ -235,7 +241,9 @@ def test_one_controller_alone_may_see_a_wrong_bit(tmp_path, node):
 
 
 def test_a_wire_that_stays_dominant_from_within_a_frame_is_in_result_and_recording(tmp_path):
-    """At 0.5 s a SYNC is on the wire, so the bus is never free again: the fault is told all the same, from its begin on."""
+    """At 0.5 s a SYNC is on the wire, so the bus is never free again: the fault is told all the
+    same, from its begin on.
+    """
     file = write(tmp_path, '[[fault]]\nkind = "stuck_dominant"\nat_s = 0.50003\n')
     result = simulate("bench", "hybrid", 1.0, faults=file, record=tmp_path / "r.pcapng")
     assert result.exit_status == 7
@@ -356,7 +364,10 @@ def greet_again(connection):
 
 
 def test_error_frames_for_the_clients_that_ask_for_them(tmp_path, monkeypatch):
-    """Each with the counters of its own controller; who does not ask sees the frame alone, once it has passed."""
+    """Each with the counters of its own controller.
+
+    Who does not ask sees the frame alone, once it has passed.
+    """
     with served(tmp_path, monkeypatch, '[[fault]]\nkind = "flip"\non = "1st SYNC"\nbit = 8\n') as server:
         sender, other, plain = (
             connect(server.address, flags) for flags in (Flags.ERRORS | Flags.OWN, Flags.ERRORS, Flags(0))

@@ -1,4 +1,7 @@
-"""The coil in the simulated rig: its heat, what the iron remembers, and its two faults; against formulas of their own."""
+"""The coil in the simulated rig: its heat, what the iron remembers, and its two faults.
+
+Against formulas of their own.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,9 @@
-"""Fault confinement rule by rule (ISO 11898-1:2015, 12.1.4.2; the table in `sim_bus.copper.controller`), overload frames, and who is out of step.
+"""Fault confinement rule by rule (ISO 11898-1:2015, 12.1.4.2; the table in
+`sim_bus.copper.controller`), overload frames, and who is out of step.
 
-Each scenario is worked out by hand. Unless it is said otherwise station 0 sends 181h once, and 1 and 2 receive; `EOF1` is the first bit of the
-end of frame, so an error that all see in it is followed by error flags from `EOF1 + 1` to `EOF1 + 6`, and a delimiter of eight bits.
+Each scenario is worked out by hand. Unless it is said otherwise station 0 sends 181h once, and 1
+and 2 receive; `EOF1` is the first bit of the end of frame, so an error that all see in it is
+followed by error flags from `EOF1 + 1` to `EOF1 + 6`, and a delimiter of eight bits.
 """
 
 from __future__ import annotations
@@ -54,7 +56,9 @@ def passive(tec=0, rec=0):
 
 
 def test_a_and_b_the_receiver_that_is_first_counts_1_and_8():
-    """Station 2 has a wrong bit, so a wrong CRC: its flag begins in EOF1, all others' flags one bit later, so it sees one dominant bit more."""
+    """Station 2 has a wrong bit, so a wrong CRC: its flag begins in EOF1, all others' flags one bit
+    later, so it sees one dominant bit more.
+    """
     assert counters(flipped((40, 2))) == [(8, 0), (0, 1), (0, 9)]
 
 
@@ -70,11 +74,15 @@ def test_c1_no_ack_in_error_passive_counts_nothing_unless_its_flag_meets_somethi
 
 
 def test_c2_a_stuff_error_in_the_arbitration_field_is_not_the_transmitters():
-    """020h: SOF and four dominant bits, then a recessive stuff bit (5). Behind the arbitration, in the data, it counts."""
+    """020h: SOF and four dominant bits, then a recessive stuff bit (5).
+
+    Behind the arbitration, in the data, it counts.
+    """
     bus = flipped(5, can_id=0x020)
     assert counters(bus) == [(0, 0), (0, 1), (0, 1)]
     assert bus[0].errors[ErrorKind.STUFF] == 1
-    # 555h has no stuff bits; the DLC of eight bytes ends 000b, so with the data's first two dominant bits a stuff bit is due: bit 21
+    # 555h has no stuff bits; the DLC of eight bytes ends 000b, so with the data's first two
+    # dominant bits a stuff bit is due: bit 21
     bus = flipped(21, can_id=0x555, data=b"\x00" + FRAME[1:])
     assert bus[0].errors[ErrorKind.BIT] == 1
     assert bus.errors(0) == (8, 0)
@@ -82,7 +90,8 @@ def test_c2_a_stuff_error_in_the_arbitration_field_is_not_the_transmitters():
 
 def test_d_and_e_a_flag_that_is_not_seen_dominant_begins_anew_and_counts_8():
     assert flipped(EOF1, (EOF1 + 3, 0)).errors(0) == (16, 0)
-    # the new flag of one is three bits longer than the others': they see dominant after theirs (rule b)
+    # the new flag of one is three bits longer than the others': they see dominant after theirs
+    # (rule b)
     assert counters(flipped(EOF1, (EOF1 + 3, 2))) == [(8, 0), (0, 9), (0, 9)]
     # an overload flag: no error before it
     assert flipped(INTERMISSION1, (INTERMISSION1 + 2, 0)).errors(0) == (8, 0)
@@ -92,7 +101,10 @@ def test_d_and_e_a_flag_that_is_not_seen_dominant_begins_anew_and_counts_8():
 @pytest.mark.parametrize("more", [0, 1, 7, 8, 15, 16, 24])
 @pytest.mark.parametrize("is_passive", [False, True])
 def test_f_dominant_bits_after_a_flag(more, is_passive):
-    """The wire is dominant from EOF1 on: six bits of flag, active or passive, and so many more. The transmitter's passive flag completes as well."""
+    """The wire is dominant from EOF1 on: six bits of flag, active or passive, and so many more.
+
+    The transmitter's passive flag completes as well.
+    """
     before = 128 if is_passive else 0
     set_up = {0: passive(tec=before), 2: passive(rec=before)} if is_passive else {}
     bus = Copper()
@@ -161,7 +173,9 @@ def test_l_recovery_after_128_times_11_recessive_bits_to_the_bit():
 
 
 def test_l_each_frame_has_one_run_of_11_recessive_bits():
-    """Frame after frame, without a gap: ACK delimiter, end of frame and intermission are 11 bits, and there are no others."""
+    """Frame after frame, without a gap: ACK delimiter, end of frame and intermission are 11 bits,
+    and there are no others.
+    """
     bus = Copper()
     bus.set(0, one_shot=1, **passive(tec=248))
     bus.fault(FaultKind.FLIP, framed=1, match_id=0x181, match_mask=0x7FF, bit=EOF1 + 2)
@@ -169,7 +183,8 @@ def test_l_each_frame_has_one_run_of_11_recessive_bits():
     for _ in range(140):
         bus.send(1, 0x200)
     off, back = off_and_back(rows := bus.run(until_ns=20 * MS))
-    # eight bits of delimiter and three of intermission are the first run; what has been reached is told at the end of the next frame
+    # eight bits of delimiter and three of intermission are the first run; what has been reached is
+    # told at the end of the next frame
     assert len([row for row in rows if row.can_id == 0x200 and off < row.t_ns < back]) == 127
 
 
@@ -220,7 +235,10 @@ def test_the_last_bit_of_the_end_of_frame_is_overload_for_receivers_an_error_for
     ("set_up", "joins"), [({}, True), ({1: passive(tec=130)}, True), ({0: passive(tec=130)}, False)]
 )
 def test_the_third_bit_of_intermission_is_a_start_of_frame_and_who_waits_joins_in(set_up, joins):
-    """It sends its identifier next, so the frame ends one bit early. An error-passive sender of the last frame may not."""
+    """It sends its identifier next, so the frame ends one bit early.
+
+    An error-passive sender of the last frame may not.
+    """
     bus = Copper()
     for station, values in set_up.items():
         bus.set(station, **values)
@@ -241,10 +259,12 @@ def test_the_third_bit_of_intermission_is_a_start_of_frame_and_who_waits_joins_i
 
 @pytest.mark.parametrize("gap", range(9))
 def test_an_error_passive_receiver_that_alone_saw_an_error_is_behind_the_others(gap):
-    """A wrong CRC: its passive flag is EOF1 to EOF6, its delimiter EOF7, intermission and four bits more, then its intermission.
+    """A wrong CRC: its passive flag is EOF1 to EOF6, its delimiter EOF7, intermission and four bits
+    more, then its intermission.
 
-    A frame that starts `gap` bits after the others' intermission is in the delimiter's bits 5, 6 or 7 (form error, the frame is missed), in bit 8
-    or in the first two of intermission (overload flag: it destroys the frame), or is a start of frame for it too.
+    A frame that starts `gap` bits after the others' intermission is in the delimiter's bits 5, 6 or
+    7 (form error, the frame is missed), in bit 8 or in the first two of intermission (overload
+    flag: it destroys the frame), or is a start of frame for it too.
     """
     bus = Copper()
     bus.set(2, **passive(rec=130))
@@ -272,7 +292,11 @@ def test_an_error_passive_receiver_that_alone_saw_an_error_is_behind_the_others(
 
 
 def test_its_own_frame_waits_until_it_is_back():
-    """The passive flag ends with EOF6; eight bits of delimiter and three of intermission later it may send: seven bits after the others."""
+    """The passive flag ends with EOF6.
+
+    Eight bits of delimiter and three of intermission later it may send: seven bits after the
+    others.
+    """
     bus = Copper()
     bus.set(2, **passive(rec=130))
     bus.fault(FaultKind.FLIP, framed=1, match_id=0x181, match_mask=0x7FF, bit=40, station=2)
@@ -282,7 +306,9 @@ def test_its_own_frame_waits_until_it_is_back():
 
 
 def test_without_a_gap_it_never_comes_back():
-    """As the standard says: it may need the bus idle for some bits, so a bus should not be loaded fully."""
+    """As the standard says: it may need the bus idle for some bits, so a bus should not be loaded
+    fully.
+    """
     bus = Copper()
     bus.set(2, **passive(rec=130))
     bus.fault(FaultKind.FLIP, framed=1, match_id=0x181, match_mask=0x7FF, bit=40, station=2)
@@ -299,7 +325,10 @@ GLITCH = {"from_ns": 100 * US, "until_ns": 101 * US, "rate": 1.0}
 
 
 def test_a_dominant_bit_on_an_idle_wire_is_a_start_of_frame():
-    """Six bits later all find a stuff error, and flag it together; what is to be sent meanwhile waits for their intermission."""
+    """Six bits later all find a stuff error, and flag it together.
+
+    What is to be sent meanwhile waits for their intermission.
+    """
     bus = Copper()
     bus.fault(FaultKind.NOISE, **GLITCH)
     bus.send(0, 0x100, b"", 103 * US)
@@ -311,7 +340,9 @@ def test_a_dominant_bit_on_an_idle_wire_is_a_start_of_frame():
 
 
 def test_a_dominant_bit_that_one_alone_sees():
-    """Its flag is a start of frame for the others, and six dominant bits a stuff error: rule b for the one. A passive flag troubles nobody."""
+    """Its flag is a start of frame for the others, and six dominant bits a stuff error: rule b for
+    the one. A passive flag troubles nobody.
+    """
     bus = Copper()
     bus.fault(FaultKind.NOISE, station=1, **GLITCH)
     assert len(told(bus.run(until_ns=MS))) == 1
@@ -324,7 +355,9 @@ def test_a_dominant_bit_that_one_alone_sees():
 
 
 def test_a_frame_that_starts_while_one_is_taken_in_by_a_glitch():
-    """Station 1 is three bits into a frame that is none: what it makes of the real one ends in an error flag, and the frame is sent again."""
+    """Station 1 is three bits into a frame that is none: what it makes of the real one ends in an
+    error flag, and the frame is sent again.
+    """
     bus = Copper()
     bus.fault(FaultKind.NOISE, station=1, **GLITCH)
     bus.send(0, 0x100, FRAME, 103 * US)
@@ -344,7 +377,9 @@ def test_noise_strikes_an_idle_wire_as_often_as_a_busy_one():
 
 
 def test_one_shot_is_given_up_after_a_lost_arbitration():
-    """101h against 100h: identifier bit 0, the eleventh behind the start of frame, of which two bits are stuffed before."""
+    """101h against 100h: identifier bit 0, the eleventh behind the start of frame, of which two
+    bits are stuffed before.
+    """
     bus = Copper((0, 1, 2, 3))
     bus.set(1, one_shot=1)
     bus.set(3, one_shot=1)
@@ -388,7 +423,9 @@ def test_of_one_hundred_that_lose_at_once_each_is_told():
 
 @pytest.mark.parametrize("station", [0, 1])
 def test_what_a_reset_node_had_on_the_wire_is_not_sent_again(station):
-    """Station 0 sends, disturbed in its arbitration field, and 1 contends: who is reset in the midst of that has nothing to send any more."""
+    """Station 0 sends, disturbed in its arbitration field, and 1 contends: who is reset in the
+    midst of that has nothing to send any more.
+    """
     bus = Copper()
     bus.fault(FaultKind.FLIP, framed=1, match_id=0x100, match_mask=0x7FF, bit=1)
     bus.send(0, 0x100)
@@ -417,7 +454,9 @@ def test_who_only_listens_sends_nothing():
 
 
 def test_all_that_contend_are_transmitters_of_an_error_in_the_arbitration_field():
-    """Bit 2 of 100h and 101h, dominant for both, is seen recessive: a bit error of both; 300h has lost to neither by then."""
+    """Bit 2 of 100h and 101h, dominant for both, is seen recessive: a bit error of both; 300h has
+    lost to neither by then.
+    """
     bus = Copper((0, 1, 2, 3))
     bus.fault(FaultKind.FLIP, framed=1, match_id=0x100, match_mask=0x7FF, bit=1)
     for station, can_id in ((0, 0x100), (1, 0x101), (2, 0x300)):

@@ -1,4 +1,6 @@
-"""The wire in slow motion, against the rules of ISO 11898-1 worked out by hand and against a bitwise wire of its own."""
+"""The wire in slow motion, against the rules of ISO 11898-1 worked out by hand and against a
+bitwise wire of its own.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,9 @@ BUS_OFF, RESTARTED, ACK, CRTL = 0x40, 0x100, 0x20, 0x04
 
 
 def wire_bits(can_id, data, remote=False, extended=False):
-    """A frame as text, stuffed, up to the CRC's end: written from the standard's figures, with no code of the project's."""
+    """A frame as text, stuffed, up to the CRC's end: written from the standard's figures, with no
+    code of the project's.
+    """
     n = f"{len(data):04b}"
     if extended:
         plain = f"0{can_id >> 18:011b}11{can_id & 0x3FFFF:018b}{int(remote)}00{n}"
@@ -73,7 +77,8 @@ def test_a_bit_error_costs_flag_delimiter_and_the_frame_once_more():
     bus.send(0, 0x181, FRAME)
     flip(bus, 40)
     (error, frame) = bus.run()
-    # bit 40 is wrong: flag 41..46, the receivers' flags begin with their sixth dominant bit at the latest six bits later
+    # bit 40 is wrong: flag 41..46, the receivers' flags begin with their sixth dominant bit at the
+    # latest six bits later
     length = frame_bits(0x181, FRAME)
     assert error.t_ns == 41 * US
     restart = frame.t_ns - (length - 3) * US
@@ -154,7 +159,8 @@ def test_alone_it_becomes_error_passive_and_never_bus_off():
     assert all(row.can_id & ACK for row in rows if not row.can_id & CRTL)
     starts = [row.t_ns for row in rows if row.can_id & ACK]
     length = frame_bits(0x181, b"")
-    # up to the ACK slot, six bits of flag, eight of delimiter, three of intermission; then eight more: suspend transmission
+    # up to the ACK slot, six bits of flag, eight of delimiter, three of intermission; then eight
+    # more: suspend transmission
     to_ack = length - 3 - 8
     assert {b - a for a, b in pairwise(starts[1:16])} == {(to_ack + 17) * US}
     assert {b - a for a, b in pairwise(starts[18:41])} == {(to_ack + 25) * US}
@@ -176,7 +182,8 @@ def test_one_identifier_from_two_stations():
     bus.send(0, 0x181, b"\x01")
     bus.send(1, 0x181, b"\x00")
     rows = bus.run(until_ns=20 * MS)
-    # both count + 8 each time, until both are error passive; then nobody is disturbed by the loser's flag, and the dominant bit goes through
+    # both count + 8 each time, until both are error passive; then nobody is disturbed by the
+    # loser's flag, and the dominant bit goes through
     assert bus[0].errors[ErrorKind.BIT] >= 16 <= bus[1].errors[ErrorKind.BIT]
     assert [(row.data, row.source) for row in carried(rows)] == [(b"\x00", 1), (b"\x01", 0)]
     assert bus[0].passives == bus[1].passives == 1
@@ -256,7 +263,8 @@ def test_stuck_dominant():
     bus.send(0, 0x181, FRAME, 1 * MS - 30 * US)  # in the midst of it the wire sticks
     bus.send(1, 0x182, FRAME, 1 * MS + 100 * US)
     rows = bus.run(until_ns=20 * MS)
-    # the sender: + 8, then + 8 for each eight dominant bits more: bus-off within (256 / 8 - 1) x 8 bits and the flag
+    # the sender: + 8, then + 8 for each eight dominant bits more: bus-off within (256 / 8 - 1) x 8
+    # bits and the flag
     off = next(row for row in rows if row.can_id & BUS_OFF)
     assert off.source == 0
     assert 31 * 8 - 8 <= (off.t_ns - 1 * MS) / US <= 31 * 8 + 24
@@ -272,7 +280,8 @@ def test_listen_only_loopback_one_shot_and_a_short_queue():
     rows = bus.run(until_ns=5 * MS)  # it does not acknowledge, so the sender tries for ever;
     assert bus.errors(0) == (128, 0)
     assert bus.errors(1) == (0, 0)
-    # as soon as the sender is error passive its flag is recessive, and who only listens takes each attempt for a good frame
+    # as soon as the sender is error passive its flag is recessive, and who only listens takes each
+    # attempt for a good frame
     first = next(row.t_ns for row in carried(rows))
     assert first > next(row.t_ns for row in told(rows) if row.can_id & CRTL and row.data[1] & 0x20)
     bus = Copper((0,))
@@ -324,7 +333,10 @@ def test_a_babbler_with_the_highest_identifier_starves_all():
 @settings(max_examples=10)
 @given(st.integers(0, 2**32), st.sampled_from([1e-4, 1e-3, 1e-2]))
 def test_noise_loses_nothing_unseen(seed, rate):
-    """Each frame is received by all the others, perhaps twice, or its sender has been bus-off; same seed, same rows."""
+    """Each frame is received by all the others, perhaps twice, or its sender has been bus-off.
+
+    Same seed, same rows.
+    """
 
     def course():
         bus = Copper()
@@ -346,7 +358,9 @@ def test_noise_loses_nothing_unseen(seed, rate):
 @settings(max_examples=40)
 @given(st.integers(0, 0x7FF), st.integers(0, 0x7FF), st.booleans(), st.booleans())
 def test_arbitration_bit_by_bit(a, b, extended, remote):
-    """Played bit by bit, the station with the lower key has the wire: the same that the arbiter finds without a look at the bits."""
+    """Played bit by bit, the station with the lower key has the wire: the same that the arbiter
+    finds without a look at the bits.
+    """
     other = (b << 18 | 77) | CAN_EFF_FLAG if extended else b | (CAN_RTR_FLAG if remote else 0)
     if other == a:
         return
@@ -374,7 +388,9 @@ def test_a_frame_that_is_put_off_or_duplicated_is_no_retransmission():
 
 
 def test_a_drop_and_a_duplicate_hold_for_a_frame_that_is_disturbed_too():
-    """What the fault's count says has happened: the frame is destroyed first, and when it passes it is lost or sent twice."""
+    """What the fault's count says has happened: the frame is destroyed first, and when it passes it
+    is lost or sent twice.
+    """
     for kind, receivers in ((FaultKind.DROP, [()]), (FaultKind.DUPLICATE, [(1, 2), (1, 2)])):
         copper = Copper()
         copper.fault(kind, **STRUCK)
@@ -394,7 +410,10 @@ def test_the_remote_bit_of_a_base_frame_is_linuxs_srtr():
 
 
 def test_two_noises_at_a_time_and_one_goes_on_alone():
-    """Each with its own rate, for all or for one receiver; the end of one is not the end of the other."""
+    """Each with its own rate, for all or for one receiver.
+
+    The end of one is not the end of the other.
+    """
     bus = Copper()
     bus.bus.noise.state = seeded(1)
     bus.fault(FaultKind.NOISE, rate=5e-4)
@@ -430,7 +449,10 @@ def test_who_is_put_off_is_struck_by_nothing_else():
 
 
 def test_all_clients_as_one():
-    """As senders of what a fault waits for, and as those whom it strikes. Bit 10 of SYNC is a stuff bit: who sees it dominant has an error."""
+    """As senders of what a fault waits for, and as those whom it strikes.
+
+    Bit 10 of SYNC is a stuff bit: who sees it dominant has an error.
+    """
     bus = Copper((0, 1, 128, 159))
     match = {"framed": 1, "match_mask": 0x7FF, "station": CLIENTS}
     bus.fault(FaultKind.FLIP, match_id=0x80, bit=10, **match)

@@ -1,4 +1,6 @@
-"""The cable cut into two halves: each goes on alone, nothing is heard across, and after the mend nothing has armed itself again."""
+"""The cable cut into two halves: each goes on alone, nothing is heard across, and after the mend
+nothing has armed itself again.
+"""
 
 from __future__ import annotations
 
@@ -94,7 +96,10 @@ def test_who_is_cut_off_becomes_safe_and_stays_so(tmp_path, far):
 
 
 def cut_rig(tmp_path, text):
-    """The bench's two nodes without a host's cycle; return the rig, its faults, and the list of what the bus carries."""
+    """The bench's two nodes without a host's cycle.
+
+    Return the rig, its faults, and the list of what the bus carries.
+    """
     rows = []
     world = VirtualRig(load_rig("bench"), "passive", on_frames=lambda frames: rows.append(frames.copy()))
     injection = Injection(world, read_faults(write(tmp_path, text)), 1)
@@ -103,7 +108,9 @@ def cut_rig(tmp_path, text):
 
 
 def test_both_halves_speak_at_the_same_time_and_hear_nothing_of_each_other(tmp_path):
-    """Two babblers, one in each half: together more than a wire can carry, and each half has its own alone."""
+    """Two babblers, one in each half: together more than a wire can carry, and each half has its
+    own alone.
+    """
     babble = (
         '[[fault]]\nkind = "babble"\nnode = "{node}"\ncan_id = {can_id}\ndata = "0102030405060708"\n'
         "period_us = 140\nat_s = 0.1\nduration_s = 0.05\n"
@@ -148,10 +155,13 @@ def test_without_a_mend_it_ends_with_its_counters(tmp_path):
 
 
 def test_alone_in_its_half_worked_out_bit_by_bit(tmp_path):
-    """A heartbeat that nobody acknowledges, from 30 ms on; the cable is mended in the midst of an attempt, at 60 ms, and the next one passes.
+    """A heartbeat that nobody acknowledges, from 30 ms on.
 
-    An attempt lasts up to the ACK slot, then 6 bits of error flag, 8 of delimiter, 3 of intermission; 16 of them make it error passive, and then it
-    waits for 8 bits more. It does not go bus-off. What it tries from the 17th time on is the EMCY that tells of it, which comes first.
+    The cable is mended in the midst of an attempt, at 60 ms, and the next one passes.
+
+    An attempt lasts up to the ACK slot, then 6 bits of error flag, 8 of delimiter, 3 of
+    intermission; 16 of them make it error passive, and then it waits for 8 bits more. It does not
+    go bus-off. What it tries from the 17th time on is the EMCY that tells of it, which comes first.
     """
     us = 1_000
     text = CUT.replace('["host"]', '["host", "brake"]') + "at_s = 0.02\nduration_s = 0.04\n"
@@ -183,7 +193,9 @@ def test_alone_in_its_half_worked_out_bit_by_bit(tmp_path):
 
 
 def test_what_is_on_the_wire_at_a_cut_and_at_a_mend_is_not_torn(tmp_path):
-    """Frame after frame of the host, 60 us apart, each in the midst of its time at some cut or mend: the brake has all of them."""
+    """Frame after frame of the host, 60 us apart, each in the midst of its time at some cut or
+    mend: the brake has all of them.
+    """
     text = "".join(CUT + f"at_s = {0.02 + 0.001 * n + 0.000013 * n}\nduration_s = 0.00051{n}\n" for n in range(10))
     world, injection, rows = cut_rig(tmp_path, text)
     world.run_until(19 * MS)

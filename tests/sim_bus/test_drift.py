@@ -1,4 +1,7 @@
-"""A clock that runs fast or slow: all timers of its node, and nobody else's; in int64, without a jump."""
+"""A clock that runs fast or slow: all timers of its node, and nobody else's.
+
+In int64, without a jump.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +30,10 @@ MS, S = 1_000_000, 1_000_000_000
 @settings(max_examples=200)
 @given(st.integers(0, 10**14), st.integers(0, 10**14), st.integers(-(10**8), 10**8), st.integers(-(10**8), 10**8))
 def test_own_time_and_back(begin, later, first, second):
-    """Against fractions; two clocks one after the other, so that the second begins where the first has come to."""
+    """Against fractions.
+
+    Two clocks one after the other, so that the second begins where the first has come to.
+    """
     node = new_nodes(1)[0]
     assert (own_ns(node, begin), bus_ns(node, begin)) == (begin, begin)
     set_clock(node, begin, first)
@@ -57,7 +63,10 @@ def test_heartbeats_of_a_node_whose_clock_drifts(ppm):
 
 
 def test_the_syncs_of_a_node_whose_clock_drifts_for_a_time():
-    """1006h is 10 ms of its own clock: slow by 2 % from 1 s to 2 s of the bus; each SYNC's time by hand, and the TPDOs that it asks for with it."""
+    """1006h is 10 ms of its own clock: slow by 2 % from 1 s to 2 s of the bus.
+
+    Each SYNC's time by hand, and the TPDOs that it asks for with it.
+    """
     network = VirtualNetwork(0)
     producer = network.add(EDS / "motor.eds", 1)
     heard = network.station({0x080})
@@ -97,7 +106,10 @@ def test_a_watchdog_that_drifts():
 
 
 def test_the_host_and_a_node_of_a_rig(tmp_path):
-    """The SYNCs of a host that runs 1000 ppm fast come sooner; that is within what the rig allows, and so is a node's drift."""
+    """The SYNCs of a host that runs 1000 ppm fast come sooner.
+
+    That is within what the rig allows, and so is a node's drift.
+    """
     file = tmp_path / "drift.toml"
     file.write_text(
         '[[fault]]\nkind = "drift"\nnode = "host"\nppm = 1000\n'

@@ -1,4 +1,6 @@
-"""The network in virtual time: many devices, stations written in Python, the same frames every time."""
+"""The network in virtual time: many devices, stations written in Python, the same frames every
+time.
+"""
 
 from __future__ import annotations
 
@@ -202,7 +204,9 @@ def test_who_wants_a_frame_follows_the_routes():
 
 
 def test_an_interrupt_waits_until_the_kernel_has_returned():
-    """It was raised where numba, at the kernel's entry, runs Python for the law and does not look for exceptions."""
+    """It was raised where numba, at the kernel's entry, runs Python for the law and does not look
+    for exceptions.
+    """
     network = network_of(1)
     kernel, passed = network._run, []
 
@@ -229,7 +233,9 @@ def test_an_interrupt_waits_until_the_kernel_has_returned():
 
 
 def collision(closely):
-    """What is on the wire when two stations begin the same frame with other data in one bit, and the network."""
+    """What is on the wire when two stations begin the same frame with other data in one bit, and
+    the network.
+    """
     carried = []
     network = network_of(2, on_frames=lambda frames: carried.extend(frames.tolist()))
     if closely:

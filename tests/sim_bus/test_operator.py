@@ -66,7 +66,9 @@ def test_a_csv_file_is_a_schedule(tmp_path):
 
 
 def test_a_schedule_that_is_left_fades_without_a_jump():
-    """The hand's stiffness flung the freed handle back to 0: its torque had dropped from 10 Nm to nothing at once."""
+    """The hand's stiffness flung the freed handle back to 0: its torque had dropped from 10 Nm to
+    nothing at once.
+    """
     operator = Operator(load_rig("bench").one_axis(), "active")
     t = np.linspace(6.5, 6.5 + 2 * LET_GO_S, 4001)
     found = operator.torque_Nm(t, 0.0, 6.5) - operator.tremor_Nm(t)

@@ -1,4 +1,6 @@
-"""Clients that were not written here against our nodes on the real-time virtual bus: function, never speed."""
+"""Clients that were not written here against our nodes on the real-time virtual bus: function,
+never speed.
+"""
 
 from __future__ import annotations
 

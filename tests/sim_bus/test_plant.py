@@ -1,4 +1,7 @@
-"""The simulated rig's physics: energy, passivity, exact stiction, lags; each held against an independent computation."""
+"""The simulated rig's physics: energy, passivity, exact stiction, lags.
+
+Each held against an independent computation.
+"""
 
 from __future__ import annotations
 
@@ -193,7 +196,9 @@ def test_plain_python_gives_the_same_course():
 
 
 def test_lags_that_decay_reach_0_and_do_not_stay_at_a_subnormal_number():
-    """Hours at rest would be computed with subnormal numbers otherwise, which processors are slow with."""
+    """Hours at rest would be computed with subnormal numbers otherwise, which processors are slow
+    with.
+    """
     plant, _, rig = run(
         ("plant.motor_lag_s=0.001", "plant.brake_coil_lag_s=0.001", "plant.brake_fluid_lag_s=0.001"),
         2.0,

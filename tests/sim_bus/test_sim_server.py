@@ -1,4 +1,6 @@
-"""The bus in real time: what it does for its clients, never how fast (but never faster than its bit rate)."""
+"""The bus in real time: what it does for its clients, never how fast (but never faster than its bit
+rate).
+"""
 
 from __future__ import annotations
 
@@ -448,7 +450,9 @@ def test_the_command_ends_by_itself():
 
 
 def test_with_few_descriptors_it_sleeps_all_the_same_and_turns_clients_away():
-    """ppoll refused 35 entries at once, every time, and a client that could not be accepted woke the loop for ever: 95 % at SCHED_FIFO."""
+    """ppoll refused 35 entries at once, every time, and a client that could not be accepted woke
+    the loop for ever: 95 % at SCHED_FIFO.
+    """
     few = 16
     process, _ = start_command(
         *("--priority", "0"), preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_NOFILE, (few, few))

@@ -1,4 +1,6 @@
-"""Devices of any maker on the virtual rig: each shows and takes the plant's quantities by the rig file's roles."""
+"""Devices of any maker on the virtual rig: each shows and takes the plant's quantities by the rig
+file's roles.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""`coulombus analyse`: the machine-readable contract, the verbs, what is refused; figures are the same bytes twice."""
+"""`coulombus analyse`: the machine-readable contract, the verbs, what is refused.
+
+Figures are the same bytes twice.
+"""
 
 from __future__ import annotations
 

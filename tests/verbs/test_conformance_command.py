@@ -1,4 +1,6 @@
-"""`coulombus conformance`: its files, its JSON, its exit statuses, its refusals; a real socket where that matters."""
+"""`coulombus conformance`: its files, its JSON, its exit statuses, its refusals; a real socket
+where that matters.
+"""
 
 from __future__ import annotations
 

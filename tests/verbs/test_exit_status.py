@@ -1,4 +1,6 @@
-"""One table of exit statuses: every verb ends with the same one for the same mistake, and says what is wrong without a traceback."""
+"""One table of exit statuses: every verb ends with the same one for the same mistake, and says what
+is wrong without a traceback.
+"""
 
 from __future__ import annotations
 
@@ -422,7 +424,9 @@ def test_several_buses_pass_their_options_on(monkeypatch):
 
 @pytest.mark.parametrize("error", [BrokenPipeError(), OSError(errno.ENOSPC, "No space left on device")])
 def test_buses_are_served_on_whoever_reads_their_lines(monkeypatch, error):
-    """The thread that passed the lines on died of the first one, and its bus stood still when the pipe was full."""
+    """The thread that passed the lines on died of the first one, and its bus stood still when the
+    pipe was full.
+    """
 
     def refused(line):
         raise error

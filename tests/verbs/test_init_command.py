@@ -1,4 +1,6 @@
-"""`coulombus init`: a rig file on stdout or in a new file, from EDS files or from a live bus; a rehearsal's file and the real bus."""
+"""`coulombus init`: a rig file on stdout or in a new file, from EDS files or from a live bus; a
+rehearsal's file and the real bus.
+"""
 
 from __future__ import annotations
 

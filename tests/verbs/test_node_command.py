@@ -66,7 +66,9 @@ def upload(bus, node_id, index, subindex=0):
 
 
 def test_two_nodes_share_a_bus_and_canopen_talks_to_them():
-    """The first command serves the bus, the second joins; a third with an id that is taken is told of."""
+    """The first command serves the bus, the second joins; a third with an id that is taken is told
+    of.
+    """
     first, ready = start(MOTOR, "--node-id", 5, "--bus", "coulombus:desk", "--bitrate", 500_000)
     try:
         assert ready["event"] == "ready"
@@ -219,7 +221,10 @@ def test_mistakes_are_told(tmp_path):
 @pytest.mark.skipif(not CORPUS.is_dir(), reason="the vendors' EDS files are not here")
 @pytest.mark.parametrize("path", sorted(CORPUS.glob("**/*.eds")) if CORPUS.is_dir() else [], ids=lambda path: path.name)
 def test_every_object_of_a_vendors_file_is_served(path):
-    """Every SDO read is answered; what has another length than its type says would be an error of ours."""
+    """Every SDO read is answered.
+
+    What has another length than its type says would be an error of ours.
+    """
     network = VirtualNetwork(20_000_000, capacity=1)
     device, refusal = None, ""
     try:

@@ -1,4 +1,6 @@
-"""Who reads the standard output, or whether it takes anything, does not decide what a verb comes to: each with a reader gone, closed, full."""
+"""Who reads the standard output, or whether it takes anything, does not decide what a verb comes
+to: each with a reader gone, closed, full.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +47,9 @@ ENDS = {
 
 @pytest.fixture
 def call(tmp_path, private_sockets):
-    """Return a function that runs a verb with a standard output of some kind, and returns its status and its stderr."""
+    """Return a function that runs a verb with a standard output of some kind, and returns its
+    status and its stderr.
+    """
     with PcapngWriter(tmp_path / "recording.pcapng", attachments={}) as writer:
         writer.write(new_records(FRAME, 3))
     (tmp_path / "other").write_text("no EDS file\n")
