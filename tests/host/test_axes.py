@@ -116,7 +116,7 @@ def test_a_mistake_is_told_with_the_line_of_the_axis():
 def test_a_mistake_of_an_override_is_told_with_the_override_that_counts():
     overrides = ("axis.left.motor.heartbeat_s=0.03", "motor.heartbeat_s=0.04")
     left, right = load_rig("two_axes", overrides).axes
-    place = "--set axis.left.motor.heartbeat_s=0.03: axis.left.motor.heartbeat_s: '0.03'"
+    place = "--set axis.left.motor.heartbeat_s=0.03: axis.left.motor.heartbeat_s: got '0.03'"
     assert str(left.mistake("motor.heartbeat_s", "another")).startswith(place)
     assert str(right.mistake("motor.heartbeat_s", "another")).startswith(
         "--set motor.heartbeat_s=0.04: motor.heartbeat_s"

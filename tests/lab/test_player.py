@@ -171,9 +171,9 @@ def test_onto_a_bus(bus, file):
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
-        (["--only-host"], [0x080, 0x201, 0x77F, 0x080]),
-        (["--node", "1"], [0x181, RTR | 0x701]),
-        (["--node", "1", "--node", "2"], [0x181, 0x182, RTR | 0x701]),
+        (["--only-host"], [0x080, 0x201, 0x77F, RTR | 0x701, 0x080]),
+        (["--node", "1"], [0x181]),
+        (["--node", "1", "--node", "2"], [0x181, 0x182]),
         (["--from-s", "0.0012", "--to-s", "0.0016"], [0x181, 0x182, 0x201]),
         (["--ids", "180-1FF,00012345"], [0x181, 0x182, EFF | 0x12345]),
         (["--ids", "181", "--loop", "2"], [0x181, 0x181]),
