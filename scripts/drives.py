@@ -21,13 +21,13 @@ from typing import Any, NamedTuple
 
 from click.testing import CliRunner
 
+from coulombus.eds.cia402 import OPERATION_MODE_CST, OPERATION_MODE_PROFILE_TORQUE
 from coulombus.rigs.pdo_maps import mode_of
 from coulombus.rigs.rig import load_rig
 from coulombus.verbs.main import main as coulombus
 
 PAGE = Path(__file__).parents[1] / "docs" / "drives.md"
 SECONDS = "2"
-CST, PROFILE_TORQUE = 10, 4
 MODES = {"drive": ("hybrid", "active"), "brake": ("hybrid", "passive")}
 
 
@@ -60,9 +60,9 @@ def _class(rig_file: str) -> str:
     """
     axis = load_rig(rig_file).one_axis()
     mode = mode_of(axis.motor, axis.description("motor"))
-    if mode not in (CST, PROFILE_TORQUE):
+    if mode not in (OPERATION_MODE_CST, OPERATION_MODE_PROFILE_TORQUE):
         return "D"
-    if mode == PROFILE_TORQUE:
+    if mode == OPERATION_MODE_PROFILE_TORQUE:
         return "C"
     return "B" if any(pdo.fixed and pdo.device == "motor" for pdo in axis.pdos()) else "A"
 

@@ -90,7 +90,7 @@ class _Findings:
             for mode in axis.mode:
                 controller = Controller(axis, mode)
                 self.limits[axis.prefix + mode] = controller.drive_limit_pm()
-                made = device_plans(axis, mode, controller.drive_limit_pm())
+                made = device_plans(controller)
                 self.by_mode.setdefault(mode, []).extend(made)
                 devices += made
         self.problems = _once(one for device in devices for one in device.problems)  # each mode has its own limit

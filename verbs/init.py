@@ -124,9 +124,9 @@ def _acknowledgements(rig: Rig) -> Iterator[str]:
     for axis in rig.axes:
         for mode in axis.mode:
             try:
-                limit_pm = int(Controller(axis, mode).control["motor_limit_pm"][0])
+                controller = Controller(axis, mode)
             except RigError:  # of this mode; `check` tells
                 continue
-            for plan in device_plans(axis, mode, limit_pm):
+            for plan in device_plans(controller):
                 for problem in plan.problems:
                     yield from ACKNOWLEDGEMENT.findall(str(problem))

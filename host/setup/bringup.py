@@ -222,11 +222,7 @@ def plans_of(controllers: Controllers) -> tuple[DevicePlan, ...]:
     """Return what bring-up does to each device of all axes: drive, brake and sensors of the first,
     of the second ...
     """
-    return tuple(
-        plan
-        for controller in controllers
-        for plan in device_plans(controller.axis, controllers.mode, controller.drive_limit_pm())
-    )
+    return tuple(plan for controller in controllers for plan in device_plans(controller))
 
 
 def bring_up(controllers: Controllers, plane: ControlPlane) -> tuple[str, ...]:

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from coulombus.eds.cia402 import OPERATION_MODE_CST, OPERATION_MODE_PROFILE_TORQUE
 from coulombus.eds.own_devices import MANUFACTURER, is_own, told_identity
 from coulombus.eds.reader import Description, Variable
+from coulombus.host.cycle.controller import Controller
 from coulombus.host.setup.reactions import NO_REACTION, Reaction, reactions_of
 from coulombus.host.setup.settings import Setting, settings_of, torque_limits
 from coulombus.rigs.axis import Axis
@@ -68,14 +69,10 @@ class DevicePlan:
         return self.description.has(0x1018, subindex)
 
 
-def device_plans(axis: Axis, mode: str, limit_pm: int) -> tuple[DevicePlan, ...]:
-    """Return the plans of the devices of one axis: drive, brake, sensors.
-
-    Parameters
-    ----------
-    limit_pm : the drive's torque limit in this mode [per mille of the rated torque]
-    """
-    plans = [_Planner(axis, node, mode, limit_pm).plan() for node in axis.devices]
+def device_plans(controller: Controller) -> tuple[DevicePlan, ...]:
+    """Return the plans of the devices of one axis in the controller's mode: drive, brake, sensors."""
+    axis, limit_pm = controller.axis, controller.drive_limit_pm()
+    plans = [_Planner(axis, node, controller.mode, limit_pm).plan() for node in axis.devices]
     of_roles = tuple(f"{axis.prefix}{text}" if axis.prefix else text for text in axis.allocation.losses)
     plans[0] = replace(plans[0], losses=(*of_roles, *plans[0].losses))
     return tuple(plans)

@@ -27,6 +27,7 @@ from coulombus.rigs.rig import RigError, load_rig_text
 from coulombus.sim_bus.network.virtual_rig import BOOT_NS, VirtualRig
 from coulombus.verbs.main import main
 from coulombus.wire.frame import CAN_RTR_FLAG, data_bytes
+from eds_edit import edit, gone
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 CORPUS = ROOT.parent / "shared" / "eds-corpus"
@@ -34,25 +35,6 @@ MOTOR, BRAKE = ((ROOT / "eds" / name).read_text() for name in ("motor.eds", "mr_
 BENCH = (ROOT / "rigs" / "bench.toml").read_text()
 OURS, FOREIGN = 0x402, 0x1234
 U8, I8, U16, I16, I32, U32, REAL32, TEXT = "0x5", "0x2", "0x6", "0x3", "0x4", "0x7", "0x8", "0x9"
-
-
-def edit(text, section, **keys):
-    """Set keys of a section of an EDS file; None takes the section out."""
-    head, mark, rest = text.partition(f"[{section}]\n")
-    assert mark, section
-    body, gap, tail = rest.partition("\n\n")
-    if keys.pop("gone", False):
-        return head + tail
-    for key, value in keys.items():
-        line = f"{key}={value}"
-        body = re.sub(f"(?m)^{key}=.*$", line, body) if re.search(f"(?m)^{key}=", body) else f"{body}\n{line}"
-    return head + mark + body + gap + tail
-
-
-def gone(text, *sections):
-    for section in sections:
-        text = edit(text, section, gone=True)
-    return text
 
 
 def identified(text, vendor=FOREIGN, product=FOREIGN):

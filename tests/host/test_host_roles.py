@@ -16,6 +16,7 @@ from coulombus.host.cycle.step import begin, brake_raw
 from coulombus.host.cycle.watch import measure
 from coulombus.rigs.rig import RigError, load_rig_text
 from coulombus.wire.frame import CAN_RTR_FLAG
+from eds_edit import SENSOR
 from host_bench import MS, HostBench
 
 ROOT = Path(__file__).resolve().parent.parent.parent
@@ -153,19 +154,6 @@ def test_the_brake_stays_enabled_while_it_is_ramped_off_and_is_disabled_then():
 
 
 # further nodes
-
-SENSOR = """
-[sensor.cell]
-node_id = 3
-eds = "cell.eds"
-vendor_id = 0x4C0
-product_code = 0x404
-heartbeat_s = 0.05
-heartbeat_timeout_s = 0.15
-
-[role.handle_torque]
-node = "cell"
-"""
 
 
 def sensor_bench(*overrides):

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from coulombus.rigs.rig import RigError, load_rig_text
-from eds_edit import edit, fixed, gone, mapped
+from eds_edit import SENSOR, edit, fixed, gone, mapped
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 BENCH = (ROOT / "rigs" / "bench.toml").read_text(encoding="utf-8")
@@ -123,19 +123,6 @@ def test_an_object_has_one_role():
 
 
 # sensors
-
-SENSOR = """
-[sensor.cell]
-node_id = 3
-eds = "cell.eds"
-vendor_id = 0x4C0
-product_code = 0x404
-heartbeat_s = 0.05
-heartbeat_timeout_s = 0.15
-
-[role.handle_torque]
-node = "cell"
-"""
 
 
 def test_a_sensor_has_a_node_of_its_own_and_the_role_keeps_its_name():

@@ -9,14 +9,12 @@ import math
 import numpy as np
 import pytest
 
-from coulombus.host.cycle.controllers import Controllers
 from coulombus.node.brake404 import BRAKE404
 from coulombus.node.drive402 import DRIVE402
 from coulombus.node.io401 import IO401, IO404
 from coulombus.node.kinds import GENERIC, PROFILES
 from coulombus.rigs.rig import load_rig_text
 from coulombus.sim_bus.faults.injection import stations_of
-from coulombus.sim_bus.network import virtual_rig
 from coulombus.sim_bus.network.kernel import AXIS
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
 from coulombus.sim_bus.rig.coupling import BrakeOutput, Quantity, brake_torque, show
@@ -43,15 +41,6 @@ def role(name, **keys):
         f"{key} = {value if isinstance(value, (int, float, list)) else repr(value)}" for key, value in keys.items()
     )
     return f"\n[role.{name}]\n" + "\n".join(lines) + "\n"
-
-
-@pytest.fixture(autouse=True)
-def host_of_the_bench(monkeypatch):
-    """No host runs here; what stands for it is the bench's."""
-    bench = load_rig_text(BENCH, "r.toml", {"motor.eds": MOTOR, "mr_brake.eds": BRAKE})
-    monkeypatch.setattr(
-        virtual_rig, "Controllers", lambda rig, mode: Controllers(bench if len(rig.axes) == 1 else rig, mode)
-    )
 
 
 def world_of(motor=MOTOR, brake=BRAKE, *overrides, text="", **others):

@@ -1,8 +1,24 @@
-"""Edits of an EDS file's text: keys, sections that go, maps that are read-only or another."""
+"""Edits of an EDS file's text: keys, sections that go, maps that are read-only or another; and a
+rig file's sensor.
+"""
 
 from __future__ import annotations
 
 import re
+
+SENSOR = """
+[sensor.cell]
+node_id = 3
+eds = "cell.eds"
+vendor_id = 0x4C0
+product_code = 0x404
+heartbeat_s = 0.05
+heartbeat_timeout_s = 0.15
+
+[role.handle_torque]
+node = "cell"
+"""
+"""The handle torque on a device of its own, for the end of a rig file."""
 
 
 def edit(text, section, **keys):
