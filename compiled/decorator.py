@@ -50,10 +50,13 @@ from numba.extending import intrinsic  # noqa: E402
 from numba.np.arrayobj import make_array  # noqa: E402
 
 from coulombus.compiled.kernel_files import KernelCache, keep_interrupts  # noqa: E402
+from coulombus.compiled.record_pointer import read_by_address  # noqa: E402
 
 numba.config.CACHE_DIR = str(CACHE_DIR or "")
 keep_interrupts()
 JIT_DISABLED = bool(numba.config.DISABLE_JIT)
+if not JIT_DISABLED:
+    read_by_address()
 
 
 class _Compilations(event.Listener):  # type: ignore[misc]

@@ -16,12 +16,17 @@ import sys
 from functools import cache
 from pathlib import Path
 
+import numpy as np
+
 __all__ = ["KERNEL_PACKAGES", "ROOT", "ours", "source_key", "stamp"]
 
 KERNEL_PACKAGES = ("compiled", "wire", "eds", "rigs", "recording", "node", "host", "sim_bus", "lab", "analysis")
 
 ROOT = Path(__file__).resolve().parent.parent
 """The folder of the packages."""
+
+_VERSIONS = f"{sys.version}, NumPy {np.__version__}".encode()
+"""Where a record's address stands is NumPy's own (`compiled.record_pointer`)."""
 
 _NAME = "coulombus"
 _FROM = re.compile(rf"^[ \t]*from[ \t]+{_NAME}([\w.]*)[ \t]+import[ \t]+(\([^)]*\)|[^\n]*)", re.MULTILINE)
@@ -30,10 +35,10 @@ _WORD = re.compile(r"\w+")
 
 
 def source_key(root: Path) -> str:
-    """Hash of all Python sources under `root` that may hold or feed a kernel, with the
-    interpreter's version.
+    """Hash of all Python sources under `root` that may hold or feed a kernel, with
+    the versions of interpreter and NumPy.
     """
-    digest = hashlib.sha256(sys.version.encode())
+    digest = hashlib.sha256(_VERSIONS)
     for package in KERNEL_PACKAGES:
         folder = root / package
         for path in sorted(folder.rglob("*.py")):
@@ -49,10 +54,10 @@ def ours(file: str) -> bool:
 
 @cache
 def stamp(file: str, root: Path = ROOT) -> str:
-    """Hash of the source `file` and of all that it imports from the packages under `root`, with the
-    interpreter's version.
+    """Hash of the source `file` and of all that it imports from the packages under `root`, with
+    the versions of interpreter and NumPy.
     """
-    digest = hashlib.sha256(sys.version.encode())
+    digest = hashlib.sha256(_VERSIONS)
     for one in sorted(_closure(Path(file).resolve(), root)):
         digest.update(str(one.relative_to(root)).encode() + b"\0" + _hash(one))
     return digest.hexdigest()

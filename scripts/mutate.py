@@ -49,14 +49,16 @@ class Target:
 
 
 TARGETS = {
-    "host/cycle/watch.py": Target(("test_host_watches", "test_host_cycle")),
-    "host/cycle/step.py": Target(("test_host_cycle",)),
-    "host/cycle/phases.py": Target(("test_host_phases", "test_host_mirrored", "test_host_cycle", "test_transitions")),
+    "host/cycle/watch.py": Target(("test_host_watches", "test_host_cycle", "test_host_roles")),
+    "host/cycle/step.py": Target(("test_host_cycle", "test_host_roles")),
+    "host/cycle/phases.py": Target(
+        ("test_host_phases", "test_host_mirrored", "test_host_cycle", "test_transitions", "test_host_roles")
+    ),
     "host/cycle/axes.py": Target(("test_host_axes",)),
     "eds/description.py": Target(("test_eds_reader",), ("Variable.admits", "Variable.largest")),
     "host/laws/laws.py": Target(("test_law_edges",), ("karnopp", "coulomb")),
     "host/cycle/controller.py": Target(
-        ("test_host_control",),
+        ("test_host_control", "test_host_roles"),
         ("_cycles", "Controller._new_control", "Controller.motor_limit_pm", "Controller.start", "Controller.stop"),
     ),
     "node/deadlines.py": Target(("test_node_watch_edges",)),

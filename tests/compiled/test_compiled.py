@@ -48,7 +48,7 @@ def test_an_edited_callee_in_another_file_is_compiled_anew(tmp_path):
         (tmp_path / package).mkdir()
         (tmp_path / package / "__init__.py").touch()
     rooms = tmp_path / "coulombus"
-    for name in ("decorator.py", "kernel_cache.py", "kernel_files.py", "notice.py", "sources.py"):
+    for name in ("decorator.py", "kernel_cache.py", "kernel_files.py", "notice.py", "record_pointer.py", "sources.py"):
         (rooms / "compiled" / name).write_text((ROOT / "compiled" / name).read_text())
     (rooms / "host" / "caller.py").write_text(CALLER)
     call = "from coulombus.host.caller import caller; print(caller(1), sum(caller.stats.cache_hits.values()))"

@@ -6,9 +6,9 @@ from __future__ import annotations
 
 import pytest
 
-from coulombus.eds.cia402 import VOLTAGE_ENABLED
-from coulombus.host.cycle.records import Image, Trip
-from coulombus.host.cycle.watch import measure, watch_devices, watch_motion
+from coulombus.eds.cia402 import STATUSWORD, VOLTAGE_ENABLED, PowerState
+from coulombus.host.cycle.records import Image, Phase, Trip
+from coulombus.host.cycle.watch import measure, watch, watch_devices, watch_motion
 from host_bench import MS, HostBench
 
 BOTH = pytest.mark.parametrize("sign", [1, -1])
@@ -126,6 +126,38 @@ def test_the_position_is_followed_across_the_wrap_of_32_bits(sign):
     assert measure(bench.c, h) == Trip.NONE
     assert h.counts == 37 + sign * 7
     assert h.v_counts == sign * 7
+
+
+@BOTH
+def test_a_position_of_16_bits_is_followed_across_its_wrap(sign):
+    bench = positioned(2**15 - 3 if sign > 0 else -(2**15) + 3)
+    bench.c.position_half = 2**15
+    bench.h.image[Image.POSITION] = -sign * (2**15 - 4)
+    assert measure(bench.c, bench.h) == Trip.NONE
+    assert (bench.h.counts, bench.h.v_counts) == (37 + sign * 7, sign * 7)
+
+
+@BOTH
+def test_the_handle_torque_has_its_offset(sign):
+    bench = binary(handle_offset_Nm=sign * 0.25)
+    bench.h.image[Image.HANDLE_TORQUE] = 64
+    measure(bench.c, bench.h)
+    assert bench.h.handle_Nm == 0.5 + sign * 0.25
+
+
+@pytest.mark.parametrize("state", PowerState)
+@pytest.mark.parametrize("other_bits", [0, 0xFF80])
+def test_a_brake_that_is_a_drive_has_a_state_of_its_own(state, other_bits):
+    bench = positioned()
+    c, h = bench.c, bench.h
+    h.image[Image.STATUSWORD] = STATUSWORD[PowerState.SWITCHED_ON]
+    h.image[Image.BRAKE_STATUSWORD] = int(STATUSWORD[state]) & 0x7F | other_bits
+    c.brake_is_drive = 1
+    measure(c, h)
+    assert (h.drive, h.brake_drive) == (PowerState.SWITCHED_ON, state)
+    c.brake_is_drive = 0
+    measure(c, h)
+    assert (h.drive, h.brake_drive) == (PowerState.SWITCHED_ON, PowerState.SWITCHED_ON)
 
 
 # motion
@@ -269,6 +301,33 @@ def test_a_hand_torque_that_does_not_fit_trips_when_it_lasts(sign, counts):
     assert [watch_motion(c, h) for _ in range(4)] == [Trip.NONE] * 3 + [Trip.HANDLE_TORQUE]
 
 
+@BOTH
+def test_without_a_measured_torque_the_commanded_one_works(sign):
+    bench = binary(net_work_J=1.0, torque_commanded=1.0, torque_Nm_raw=0.0)
+    bench.h.v_counts, bench.h.torque_Nm = sign * 32.0, sign * 2.0  # 1 J a cycle
+    assert watch_motion(bench.c, bench.h) == Trip.NONE
+    assert bench.h.work_sum == 1.0
+    bench.h.v_counts = sign * 0.5
+    assert watch_motion(bench.c, bench.h) == Trip.NET_WORK
+
+
+def test_without_a_measured_current_the_commanded_one_heats_the_coil():
+    bench = binary(coil_limit_A2=2.0, coil_A_raw=0.0, coil_A_Nm=0.5)
+    bench.h.brake_Nm = 4.0  # 2 A
+    bench.h.handle_Nm = 4.0
+    assert watch_motion(bench.c, bench.h) == Trip.NONE
+    assert bench.h.coil_A2 == 2.0
+    assert watch_motion(bench.c, bench.h) == Trip.COIL_I2T
+    assert bench.h.coil_A2 == 3.0
+
+
+def test_measured_and_commanded_current_add_up_with_their_signs():
+    bench = binary(coil_A_raw=0.5, coil_A_Nm=0.5)
+    bench.h.brake_Nm, bench.h.image[Image.COIL_CURRENT] = 4.0, 2
+    watch_motion(bench.c, bench.h)
+    assert bench.h.coil_A2 == 4.5
+
+
 # devices
 
 
@@ -291,6 +350,14 @@ def test_so_many_cycles_without_all_tpdos_trip():
     assert watch_devices(bench.c, bench.h, T0) == Trip.TPDO_LOST
 
 
+def test_one_tpdo_that_is_older_than_so_many_cycles_trips():
+    bench = healthy()
+    bench.h.oldest_tpdo = bench.c.missed_cycles
+    assert watch_devices(bench.c, bench.h, T0) == Trip.NONE
+    bench.h.oldest_tpdo += 1
+    assert watch_devices(bench.c, bench.h, T0) == Trip.TPDO_LOST
+
+
 @pytest.mark.parametrize("node", ["motor", "brake"])
 @pytest.mark.parametrize("timeout_ns", [1, 150 * MS])
 def test_a_heartbeat_that_is_older_than_its_time_trips(node, timeout_ns):
@@ -300,7 +367,9 @@ def test_a_heartbeat_that_is_older_than_its_time_trips(node, timeout_ns):
     heard = bench.h.heard_ns[k]
     assert watch_devices(bench.c, bench.h, heard + timeout_ns) == Trip.NONE
     bench.h.heard_ns[1 - k] = heard + timeout_ns
+    bench.h.doubtful = 7
     assert watch_devices(bench.c, bench.h, heard + timeout_ns + 1) == Trip[f"HEARTBEAT_{node.upper()}"]
+    assert bench.h.doubtful == k
     bench.c.heartbeat_timeout_ns[k] = 0  # 0: not watched
     assert watch_devices(bench.c, bench.h, heard + timeout_ns + 1) == Trip.NONE
 
@@ -327,3 +396,19 @@ def test_two_fresh_statuswords_without_voltage_trip():
     assert judged(low, fresh=0) == Trip.NONE
     assert judged(low) == Trip.VOLTAGE
     assert judged(word, fresh=0) == Trip.VOLTAGE  # an old word takes nothing back
+
+
+# all
+
+
+@pytest.mark.parametrize("motor", [True, False])
+@pytest.mark.parametrize("brake", [True, False])
+@pytest.mark.parametrize("phase", [Phase.ENABLE, Phase.ENABLE + 1, Phase.RUN, Phase.SAFE])
+def test_from_enabling_on_motor_and_brake_have_to_stay_enabled(motor, brake, phase):
+    bench = healthy()
+    h = bench.h
+    enabled, disabled = int(PowerState.OPERATION_ENABLED), int(PowerState.SWITCHED_ON)
+    h.drive, h.brake_drive = enabled if motor else disabled, enabled if brake else disabled
+    h.phase, h.deadman_ok = int(phase), 1
+    leaves = Phase.ENABLE < phase < Phase.SAFE and not (motor and brake)
+    assert watch(bench.c, h, Trip.NONE, T0) == (Trip.DRIVE_STATE if leaves else Trip.NONE)
