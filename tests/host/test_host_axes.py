@@ -161,7 +161,7 @@ def test_the_last_setpoints_disable_the_drives_and_bound_the_brakes():
     k = axes.k
     k.control["safe_brake_Nm"] = 1.0
     k.host["torque_Nm"], k.host["brake_Nm"] = (0.5, -0.5), (3.0, 0.2506)
-    k.host["image"][:, [Image.CONTROLWORD, Image.TARGET_TORQUE]] = 15
+    k.host["image"][:, [Image.CONTROLWORD, Image.TARGET_TORQUE, Image.BRAKE_CONTROLWORD]] = 15
     safe_setpoints(k.axes, 77, axes.out)
     assert axes.sent == [*setpoints(axes, 0), *setpoints(axes, 1), 0x80]
     rows = axes.out.frames[: axes.out["count"]]
@@ -174,6 +174,7 @@ def test_the_last_setpoints_disable_the_drives_and_bound_the_brakes():
     assert words[0x80] == 0
     assert k.host["torque_Nm"].tolist() == [0.0, 0.0]
     assert k.host["brake_Nm"].tolist() == [1.0, 0.2506]
+    assert k.host["image"][:, Image.BRAKE_CONTROLWORD].tolist() == [0, 0]  # of a brake that is a drive
 
 
 @pytest.mark.parametrize(

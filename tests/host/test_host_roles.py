@@ -11,12 +11,13 @@ import pytest
 
 from coulombus.eds.cia402 import PowerState
 from coulombus.host.cycle.controller import Controller
-from coulombus.host.cycle.records import Image, Phase, SignResult, Trip
+from coulombus.host.cycle.phases import disable, enable, still
+from coulombus.host.cycle.records import TABLE_POINTS, Image, Phase, SignResult, Trip
 from coulombus.host.cycle.step import begin, brake_raw
 from coulombus.host.cycle.watch import measure
 from coulombus.rigs.rig import RigError, load_rig_text
 from coulombus.wire.frame import CAN_RTR_FLAG
-from eds_edit import SENSOR
+from eds_edit import SENSOR, gone
 from host_bench import MS, HostBench
 
 ROOT = Path(__file__).resolve().parent.parent.parent
@@ -66,7 +67,8 @@ def test_a_position_of_16_bits_is_followed_across_its_wrap(sign):
 
 
 @pytest.mark.parametrize(
-    ("Nm", "raw"), [(0.0, 0), (0.25, 50), (0.5, 100), (1.0, 200), (1.5, 300), (3.25, 2150), (5.0, 4000), (7.0, 4000), (-1.0, 0)]
+    ("Nm", "raw"), [(0.0, 0), (0.25, 50), (0.5, 100), (1.0, 200), (1.5, 300), (3.25, 2150), (5.0, 4000), (7.0, 4000), (-1.0, 0),
+                    (0.249, 50), (0.251, 50), (1.499, 300)]
 )  # fmt: skip
 @pytest.mark.parametrize("sense", [1, -1])
 def test_a_table_is_interpolated_and_never_left(Nm, raw, sense):
@@ -75,6 +77,15 @@ def test_a_table_is_interpolated_and_never_left(Nm, raw, sense):
     bench = bench_of(f"\n[role.brake_setpoint]\ntable = {table}\n", brake=signed)
     bench.h.brake_Nm = Nm
     assert brake_raw(bench.c, bench.h) == sense * raw
+
+
+def test_a_table_may_have_as_many_points_as_there_is_room_for():
+    table = [[30 * k, k / 10] for k in range(TABLE_POINTS)]
+    bench = bench_of(f"\n[role.brake_setpoint]\ntable = {table}\n")
+    assert bench.c.brake_points == TABLE_POINTS
+    for k in (0, 1, TABLE_POINTS - 1, TABLE_POINTS, 2 * TABLE_POINTS):
+        bench.h.brake_Nm = k / 10
+        assert brake_raw(bench.c, bench.h) == 30 * min(k, TABLE_POINTS - 1)
 
 
 def test_a_stronger_brake_has_never_a_smaller_set_point():
@@ -126,6 +137,39 @@ def test_a_brake_that_is_not_switched_on_lets_nothing_be_enabled():
         bench.cycle()
         assert bench.state != PowerState.OPERATION_ENABLED
     assert bench.k.trip.startswith("ENABLE_TIMEOUT")
+
+
+@pytest.mark.parametrize("motor", [True, False])
+@pytest.mark.parametrize("brake", [True, False])
+def test_nothing_is_enabled_before_both_are_switched_on(motor, brake):
+    bench = drive_bench().enter(Phase.STILL)
+    h = bench.h
+    h.still, h.deadman_ok, h.fresh = bench.c.still_cycles, 1, 1
+    ready, other = int(PowerState.SWITCHED_ON), int(PowerState.READY_TO_SWITCH_ON)
+    h.drive, h.brake_drive = ready if motor else other, ready if brake else other
+    assert still(bench.c, h)[1] == (Phase.ENABLE if motor and brake else Phase.STILL)
+
+
+@pytest.mark.parametrize("motor", [True, False])
+@pytest.mark.parametrize("brake", [True, False])
+def test_the_sign_check_waits_until_both_are_enabled(motor, brake):
+    bench = drive_bench().enter(Phase.ENABLE)
+    h = bench.h
+    ready, other = int(PowerState.OPERATION_ENABLED), int(PowerState.SWITCHED_ON)
+    h.drive, h.brake_drive = ready if motor else other, ready if brake else other
+    assert enable(bench.c, h, 123)[1] == (Phase.SIGN if motor and brake else Phase.ENABLE)
+    assert h.enabled_ns == (123 if motor and brake else -1)
+
+
+OFF = (PowerState.SWITCH_ON_DISABLED, PowerState.FAULT)
+
+
+@pytest.mark.parametrize("motor", [*OFF, PowerState.OPERATION_ENABLED])
+@pytest.mark.parametrize("brake", [*OFF, PowerState.OPERATION_ENABLED])
+def test_the_end_is_there_when_both_are_disabled(motor, brake):
+    bench = drive_bench().enter(Phase.DISABLE)
+    bench.h.drive, bench.h.brake_drive = int(motor), int(brake)
+    assert disable(bench.h)[1] == (Phase.DONE if motor in OFF and brake in OFF else Phase.DISABLE)
 
 
 @pytest.mark.parametrize("state", [PowerState.FAULT, PowerState.SWITCH_ON_DISABLED, PowerState.QUICK_STOP_ACTIVE])
@@ -233,6 +277,34 @@ def test_a_tpdo_that_came_after_the_end_of_the_cycle_counts_for_the_next():
     assert bench.h.counts - before == 7
 
 
+def test_a_position_by_timer_is_fresh_once_and_ages_then():
+    bench = running(bench_of(motor=BY_TIMER))
+    ages = []
+    for silent in (set(), {"motor"}, {"motor"}, set()):
+        bench.silent = silent
+        bench.cycle()
+        ages.append((int(bench.h.fresh), int(bench.h.position_age), int(bench.h.oldest_tpdo)))
+    assert ages == [(1, 0, 1), (0, 1, 2), (0, 2, 3), (1, 0, 1)]
+
+
+def test_the_oldest_tpdo_is_the_oldest_of_those_by_timer_alone():
+    bench = HostBench()
+    assert bench.c.tpdos == 2
+    for by_timer, oldest in ((0b00, 0), (0b01, 8), (0b10, 5), (0b11, 8)):
+        bench.c.by_timer = by_timer
+        bench.h.tpdo_age[0], bench.h.tpdo_age[1] = 7, 4
+        bench.finish()
+        assert bench.h.oldest_tpdo == oldest
+        assert [int(age) for age in bench.h.tpdo_age[:2]] == [7 + (by_timer & 1), 4 + (by_timer >> 1)]
+
+
+def test_a_heartbeat_of_a_stranger_changes_nothing():
+    bench = running(bench_of())
+    before = list(bench.h.nmt), list(bench.h.heard_ns)
+    assert bench.frame(0x77F, 1, 4) == 2
+    assert (list(bench.h.nmt), list(bench.h.heard_ns)) == before
+
+
 def test_with_no_tpdo_in_each_cycle_the_wait_ends_with_all_or_with_the_window():
     by_timer = edit(BRAKE, "1800sub2", AccessType="ro", DefaultValue=254)
     bench = bench_of(motor=BY_TIMER, brake=by_timer)
@@ -287,11 +359,27 @@ def test_nodes_are_guarded_by_remote_frames():
     for k in range(50):
         bench.out["count"] = 0
         begin(bench.axis, k * MS, bench.out)
-        sent += [(t, i, n) for t, i, n, _ in bench.frames() if i & CAN_RTR_FLAG]
-    assert sent == [(t * MS, CAN_RTR_FLAG | 0x702, 1) for t in (0, 20, 40)]
+        sent += [frame for frame in bench.frames() if frame[1] & CAN_RTR_FLAG]
+    assert sent == [(t * MS, CAN_RTR_FLAG | 0x702, 1, 0) for t in (0, 20, 40)]
     bench.h.nmt[1], bench.h.heard_ns[1], bench.t_ns = 127, 0, 60 * MS
     assert bench.frame(0x702, 1, 0x85) == 2  # its toggle bit is no part of the state
     assert (bench.h.nmt[1], bench.h.heard_ns[1]) == (5, 60 * MS)
+
+
+SLOW = ("motor.heartbeat_timeout_s=4.003", "brake.heartbeat_timeout_s=4.003")
+
+
+@pytest.mark.parametrize(("motor", "brake", "guarded"), [(True, False, 0b01), (False, True, 0b10), (True, True, 0b11)])
+def test_the_nodes_that_do_not_watch_the_host_s_heartbeat_are_guarded_at_its_pace(motor, brake, guarded):
+    texts = {"motor": gone(MOTOR, *["1016sub1"] * motor), "brake": gone(BRAKE, *["1016sub1"] * brake)}
+    c = bench_of("", "host.heartbeat_s=1.001", *SLOW, **texts).c
+    assert (c.guarded, c.guard_ns) == (guarded, 1_001_000_000)
+    assert list(c.heartbeat_timeout_ns[:2]) == [4003 * MS] * 2
+
+
+def test_a_node_that_neither_beats_nor_is_guarded_is_not_watched_for_it():
+    c = bench_of(motor=gone(MOTOR, "1017", "100C"), brake=gone(BRAKE, "1017", "100D")).c
+    assert (c.guarded, c.guard_ns, list(c.heartbeat_timeout_ns[:2])) == (0, 0, [0, 0])
 
 
 def test_what_a_fixed_rpdo_carries_besides_is_sent_with_its_constant():
