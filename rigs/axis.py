@@ -132,6 +132,12 @@ class Axis(Sections):
         """Return the axis with another origin."""
         return Axis.of(self, self.name, dict(zip(self.devices, self.descriptions, strict=True)), origin)
 
+    def without(self, *roles: str) -> Axis:
+        """Return the axis as it were if the rig file took these roles out (object = "none")."""
+        said = self.role.model_dump(exclude_none=True) | {role: {"object": "none"} for role in roles}
+        lean = self.model_copy(update={"role": Roles.model_validate(said)})
+        return Axis.of(lean, self.name, dict(zip(self.devices, self.descriptions, strict=True)), self.origin)
+
     @property
     def prefix(self) -> str:
         """What stands before the names of the axis' nodes and signals: "" or "NAME."."""

@@ -23,11 +23,12 @@ from coulombus.verbs.common import (
 )
 
 if TYPE_CHECKING:
+    from coulombus.rigs.plan.by_role import Change
     from coulombus.rigs.plan.response_times import Response
     from coulombus.rigs.plan.rig_plan import Plan
     from coulombus.rigs.rig import Rig
 
-__all__ = ["as_dict", "message_rows", "plan_command"]
+__all__ = ["as_dict", "message_rows", "plan_command", "role_rows"]
 
 WIDTH = 110
 """Of the table in a file or a pipe."""
@@ -35,6 +36,7 @@ WIDTH = 110
 
 def as_dict(plan: Plan, rig: Rig) -> dict[str, Any]:
     """Return the plan as it is printed with --json; times in us, the highest priority first."""
+    from coulombus.rigs.plan.by_role import longer_period, without_roles
     from coulombus.rigs.plan.rig_plan import bitrates_that_fit, largest_axes, shortest_period_ns
 
     shortest = shortest_period_ns(rig, plan)
@@ -67,9 +69,41 @@ def as_dict(plan: Plan, rig: Rig) -> dict[str, Any]:
             "bitrates": list(bitrates_that_fit(rig, plan)),
             "shortest_period_us": None if shortest is None else shortest / 1e3,
             "axes": largest_axes(rig, plan),
+            "period": None if plan.fits else _change(longer_period(rig, plan)),
+            "without": None if plan.fits else _change(without_roles(rig, plan)),
         },
+        "roles": role_rows(plan, rig),
         "messages": message_rows(plan),
     }
+
+
+def _change(change: Change | None) -> dict[str, Any] | None:
+    if change is None:
+        return None
+    return {
+        "period_us": change.period_ns / 1e3,
+        "set": list(change.overrides),
+        "roles": list(change.roles),
+        "lost": list(change.lost),
+    }
+
+
+def role_rows(plan: Plan, rig: Rig) -> list[dict[str, Any]]:
+    """Return a row for each entry of the rig's PDOs: its role and what it costs each cycle [us]."""
+    from coulombus.rigs.plan.by_role import role_costs
+
+    return [
+        {
+            "role": cost.role,
+            "node": cost.node,
+            "object": cost.place,
+            "pdo": cost.pdo,
+            "bits": cost.bits,
+            "wire_us": cost.wire_ns / 1e3,
+            "saved_us": None if cost.saved_ns is None else cost.saved_ns / 1e3,
+        }
+        for cost in role_costs(rig, plan.timing.bitrate_bit_s)
+    ]
 
 
 def message_rows(plan: Plan) -> list[dict[str, Any]]:
@@ -111,6 +145,7 @@ def _print(found: dict[str, Any]) -> None:
         cells += [f"{row['response_us']:.0f}" if row["bounded"] else "no bound", f"{row['deadline_us']:.0f}"]
         table.add_row(*cells, "[green]ok[/]" if row["fits"] else "[red]LATE[/]")
     table_console(WIDTH).print(table)
+    _print_roles(found["roles"])
     cycle, would = found["cycle"], found["would_fit"]
     more = cycle["latest_rpdo_with_us"]
     rates = ", ".join(f"{rate // 1000}" for rate in would["bitrates"]) or "none of CiA 301's"
@@ -129,7 +164,42 @@ def _print(found: dict[str, Any]) -> None:
     click.echo("\n" + "\n".join(lines))
     for reason in found["reasons"]:
         click.echo(f"  {reason}")
+    if not found["fits"]:
+        _print_changes(would)
     click.echo("ok: the plan fits" if found["fits"] else "FAIL: the plan does not fit")
+
+
+def _print_roles(rows: list[dict[str, Any]]) -> None:
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, header_style="bold", padding=(0, 2, 0, 0))
+    for heading in ("role", "node", "object", "PDO"):
+        table.add_column(heading, no_wrap=True)
+    for heading in ("bits", "wire", "saved"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for row in rows:
+        saved = "needed" if row["saved_us"] is None else f"{row['saved_us']:.1f}"
+        name = row["role"] or "(not used)"
+        cells = (name, row["node"], row["object"], row["pdo"], str(row["bits"]), f"{row['wire_us']:.1f}")
+        table.add_row(*cells, saved if row["role"] else "")
+    click.echo()
+    table_console(WIDTH).print(table)
+
+
+def _print_changes(would: dict[str, Any]) -> None:
+    """Tell what to change so that the plan fits: the period, or the roles."""
+    period, without = would["period"], would["without"]
+    if period is not None:
+        click.echo(f"a period of {period['period_us']:g} us fits:")
+        click.echo(f"  --set {' --set '.join(period['set'])}")
+    if without is None:
+        click.echo("without the optional roles, too, this period does not fit")
+        return
+    click.echo(f"this period fits without {', '.join(without['roles'])}:")
+    for text in without["set"]:
+        click.echo(f"  --set '{text}'")
+    for text in without["lost"]:
+        click.echo(f"  lost: {text}")
 
 
 def _draw(path: Path, found: dict[str, Plan], *, force: bool) -> None:
@@ -210,7 +280,8 @@ def plan_command(
     as_json: bool,
 ) -> None:
     """Compute whether a rig's messages fit on its bus: worst-case response times, SYNC window,
-    latest RPDO, slack.
+    latest RPDO, slack; what each role costs on the wire. A plan that does not fit is told with the
+    period that would, and with the roles without which it would.
 
     Exit status 0 when the plan fits, 1 when it does not; the late frames are named. docs/planner.md
     has the equations and how to read the table.

@@ -30,6 +30,7 @@ __all__ = [
     "largest_axes",
     "messages_of",
     "plan",
+    "plan_again",
     "plans",
     "shortest_period_ns",
 ]
@@ -362,7 +363,8 @@ def plans(rig: Rig, **options: Any) -> dict[str, Plan]:
     return {channel: plan(rig.on(channel), **options) for channel in rig.channels}
 
 
-def _again(rig: Rig, found: Plan, **changed: Any) -> Plan:
+def plan_again(rig: Rig, found: Plan, **changed: Any) -> Plan:
+    """Return the plan of `rig` with all that `found` was made with, but for what is `changed`."""
     same: dict[str, Any] = {
         "bitrate_bit_s": found.timing.bitrate_bit_s,
         "period_ns": found.timing.period_ns,
@@ -374,7 +376,7 @@ def _again(rig: Rig, found: Plan, **changed: Any) -> Plan:
 
 def bitrates_that_fit(rig: Rig, found: Plan) -> tuple[int, ...]:
     """Return the bit rates of CiA 301 at which the plan `found` of `rig` would fit."""
-    return tuple(rate for rate in CIA_301_BIT_RATES if _again(rig, found, bitrate_bit_s=rate).fits)
+    return tuple(rate for rate in CIA_301_BIT_RATES if plan_again(rig, found, bitrate_bit_s=rate).fits)
 
 
 def shortest_period_ns(rig: Rig, found: Plan) -> int | None:
@@ -382,10 +384,10 @@ def shortest_period_ns(rig: Rig, found: Plan) -> int | None:
     none up to 1 s does.
     """
     steps = range(SHORTEST_NS // STEP_NS, LONGEST_NS // STEP_NS + 1)
-    at = bisect_left(steps, True, key=lambda step: _again(rig, found, period_ns=step * STEP_NS).fits)
+    at = bisect_left(steps, True, key=lambda step: plan_again(rig, found, period_ns=step * STEP_NS).fits)
     return steps[at] * STEP_NS if at < len(steps) else None
 
 
 def largest_axes(rig: Rig, found: Plan) -> int:
     """Return how many axes like this rig's the bus carries, 16 at most."""
-    return bisect_left(range(1, MAX_AXES + 1), True, key=lambda axes: not _again(rig, found, axes=axes).fits)
+    return bisect_left(range(1, MAX_AXES + 1), True, key=lambda axes: not plan_again(rig, found, axes=axes).fits)
