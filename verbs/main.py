@@ -13,6 +13,7 @@ from coulombus.verbs.conformance import conformance
 from coulombus.verbs.eds_verb import eds
 from coulombus.verbs.init import init
 from coulombus.verbs.look import dbc, decode, watch
+from coulombus.verbs.measure import measure
 from coulombus.verbs.plan import plan_command
 from coulombus.verbs.replay import bridge, replay
 from coulombus.verbs.run import run_command, stop
@@ -23,7 +24,7 @@ __all__ = ["main"]
 
 VERBS = (
     *(demo, simulate_command, sim, node_command, run_command, stop, watch, decode, dbc, replay, bridge),
-    *(init, check, plan_command, eds, conformance, analyse, identify_command),
+    *(init, check, measure, plan_command, eds, conformance, analyse, identify_command),
 )
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import os
 import select
+import socket
 import subprocess
 import sys
 import time
@@ -103,6 +104,8 @@ class DataPlane:
     ----------
     priority : of SCHED_FIFO; None asks for no real-time right
     cpu : CPU to pin it to; None leaves it free
+    line : a socket on which somebody plays the bus, in the place of that at `address`; it is closed
+        with this
 
     Raises
     ------
@@ -114,10 +117,20 @@ class DataPlane:
     """What the process runs."""
 
     def __init__(
-        self, controllers: Controllers, address: BusAddress, *, priority: int | None = PRIORITY, cpu: int | None = None
+        self,
+        controllers: Controllers,
+        address: BusAddress,
+        *,
+        priority: int | None = PRIORITY,
+        cpu: int | None = None,
+        line: socket.socket | None = None,
     ) -> None:
-        self._client = Client(address, Hello(Flags.ERRORS, rig_filters(controllers)))
-        self.bitrate_bit_s = self._client.bitrate_bit_s
+        self._client: Client | socket.socket
+        if line is not None:
+            self._client, self.bitrate_bit_s = line, 0
+        else:
+            client = self._client = Client(address, Hello(Flags.ERRORS, rig_filters(controllers)))
+            self.bitrate_bit_s = client.bitrate_bit_s
         self.shared = SharedPlane.create(len(controllers.each))
         controllers.adopt(self.shared.axes)
         self.shared.owner[:] = controllers.owner

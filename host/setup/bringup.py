@@ -9,7 +9,7 @@ is collected and told at once, too. With any of them the host refuses to go on.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from typing import Protocol
 
@@ -30,7 +30,16 @@ from coulombus.rigs.guarding import beats, is_guarded
 from coulombus.rigs.plan.rig_plan import plans
 from coulombus.rigs.rig import Rig
 
-__all__ = ["ControlPlane", "bring_up", "check_plan", "plans_of", "release", "shut_down"]
+__all__ = [
+    "ControlPlane",
+    "bring_up",
+    "check_plan",
+    "configure",
+    "plans_of",
+    "release",
+    "shut_down",
+    "wait_operational",
+]
 
 SETTLE_NS = 50_000_000
 LATE_HEARTBEATS = 5
@@ -250,16 +259,37 @@ def bring_up(controllers: Controllers, plane: ControlPlane) -> tuple[str, ...]:
     check_plan(controllers.rig)
     check_demand(controllers.rig, controllers.mode)
     found = plans_of(controllers)
+    losses = configure(found, plane)
+    plane.network.nmt.send_command(NmtCommand.START)
+    wait_operational(found, plane)
+    return losses
+
+
+def configure(found: Sequence[DevicePlan], plane: ControlPlane) -> tuple[str, ...]:
+    """Write to the devices what their plans have, and read it back.
+
+    They are left in PRE-OPERATIONAL. Returns and raises as `bring_up`; whether the cycle fits on
+    the bus is not looked at.
+    """
     _refuse(str(problem) for plan in found for problem in plan.problems)
-    nmt = plane.network.nmt
-    nmt.send_command(NmtCommand.ENTER_PRE_OPERATIONAL)
+    plane.network.nmt.send_command(NmtCommand.ENTER_PRE_OPERATIONAL)
     plane.wait_ns(SETTLE_NS)
     devices = [_Device(plane, plan) for plan in found]
     _refuse([text for device in devices for text in device.identify()])
     for device in devices:
         device.check_modes()
     _refuse([text for device in devices for text in device.configure()])
-    nmt.send_command(NmtCommand.START)
+    return tuple(text for device in devices for text in (*device.plan.losses, *device.losses))
+
+
+def wait_operational(found: Sequence[DevicePlan], plane: ControlPlane) -> None:
+    """Wait until the heartbeats of these devices, which were told to start, say OPERATIONAL.
+
+    Raises
+    ------
+    NodeMissing
+        one of them says otherwise, or nothing
+    """
     heartbeat_ns = round(1e9 * max(plan.part.heartbeat_s for plan in found))
     plane.wait_ns(SETTLE_NS + 2 * heartbeat_ns)
     heard = [plan for plan in found if beats(plan.description) and not is_guarded(plan.description)]
@@ -272,7 +302,6 @@ def bring_up(controllers: Controllers, plane: ControlPlane) -> tuple[str, ...]:
         if state != NmtState.OPERATIONAL:
             told = "was not heard" if state is None else f"says {NmtState(state).name}"
             raise NodeMissing(f"{plan.name} (node {plan.node_id}) {told} after NMT start; OPERATIONAL is expected")
-    return tuple(text for device in devices for text in (*device.plan.losses, *device.losses))
 
 
 def _refuse(differences: Iterable[str]) -> None:

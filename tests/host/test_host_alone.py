@@ -79,6 +79,7 @@ def test_the_rooms_are_really_gone(alone):
     [
         ("check --rig rig.toml", 0, "ok"),
         ("plan --rig rig.toml", 0, "SYNC"),
+        ("measure --rig rig.toml --bus coulombus:nobody-there", 4, "nobody-there"),
         ("run --help", 0, "coulombus stop"),
         ("stop --help", 0, "Stop the host"),
         ("--help", 0, "Friction you can feel"),

@@ -41,6 +41,7 @@ BASE = {
     "bridge": "bridge coulombus:none coulombus:other",
     "dbc": "dbc",
     "check": "check",
+    "measure": "measure --bus coulombus:none",
     "plan": "plan",
     "eds check": "eds check EDS",
     "init": "init --drive EDS --brake bench",
@@ -63,13 +64,27 @@ WITH_RIG = (
     "replay --virtual",
     "dbc",
     "check",
+    "measure",
     "plan",
 )
 WITH_RIG += ("analyse", "analyse hold", "analyse map", "identify")
-WITH_SET = ("demo", "simulate", "sim", "run", "watch", "dbc", "check", "plan", "analyse", "analyse hold", "analyse map")
+WITH_SET = (
+    "demo",
+    "simulate",
+    "sim",
+    "run",
+    "watch",
+    "dbc",
+    "check",
+    "measure",
+    "plan",
+    "analyse",
+    "analyse hold",
+    "analyse map",
+)
 WITH_RECORDING = ("decode", "replay --host", "replay --virtual", "replay --bus", "identify")
 WITH_EDS = ("eds check", "init", "node", "conformance")
-WITH_BUS = ("run", "stop", "watch", "replay --bus", "bridge", "conformance")
+WITH_BUS = ("run", "stop", "measure", "watch", "replay --bus", "bridge", "conformance")
 OUTPUTS = (
     ("simulate", "--record", ".pcapng"),
     ("simulate", "--truth", ""),
@@ -223,6 +238,7 @@ def test_a_full_disk_is_a_usage_error_before_anything_is_armed(call, words):
             "watch --interval 0",
             "watch --seconds nan",
             "plan --axes 0",
+            "measure --rounds 1",
         ),
         *("plan --bitrate x", "plan --errors x", "node --node-id 0", "node --node-id 128", "conformance --node 0"),
         *(
@@ -253,7 +269,9 @@ def test_a_bus_that_is_not_there_is_told_as_such(call, verb):
     assert "coulombus:none" in result.output
 
 
-@pytest.mark.parametrize("verb", ["run", "stop", "watch", "sim", "node", "conformance", "replay --bus", "bridge"])
+@pytest.mark.parametrize(
+    "verb", ["run", "stop", "measure", "watch", "sim", "node", "conformance", "replay --bus", "bridge"]
+)
 def test_a_name_that_is_no_bus_is_a_usage_error(call, verb):
     base = BASE[verb].replace("coulombus:none", "canbus0")
     result = CliRunner().invoke(

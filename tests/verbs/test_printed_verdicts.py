@@ -35,6 +35,7 @@ ENDS = {
     "init": (f"init --drive {EDS} --brake bench", 0),
     "check": ("check --rig bench --set bus.bitrate_bit_s=125000", 1),
     "check ok": ("check --rig bench", 0),
+    "measure": ("measure --bus coulombus:none", 4),
     "plan": ("plan --rig bench --bitrate 125000", 1),
     "plan ok": ("plan --rig bench --json", 0),
     "decode": ("decode RECORDING --rig bench", 0),

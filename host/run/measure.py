@@ -1,0 +1,208 @@
+"""Measure a rig's devices on their bus, and the host on this PC: the times that the planner counts.
+
+The bus is claimed as for a run (`host.run.control_socket`), and refused where another host cycles.
+Nothing is armed: see `host.setup.response`. The values proposed are the longest times with a
+margin.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Collection
+from contextlib import ExitStack
+from dataclasses import dataclass
+from typing import Any
+
+import can
+import numpy as np
+
+from coulombus.host.cycle.controllers import Controllers
+from coulombus.host.errors import SafetyTrip
+from coulombus.host.run.compute import measure_compute
+from coulombus.host.run.control_socket import HostSocket
+from coulombus.host.run.real_run import LISTEN_S, check_no_rehearsal
+from coulombus.host.setup.control_plane import RealControlPlane
+from coulombus.host.setup.response import DeviceTimes, Stamped, measure_devices
+from coulombus.rigs.axis import Axis
+from coulombus.rigs.rig import Rig
+from coulombus.rigs.toml_lines import Key
+from coulombus.wire.address import BusAddress, BusUnavailable
+from coulombus.wire.client import BusFull, Client, pack_frame
+from coulombus.wire.hello import Flags, Hello
+
+__all__ = ["Measured", "Spread", "measure_rig", "proposed_ns", "quiet_mode"]
+
+MARGIN, LEAST_MARGIN_NS, STEP_NS = 10, 5_000, 10_000
+FULL_S = 1.0
+
+
+@dataclass(frozen=True)
+class Spread:
+    """How many times there are, their median, 99th percentile and maximum [us]."""
+
+    count: int
+    p50: float
+    p99: float
+    max: float
+
+    @classmethod
+    def of(cls, times_ns: Collection[int]) -> Spread:
+        """Return the spread of at least one time."""
+        p50, p99, longest = np.percentile(np.array(list(times_ns)) / 1e3, (50, 99, 100), method="higher")
+        return cls(len(times_ns), float(p50), float(p99), float(longest))
+
+
+def proposed_ns(longest_ns: float) -> int:
+    """Return a time with its margin: a tenth, at least 5 us, rounded up to 10 us."""
+    longest = math.ceil(longest_ns)
+    return -(-(longest + max(-(-longest // MARGIN), LEAST_MARGIN_NS)) // STEP_NS) * STEP_NS
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What was measured on one bus.
+
+    Attributes
+    ----------
+    host : times of the host
+    real_time : which real-time rights the host was granted (`wire.realtime`)
+    """
+
+    devices: tuple[DeviceTimes, ...]
+    host: Spread
+    real_time: tuple[dict[str, Any], ...]
+
+    def response_us(self, device: DeviceTimes) -> float | None:
+        """Return the value proposed for `response_us` of a device; None where nothing was measured."""
+        longest = max((max(pdo.times_ns) for pdo in device.pdos if pdo.times_ns), default=None)
+        return None if longest is None else proposed_ns(longest) / 1e3
+
+    @property
+    def compute_s(self) -> float:
+        """The value proposed for `host.compute_s`."""
+        return round(proposed_ns(self.host.max * 1e3) * 1e-9, 9)
+
+    def numbers(self, rig: Rig) -> dict[Key, float]:
+        """Return the proposed values by the rig file's keys, those of named axes under their axis."""
+        found: dict[Key, float] = {("host", "compute_s"): self.compute_s}
+        for device in self.devices:
+            value = self.response_us(device)
+            axis = _axis_of(rig, device.plan.name)
+            if value is not None:
+                above = ("axis", axis.name) if axis.name else ()
+                section = (
+                    (device.plan.role,) if device.plan.role in ("motor", "brake") else ("sensor", device.plan.role)
+                )
+                found[(*above, *section, "response_us")] = value
+        return found
+
+
+def _axis_of(rig: Rig, name: str) -> Axis:
+    return next(axis for axis in rig.axes if name.startswith(axis.prefix) and name[len(axis.prefix) :] in axis.devices)
+
+
+def quiet_mode(rig: Rig) -> str:
+    """Return the mode in which the devices are configured: that whose motors may do least."""
+    return min(rig.modes, key=lambda mode: max(axis.motor_limit_Nm(mode) for axis in rig.axes))
+
+
+class _BusWire:
+    """The host's station on a real bus (`host.setup.response.Wire`), by the kernel's stamps."""
+
+    def __init__(self, address: BusAddress) -> None:
+        self.client = Client(address, Hello(Flags.OWN))
+
+    def send(self, can_id: int, data: bytes) -> None:
+        """Send a frame; a queue that is full is waited for."""
+        deadline = time.monotonic() + FULL_S
+        while True:
+            try:
+                return self.client.send(pack_frame(can_id, data))
+            except BusFull:
+                if time.monotonic() >= deadline:
+                    raise
+                time.sleep(1e-3)
+
+    def listen(self, duration_ns: int, until: Collection[int] = ()) -> list[Stamped]:
+        """Return what is heard, as the protocol says."""
+        found: list[Stamped] = []
+        missing = set(until)
+        deadline = time.monotonic() + duration_ns * 1e-9
+        while True:
+            taken = self.client.receive()
+            for stamp, can_id, length, data in taken:
+                found.append(Stamped(stamp, can_id, data[:length]))
+                missing.discard(can_id)
+            left = deadline - time.monotonic()
+            if taken and (left > 0 or not until):
+                continue
+            if (until and not missing) or left <= 0:
+                return found
+            self.client.wait(left)
+
+    def close(self) -> None:
+        """Leave the bus."""
+        self.client.close()
+
+
+def measure_rig(
+    rig: Rig,
+    address: BusAddress,
+    *,
+    rounds: int,
+    cycles: int,
+    cpu: int | None = None,
+    progress: Callable[[str, int], None] = lambda what, done: None,
+) -> Measured:
+    """Measure the devices of a rig on one bus, and the host's cycle on this PC.
+
+    Parameters
+    ----------
+    rounds : SYNCs for each device
+    cycles : of the host
+    progress : called with "host" or a device's name, and how much of it is done; what it raises
+        ends the measurement safely
+
+    Raises
+    ------
+    coulombus.wire.address.BusUnavailable
+        no such bus, or it is lost
+    coulombus.host.errors.HostError
+        another host has the bus, a node is missing, refuses a value or is not what the rig file
+        says
+    coulombus.rigs.rig.RigError
+        a rehearsal's file on a real bus, a law, a limit that the drive cannot take
+    """
+    check_no_rehearsal(rig, address)
+    mode = quiet_mode(rig)
+    controllers = Controllers(rig, mode)
+    with ExitStack() as stack:
+        door = HostSocket(address)
+        stack.callback(door.close)
+
+        def report(what: str, done: int) -> None:
+            if door.stop_wanted():
+                raise SafetyTrip("the measurement was ended by `coulombus stop`; nothing was armed")
+            if control.lost is not None:
+                raise BusUnavailable(f"bus {address}: {control.lost}")
+            progress(what, done)
+
+        try:
+            control = RealControlPlane(rig, address)
+            stack.callback(control.close)
+            control.check_alone(time.monotonic() + LISTEN_S)
+            wire = _BusWire(address)
+            stack.callback(wire.close)
+            devices = measure_devices(controllers, control, wire, rounds, report)
+        except (can.CanError, BusFull) as error:
+            raise BusUnavailable(f"bus {address}: {error}") from None
+        times, rights = measure_compute(rig, _loudest(rig), cycles, cpu=cpu, progress=lambda done: report("host", done))
+        if not times:
+            raise SafetyTrip("the host's cycle gave no figure: its process did not cycle; see its messages above")
+    return Measured(devices, Spread.of(times), tuple(rights))
+
+
+def _loudest(rig: Rig) -> str:
+    """Return the mode in which the cycle has most to do: the one that uses motor and brake."""
+    return next(mode for mode in ("hybrid", "active", "passive") if mode in rig.modes)

@@ -1,0 +1,215 @@
+"""How long the devices of a rig take from SYNC to their TPDOs, measured on the bus by the host.
+
+The devices are configured as for a run, and one after the other is made OPERATIONAL, alone: so no
+other device's TPDO keeps its own waiting. SYNC goes out again and again, and no other PDO: no
+controlword, no set-point, so that no drive is enabled. With the ends of frames t, as they are
+stamped, and a bit's time tau::
+
+    response = t(TPDO) - t(SYNC) - (bits(TPDO) - 3) tau - sum of bits tau of the frames in between
+
+which is the time from SYNC's end to the instant at which the device asks to send, as the planner
+counts it (`rigs.plan.worst_cycle`). bits are those of the very frames, stuffing included, with
+three of inter-frame space.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+from coulombus.eds.cia301 import CobId, NmtCommand
+from coulombus.host.cycle.controllers import Controllers
+from coulombus.host.errors import NodeMissing, SafetyTrip
+from coulombus.host.setup.bringup import ControlPlane, configure, plans_of, wait_operational
+from coulombus.host.setup.device_plan import DevicePlan
+from coulombus.rigs.signals import RigPdo
+from coulombus.wire.address import BusUnavailable
+from coulombus.wire.bits import frame_bits
+from coulombus.wire.can_id import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
+
+__all__ = ["DeviceTimes", "PdoTimes", "Stamped", "Wire", "measure_devices", "responses_ns"]
+
+INTER_FRAME_BITS = 3
+ROUND_NS = 250_000_000
+"""How long a TPDO is waited for; who needs longer has none for this SYNC."""
+LATE_NS = 1_000_000_000
+"""How long one that did not come is waited for still, so that it is not taken for the next SYNC's."""
+SILENT_ROUNDS = 4
+"""A TPDO that has not come in so many rounds from the first on does not come."""
+
+
+class Stamped(NamedTuple):
+    """A frame that was heard, with the stamp of its end; `can_id` with Linux's flags."""
+
+    t_ns: int
+    can_id: int
+    data: bytes
+
+
+class Wire(Protocol):
+    """A station on the bus that hears what it sends itself, too."""
+
+    def send(self, can_id: int, data: bytes) -> None:
+        """Send a frame."""
+
+    def listen(self, duration_ns: int, until: Collection[int] = ()) -> list[Stamped]:
+        """Return what is heard from now on, and what was not taken yet: for `duration_ns`, or until
+        each identifier of `until` has come.
+        """
+
+
+@dataclass(frozen=True)
+class PdoTimes:
+    """The response times of one TPDO [ns], in their order of time, and after how many SYNCs it did
+    not come.
+    """
+
+    name: str
+    can_id: int
+    times_ns: tuple[int, ...]
+    missed: int
+
+
+@dataclass(frozen=True)
+class DeviceTimes:
+    """What was measured of one device; `why` tells it where nothing was."""
+
+    plan: DevicePlan
+    pdos: tuple[PdoTimes, ...]
+    emergencies: tuple[int, ...] = ()
+    why: str = ""
+
+
+def responses_ns(heard: Sequence[Stamped], can_ids: Collection[int], bitrate_bit_s: int) -> dict[int, int]:
+    """Return the response time [ns] of each of `can_ids` to the first SYNC among the frames that
+    were heard; who did not come is not among them, and none is below 0.
+    """
+    found: dict[int, int] = {}
+    sync_ns, between_bits = -1, 0
+    for frame in heard:
+        if frame.can_id & CAN_ERR_FLAG:
+            continue
+        if sync_ns < 0:
+            sync_ns = frame.t_ns if frame.can_id == CobId.SYNC else -1
+            continue
+        bits = frame_bits(
+            frame.can_id & 0x1FFFFFFF,
+            frame.data,
+            extended=bool(frame.can_id & CAN_EFF_FLAG),
+            remote=bool(frame.can_id & CAN_RTR_FLAG),
+        )
+        if frame.can_id in can_ids:
+            taken_ns = round((bits - INTER_FRAME_BITS + between_bits) * 1e9 / bitrate_bit_s)
+            found.setdefault(frame.can_id, max(frame.t_ns - sync_ns - taken_ns, 0))
+        between_bits += bits
+    return found
+
+
+def measure_devices(
+    controllers: Controllers,
+    plane: ControlPlane,
+    wire: Wire,
+    rounds: int,
+    progress: Callable[[str, int], None] = lambda name, done: None,
+) -> tuple[DeviceTimes, ...]:
+    """Configure the devices, measure each `rounds` times, and leave them in PRE-OPERATIONAL.
+
+    Parameters
+    ----------
+    progress : called with a device's name and how many rounds of it are done; what it raises ends
+        the measurement
+
+    Raises
+    ------
+    NodeMissing, SdoAborted, DeviceMismatch
+        as `bring_up`, or a TPDO that SYNC asks for does not come
+    SafetyTrip
+        another host cycles on the bus
+    coulombus.wire.address.BusUnavailable
+        no SYNC gets through
+    """
+    plans = plans_of(controllers)
+    try:
+        configure(plans, plane)
+        return tuple(_Device(controllers, plan, plane, wire).measure(rounds, progress) for plan in plans)
+    finally:
+        plane.network.nmt.send_command(NmtCommand.ENTER_PRE_OPERATIONAL)
+
+
+class _Device:
+    """One device while it is measured."""
+
+    def __init__(self, controllers: Controllers, plan: DevicePlan, plane: ControlPlane, wire: Wire) -> None:
+        self.plan, self.plane, self.wire = plan, plane, wire
+        bus = controllers.rig.bus
+        self.period_ns, self.rate = bus.period_ns, bus.bitrate_bit_s
+        pdos = [one for one in controllers.rig.pdos() if one.node == plan.name and one.layout.direction == "tpdo"]
+        self.pdos: list[RigPdo] = [one for one in pdos if one.every_cycle]
+        self.why = "" if self.pdos else "no TPDO follows SYNC" if pdos else "it has no TPDO"
+        self.emergencies: set[int] = set()
+        self.awaited = 0  # SYNCs that were sent and not heard yet
+
+    def measure(self, rounds: int, progress: Callable[[str, int], None]) -> DeviceTimes:
+        """Return its times; it is OPERATIONAL meanwhile."""
+        name = self.plan.name
+        progress(name, 0)
+        if not self.pdos:
+            return DeviceTimes(self.plan, (), why=self.why)
+        self._command(NmtCommand.START)
+        wait_operational([self.plan], self.plane)
+        times: dict[int, list[int]] = {one.layout.cob_id: [] for one in self.pdos}
+        for done in range(1, rounds + 1):
+            for can_id, time_ns in self._round(times).items():
+                times[can_id].append(time_ns)
+            progress(name, done)
+            if done == SILENT_ROUNDS:
+                self._refuse_silent(times)
+        self._command(NmtCommand.ENTER_PRE_OPERATIONAL)
+        found = (
+            PdoTimes(
+                one.name, one.layout.cob_id, tuple(times[one.layout.cob_id]), rounds - len(times[one.layout.cob_id])
+            )
+            for one in self.pdos
+        )
+        return DeviceTimes(self.plan, tuple(found), tuple(sorted(self.emergencies)))
+
+    def _command(self, command: NmtCommand) -> None:
+        self.plane.network.send_message(CobId.NMT, bytes((command, self.plan.node_id)))
+
+    def _round(self, can_ids: Collection[int]) -> dict[int, int]:
+        """Send SYNC; return the response time of each TPDO that came, and rest for the period."""
+        self._look(self.wire.listen(0))
+        self.wire.send(CobId.SYNC, b"")
+        self.awaited += 1
+        heard = self.wire.listen(ROUND_NS, (CobId.SYNC, *can_ids))
+        self._look(heard)
+        found = responses_ns(heard, can_ids, self.rate)
+        missing = set(can_ids) - set(found)
+        self._look(self.wire.listen(LATE_NS, missing) if missing else self.wire.listen(self.period_ns))
+        return found
+
+    def _look(self, heard: Sequence[Stamped]) -> None:
+        """Note emergencies; refuse a SYNC that is not this host's."""
+        self.awaited -= sum(frame.can_id == CobId.SYNC for frame in heard)
+        if self.awaited < 0:
+            raise SafetyTrip("another host is on the bus: a SYNC was heard that is not this one's; end it first")
+        for frame in heard:
+            code = int.from_bytes(frame.data[:2], "little")
+            if frame.can_id == CobId.EMCY + self.plan.node_id and len(frame.data) == 8 and code:
+                self.emergencies.add(code)
+
+    def _refuse_silent(self, times: dict[int, list[int]]) -> None:
+        if self.awaited >= SILENT_ROUNDS:
+            raise BusUnavailable("no SYNC gets through to the bus: look at bit rate, cable and termination")
+        silent = [f"{one.name} ({one.layout.cob_id:03X}h)" for one in self.pdos if not times[one.layout.cob_id]]
+        if silent:
+            told = (
+                f"; its EMCYs: {', '.join(f'{code:04X}h' for code in sorted(self.emergencies))}"
+                if self.emergencies
+                else ""
+            )
+            raise NodeMissing(
+                f"{self.plan.name} (node {self.plan.node_id}) is OPERATIONAL and sends no {', '.join(silent)} within "
+                f"{ROUND_NS / 1e6:g} ms of a SYNC{told}; see its transmission type and its faults"
+            )
