@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from coulombus.eds.reader import Description
 
-__all__ = ["beats", "is_guarded"]
+__all__ = ["beats", "is_guarded", "life_of"]
 
 
 def is_guarded(description: Description) -> bool:
@@ -20,3 +20,11 @@ def is_guarded(description: Description) -> bool:
 def beats(description: Description) -> bool:
     """Tell whether the host hears from a node at all: by its heartbeat, or as it is guarded."""
     return description.has(0x1017, 0) or is_guarded(description)
+
+
+def life_of(guard_s: float, timeout_s: float) -> tuple[int, int]:
+    """Return guard time (100Ch) [ms] and life time factor (100Dh): the least that is no shorter
+    than `timeout_s`. Both times are whole milliseconds.
+    """
+    guard_ms, timeout_ms = round(guard_s * 1000), round(timeout_s * 1000)
+    return guard_ms, -(-timeout_ms // guard_ms)

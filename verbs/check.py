@@ -230,4 +230,5 @@ class _Findings:
             click.echo("\nwhen the host is lost:")
         for one in self.reactions:
             within = f"within {one.within_s:g} s by {one.who}" if one.who else "nobody notices"
-            click.echo(f"  {one.device:<12} {one.fault:<10} {within}: {one.what}")
+            off = "" if one.safe_s is None else f" within {one.safe_s:g} s"
+            click.echo(f"  {one.device:<12} {one.fault:<10} {within}: {one.what}{off}")

@@ -19,6 +19,7 @@ from coulombus.host.setup.reactions import NO_REACTION, Reaction, reactions_of
 from coulombus.host.setup.settings import Setting, settings_of, torque_limits
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.devices import Brake, Device, Motor
+from coulombus.rigs.guarding import beats
 from coulombus.rigs.pdo_maps import mode_of
 from coulombus.rigs.roles import CIA402, Problem, profile_of
 
@@ -104,6 +105,7 @@ class _Planner:
         operation_mode = self._modes() if self._is_drive else None
         if self.node == "motor":
             self._limits()
+        self._silent()
         reactions = reactions_of(self.axis, self.node, kept) if self.node in ("motor", "brake") else ()
         if reactions and not any(reaction.who for reaction in reactions):
             self._acknowledge(NO_REACTION, "when the host is lost, nothing ends its last set-point", self._acts)
@@ -229,6 +231,14 @@ class _Planner:
             )
             self._problem(text, remedy, "6502h:00")
         return mode
+
+    def _silent(self) -> None:
+        """Tell where the host notices a device's loss late: it has no TPDO that would be missing."""
+        if beats(self.description) and not any(
+            pdo.node == self.name and pdo.layout.direction == "tpdo" for pdo in self.axis.pdos()
+        ):
+            late = f"the host notices its loss by its heartbeat alone, within {self.part.heartbeat_timeout_s:g} s"
+            self.losses.append(f"{self.who} sends no TPDO; {late}")
 
     def _limits(self) -> None:
         """Demand a torque limit that the drive itself keeps."""

@@ -4,14 +4,14 @@ what bring-up sets in it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 from coulombus.eds.own_devices import is_own, told_identity
 from coulombus.host.setup.settings import Setting
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.devices import Brake, Motor
-from coulombus.rigs.guarding import is_guarded
+from coulombus.rigs.guarding import is_guarded, life_of
 from coulombus.rigs.roles import CIA402, profile_of
 
 __all__ = ["NO_REACTION", "Reaction", "reactions_of"]
@@ -19,11 +19,15 @@ __all__ = ["NO_REACTION", "Reaction", "reactions_of"]
 NO_REACTION = "no reaction to the host's loss"
 FAULTS = ("host dies", "bus cut", "host hangs")
 """In each of them set-points, SYNC, heartbeats and guarding end: the cycle sends them all."""
+FAULT_VALUES = ((0x7341, 0x6340), (0x6444, 0x6443))
+"""What an output becomes, and whether it does: CiA 404, CiA 401."""
 
 
 class Reaction(NamedTuple):
     """A device, a fault, by what the device notices it ("" where by nothing), within what time [s],
     and what happens.
+
+    `safe_s` is the time from the fault to the torque 0 [s]; None where no object tells it.
     """
 
     device: str
@@ -31,6 +35,7 @@ class Reaction(NamedTuple):
     who: str
     within_s: float | None
     what: str
+    safe_s: float | None = None
 
 
 def reactions_of(axis: Axis, node: str, settings: Iterable[Setting]) -> tuple[Reaction, ...]:
@@ -39,28 +44,51 @@ def reactions_of(axis: Axis, node: str, settings: Iterable[Setting]) -> tuple[Re
     """
     part, description = axis.part(node), axis.description(node)
     assert isinstance(part, Motor | Brake)
-    set_there = {(s.index, s.subindex) for s in settings}
-    rpdos = [pdo for pdo in axis.pdos() if pdo.node == axis.prefix + node and pdo.layout.direction == "rpdo"]
-    found = [
-        (part.setpoint_fault_s, f"RPDO deadline {0x1400 + pdo.layout.number - 1:04X}h:05")
-        for pdo in rpdos
-        if (0x1400 + pdo.layout.number - 1, 5) in set_there
-    ]
-    if is_guarded(description):
-        found.append((part.heartbeat_timeout_s, "life guarding 100Ch, 100Dh"))
-    elif (0x1016, 1) in set_there:
-        found.append((part.heartbeat_timeout_s, "heartbeat consumer 1016h:01"))
-    told = is_own(node, told_identity(description)) or (0x6007, 0) in set_there
-    what = "torque 0, drive disabled" if told else "the drive's own reaction"
+    set_there = {(s.index, s.subindex): s.value for s in settings}
+    ours = is_own(node, told_identity(description))
+    found = [*_watches(axis, node, part, set_there)]
+    told = ours or (0x6007, 0) in set_there
+    what, ramp_s = "torque 0, drive disabled" if told else "the drive's own reaction", 0.0
     if node == "brake" and profile_of(description, "brake") != CIA402:
-        fault_value = {(0x7341, 0x6340), (0x6444, 0x6443)}
-        subs = {sub for _, sub in set_there}
-        taken = any(
-            (value, sub) in set_there and (mode, sub) in set_there for value, mode in fault_value for sub in subs
+        told = any(
+            {(value, sub), (mode, sub)} <= set(set_there) for value, mode in FAULT_VALUES for _, sub in set_there
         )
-        found = found if taken else []
-        what = "ramped off" if (0x2005, 0) in set_there else "the fault value: off"
+        what = "the fault value: off"
+        if ours:
+            what, ramp_s = "ramped off", set_there.get((0x2005, 0), 0) / 1e6
+            found = _brakes_own(found, set_there)
+        found = found if told else []
     if not found:
         return tuple(Reaction(axis.prefix + node, fault, "", None, "its last set-point stays") for fault in FAULTS)
     within_s, who = min(found)
-    return tuple(Reaction(axis.prefix + node, fault, who, within_s, what) for fault in FAULTS)
+    safe_s = within_s + ramp_s if told else None
+    return tuple(Reaction(axis.prefix + node, fault, who, within_s, what, safe_s) for fault in FAULTS)
+
+
+def _watches(
+    axis: Axis, node: str, part: Motor | Brake, set_there: Mapping[tuple[int, int], int]
+) -> Iterator[tuple[float, str]]:
+    """Yield what a device notices the host's loss by, and within what time [s]."""
+    for pdo in axis.pdos():
+        communication = 0x1400 + pdo.layout.number - 1
+        mine = pdo.node == axis.prefix + node and pdo.layout.direction == "rpdo"
+        if mine and (communication, 5) in set_there:
+            yield part.setpoint_fault_s, f"RPDO deadline {communication:04X}h:05"
+    if is_guarded(axis.description(node)):
+        guard_ms, factor = life_of(axis.host.heartbeat_s, part.heartbeat_timeout_s)
+        yield guard_ms * factor / 1e3, "life guarding 100Ch, 100Dh"
+    elif (0x1016, 1) in set_there:
+        yield part.heartbeat_timeout_s, "heartbeat consumer 1016h:01"
+    own_drive = node == "motor" and is_own(node, told_identity(axis.description(node)))
+    if own_drive and set_there.get((0x2002, 0)):  # another maker's 2002h is something else
+        yield part.sync_timeout_s, "SYNC time-out 2002h"
+
+
+def _brakes_own(
+    found: Sequence[tuple[float, str]], set_there: Mapping[tuple[int, int], int]
+) -> list[tuple[float, str]]:
+    """Return what begins the ramp of our own brake: the age of its set-point, and where that is not
+    watched the loss of the host's heartbeat. Its RPDO deadline tells only (docs/devices.md).
+    """
+    hold_us = set_there.get((0x2001, 0), 0)
+    return [(hold_us / 1e6, "set-point age 2001h")] if hold_us else [one for one in found if "RPDO" not in one[1]]

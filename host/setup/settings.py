@@ -18,7 +18,7 @@ from coulombus.eds.own_devices import is_own, told_identity
 from coulombus.eds.reader import Description, Variable
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.devices import Brake, Device, Motor
-from coulombus.rigs.guarding import is_guarded
+from coulombus.rigs.guarding import is_guarded, life_of
 from coulombus.rigs.pdo_maps import mode_of, writable
 from coulombus.rigs.roles import CIA401, CIA402, CIA404, Binding, profile_of
 from coulombus.rigs.signals import RigPdo
@@ -174,8 +174,7 @@ def _common_settings(axis: Axis, node: str, part: Device, ours: bool) -> Iterato
     """Heartbeats both ways, or guarding; the loss of SYNC."""
     description = axis.description(node)
     if is_guarded(description):
-        guard_ms = round(axis.host.heartbeat_s * 1000)
-        factor = math.ceil(part.heartbeat_timeout_s / axis.host.heartbeat_s)
+        guard_ms, factor = life_of(axis.host.heartbeat_s, part.heartbeat_timeout_s)
         yield Setting(0x1017, 0, 0, optional=True, why="the node is guarded, and a node has one error control")
         yield Setting(0x100C, 0, guard_ms, "host.heartbeat_s", why="the host guards the node in so many ms")
         yield Setting(0x100D, 0, factor, f"{node}.heartbeat_timeout_s", why="so many guard times are the life time")

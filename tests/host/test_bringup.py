@@ -304,7 +304,7 @@ def test_the_least_that_a_limit_takes_is_taken_and_told():
 
 
 def test_a_device_that_does_not_notice_the_host_s_loss_is_refused_unless_it_is_acknowledged():
-    deaf = gone(MOTOR, "1400sub5", "1016sub1", "100C")
+    deaf = gone(MOTOR, "1400sub5", "1016sub1", "100C", "2002")
     (problem,) = plan_of(deaf).problems
     assert "no reaction to the host's loss: when the host is lost, nothing ends its last set-point" in problem.text
     assert {(r.who, r.within_s, r.what) for r in plan_of(deaf).reactions} == {("", None, "its last set-point stays")}
@@ -316,8 +316,9 @@ def test_a_device_that_does_not_notice_the_host_s_loss_is_refused_unless_it_is_a
     ("lacking", "who", "within_s"),
     [
         ((), "RPDO deadline 1400h:05", 0.01),
-        (("1400sub5",), "heartbeat consumer 1016h:01", 0.15),
-        (("1400sub5", "1016sub1"), "life guarding 100Ch, 100Dh", 0.15),
+        (("1400sub5",), "SYNC time-out 2002h", 0.02),
+        (("1400sub5", "2002"), "heartbeat consumer 1016h:01", 0.15),
+        (("1400sub5", "1016sub1", "2002"), "life guarding 100Ch, 100Dh", 0.15),
     ],
 )
 def test_the_fastest_watch_of_a_device_ends_its_set_point(lacking, who, within_s):
@@ -502,7 +503,7 @@ def test_check_says_ok_where_bring_up_goes_on_and_nowhere_else(name, tmp_path):
 
 def test_check_tells_all_that_is_wrong_with_what_to_do(tmp_path):
     motor = gone(MOTOR, "6072", "60E0", "60E1", "6073", "1000")
-    motor = gone(edit(motor, "1017", DataType=TEXT), "1400sub5", "1016sub1", "100C")
+    motor = gone(edit(motor, "1017", DataType=TEXT), "1400sub5", "1016sub1", "100C", "2002")
     (tmp_path / "motor.eds").write_text(motor)
     (tmp_path / "rig.toml").write_text(BENCH)
     result = CliRunner().invoke(main, ["check", "--rig", str(tmp_path / "rig.toml")])
