@@ -29,7 +29,7 @@ DRIVES = ("own", "A", "B", "C", "D")
 BRAKES = ("own", "404", "401", "402")
 WATCHES = ("deadline", "heartbeat", "guarding")
 RIGS = [("own", "own", "all"), ("own", "404", "sync")] + [
-    (one, BRAKES[(k + n) % len(BRAKES)], watch) for n, watch in enumerate(WATCHES) for k, one in enumerate(DRIVES)
+    (one, BRAKES[(k + n) % len(BRAKES)], watch) for n, watch in enumerate(WATCHES) for k, one in enumerate(DRIVES[1:])
 ]
 """Each class of drive with each watch, and each brake with each watch."""
 

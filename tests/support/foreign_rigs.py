@@ -9,7 +9,7 @@ from pathlib import Path
 
 from coulombus.rigs.rig import Rig, load_rig_text
 from eds_edit import SENSOR, fixed, mapped
-from foreign_eds import BRAKE, I16, MOTOR, another, edited, with_array, with_variable, without
+from foreign_eds import BRAKE, I16, I32, MOTOR, U8, another, edited, with_array, with_variable, without
 from node_bench import EDS
 
 BENCH, _, _ = (EDS.parent / "rigs" / "bench.toml").read_text().partition("# The operator's schedule")
@@ -80,8 +80,9 @@ def drive(kind: str, watch: str = "all") -> Part:
 
 
 def brake(kind: str, watch: str = "all") -> Part:
-    """Return a brake: "own", "404" in volts with a table, "401", "402" that feeds the coil with a
-    current.
+    """Return a brake: "own", "404" in volts with a table, "8ao" of eight outputs and no input,
+    "401", "402" that feeds the coil with a current; the last three with the handle torque on
+    another node.
     """
     if kind == "own":
         return Part(watching(BRAKE, watch))
@@ -92,10 +93,16 @@ def brake(kind: str, watch: str = "all") -> Part:
         eds = edited(without(another(BRAKE), "20"), "6301sub1", DefaultValue="0x00260000")
         eds = edited(eds, "7300sub1", HighLimit=10000)
         return Part(watching(eds, watch), f"\n[role.brake_setpoint]\ntable = {VOLTS}\n", _maker("brake", 0x404))
+    if kind == "8ao":
+        eds = without(another(BRAKE), "20", "61", "63", "71", "73")
+        for index, data_type in (("7300", I16), ("6340", U8), ("7341", I16)):
+            eds = with_array(eds, index, data_type, 8, "rww" if index == "7300" else "rw")
+        text = '\n[role.brake_setpoint]\nobject = "7300:3"\nscale_Nm = 0.00025\n' + none + SENSOR
+        return Part(watching(eds, watch), text, _maker("brake", 0x404))
     if kind == "401":
         eds = edited(without(another(BRAKE), "20", "61", "63", "71", "73"), "1000", DefaultValue="0x000F0191")
-        eds = with_array(with_array(eds, "6411", I16, 2), "6443", "0x0005", 2, "rw")
-        eds = with_array(eds, "6444", "0x0004", 2, "rw")
+        eds = with_array(with_array(eds, "6411", I16, 2), "6443", U8, 2, "rw")
+        eds = with_array(eds, "6444", I32, 2, "rw")
         text = '\n[role.brake_setpoint]\nobject = "6411:1"\nscale_Nm = 0.0005\n' + none + SENSOR
         return Part(watching(eds, watch), text, _maker("brake", 0x404))
     eds = with_variable(without(another(MOTOR), "20"), "2030", I16, 0)
