@@ -10,6 +10,9 @@
 What the bits mean comes from the rig file and the EDS files attached to the recording; of a file
 without them (candump's, Wireshark's, or one that editcap has rewritten) from the rig that is given.
 
+A position is followed across the wraps of its counter (`recording.turns`), so that its angle goes on
+where a device's 16 bits begin anew; `frames` has what was on the wire.
+
 `read` keeps everything: 40 bytes for each frame and about 8 for each of its signals. `blocks` goes
 through the file without keeping it, a `Recording` of some seconds at a time; figures and rows come
 of that, in a memory that does not grow with the run. `series` gathers single signals on the way.
@@ -31,6 +34,7 @@ import numpy.typing as npt
 from coulombus.eds.pdo import Entry
 from coulombus.recording.log_files import WALL_CLOCK_NS, LogError, is_log, read_log
 from coulombus.recording.pcapng_reader import Capture, iter_pcapng, read_pcapng
+from coulombus.recording.turns import POSITION, Turns, fastest, follow
 from coulombus.rigs.rig import Rig, RigError, load_rig, load_rig_text
 from coulombus.rigs.signals import RigPdo, Signal
 from coulombus.wire.frame import Records
@@ -42,6 +46,7 @@ Floats: TypeAlias = npt.NDArray[np.float64]
 Integers: TypeAlias = npt.NDArray[np.int64]
 
 RIG = "rig.toml"
+UNSURE = "unsure "  # begins the names of positions with gaps in which they may have wrapped unseen
 HOST = "host."  # begins the names of what only the host's replay reads: many, and no text
 
 
@@ -71,6 +76,7 @@ class PdoTable:
     rows: Integers
     columns: tuple[Array, ...]
     malformed: int
+    turns: Mapping[str, Turns]
 
 
 class Source:
@@ -148,6 +154,8 @@ class Recording(Source):
         (time [s], text) of the comments, one for each line of them, in the file's order.
     malformed
         "motor.TPDO1" -> frames of a wrong length, which are left out of the signals.
+    before
+        Where each position was before the first frame, of a block that is not the first.
     """
 
     path: str
@@ -158,6 +166,7 @@ class Recording(Source):
     signals: Mapping[str, Series]
     markers: list[tuple[float, str]]
     malformed: Mapping[str, int]
+    before: Mapping[str, Turns]
 
     def __iter__(self) -> Iterator[Recording]:
         """Yield the recording itself: it is one block."""
@@ -170,7 +179,8 @@ class Recording(Source):
         """
         if not axis:
             return self
-        seen = decode(self.capture, self.rig.alone(axis), self.epoch_ns)
+        plain = {name.removeprefix(f"{axis}."): turns for name, turns in self.before.items()}
+        seen = decode(self.capture, self.rig.alone(axis), self.epoch_ns, plain)
         return replace(seen, markers=_markers_of(axis, self.rig, seen.markers))
 
     @property
@@ -184,9 +194,14 @@ class Recording(Source):
         return (self.frames["t_ns"] - self.epoch_ns) / 1e9
 
     @property
+    def turns(self) -> Mapping[str, Turns]:
+        """Where each position was last."""
+        return {name: turns for table in self.tables for name, turns in table.turns.items()}
+
+    @property
     def remarks(self) -> tuple[str, ...]:
         """Sentences on what was left out: a torn end, damaged attachments, other packets, malformed
-        PDOs.
+        PDOs; and on gaps in which a position may have wrapped unseen.
         """
         return _remarks(self.path, self.capture.warnings, _left_out(self))
 
@@ -216,11 +231,12 @@ class Blocks(Source):
         self._whole, self.rig = self.rig, self.rig.alone(self.axis) if self.axis else self.rig
 
     def __iter__(self) -> Iterator[Recording]:
-        epoch_ns, left_out, warnings = None, Counter[str](), list[str]()
+        epoch_ns, left_out, warnings, turns = None, Counter[str](), list[str](), dict[str, Turns]()
         for capture in _captures(self.path):
             if epoch_ns is None and len(capture.frames):
                 epoch_ns = _epoch_ns(capture.frames)
-            block = decode(capture, self.rig, epoch_ns)
+            block = decode(capture, self.rig, epoch_ns, turns)
+            turns |= block.turns
             if self.axis:
                 block = replace(block, markers=_markers_of(self.axis, self._whole, block.markers))
             left_out.update(_left_out(block))
@@ -315,15 +331,17 @@ def _epoch_ns(frames: Records) -> int:
     return int(frames["t_ns"][0]) if len(frames) and frames["t_ns"][0] >= WALL_CLOCK_NS else 0
 
 
-def decode(capture: Capture, rig: Rig, epoch_ns: int | None = None) -> Recording:
-    """Return the capture with the signals of the rig's PDOs; `epoch_ns` where it is a stretch of a
-    longer one.
+def decode(
+    capture: Capture, rig: Rig, epoch_ns: int | None = None, before: Mapping[str, Turns] = MappingProxyType({})
+) -> Recording:
+    """Return the capture with the signals of the rig's PDOs; `epoch_ns` and where the positions
+    were `before`, where it is a stretch of a longer one.
     """
     frames = capture.frames
     epoch_ns = _epoch_ns(frames) if epoch_ns is None else epoch_ns
     t_s: Floats = (frames["t_ns"] - epoch_ns) / 1e9
     can_ids = np.ascontiguousarray(frames["can_id"])
-    tables = tuple(_table(pdo, frames, can_ids) for pdo in rig.pdos())
+    tables = tuple(_table(pdo, frames, can_ids, rig, before) for pdo in rig.pdos())
     signals = {}
     for table in tables:
         at = t_s[table.rows]
@@ -338,12 +356,17 @@ def decode(capture: Capture, rig: Rig, epoch_ns: int | None = None) -> Recording
         signals=MappingProxyType(signals),
         markers=[(float(t_s[row]), line) for row, text in capture.comments for line in text.splitlines()],
         malformed=MappingProxyType({table.name: table.malformed for table in tables}),
+        before=MappingProxyType(dict(before)),
     )
 
 
 def _left_out(block: Recording) -> Counter[str]:
     """Return how much was left out, by why."""
-    return Counter({"torn": block.capture.torn, "skipped": block.capture.skipped, **block.malformed})
+    doubts = {
+        f"{UNSURE}{name}": turns.doubts - (block.before[name].doubts if name in block.before else 0)
+        for name, turns in block.turns.items()
+    }
+    return Counter({"torn": block.capture.torn, "skipped": block.capture.skipped, **block.malformed, **doubts})
 
 
 def _remarks(path: str, warnings: Iterable[str], left_out: Counter[str]) -> tuple[str, ...]:
@@ -351,8 +374,16 @@ def _remarks(path: str, warnings: Iterable[str], left_out: Counter[str]) -> tupl
         "torn": "the last block is unfinished: {} bytes were left out",
         "skipped": "{} packets are no classical CAN frames and were left out",
     }
-    told = ((texts.get(name, f"{{}} frames of {name} have a wrong length"), n) for name, n in left_out.items() if n)
-    return (*warnings, *(f"{path}: {text.format(n)}" for text, n in told))
+
+    def text(name: str) -> str:
+        if name.startswith(UNSURE):
+            return (
+                f"{name.removeprefix(UNSURE)} has {{}} gaps that are longer than its counter can be followed "
+                "(limits.encoder_jump_counts); after them it may be wrong by whole wraps"
+            )
+        return texts.get(name, f"{{}} frames of {name} have a wrong length")
+
+    return (*warnings, *(f"{path}: {text(name).format(n)}" for name, n in left_out.items() if n))
 
 
 def _attached_rig(captures: Iterable[Capture]) -> Rig:
@@ -378,16 +409,20 @@ def _attached_rig(captures: Iterable[Capture]) -> Rig:
         raise RigError([*error.errors, remedy]) from error
 
 
-def _table(pdo: RigPdo, frames: Records, can_ids: Integers) -> PdoTable:
+def _table(pdo: RigPdo, frames: Records, can_ids: Integers, rig: Rig, before: Mapping[str, Turns]) -> PdoTable:
     layout = pdo.layout
     came = np.flatnonzero(can_ids == layout.cob_id)
     rows = came[frames["length"][came] == layout.length]
     words = frames["word"][rows]
-    columns = tuple(
-        _si(decode_field(words, start, entry), signal)
-        for entry, start, signal in zip(layout.entries, layout.starts, pdo.signals, strict=True)
-    )
-    return PdoTable(pdo, f"{pdo.node}.{pdo.name}", rows, columns, len(came) - len(rows))
+    columns, turns = [], {}
+    for entry, start, signal in zip(layout.entries, layout.starts, pdo.signals, strict=True):
+        raw, name = decode_field(words, start, entry), signal.name
+        if signal.key == POSITION:
+            raw, last = follow(raw, frames["t_ns"][rows], entry, before.get(name), fastest(rig, name))
+            if last is not None:
+                turns[name] = last
+        columns.append(_si(raw, signal))
+    return PdoTable(pdo, f"{pdo.node}.{pdo.name}", rows, tuple(columns), len(came) - len(rows), turns)
 
 
 def _si(raw: Array, signal: Signal) -> Array:
