@@ -18,10 +18,10 @@ import canopen
 from coulombus.conformance.catalogue import Case
 from coulombus.conformance.report import markdown, summary
 from coulombus.conformance.runner import Report, check_before, run, select
-from coulombus.conformance.tester.link import BusLink
 from coulombus.conformance.tester.unit import Timing, Unit
 from coulombus.eds.reader import read_eds
 from coulombus.wire.address import parse_address
+from coulombus.wire.bus_link import BusLink
 
 ROOT = Path(__file__).resolve().parent.parent
 NODE_ID = 17

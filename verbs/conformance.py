@@ -85,11 +85,11 @@ def conformance(
     with errors():
         from coulombus.conformance.report import as_dict, write_junit, write_report
         from coulombus.conformance.runner import check_before, run, select
-        from coulombus.conformance.tester.link import BusLink
         from coulombus.conformance.tester.unit import Timing, Unit
         from coulombus.eds.reader import read_eds
         from coulombus.recording.output_file import new_file
         from coulombus.wire.address import parse_address
+        from coulombus.wire.bus_link import BusLink
 
         if not 0.01 <= timeout <= LONGEST_TIMEOUT_S:
             raise click.BadParameter(f"{timeout}: expected 0.01 to {LONGEST_TIMEOUT_S:.0f} s", param_hint="--timeout")

@@ -4,13 +4,13 @@
 
 from __future__ import annotations
 
-from coulombus.conformance.tester.link import RTR, Frame
 from coulombus.conformance.tester.pdo_setup import HeartbeatOfTester
 from coulombus.conformance.tester.provoke import GUARD_MS, emcy_id
 from coulombus.conformance.tester.registry import case
 from coulombus.conformance.tester.unit import MS, Unit
 from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable
 from coulombus.eds.cia301 import CobId, NmtCommand, NmtState
+from coulombus.wire.bus_link import RTR, Frame
 
 __all__ = ["HEARTBEAT_MS", "check_heartbeats", "guard"]
 

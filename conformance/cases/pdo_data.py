@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from coulombus.conformance.tester.link import Frame
 from coulombus.conformance.tester.objects import REFUSED
 from coulombus.conformance.tester.pdo_setup import (
     RPDO,
@@ -20,6 +19,7 @@ from coulombus.conformance.tester.provoke import emcy_id
 from coulombus.conformance.tester.registry import case
 from coulombus.conformance.tester.unit import MS, Unit, encode
 from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, where
+from coulombus.wire.bus_link import Frame
 
 __all__: list[str] = []
 

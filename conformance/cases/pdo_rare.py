@@ -8,7 +8,6 @@ from collections.abc import Sequence
 
 from coulombus.conformance.cases.pdo_data import HARMLESS
 from coulombus.conformance.cases.pdo_mapping import clear, first
-from coulombus.conformance.tester.link import RTR
 from coulombus.conformance.tester.objects import READ_ONLY, REFUSED
 from coulombus.conformance.tester.pdo_setup import (
     INVALID,
@@ -34,6 +33,7 @@ from coulombus.conformance.tester.unit import MS, Unit, encode
 from coulombus.conformance.tester.verdict import CaseFailed, NoAnswer, NotApplicable, SdoAborted, where
 from coulombus.eds.cia301 import DATA_TYPES, Abort
 from coulombus.eds.reader import Variable
+from coulombus.wire.bus_link import RTR
 
 __all__: list[str] = []
 

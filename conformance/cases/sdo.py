@@ -16,11 +16,11 @@ from coulombus.conformance.tester.objects import (
     long_objects,
 )
 from coulombus.conformance.tester.registry import case
-from coulombus.conformance.tester.sdo_client import head
 from coulombus.conformance.tester.unit import Unit, encode
 from coulombus.conformance.tester.verdict import CaseFailed, NoAnswer, NotApplicable, SdoAborted, where
 from coulombus.eds.cia301 import CobId, NmtCommand
 from coulombus.eds.reader import Variable
+from coulombus.eds.sdo_frames import head
 
 RW = ("rw", "rwr", "rww")
 

@@ -21,10 +21,10 @@ from coulombus.conformance.cases.sdo_wrong import (
 from coulombus.conformance.tester.objects import REFUSED, long_object, volatile
 from coulombus.conformance.tester.pdo_setup import INVALID
 from coulombus.conformance.tester.registry import case
-from coulombus.conformance.tester.sdo_client import head
 from coulombus.conformance.tester.unit import MS, Unit, encode
 from coulombus.conformance.tester.verdict import CaseFailed, NoAnswer, NotApplicable, SdoAborted, where
 from coulombus.eds.cia301 import Abort
+from coulombus.eds.sdo_frames import head
 
 __all__: list[str] = []
 

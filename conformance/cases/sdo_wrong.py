@@ -7,14 +7,14 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from coulombus.conformance.cases.sdo_block import need_block, refused_size
-from coulombus.conformance.tester.link import RTR
 from coulombus.conformance.tester.objects import NOT_NOW, READ_ONLY, long_object, long_texts
 from coulombus.conformance.tester.registry import case
-from coulombus.conformance.tester.sdo_client import crc16, head
 from coulombus.conformance.tester.unit import Unit
 from coulombus.conformance.tester.verdict import CaseFailed, NoAnswer, NotApplicable, SdoAborted, where
 from coulombus.eds.cia301 import Abort
 from coulombus.eds.reader import Variable
+from coulombus.eds.sdo_frames import crc16, head
+from coulombus.wire.bus_link import RTR
 
 __all__: list[str] = []
 

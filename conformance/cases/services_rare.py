@@ -8,7 +8,6 @@ from coulombus.conformance.cases.heartbeat import consumer_subs, guard, need_gua
 from coulombus.conformance.cases.nmt import told, watch
 from coulombus.conformance.cases.sdo_wrong import reads_back, shown, text_object
 from coulombus.conformance.cases.sync import OVERFLOW, PERIOD_MS, PRODUCER, check_counter, produce, store, synchronous
-from coulombus.conformance.tester.link import Frame
 from coulombus.conformance.tester.objects import READ_ONLY, REFUSED, volatile
 from coulombus.conformance.tester.pdo_setup import INVALID, TPDO, HeartbeatOfTester, sync
 from coulombus.conformance.tester.pdo_stimuli import candidates
@@ -17,6 +16,7 @@ from coulombus.conformance.tester.registry import case
 from coulombus.conformance.tester.unit import MS, Unit, encode
 from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, SdoAborted, where
 from coulombus.eds.cia301 import CobId, NmtCommand, NmtState
+from coulombus.wire.bus_link import Frame
 
 __all__: list[str] = []
 

@@ -4,7 +4,6 @@ and 7.5.2.22).
 
 from __future__ import annotations
 
-from coulombus.conformance.tester.link import Frame
 from coulombus.conformance.tester.pdo_setup import Unsupported, arm, write_overflow
 from coulombus.conformance.tester.pdo_setup import sync as send_sync
 from coulombus.conformance.tester.pdo_stimuli import candidates
@@ -12,6 +11,7 @@ from coulombus.conformance.tester.registry import case
 from coulombus.conformance.tester.unit import MS, Unit, encode
 from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable, SdoAborted
 from coulombus.eds.cia301 import CobId
+from coulombus.wire.bus_link import Frame
 
 __all__: list[str] = []
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 
-from coulombus.conformance.tester.link import RTR, Frame
 from coulombus.conformance.tester.pdo_setup import (
     NO_RTR,
     TPDO,
@@ -25,6 +24,7 @@ from coulombus.conformance.tester.pdo_setup import (
 from coulombus.conformance.tester.unit import MS, OPERATIONAL, Unit
 from coulombus.conformance.tester.verdict import CaseFailed, NoAnswer, NotApplicable
 from coulombus.eds.cia301 import NmtState
+from coulombus.wire.bus_link import RTR, Frame
 
 __all__ = ["STIMULI", "Stimulus"]
 

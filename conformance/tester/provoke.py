@@ -7,7 +7,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 
-from coulombus.conformance.tester.link import RTR, Frame
 from coulombus.conformance.tester.pdo_setup import (
     EXTENDED,
     INVALID,
@@ -21,6 +20,7 @@ from coulombus.conformance.tester.pdo_setup import (
 from coulombus.conformance.tester.unit import MS, Unit
 from coulombus.conformance.tester.verdict import CaseFailed, NotApplicable
 from coulombus.eds.cia301 import CobId
+from coulombus.wire.bus_link import RTR, Frame
 
 __all__ = ["GUARD_MS", "cause_error", "check_emcy", "emcy_id", "short_rpdo"]
 

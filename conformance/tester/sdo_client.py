@@ -10,26 +10,12 @@ from contextlib import contextmanager
 
 from coulombus.conformance.tester.verdict import CaseFailed, NoAnswer, NotApplicable, SdoAborted, where
 from coulombus.eds.cia301 import Abort
+from coulombus.eds.sdo_frames import crc16, head
 
-__all__ = ["SdoClient", "crc16", "head"]
+__all__ = ["SdoClient"]
 
 _LONGEST = 1 << 24  # an upload that is longer never ends
 BLOCK = 127
-
-
-def crc16(data: bytes) -> int:
-    """Return the block transfer's CRC: polynomial 1021h, start 0 (section 7.2.4.3.16)."""
-    crc = 0
-    for byte in data:
-        crc ^= byte << 8
-        for _ in range(8):
-            crc = (crc << 1 ^ 0x1021 if crc & 0x8000 else crc << 1) & 0xFFFF
-    return crc
-
-
-def head(command: int, index: int, subindex: int, data: bytes = b"") -> bytes:
-    """Return an initiating request: command, multiplexor, four bytes."""
-    return bytes((command, index & 0xFF, index >> 8, subindex)) + data.ljust(4, b"\0")
 
 
 class SdoClient:

@@ -12,12 +12,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-from coulombus.conformance.tester.link import RTR, Frame, Link
 from coulombus.conformance.tester.sdo_client import SdoClient
 from coulombus.conformance.tester.verdict import CaseFailed, NoAnswer, NotApplicable, SdoAborted, where
 from coulombus.eds.cia301 import DATA_TYPES, CobId, NmtCommand, NmtState, abort_text
 from coulombus.eds.reader import Description, Value, Variable
 from coulombus.wire.address import BusUnavailable
+from coulombus.wire.bus_link import RTR, Frame, FrameLink
 
 __all__ = ["MS", "Timing", "Unit", "encode"]
 
@@ -58,7 +58,7 @@ class Unit:
     Everything that is sent and received goes into the trace of the case that runs.
     """
 
-    def __init__(self, link: Link, description: Description, node_id: int, timing: Timing, seed: int = 0) -> None:
+    def __init__(self, link: FrameLink, description: Description, node_id: int, timing: Timing, seed: int = 0) -> None:
         self.link, self.description, self.node_id, self.timing = link, description, node_id, timing
         self.random = random.Random(seed)
         self.codes: tuple[int, ...] = ()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from coulombus.eds.cia301 import abort_text
+from coulombus.eds.sdo_frames import where
 
 __all__ = ["CaseFailed", "NoAnswer", "NotApplicable", "SdoAborted", "where"]
 
@@ -25,8 +26,3 @@ class SdoAborted(CaseFailed):
     def __init__(self, index: int, subindex: int, code: int, what: str) -> None:
         super().__init__(f"{what} {where(index, subindex)} was aborted with {abort_text(code)}")
         self.index, self.subindex, self.code = index, subindex, code
-
-
-def where(index: int, subindex: int) -> str:
-    """Return an object's name as CiA writes it: ``1017h:00``."""
-    return f"{index:04X}h:{subindex:02X}"

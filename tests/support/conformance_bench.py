@@ -11,7 +11,6 @@ from pathlib import Path
 
 from coulombus.conformance.catalogue import catalogue
 from coulombus.conformance.runner import Report, check_before, run, select
-from coulombus.conformance.tester.link import RTR, Frame
 from coulombus.conformance.tester.unit import Timing, Unit
 from coulombus.eds.reader import Description, read_eds
 from coulombus.node import core
@@ -20,6 +19,7 @@ from coulombus.node.device import Device
 from coulombus.node.drive402 import DRIVE402
 from coulombus.node.profile import Profile
 from coulombus.node.record import new_nodes
+from coulombus.wire.bus_link import RTR, Frame
 from coulombus.wire.frame import data_bytes, data_word, new_queue
 
 EDS = Path(__file__).resolve().parent.parent.parent / "eds"

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 from conformance_bench import VirtualLink, description
 from conformance_mutants import MutantLink, is_abort, place, with_data, written
-from coulombus.conformance.tester.link import Frame
 from coulombus.eds.cia301 import Abort
 from coulombus.eds.reader import parse_eds
+from coulombus.wire.bus_link import Frame
 
 MS = 1_000_000
 PASS, EITHER = ("pass",), ("pass", "not_applicable")

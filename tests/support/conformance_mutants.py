@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from conformance_bench import VirtualLink
-from coulombus.conformance.tester.link import RTR, Frame
+from coulombus.wire.bus_link import RTR, Frame
 
 ABORT = 0x80
 MS = 1_000_000

@@ -15,12 +15,12 @@ from conformance_bench import EDS, KIND_OF, VirtualLink, description, new_unit, 
 from coulombus.conformance.catalogue import catalogue
 from coulombus.conformance.report import as_dict, summary, write_junit, write_report
 from coulombus.conformance.runner import ConformanceRefused, NodeMissing, WrongDevice, check_before, run, select
-from coulombus.conformance.tester import link as link_module
-from coulombus.conformance.tester.link import RTR, BusLink, Frame
 from coulombus.conformance.tester.registry import FUNCTIONS
 from coulombus.conformance.tester.unit import Timing, Unit
 from coulombus.verbs.main import main
+from coulombus.wire import bus_link as link_module
 from coulombus.wire.address import BusUnavailable, parse_address
+from coulombus.wire.bus_link import RTR, BusLink, Frame
 from tiny_bus import tiny_bus
 
 
@@ -278,7 +278,7 @@ class NodeLink(VirtualLink):
 
 @pytest.fixture
 def node_link(monkeypatch):
-    monkeypatch.setattr("coulombus.conformance.tester.link.BusLink", NodeLink)
+    monkeypatch.setattr("coulombus.wire.bus_link.BusLink", NodeLink)
     return ("--bus", "coulombus:t", "--node", "1", "--eds", str(EDS / "motor.eds"))
 
 

@@ -1,20 +1,23 @@
-"""The tester's end of a bus: send a frame, take the next one.
+"""One end of a bus for whoever asks and waits for answers: send a frame, take the next one.
 
-Time is an argument, in ns, and may be virtual.
+Time is an argument, in ns, and may be virtual. The conformance run and the host's services for
+devices are made with it.
 """
 
 from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Protocol
 
 from coulombus.wire.address import BusAddress, BusUnavailable
 from coulombus.wire.client import BusFull, Client, pack_frame
+from coulombus.wire.hello import Flags, Hello
 
-__all__ = ["RTR", "BusLink", "Frame", "Link"]
+__all__ = ["RTR", "BusLink", "Frame", "FrameLink"]
 
 RTR = 0x40000000
 """Flag of a remote frame in `Frame.can_id`, as in Linux."""
@@ -25,7 +28,7 @@ _PATIENCE_S = 2.0
 
 @dataclass(frozen=True)
 class Frame:
-    """A frame that the tester received or (`sent`) sent.
+    """A frame that this end received or (`sent`) sent.
 
     Of a remote frame `length` is what it asks for.
     """
@@ -44,8 +47,8 @@ class Frame:
         return f"{(self.t_ns - start_ns) / 1e6:10.3f} ms  {way}  {name}  [{self.length}]  {content}".rstrip()
 
 
-class Link(Protocol):
-    """What the cases need of a bus."""
+class FrameLink(Protocol):
+    """What a client of devices needs of a bus."""
 
     def now_ns(self) -> int:
         """Return the time."""
@@ -62,14 +65,26 @@ class Link(Protocol):
 class BusLink:
     """A link in real time to a virtual bus or to SocketCAN.
 
+    Parameters
+    ----------
+    filters
+        (identifier, mask) of the frames that it takes; none: all.
+
+    Attributes
+    ----------
+    error_frames, error_classes
+        How many error frames came, and all classes (bits of ``linux/can/error.h``) that they had.
+
     Raises
     ------
     BusUnavailable
         No such bus; later: it went away, or takes no frame.
     """
 
-    def __init__(self, address: BusAddress) -> None:
-        self._client = Client(address)
+    def __init__(self, address: BusAddress, filters: Sequence[tuple[int, int]] = ()) -> None:
+        self._client = Client(address, Hello(Flags.ERRORS, tuple(filters)))
+        self.address = address
+        self.error_frames, self.error_classes = 0, 0
         self._waiting: deque[Frame] = deque()
         self._epoch_ns = time.time_ns() - time.monotonic_ns()  # stamps are since 1970
 
@@ -112,6 +127,8 @@ class BusLink:
             return
         for stamp, can_id, length, data in self._client.receive():
             if can_id & _ERR:
+                self.error_frames += 1
+                self.error_classes |= can_id & ~_ERR
                 continue
             t_ns = stamp - self._epoch_ns if stamp else self.now_ns()
             content = b"" if can_id & RTR else bytes(data[:length])
