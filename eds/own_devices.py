@@ -7,10 +7,14 @@ only; each maker has objects of its own there.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from importlib import resources
 
 from coulombus.eds.description import Description
+from coulombus.eds.reader import read_eds
 
-__all__ = ["MANUFACTURER", "PRODUCTS", "VENDOR_ID", "is_own", "told_identity"]
+__all__ = ["MANUFACTURER", "PRODUCTS", "VENDOR_ID", "is_own", "packaged", "told_identity"]
+
+FILES = ("motor.eds", "mr_brake.eds")
 
 VENDOR_ID = 0x4C0
 """1018h:01."""
@@ -30,3 +34,9 @@ def told_identity(description: Description) -> tuple[int, int]:
 def is_own(role: str, identity: tuple[int, int]) -> bool:
     """Tell whether (1018h:01, 1018h:02) is that of our own device for `role`, "motor" or "brake"."""
     return identity == (VENDOR_ID, PRODUCTS.get(role))
+
+
+def packaged() -> tuple[Description, ...]:
+    """Return the EDS files of our own devices, as they are installed."""
+    folder = resources.files("coulombus.eds")
+    return tuple(read_eds(str(folder / name)) for name in FILES)

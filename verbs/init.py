@@ -104,7 +104,7 @@ def init(
 
 def _answered(bus_name: str) -> dict[int, dict[tuple[int, int], int]]:
     """Ask who is on a bus; say it, and return what the objects of each node hold."""
-    from coulombus.host.run.survey import survey
+    from coulombus.host.devices.scan import survey
     from coulombus.wire.address import parse_address
 
     found = survey(parse_address(bus_name))

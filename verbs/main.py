@@ -13,10 +13,12 @@ from coulombus.verbs.conformance import conformance
 from coulombus.verbs.eds_verb import eds
 from coulombus.verbs.init import init
 from coulombus.verbs.look import dbc, decode, watch
+from coulombus.verbs.lss import lss
 from coulombus.verbs.measure import measure
 from coulombus.verbs.plan import plan_command
 from coulombus.verbs.replay import bridge, replay
 from coulombus.verbs.run import run_command, stop
+from coulombus.verbs.scan import scan
 from coulombus.verbs.sim import node_command, sim
 from coulombus.verbs.simulate import demo, simulate_command
 
@@ -24,6 +26,7 @@ __all__ = ["main"]
 
 VERBS = (
     *(demo, simulate_command, sim, node_command, run_command, stop, watch, decode, dbc, replay, bridge),
+    *(scan, lss),
     *(init, check, measure, plan_command, eds, conformance, analyse, identify_command),
 )
 

@@ -158,6 +158,20 @@ def _pass_on(line: str) -> None:
         abandon_stdout()
 
 
+class NodeId(click.IntRange):
+    """A node id, or 255: the device has none yet (CiA 305)."""
+
+    def __init__(self) -> None:
+        super().__init__(1, 255)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the number; BadParameter says which there are."""
+        number = super().convert(value, param, ctx)
+        if 127 < number < 255:
+            self.fail(f"{number} is not 1 to 127, and not 255 (none yet)", param, ctx)
+        return number
+
+
 class Kind(click.ParamType):  # type: ignore[type-arg]  # generic to some versions' types only
     """A kind of device by its name in `node.kinds`, or "auto".
 
@@ -185,9 +199,9 @@ class Kind(click.ParamType):  # type: ignore[type-arg]  # generic to some versio
 @click.option(
     "--node-id",
     "node_ids",
-    type=click.IntRange(1, 127),
+    type=NodeId(),
     multiple=True,
-    help="One for each EDS, in order.  [default: NodeID of a DCF]",
+    help="One for each EDS, in order; 255: none yet, `coulombus lss` gives it one.  [default: NodeID of a DCF]",
 )
 @click.option("--bus", metavar="B", required=True, help="coulombus:NAME (built in) or socketcan:IF.")
 @click.option(

@@ -7,6 +7,7 @@ from __future__ import annotations
 from coulombus.conformance.tester.unit import Unit
 from coulombus.conformance.tester.verdict import NotApplicable, SdoAborted
 from coulombus.eds.cia301 import Abort
+from coulombus.eds.data import READ_ONLY, is_output
 from coulombus.eds.reader import Variable
 
 __all__ = [
@@ -30,7 +31,6 @@ LONGEST = 2000
 They are only begun.
 """
 
-READ_ONLY = ("ro", "const")
 REFUSED = (
     *(Abort.VALUE, Abort.VALUE_HIGH, Abort.VALUE_LOW, Abort.ACCESS, Abort.READ_ONLY, Abort.GENERAL),
     *(Abort.PARAMETER_INCOMPATIBLE, Abort.INTERNAL_INCOMPATIBLE),
@@ -52,17 +52,6 @@ _CHANGING = (0x1001, 0x1002, 0x1003, 0x1010, 0x1011, 0x1013, 0x1020, 0x1023, 0x1
 def is_command(variable: Variable) -> bool:
     """Tell whether a write is a command rather than a parameter."""
     return variable.index in _COMMANDS or 0x1600 <= variable.index < 0x1800 or 0x1A00 <= variable.index < 0x1C00
-
-
-def is_output(variable: Variable) -> bool:
-    """Tell whether the object may move something: from 2000h on, what a PDO writes, and the target
-    values of CiA 402.
-    """
-    mapped = variable.pdo_mappable and variable.access not in READ_ONLY
-    return variable.index >= 0x2000 and (mapped or variable.access == "rww" or variable.index in _SETPOINTS)
-
-
-_SETPOINTS = (0x6040, 0x6060, 0x6071, 0x607A, 0x6042, 0x60FF, 0x60B0, 0x60B1, 0x60B2, 0x60FE)
 
 
 def is_parameter(variable: Variable) -> bool:

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import random
 import re
-import struct
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from functools import cached_property
 from coulombus.conformance.tester.sdo_client import SdoClient
 from coulombus.conformance.tester.verdict import CaseFailed, NoAnswer, NotApplicable, SdoAborted, where
 from coulombus.eds.cia301 import DATA_TYPES, CobId, NmtCommand, NmtState, abort_text
+from coulombus.eds.data import encode
 from coulombus.eds.reader import Description, Value, Variable
 from coulombus.wire.address import BusUnavailable
 from coulombus.wire.bus_link import RTR, Frame, FrameLink
@@ -457,22 +457,6 @@ def is_signed(variable: Variable) -> bool:
     """Tell whether the variable is a signed integer."""
     kind = DATA_TYPES.get(variable.data_type)
     return bool(kind and kind.signed and kind.kind == "int")
-
-
-def encode(variable: Variable, value: Value) -> bytes:
-    """Return `value` as the bytes of the variable's type, little endian.
-
-    Text without a closing zero.
-    """
-    kind = DATA_TYPES.get(variable.data_type)
-    if isinstance(value, bytes):
-        return value
-    if isinstance(value, str):
-        return value.encode("utf-16-le" if kind and kind.kind == "unicode" else "latin-1", "replace")
-    if kind and kind.kind == "real":
-        return struct.pack("<f" if kind.bits == 32 else "<d", value or 0.0)
-    size = (kind.bits + 7) // 8 if kind and kind.bits else 4
-    return (int(value or 0) & ((1 << 8 * size) - 1)).to_bytes(size, "little")
 
 
 PRE_OPERATIONAL, OPERATIONAL, STOPPED = NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL, NmtState.STOPPED

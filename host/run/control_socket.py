@@ -19,7 +19,7 @@ from typing import Any
 from coulombus.host.errors import HostError, SafetyTrip
 from coulombus.wire.address import BusAddress, socket_path
 
-__all__ = ["HostSocket", "NoHost", "StopRequest", "control_path", "stop_host"]
+__all__ = ["HostSocket", "NoHost", "StopRequest", "control_path", "host_runs", "stop_host"]
 
 STOP_TIMEOUT_S = 30.0
 MESSAGE_BYTES = 1 << 16
@@ -51,6 +51,18 @@ def control_path(address: BusAddress) -> Path:
 
 def _new() -> socket.socket:
     return socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
+
+
+def host_runs(address: BusAddress) -> bool:
+    """Tell whether a host of this machine has the bus; nothing is asked of it."""
+    with _new() as probe:
+        try:
+            probe.connect(str(control_path(address)))
+        except BlockingIOError:  # so many wait at its door that there is no room: it lives
+            return True
+        except (FileNotFoundError, ConnectionRefusedError):  # refused: by what a killed host left behind
+            return False
+    return True
 
 
 class _Asker:
@@ -93,17 +105,9 @@ class HostSocket:
     def __init__(self, address: BusAddress) -> None:
         self._path = control_path(address)
         self._askers: list[_Asker] = []
-        with _new() as probe:
-            try:
-                probe.connect(str(self._path))
-            except FileNotFoundError:
-                pass
-            except ConnectionRefusedError:  # left behind by a host that was killed
-                self._path.unlink(missing_ok=True)
-            except BlockingIOError:  # so many wait at its door that there is no room: it lives
-                raise SafetyTrip(_occupied(address)) from None
-            else:
-                raise SafetyTrip(_occupied(address))
+        if host_runs(address):
+            raise SafetyTrip(_occupied(address))
+        self._path.unlink(missing_ok=True)  # left behind by a host that was killed
         self._listener = _new()
         try:
             self._listener.bind(str(self._path))

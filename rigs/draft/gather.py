@@ -10,8 +10,9 @@ from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
 
+from coulombus.eds.folder import fitting, read_folder
 from coulombus.eds.own_devices import told_identity
-from coulombus.eds.reader import Description, EdsError, read_eds
+from coulombus.eds.reader import Description, read_eds
 from coulombus.rigs.draft.device import Device, Place
 from coulombus.rigs.mistakes import RigError
 from coulombus.rigs.roles import CIA401, CIA402, CIA404
@@ -23,7 +24,6 @@ OWN = "bench"
 """The word for our own device, and its file in the package."""
 OWN_FILES = {"motor": "motor.eds", "brake": "mr_brake.eds"}
 OUTPUTS, INPUTS = (0x7300, 0x9300, 0x6411), (0x7130, 0x9130, 0x6401)
-SUFFIXES = (".eds", ".dcf")
 LAST = 127
 Answered = Mapping[int, Mapping[Place, int]]
 """What the objects of live nodes hold, by node id."""
@@ -102,7 +102,7 @@ class _Gathering:
 
     def file_of(self, answers: Mapping[Place, int]) -> Description | None:
         """Return the EDS file of a live node, None where the folder has none."""
-        return next((one for one in self.files if told_identity(one) == _identity(answers)), None)
+        return fitting(self.files, _identity(answers), answers.get((0x1018, 3), 0))
 
     def with_objects(self, indices: Sequence[int]) -> list[int]:
         """Return the live nodes of CiA 404 and 401 whose EDS file has one of these arrays."""
@@ -155,7 +155,7 @@ def gather(
     RigError
         a live node is missing, or has no EDS file in the folder
     """
-    all_files = () if eds_folder is None else tuple(_descriptions(eds_folder))
+    all_files = () if eds_folder is None else tuple(read_folder(eds_folder)[0])
     here = _Gathering(folder, dict(answered or {}), all_files)
     here.taken |= {one.node_id for one in wanted if one.node_id is not None}
     found = {one.node: here.named(one) for one in wanted if one.eds}
@@ -168,18 +168,6 @@ def gather(
     for node_id in here.with_objects(INPUTS):
         found[f"sensor{node_id}"] = here.live(f"sensor{node_id}", node_id)
     return (found.pop("motor"), found.pop("brake"), *found.values())
-
-
-def _descriptions(folder: Path) -> list[Description]:
-    """Return the EDS files of a folder that can be read."""
-    found = []
-    for path in sorted(folder.iterdir()):
-        if path.suffix.lower() in SUFFIXES:
-            try:
-                found.append(read_eds(path))
-            except EdsError:
-                continue  # of another device, perhaps; one that is needed is told to be missing
-    return found
 
 
 def _identity(answers: Mapping[Place, int]) -> tuple[int, int]:

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Literal
 
 from coulombus.eds.cia301 import CobId
+from coulombus.eds.cia305 import UNCONFIGURED
 from coulombus.eds.own_devices import told_identity
 from coulombus.eds.reader import Description, read_eds
 from coulombus.node.device import Device
@@ -72,7 +73,7 @@ class LiveNodes:
         self.descriptions = [read_eds(path) for path, _ in self.eds]
         self._commission()
         ids = self.node_ids
-        if len(set(ids)) < len(ids):
+        if len(set(ids) - {UNCONFIGURED}) < len(ids) - ids.count(UNCONFIGURED):
             raise NodeError(f"node ids {', '.join(map(str, ids))}: each node needs an id of its own")
         if self.store is not None and len(ids) > 1:
             raise NodeError(f"--store {self.store}: one file keeps one node; start a `coulombus node` for each")
@@ -137,7 +138,17 @@ class LiveNodes:
         devices = self._devices(network, lambda: Store() if self.store is None else FileStore(self.store))
         own = {CobId.HEARTBEAT + device.node_id: row for row, device in enumerate(devices)}
         own |= {CobId.SDO_TX + device.node_id: row for row, device in enumerate(devices)}
-        network.station(own, lambda frame: self._heard(devices[own[frame.can_id]], own[frame.can_id], frame))
+        own = {can_id: row for can_id, row in own.items() if devices[row].node_id != UNCONFIGURED}
+        heard = set(own)
+        if UNCONFIGURED in self.node_ids:  # such a node boots with any id that an LSS master gives it
+            heard |= {CobId.HEARTBEAT + node_id for node_id in range(1, 128)}
+
+        def hear(frame: Heard) -> None:
+            row = own.get(frame.can_id, frame.source)
+            if row in range(len(devices)):
+                self._heard(devices[row], row, frame)
+
+        network.station(heard, hear)
         return network
 
     def _devices(self, network: VirtualNetwork, store: Callable[[], Store], *, tell: bool = True) -> list[Device]:
@@ -208,6 +219,9 @@ def run_nodes(nodes: LiveNodes, address: BusAddress, seconds: float | None) -> N
         return server
 
     def tell_bus(server: BusServer, as_json: bool) -> None:
+        for (path, _), node_id in zip(nodes.eds, nodes.node_ids, strict=True):
+            if node_id == UNCONFIGURED:
+                say(f"coulombus: {path} waits on bus {address} for an LSS master to give it a node id")
         rate = f"{server.bit_rate / 1e6:g} Mbit/s"
         if serves(server):
             text = f"nobody served bus {address}: it is served here, at {rate}; others may join"

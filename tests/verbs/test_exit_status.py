@@ -46,6 +46,8 @@ BASE = {
     "eds check": "eds check EDS",
     "init": "init --drive EDS --brake bench",
     "node": "node EDS --node-id 1 --bus coulombus:none",
+    "scan": "scan --bus coulombus:none",
+    "lss": "lss --bus coulombus:none",
     "conformance": "conformance --bus coulombus:none --node 1 --eds EDS",
     "analyse": "analyse",
     "analyse hold": "analyse hold",
@@ -84,7 +86,7 @@ WITH_SET = (
 )
 WITH_RECORDING = ("decode", "replay --host", "replay --virtual", "replay --bus", "identify")
 WITH_EDS = ("eds check", "init", "node", "conformance")
-WITH_BUS = ("run", "stop", "measure", "watch", "replay --bus", "bridge", "conformance")
+WITH_BUS = ("run", "stop", "measure", "watch", "replay --bus", "bridge", "conformance", "scan", "lss")
 OUTPUTS = (
     ("simulate", "--record", ".pcapng"),
     ("simulate", "--truth", ""),

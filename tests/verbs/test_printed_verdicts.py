@@ -30,6 +30,8 @@ ENDS = {
     "replay": ("replay RECORDING --bus coulombus:none", 4),
     "bridge": ("bridge coulombus:none coulombus:other", 4),
     "conformance": (f"conformance --bus coulombus:none --node 1 --eds {EDS}", 4),
+    "scan": ("scan --bus coulombus:none", 4),
+    "lss": ("lss --bus coulombus:none", 4),
     "eds": ("eds check OTHER", 3),
     "eds ok": (f"eds check {EDS}", 0),
     "init": (f"init --drive {EDS} --brake bench", 0),

@@ -1,0 +1,57 @@
+"""Values of an object as the bytes of an SDO transfer, and back; which objects act when written."""
+
+from __future__ import annotations
+
+import struct
+
+from coulombus.eds.cia301 import DATA_TYPES
+from coulombus.eds.description import Value, Variable
+
+__all__ = ["READ_ONLY", "decode", "encode", "is_output"]
+
+READ_ONLY = ("ro", "const")
+_SETPOINTS = (0x6040, 0x6060, 0x6071, 0x607A, 0x6042, 0x60FF, 0x60B0, 0x60B1, 0x60B2, 0x60FE)
+
+
+def is_output(variable: Variable) -> bool:
+    """Tell whether the object may move something: from 2000h on, what a PDO writes, and the target
+    values of CiA 402.
+    """
+    mapped = variable.pdo_mappable and variable.access not in READ_ONLY
+    return variable.index >= 0x2000 and (mapped or variable.access == "rww" or variable.index in _SETPOINTS)
+
+
+def encode(variable: Variable, value: Value) -> bytes:
+    """Return `value` as the bytes of the variable's type, little endian.
+
+    Text without a closing zero; a number of a type that is not known has four bytes.
+    """
+    kind = DATA_TYPES.get(variable.data_type)
+    if isinstance(value, bytes):
+        return value
+    if isinstance(value, str):
+        return value.encode("utf-16-le" if kind and kind.kind == "unicode" else "latin-1", "replace")
+    if kind and kind.kind == "real":
+        return struct.pack("<f" if kind.bits == 32 else "<d", value or 0.0)
+    size = (kind.bits + 7) // 8 if kind and kind.bits else 4
+    return (int(value or 0) & ((1 << 8 * size) - 1)).to_bytes(size, "little")
+
+
+def decode(variable: Variable, data: bytes) -> int | float | str | bytes:
+    """Return the value that bytes spell in the variable's type.
+
+    Bytes of another length than the type's stay bytes. Text ends at its first zero.
+    """
+    kind = DATA_TYPES.get(variable.data_type)
+    if kind is None or kind.kind in ("bytes", "domain", "record", "time"):
+        return data
+    if kind.kind == "text":
+        return data.split(b"\0")[0].decode("latin-1")
+    if kind.kind == "unicode":
+        return data.decode("utf-16-le", "replace").split("\0")[0]
+    if len(data) != (kind.bits + 7) // 8:
+        return data
+    if kind.kind == "real":
+        number: float = struct.unpack("<f" if kind.bits == 32 else "<d", data)[0]
+        return number
+    return int.from_bytes(data, "little", signed=kind.signed)

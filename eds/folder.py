@@ -1,0 +1,42 @@
+"""The EDS file of a device that answers on a bus, from a folder of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from coulombus.eds.own_devices import told_identity
+from coulombus.eds.reader import Description, EdsError, read_eds
+
+__all__ = ["fitting", "read_folder"]
+
+SUFFIXES = (".eds", ".dcf")
+
+
+def read_folder(folder: Path) -> tuple[list[Description], list[EdsError]]:
+    """Read the EDS and DCF files of a folder, by name; return those that can be read, and why the
+    others cannot.
+
+    OSError: the folder itself cannot be read.
+    """
+    found, refused = [], []
+    for path in sorted(folder.iterdir()):
+        if path.suffix.lower() in SUFFIXES:
+            try:
+                found.append(read_eds(path))
+            except EdsError as error:  # of another device, perhaps: who needs it is told that it is missing
+                refused.append(error)
+    return found, refused
+
+
+def fitting(descriptions: Iterable[Description], identity: tuple[int, int], revision: int = 0) -> Description | None:
+    """Return the file of a device by 1018h:01 and :02, that of its own revision (1018h:03) before
+    others; None where there is none.
+    """
+    alike = [one for one in descriptions if any(identity) and told_identity(one) == identity]
+    return next((one for one in alike if _revision(one) == revision), alike[0] if alike else None)
+
+
+def _revision(description: Description) -> int:
+    told = description.default(0x1018, 3, 0) if description.has(0x1018, 3) else 0
+    return told if isinstance(told, int) else 0

@@ -1,0 +1,140 @@
+"""Which bit rate a CAN bus has: the interface listens at each of them, and disturbs nobody.
+
+A controller at the wrong rate answers every frame of the others with an error frame. So each rate
+is listened to first ("listen-only", which acknowledges nothing). Where all is quiet nothing can be
+heard: then the interface asks for a node at each rate, for there is no traffic that it could
+disturb.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+
+from coulombus.eds.cia301 import CobId
+from coulombus.eds.sdo_frames import head
+from coulombus.host.errors import NodeMissing
+from coulombus.wire.address import BusAddress, BusUnavailable
+from coulombus.wire.bus_link import BusLink, FrameLink
+
+__all__ = ["RATES", "Commands", "choose"]
+
+RATES = (1_000_000, 500_000, 250_000, 125_000, 800_000, 100_000, 50_000, 20_000, 10_000)
+LISTEN_S, ASK_S, COMMAND_S = 1.0, 0.3, 10.0
+NODES = range(1, 128)
+
+Commands = Callable[[Sequence[str]], str]
+"""Runs a command and returns what it prints; raises BusUnavailable where it fails."""
+
+
+def run(command: Sequence[str]) -> str:
+    """Run a command of iproute2.
+
+    Raises
+    ------
+    BusUnavailable
+        (exit status 4) it is not installed, or failed; the text has the command to be run by hand
+    """
+    line = " ".join(command)
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=COMMAND_S, check=False)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise BusUnavailable(f"`{line}` cannot be run: {error}") from None
+    if done.returncode:
+        why = done.stderr.strip().splitlines()[-1:] or ["it failed"]
+        raise BusUnavailable(f"{why[0]}; with the rights for it: sudo {line}")
+    return done.stdout
+
+
+def choose(
+    name: str,
+    show: Callable[[int], None] = lambda rate: None,
+    *,
+    commands: Commands = run,
+    link: Callable[[BusAddress], BusLink] = BusLink,
+) -> int:
+    """Find the bit rate of a bus, leave the interface up at it, and return it [bit/s].
+
+    Where none is found the interface is as it was.
+
+    Parameters
+    ----------
+    show : called with each bit rate that is tried
+
+    Raises
+    ------
+    BusUnavailable
+        (exit status 4) the interface is none with a bit rate, or may not be set
+    NodeMissing
+        (5) nobody was heard at any bit rate
+    """
+    before = _before(name, commands)
+    quiet: list[int] = []
+    found = None
+    try:
+        for rate in RATES:
+            show(rate)
+            _set(name, rate, commands, listen=True)
+            with link(BusAddress("socketcan", name)) as one:
+                if _hears(one, LISTEN_S):
+                    found = rate
+                    break
+                if not one.error_frames:
+                    quiet.append(rate)
+        else:
+            if len(quiet) == len(RATES):  # nobody talks: nobody can be disturbed
+                found = _asked(name, commands, link, show)
+    finally:
+        if found is None and before:
+            with suppress(BusUnavailable):
+                _set(name, before, commands)
+    if found is None:
+        raise NodeMissing(
+            f"nobody was heard on socketcan:{name} at any bit rate; is a device powered and the bus terminated?"
+        )
+    _set(name, found, commands)
+    return found
+
+
+def _asked(
+    name: str, commands: Commands, link: Callable[[BusAddress], BusLink], show: Callable[[int], None]
+) -> int | None:
+    for rate in RATES:
+        show(rate)
+        _set(name, rate, commands)
+        with link(BusAddress("socketcan", name)) as one, suppress(BusUnavailable):
+            for node_id in NODES:
+                one.send(CobId.SDO_RX + node_id, head(0x40, 0x1000, 0))
+                if one.error_frames:
+                    break
+            if _hears(one, ASK_S) and not one.error_frames:
+                return rate
+    return None
+
+
+def _hears(link: FrameLink, seconds: float) -> bool:
+    return link.receive(link.now_ns() + round(seconds * 1e9)) is not None
+
+
+def _before(name: str, commands: Commands) -> int:
+    """Return the bit rate that the interface has, 0 where none was set yet."""
+    try:
+        told = json.loads(commands(("ip", "-details", "-json", "link", "show", name)))
+        info = told[0]["linkinfo"]
+        kind, data = info["info_kind"], info.get("info_data", {})
+    except (ValueError, LookupError, TypeError):
+        raise BusUnavailable(f"socketcan:{name} tells no bit rate (ip -details link show {name})") from None
+    if kind != "can":
+        raise BusUnavailable(f"socketcan:{name} is a {kind} interface, which has no bit rate")
+    return int(data.get("bittiming", {}).get("bitrate", 0))
+
+
+def _set(name: str, rate: int, commands: Commands, *, listen: bool = False) -> None:
+    commands(("ip", "link", "set", name, "down"))
+    mode = ("listen-only", "on" if listen else "off")
+    commands(("ip", "link", "set", name, "type", "can", "bitrate", str(rate), *mode))
+    with suppress(BusUnavailable):  # a driver without it tells less of the wire, and all is found without it
+        commands(("ip", "link", "set", name, "type", "can", "berr-reporting", "on"))
+    commands(("ip", "link", "set", name, "up"))

@@ -1,0 +1,141 @@
+"""Node ids for devices by LSS: which are free, what a device is given, whether it boots with it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from coulombus.eds.cia301 import CobId, NmtCommand
+from coulombus.host.devices.lss import Identity, LssMaster
+from coulombus.host.devices.scan import scan
+from coulombus.host.errors import DeviceMismatch, NodeMissing
+from coulombus.wire.bus_link import Frame, FrameLink
+
+__all__ = ["Number", "check_free", "give", "only"]
+
+BOOT_S = 5.0
+LAST = 127
+
+
+@dataclass(frozen=True)
+class Number:
+    """What a device was given.
+
+    Attributes
+    ----------
+    before : the node id that it had, None without one
+    booted : whether its boot-up was heard under the new one; None where it has no reason to boot
+    """
+
+    identity: Identity
+    node_id: int | None
+    before: int | None
+    bit_s: int | None
+    stored: bool
+    booted: bool | None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as JSON has it."""
+        return {
+            **self.identity._asdict(),
+            "node_id": self.node_id,
+            "before": self.before,
+            "bitrate_bit_s": self.bit_s,
+            "stored": self.stored,
+            "booted": self.booted,
+        }
+
+    def __str__(self) -> str:
+        parts = []
+        if self.node_id is not None:
+            was = "none" if self.before is None else str(self.before)
+            parts.append(f"node id {self.node_id} (was {was})")
+        if self.bit_s is not None:
+            parts.append(f"{self.bit_s} bit/s from the next power-on")
+        parts.append("stored" if self.stored else "not stored: it forgets it when it is switched off")
+        if self.booted is not None:
+            parts.append("booted" if self.booted else f"no boot-up within {BOOT_S:g} s")
+        return f"{self.identity}: {', '.join(parts)}"
+
+
+def only(found: Sequence[Identity]) -> Identity:
+    """Return the only device without a node id.
+
+    Raises
+    ------
+    NodeMissing
+        (exit status 5) there is none
+    DeviceMismatch
+        (3) there are several
+    """
+    if not found:
+        raise NodeMissing(
+            "no device without a node id answers; one that has an id is named by --device (`scan` tells it)"
+        )
+    if len(found) > 1:
+        told = ", ".join(map(str, found))
+        raise DeviceMismatch(f"{len(found)} devices have no node id ({told}); name one by --device, or say --all")
+    return found[0]
+
+
+def check_free(link: FrameLink, ids: Sequence[int], show: Callable[[str], None]) -> None:
+    """Refuse node ids that do not exist, or that a node on the bus has.
+
+    Raises
+    ------
+    DeviceMismatch
+        (exit status 3)
+    """
+    if ids and ids[-1] > LAST:
+        raise DeviceMismatch(f"{len(ids)} devices from {ids[0]} on need the node id {ids[-1]}; the last one is {LAST}")
+    show("looking which node ids are free")
+    taken = {one.node_id for one in scan(link, numbers=())} & set(ids)
+    if taken:
+        raise DeviceMismatch(f"a node on the bus has the node id {min(taken)} already; choose another one")
+
+
+def give(
+    master: LssMaster,
+    link: FrameLink,
+    identity: Identity,
+    node_id: int | None,
+    *,
+    bit_s: int | None = None,
+    store: bool = False,
+) -> Number:
+    """Give one device what was asked for, and wait for its boot-up under a new node id.
+
+    Raises
+    ------
+    NodeMissing
+        (exit status 5) no device has this identity, or it does not answer
+    LssRefused
+        (6) it refused a setting
+    """
+    master.select(identity)
+    before = master.node_id()
+    if node_id is not None:
+        master.set_node_id(node_id)
+    if bit_s is not None:
+        master.set_bit_rate(bit_s)
+    if store:
+        master.store()
+    master.wait_state()  # a device without a node id boots now
+    booted = None
+    if node_id is not None and node_id != before:
+        if before is not None:
+            link.send(CobId.NMT, bytes((NmtCommand.RESET_COMMUNICATION, before)))
+        booted = _boots(link, node_id)
+    return Number(identity, node_id, before, bit_s, store, booted)
+
+
+def _boots(link: FrameLink, node_id: int) -> bool:
+    def boot_up(frame: Frame) -> bool:
+        return frame.can_id == CobId.HEARTBEAT + node_id and frame.data == b"\0"
+
+    until_ns = link.now_ns() + round(BOOT_S * 1e9)
+    while (frame := link.receive(until_ns)) is not None:
+        if boot_up(frame):
+            return True
+    return False

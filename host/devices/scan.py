@@ -1,0 +1,211 @@
+"""Who is on a bus, and what they say of themselves. Nothing is written to any device.
+
+Every node id is asked for its device type (1000h) once, a request each millisecond. Whoever answers
+is asked for the rest, all of them at a time. Whoever only sends heartbeats or boots up is found by
+them. Devices without a node id are found by LSS (`host.devices.lss`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from coulombus.eds.cia301 import CobId, NmtState
+from coulombus.eds.sdo_frames import head
+from coulombus.host.devices.guard import FILTERS, check_alone
+from coulombus.host.devices.sdo import talk_to_all
+from coulombus.host.devices.transfers import SdoSilent, Transfer, upload
+from coulombus.host.errors import HostError
+from coulombus.wire.address import BusAddress
+from coulombus.wire.bus_link import BusLink, Frame, FrameLink
+
+__all__ = ["ASKED", "IDENTITY", "TOLD", "Answers", "scan", "survey", "trouble"]
+
+IDENTITY = ((0x1000, 0), (0x1018, 1), (0x1018, 2), (0x1018, 3), (0x1018, 4))
+"""Numbers: device type, identity."""
+ASKED = (
+    *IDENTITY,
+    *((0x6502, 0), (0x6075, 0), (0x6076, 0), (0x608F, 1), (0x608F, 2), (0x6410, 1)),
+    *((0x6301, 1), (0x6302, 1), (0x6131, 1), (0x6132, 1)),
+)
+"""Numbers for a rig file: a drive's modes, rated current and torque, encoder, too.
+
+Units of CiA 404.
+"""
+TOLD = ((0x1008, 0), (0x1009, 0), (0x100A, 0))
+"""Texts: the device's name, its hardware's and its software's version."""
+NODES = range(1, 128)
+ANSWER_S, PACE_S = 0.3, 1e-3
+SILENT = 2
+"""So many requests without an answer: the node has gone, or never spoke SDO."""
+MOST_TEXT = 1000
+
+ACKNOWLEDGE, BUS_OFF, WIRE = 0x020, 0x040, 0x188
+"""Classes of error frames (``linux/can/error.h``): nobody acknowledged; bus off; violations."""
+
+
+@dataclass(frozen=True)
+class Answers:
+    """What one node said; an object that it does not have is missing.
+
+    Attributes
+    ----------
+    state : its NMT state, None where no heartbeat told it
+    answers_sdo : whether it answers at all; else it was heard by its heartbeat or boot-up
+    twice : it answered one request twice: two devices have this node id
+    """
+
+    node_id: int
+    numbers: Mapping[tuple[int, int], int] = field(default_factory=dict)
+    texts: Mapping[tuple[int, int], str] = field(default_factory=dict)
+    state: NmtState | None = None
+    answers_sdo: bool = True
+    twice: bool = False
+
+    @property
+    def identity(self) -> tuple[int, int]:
+        """Vendor id and product code, 1018h:01 and :02; 0 where it tells none."""
+        return self.numbers.get((0x1018, 1), 0), self.numbers.get((0x1018, 2), 0)
+
+    @property
+    def profile(self) -> int:
+        """The CANopen profile that 1000h tells, 402 for a drive."""
+        return self.numbers.get((0x1000, 0), 0) & 0xFFFF
+
+    @property
+    def name(self) -> str:
+        """The device's name and its versions, "" where it tells none."""
+        return " ".join(self.texts[place] for place in TOLD if place in self.texts)
+
+    def __str__(self) -> str:
+        vendor, product = self.identity
+        return (
+            f"node {self.node_id}: {self.name or 'no name'}, CiA {self.profile}, 1018h {vendor:#010x} {product:#010x}"
+        )
+
+
+@dataclass
+class _Heard:
+    """What was heard on the bus, node by node."""
+
+    states: dict[int, NmtState] = field(default_factory=dict)
+    answers: dict[int, int] = field(default_factory=dict)
+
+    def hear(self, frame: Frame) -> None:
+        """Take a frame: a heartbeat, a boot-up, or an SDO response."""
+        node_id = frame.can_id & 0x7F
+        if frame.can_id == CobId.HEARTBEAT + node_id and node_id and frame.length == 1 and frame.data:
+            state = frame.data[0] & 0x7F
+            if state in tuple(NmtState):  # a boot-up is followed by PRE-OPERATIONAL
+                self.states[node_id] = NmtState(state) if state else NmtState.PRE_OPERATIONAL
+        elif frame.can_id == CobId.SDO_TX + node_id and node_id and frame.length == 8:
+            self.answers[node_id] = self.answers.get(node_id, 0) + 1
+
+    def listen(self, link: FrameLink, seconds: float) -> None:
+        """Listen for so long."""
+        until_ns = link.now_ns() + round(seconds * 1e9)
+        while (frame := link.receive(until_ns)) is not None:
+            self.hear(frame)
+
+
+def _nothing(label: str, done: float, total: float) -> None:
+    pass
+
+
+def scan(
+    link: FrameLink,
+    *,
+    numbers: Sequence[tuple[int, int]] = IDENTITY,
+    listen_s: float = 0.0,
+    progress: Callable[[str, float, float], None] = _nothing,
+) -> tuple[Answers, ...]:
+    """Return what each node of a bus says, by node ids.
+
+    Parameters
+    ----------
+    numbers : objects of at most four bytes that are asked for, besides the texts `TOLD`
+    listen_s : for so long heartbeats and boot-ups are waited for, from the beginning on [s]
+    progress : called with a label, seconds or node ids so far, and all of them
+    """
+    heard, begin_ns = _Heard(), link.now_ns()
+    for node_id in NODES:
+        link.send(CobId.SDO_RX + node_id, head(0x40, 0x1000, 0))
+        heard.listen(link, PACE_S)
+        progress("asking", node_id, NODES[-1])
+    heard.listen(link, ANSWER_S)
+    twice = {node_id for node_id, count in heard.answers.items() if count > 1}
+    found: dict[int, dict[tuple[int, int], bytes]] = {node_id: {} for node_id in sorted(heard.answers)}
+    silent = dict.fromkeys(found, 0)
+    asked = dict.fromkeys(found, (*numbers, *TOLD))
+    current: dict[int, tuple[int, int]] = {}
+
+    def transfers(node_id: int) -> Iterator[Transfer[bytes]]:
+        for place in asked[node_id]:
+            if silent[node_id] >= SILENT:
+                return
+            current[node_id] = place
+            yield upload(*place, most=MOST_TEXT, block=False)
+
+    def tell(node_id: int, value: bytes | HostError) -> None:
+        if isinstance(value, bytes):
+            found[node_id][current[node_id]] = value
+            silent[node_id] = 0
+        else:
+            silent[node_id] += isinstance(value, SdoSilent)
+
+    talk_to_all(link, {node_id: transfers(node_id) for node_id in found}, ANSWER_S, tell, heard.hear)
+    while (left_s := listen_s - (link.now_ns() - begin_ns) / 1e9) > 0:
+        progress("listening", listen_s - left_s, listen_s)
+        heard.listen(link, min(left_s, 0.2))
+    return tuple(
+        Answers(
+            node_id,
+            {p: int.from_bytes(raw, "little") for p, raw in said.items() if p in numbers and 0 < len(raw) <= 4},
+            {p: text for p, raw in said.items() if p in TOLD and (text := _text(raw))},
+            heard.states.get(node_id),
+            node_id in found,
+            node_id in twice,
+        )
+        for node_id in sorted(heard.answers.keys() | heard.states.keys())
+        for said in (found.get(node_id, {}),)
+    )
+
+
+def _text(raw: bytes) -> str:
+    return "".join(letter for letter in raw.decode("ascii", "replace") if letter.isprintable()).strip()[:60]
+
+
+def survey(address: BusAddress) -> tuple[Answers, ...]:
+    """Return what each node of a bus says that answers SDO, with all that a rig file is made of.
+
+    Raises
+    ------
+    BusUnavailable
+        no such bus
+    SafetyTrip
+        a host is cycling there: whoever holds the handle is not to be disturbed
+    """
+    with BusLink(address, FILTERS) as link:
+        check_alone(link, address)
+        return tuple(one for one in scan(link, numbers=ASKED) if one.answers_sdo)
+
+
+def trouble(error_frames: int, classes: int, anybody: bool) -> str:
+    """Return what error frames tell of the wire, "" where there were none.
+
+    Parameters
+    ----------
+    classes : bits of ``linux/can/error.h`` of all of them
+    anybody : whether a node was heard all the same
+    """
+    if not error_frames:
+        return ""
+    if classes & BUS_OFF:
+        return f"{error_frames} error frames, and this controller went bus-off: a wrong bit rate or a short circuit is likely"
+    if classes & ACKNOWLEDGE and not anybody:
+        return "nothing acknowledges: is a device powered and connected, at this bit rate, and the bus terminated?"
+    if classes & WIRE or not anybody:
+        return (
+            f"{error_frames} error frames: a wrong bit rate or a missing termination (120 ohm at both ends) is likely"
+        )
+    return f"{error_frames} error frames"

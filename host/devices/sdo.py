@@ -1,0 +1,199 @@
+"""The client of SDO servers on a link: one transfer at a time with one node, or one with each of
+many.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from typing import Generic, TypeVar
+
+from coulombus.eds.cia301 import Abort, CobId
+from coulombus.eds.sdo_frames import where
+from coulombus.host.devices.transfers import (
+    MOST_BYTES,
+    Nonsense,
+    Progress,
+    SdoSilent,
+    Step,
+    Transfer,
+    abort,
+    download,
+    named,
+    upload,
+)
+from coulombus.host.errors import HostError
+from coulombus.wire.bus_link import Frame, FrameLink
+
+__all__ = ["TIMEOUT_S", "SdoClient", "Talk", "talk_to_all"]
+
+T = TypeVar("T")
+TIMEOUT_S = 1.0
+"""How long an answer may take."""
+LENGTH = 8
+
+
+class Talk(Generic[T]):
+    """A transfer with one node, under way.
+
+    Attributes
+    ----------
+    done : it has ended, with `value` or with `error`
+    deadline_ns : by which the node has to answer
+    """
+
+    def __init__(self, link: FrameLink, node_id: int, transfer: Transfer[T], timeout_ns: int) -> None:
+        self._link, self._node_id, self._transfer, self._timeout_ns = link, node_id, transfer, timeout_ns
+        self._object: tuple[int, int] | None = None
+        self.done, self.deadline_ns = False, 0
+        self.error: HostError | None = None
+        self.value: T | None = None
+        self._go_on(lambda: next(transfer))
+
+    def hear(self, message: bytes) -> None:
+        """Take a message of the server."""
+        self._go_on(lambda: self._transfer.send(message))
+
+    def look(self, now_ns: int) -> None:
+        """End the transfer where the server's time is over."""
+        if not self.done and now_ns >= self.deadline_ns:
+            text = f"node {self._node_id} does not answer (SDO of {where(*self._place)})"
+            self._send(abort(*self._place, Abort.TIMEOUT))
+            self._end(SdoSilent(text))
+
+    def leave(self) -> None:
+        """Abort the transfer where it is still under way: the server waits for it else."""
+        if not self.done:
+            with suppress(OSError):
+                self._send(abort(*self._place))
+            self._transfer.close()
+            self.done = True
+
+    @property
+    def _place(self) -> tuple[int, int]:
+        return self._object or (0, 0)
+
+    def _go_on(self, act: Callable[[], Step]) -> None:
+        try:
+            step = act()
+            while True:
+                for message in step.messages:
+                    self._object = self._object or named(message)
+                    self._send(message)
+                if step.waits:
+                    break
+                step = self._transfer.send(b"")
+            self.deadline_ns = self._link.now_ns() + self._timeout_ns
+        except StopIteration as stop:
+            self.value, self.done = stop.value, True
+        except Nonsense as error:
+            self._send(abort(*self._place, error.code))
+            self._end(error)
+        except HostError as error:
+            self._end(error)
+
+    def _end(self, error: HostError) -> None:
+        self.error, self.done = error, True
+
+    def _send(self, message: bytes) -> None:
+        self._link.send(CobId.SDO_RX + self._node_id, message)
+
+
+def talk_to_all(
+    link: FrameLink,
+    transfers: Mapping[int, Iterator[Transfer[T]]],
+    timeout_s: float,
+    tell: Callable[[int, T | HostError], None],
+    hear: Callable[[Frame], None] = lambda frame: None,
+) -> None:
+    """Do the transfers of each node one after the other, those of different nodes at a time.
+
+    Parameters
+    ----------
+    transfers : the transfers of each node id
+    tell : called with (node id, value or error) at the end of each transfer
+    hear : takes the frames that are no SDO response
+    """
+    waiting = {node_id: iter(row) for node_id, row in transfers.items()}
+    talks: dict[int, Talk[T]] = {}
+
+    def begin(node_id: int) -> None:
+        transfer = next(waiting[node_id], None)
+        talks.pop(node_id, None)
+        if transfer is not None:
+            talks[node_id] = Talk(link, node_id, transfer, round(timeout_s * 1e9))
+
+    try:
+        for node_id in waiting:
+            begin(node_id)
+        while talks:
+            frame = link.receive(min(talk.deadline_ns for talk in talks.values()))
+            if frame is not None:
+                talk = talks.get(frame.can_id - CobId.SDO_TX)
+                if talk is None:
+                    hear(frame)
+                elif frame.length == LENGTH:
+                    talk.hear(frame.data)
+            now_ns = link.now_ns()
+            for node_id, talk in list(talks.items()):
+                talk.look(now_ns)
+                if talk.done:
+                    tell(node_id, talk.error or talk.value)  # type: ignore[arg-type]  # one of them it is
+                    begin(node_id)
+    finally:
+        for talk in talks.values():
+            talk.leave()
+
+
+class SdoClient:
+    """The client of one node.
+
+    Parameters
+    ----------
+    hear : takes the frames that are no SDO response of the node
+    """
+
+    def __init__(
+        self,
+        link: FrameLink,
+        node_id: int,
+        timeout_s: float = TIMEOUT_S,
+        hear: Callable[[Frame], None] = lambda frame: None,
+    ) -> None:
+        self.link, self.node_id, self.timeout_s, self._hear = link, node_id, timeout_s, hear
+
+    def upload(
+        self,
+        index: int,
+        subindex: int,
+        *,
+        most: int = MOST_BYTES,
+        progress: Progress = lambda done, total: None,
+    ) -> bytes:
+        """Return what an object holds (`host.devices.transfers.upload`).
+
+        Raises
+        ------
+        SdoSilent
+            (exit status 5) the node does not answer
+        SdoAborted
+            (6) it aborted the transfer, or answered nonsense
+        """
+        return self._do(upload(index, subindex, most=most, progress=progress))
+
+    def download(
+        self, index: int, subindex: int, data: bytes, *, progress: Progress = lambda done, total: None
+    ) -> None:
+        """Write an object; raises as `upload`."""
+        self._do(download(index, subindex, data, progress=progress))
+
+    def _do(self, transfer: Transfer[T]) -> T:
+        while (stale := self.link.receive(self.link.now_ns())) is not None:
+            self._hear(stale)  # a late answer, too, which is nobody's any more
+        found: list[T | HostError] = []
+        talk_to_all(
+            self.link, {self.node_id: iter((transfer,))}, self.timeout_s, lambda _, one: found.append(one), self._hear
+        )
+        if isinstance(found[0], HostError):
+            raise found[0]
+        return found[0]

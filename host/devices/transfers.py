@@ -1,0 +1,286 @@
+"""SDO transfers of a client as generators: they yield what is to be sent and are sent what came.
+
+A transfer knows no bus and no clock: `host.devices.sdo` drives it, for one node or for all nodes of
+a bus at a time. A `Step` has the messages to the server, eight bytes each. It gets the server's next
+message, or `SdoSilent` thrown in.
+
+The tester of `coulombus conformance` checks each bit of a server, and can do it wrong. This client
+takes what devices in the field do, as long as the data cannot be misunderstood.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Sequence
+from typing import NamedTuple, TypeAlias, TypeVar
+
+from coulombus.eds.cia301 import Abort, abort_text
+from coulombus.eds.sdo_frames import crc16, head, where
+from coulombus.host.errors import NodeMissing, SdoAborted
+
+__all__ = [
+    "ABORT",
+    "BLOCK",
+    "Nonsense",
+    "Progress",
+    "Refused",
+    "SdoSilent",
+    "Step",
+    "Transfer",
+    "abort",
+    "download",
+    "named",
+    "upload",
+]
+
+T = TypeVar("T")
+
+
+class Step(NamedTuple):
+    """Messages to the server, and whether its next one is waited for; if not, b"" comes back."""
+
+    messages: Sequence[bytes] = ()
+    waits: bool = True
+
+
+Transfer: TypeAlias = Generator[Step, bytes, T]
+Progress: TypeAlias = Callable[[int, int], None]
+"""Called with the bytes that are there, and how many there will be; 0: the server does not tell."""
+
+ABORT = 0x80
+BLOCK = 127
+"""Segments of a block, at most."""
+LONG = 7 * BLOCK
+"""More bytes than this go by block transfer, where the server has it."""
+MOST_BYTES = 1 << 26
+"""An upload that tells a greater length has no end that matters."""
+MOST_UNTOLD = 1 << 22
+"""An upload that does not tell its length is given up here."""
+REPEATS = 5
+"""So often in a row a server may ask for the same segments."""
+
+
+class SdoSilent(NodeMissing):
+    """The server did not answer in time."""
+
+
+class Refused(SdoAborted):
+    """The server aborted the transfer; `code` is its abort code."""
+
+    def __init__(self, what: str, index: int, subindex: int, code: int) -> None:
+        super().__init__(f"{what} {where(index, subindex)} was aborted: {abort_text(code)}")
+        self.index, self.subindex, self.code = index, subindex, code
+
+
+class Nonsense(SdoAborted):
+    """The server's answer is none; `code` is with what the client aborts."""
+
+    def __init__(self, text: str, code: int) -> None:
+        super().__init__(text)
+        self.code = code
+
+
+def abort(index: int, subindex: int, code: int = Abort.GENERAL) -> bytes:
+    """Return the message that ends a transfer."""
+    return head(ABORT, index, subindex, int(code).to_bytes(4, "little"))
+
+
+def named(message: bytes) -> tuple[int, int]:
+    """Return the object that an initiating message names."""
+    return int.from_bytes(message[1:3], "little"), message[3]
+
+
+def _nothing(done: int, total: int) -> None:
+    pass
+
+
+class _Answers:
+    """What the server sends in one transfer, checked."""
+
+    def __init__(self, what: str, index: int, subindex: int) -> None:
+        self.what, self.index, self.subindex = what, index, subindex
+
+    def next(self, *messages: bytes) -> Transfer[bytes]:
+        """Send messages; return the server's next one. An abort raises `Refused`."""
+        answer = yield Step(messages)
+        while answer[0] == ABORT and named(answer) not in ((self.index, self.subindex), (0, 0)):
+            answer = yield Step()  # of a transfer before this one
+        if answer[0] == ABORT:
+            raise Refused(self.what, self.index, self.subindex, int.from_bytes(answer[4:8], "little"))
+        return answer
+
+    def first(self, message: bytes) -> Transfer[bytes]:
+        """Initiate; what answers an earlier request (another object) is let pass."""
+        answer = yield from self.next(message)
+        for _ in range(BLOCK):
+            if named(answer) == (self.index, self.subindex) and answer[0] >> 5 in (2, 3, 5, 6):
+                return answer
+            answer = yield from self.next()
+        raise self.wrong(f"{answer.hex(' ')} is no answer", Abort.COMMAND)
+
+    def wrong(self, text: str, code: int) -> Nonsense:
+        return Nonsense(f"{self.what} {where(self.index, self.subindex)}: {text}", code)
+
+
+def upload(
+    index: int, subindex: int, *, most: int = MOST_BYTES, block: bool = True, progress: Progress = _nothing
+) -> Transfer[bytes]:
+    """Read an object, as the server wants it; what is long by block transfer, where it has that.
+
+    Parameters
+    ----------
+    most : bytes that it can have at most
+    block : whether a long one may be asked for by block transfer
+
+    Raises
+    ------
+    Refused
+        the server aborted it
+    Nonsense
+        the server's answer is none, or the object has more bytes than `most`, or than it told
+    """
+    say = _Answers("upload of", index, subindex)
+    answer = yield from say.first(head(0x40, index, subindex))
+    if answer[0] >> 5 != 2:
+        raise say.wrong(f"command {answer[0]:02X}h is no upload response", Abort.COMMAND)
+    if answer[0] & 0x02:
+        return answer[4 : 8 - (answer[0] >> 2 & 3)] if answer[0] & 0x01 else answer[4:8]
+    told = int.from_bytes(answer[4:8], "little") if answer[0] & 0x01 else None
+    if told is not None and told > most:
+        raise say.wrong(f"it has {told} bytes, {most} are the most expected", Abort.MEMORY)
+    if block and told is not None and told > LONG:
+        yield Step((abort(index, subindex),), waits=False)  # the ordinary one
+        try:
+            return (yield from _block_upload(say, most, progress))
+        except Refused as refused:
+            if refused.code != Abort.COMMAND:
+                raise
+        return (yield from upload(index, subindex, most=most, block=False, progress=progress))
+    limit = told if told is not None else min(most, MOST_UNTOLD)
+    data, toggle, last = b"", 0, False
+    while not last:
+        answer = yield from say.next(bytes((0x60 | toggle,)) + bytes(7))
+        if answer[0] >> 5 != 0:
+            raise say.wrong(f"command {answer[0]:02X}h is no segment", Abort.COMMAND)
+        if answer[0] & 0x10 != toggle:
+            raise say.wrong("the toggle bit did not alternate", Abort.TOGGLE)
+        data += answer[1 : 8 - (answer[0] >> 1 & 7)]
+        last, toggle = bool(answer[0] & 0x01), toggle ^ 0x10
+        if len(data) > limit:
+            raise say.wrong(f"it goes on behind {limit} bytes, the most expected", Abort.TOO_LONG)
+        progress(len(data), told or 0)
+    if told is not None and told != len(data):
+        raise say.wrong(f"{told} bytes were told, {len(data)} came", Abort.LENGTH)
+    return data
+
+
+def _block_upload(say: _Answers, most: int, progress: Progress) -> Transfer[bytes]:
+    answer = yield from say.first(head(0xA4, say.index, say.subindex, bytes((BLOCK, 0))))
+    if answer[0] >> 5 == 2:  # a server may answer a short one as an ordinary upload; not a long one
+        raise say.wrong("the server answers a block upload with an ordinary one", Abort.COMMAND)
+    if answer[0] & 0xE1 != 0xC0:
+        raise say.wrong(f"command {answer[0]:02X}h, expected C0h to C6h", Abort.COMMAND)
+    crc = bool(answer[0] & 0x04)
+    told = int.from_bytes(answer[4:8], "little") if answer[0] & 0x02 else 0
+    limit = told or min(most, MOST_UNTOLD)
+    data = bytearray()
+    message = b"\xa3" + bytes(7)
+    repeated, last = 0, False
+    while not last:
+        good, number, ended = 0, 0, False
+        answer = yield from say.next(message)
+        while True:
+            number, ended = answer[0] & 0x7F, bool(answer[0] & 0x80)
+            if number == good + 1:
+                data += answer[1:8]
+                good, last = number, ended
+            if ended or number >= BLOCK:
+                break
+            answer = yield from say.next()
+        repeated = 0 if good else repeated + 1
+        if repeated > REPEATS:
+            raise say.wrong("segments are lost again and again", Abort.SEQUENCE)
+        if len(data) > limit + 6:
+            raise say.wrong(f"it goes on behind {limit} bytes, the most expected", Abort.TOO_LONG)
+        progress(min(len(data), limit), told)
+        message = bytes((0xA2, good, BLOCK)) + bytes(5)
+    answer = yield from say.next(message)
+    if answer[0] & 0xE3 != 0xC1:
+        raise say.wrong(f"command {answer[0]:02X}h, expected the end of a block upload", Abort.COMMAND)
+    content = bytes(data[: len(data) - (answer[0] >> 2 & 7)])
+    if crc and int.from_bytes(answer[1:3], "little") != crc16(content):
+        raise say.wrong("the CRC is wrong", Abort.CRC)
+    if told and told != len(content):
+        raise say.wrong(f"{told} bytes were told, {len(content)} came", Abort.LENGTH)
+    yield Step((b"\xa1" + bytes(7),), waits=False)
+    return content
+
+
+def download(index: int, subindex: int, data: bytes, *, progress: Progress = _nothing) -> Transfer[None]:
+    """Write an object: expedited up to four bytes, long ones by block transfer where the server has
+    it, else by segments.
+
+    Raises
+    ------
+    Refused
+        the server aborted it
+    Nonsense
+        the server's answer is none
+    """
+    say = _Answers("download to", index, subindex)
+    if 1 <= len(data) <= 4:
+        _taken(say, (yield from say.first(head(0x23 | (4 - len(data)) << 2, index, subindex, data))))
+        return
+    if len(data) > LONG:
+        try:
+            yield from _block_download(say, data, progress)
+            return
+        except Refused as refused:
+            if refused.code != Abort.COMMAND:
+                raise
+    _taken(say, (yield from say.first(head(0x21, index, subindex, len(data).to_bytes(4, "little")))))
+    toggle = 0
+    for start in range(0, max(len(data), 1), 7):
+        part = data[start : start + 7]
+        command = toggle | (7 - len(part)) << 1 | (start + 7 >= len(data))
+        answer = yield from say.next(bytes((command,)) + part.ljust(7, b"\0"))
+        if answer[0] >> 5 != 1:
+            raise say.wrong(f"command {answer[0]:02X}h acknowledges no segment", Abort.COMMAND)
+        if answer[0] & 0x10 != toggle:
+            raise say.wrong("the toggle bit did not alternate", Abort.TOGGLE)
+        toggle ^= 0x10
+        progress(start + len(part), len(data))
+
+
+def _taken(say: _Answers, answer: bytes) -> None:
+    if answer[0] >> 5 != 3:
+        raise say.wrong(f"command {answer[0]:02X}h, expected 60h", Abort.COMMAND)
+
+
+def _block_download(say: _Answers, data: bytes, progress: Progress) -> Transfer[None]:
+    answer = yield from say.first(head(0xC6, say.index, say.subindex, len(data).to_bytes(4, "little")))
+    if answer[0] & 0xFB != 0xA0:
+        raise say.wrong(f"command {answer[0]:02X}h, expected A0h or A4h", Abort.COMMAND)
+    crc, size = bool(answer[0] & 0x04), answer[4]
+    segments = [data[start : start + 7].ljust(7, b"\0") for start in range(0, len(data), 7)]
+    position = repeated = 0
+    while position < len(segments):
+        if not 1 <= size <= BLOCK:
+            raise say.wrong(f"block size {size}, expected 1 to 127", Abort.BLOCK_SIZE)
+        block = segments[position : position + size]
+        final = position + len(block) == len(segments)
+        numbered = [
+            bytes((number | 0x80 * (final and number == len(block)),)) + one for number, one in enumerate(block, 1)
+        ]
+        answer = yield from say.next(*numbered)
+        if answer[0] & 0xE3 != 0xA2 or answer[1] > len(block):
+            raise say.wrong(f"{answer.hex(' ')} acknowledges no block", Abort.COMMAND)
+        good, size = answer[1], answer[2]
+        repeated = 0 if good else repeated + 1
+        if repeated > REPEATS:
+            raise say.wrong("the server asks for the same segments again and again", Abort.SEQUENCE)
+        position += good
+        progress(min(7 * position, len(data)), len(data))
+    end = bytes((0xC1 | -len(data) % 7 << 2,)) + (crc16(data) if crc else 0).to_bytes(2, "little")
+    answer = yield from say.next(end.ljust(8, b"\0"))
+    if answer[0] & 0xE3 != 0xA1:
+        raise say.wrong(f"command {answer[0]:02X}h, expected A1h", Abort.COMMAND)
