@@ -347,7 +347,9 @@ class _Cpu(click.ParamType):  # type: ignore[type-arg]
     name = "cpu"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
-        allowed = sorted(os.sched_getaffinity(0))
+        from coulombus.wire.realtime import usable_cpus
+
+        allowed = sorted(usable_cpus())
         if not str(value).isdecimal() or int(value) not in allowed:
             self.fail(f"{value!r}: this process may use the CPUs {', '.join(map(str, allowed))}", param, ctx)
         return int(value)
@@ -429,9 +431,9 @@ def table_console(width: int) -> Console:
 
 
 @contextmanager
-def progress(enabled: bool) -> Iterator[Callable[[str, float, float], None]]:
+def progress(enabled: bool, done: str = "displayed") -> Iterator[Callable[[str, float, float], None]]:
     """Show live bars on stderr: call what is yielded with a label, the time reached and the whole
-    time.
+    time; `done` is what is said of it.
     """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
@@ -457,7 +459,7 @@ def progress(enabled: bool) -> Iterator[Callable[[str, float, float], None]]:
                 bars.update(starting, visible=False)
                 tasks[label] = bars.add_task(label, total=total, told="")
             t = min(t, total)
-            bars.update(tasks[label], completed=t, told=f"{t:5.1f} of {total:.0f} s displayed")
+            bars.update(tasks[label], completed=t, told=f"{t:5.1f} of {total:.0f} s {done}")
 
     with shown:
         bars.start()

@@ -10,6 +10,7 @@ from coulombus.verbs.analyse import analyse, identify_command
 from coulombus.verbs.check import check
 from coulombus.verbs.common import EXIT_STATUS, Verbs
 from coulombus.verbs.conformance import conformance
+from coulombus.verbs.doctor import doctor
 from coulombus.verbs.eds_verb import eds
 from coulombus.verbs.init import init
 from coulombus.verbs.look import dbc, decode, watch
@@ -25,9 +26,11 @@ from coulombus.verbs.simulate import demo, simulate_command
 __all__ = ["main"]
 
 VERBS = (
-    *(demo, simulate_command, sim, node_command, run_command, stop, watch, decode, dbc, replay, bridge),
+    *(demo, simulate_command, sim, node_command),
+    *(run_command, stop, watch, decode, dbc, replay, bridge),
     *(scan, lss),
-    *(init, check, measure, plan_command, eds, conformance, analyse, identify_command),
+    *(init, doctor, check, measure, plan_command),
+    *(eds, conformance, analyse, identify_command),
 )
 
 

@@ -12,12 +12,15 @@ import signal
 import struct
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 __all__ = [
     "RealTime",
     "Right",
     "ask_for_real_time",
+    "cpu_list",
+    "default_cpu",
     "die_with_parent",
     "freeze_garbage",
     "hold_dma_latency",
@@ -26,10 +29,12 @@ __all__ = [
     "pin",
     "set_fifo",
     "set_timer_slack",
+    "usable_cpus",
 ]
 
 PR_SET_PDEATHSIG, PR_SET_TIMERSLACK = 1, 29
 MCL_CURRENT, MCL_FUTURE = 1, 2
+MOST_CPUS = 8192
 _ALLOW = "sudo prlimit --pid $$ --rtprio=95 --memlock=unlimited  (for this shell; for good: rtprio and memlock in /etc/security/limits.d)"
 _library = ctypes.CDLL(None, use_errno=True)
 
@@ -103,13 +108,71 @@ def lock_memory() -> Right:
     return _ask("locked memory", "mlockall", _ALLOW, request)
 
 
+def cpu_list(text: str) -> frozenset[int]:
+    """Return the CPUs of a list as the kernel writes it, ``0-2,4``; none for an empty text.
+
+    Raises
+    ------
+    ValueError
+        it is no such list
+    """
+    found: set[int] = set()
+    for part in filter(None, (part.strip() for part in text.split(","))):
+        first, dash, last = part.partition("-")
+        low, high = int(first), int(last) if dash else int(first)
+        if not 0 <= low <= high < MOST_CPUS:
+            raise ValueError(f"{part!r} is no CPU")
+        found.update(range(low, high + 1))
+    return frozenset(found)
+
+
+def isolated_cpus(root: Path = Path("/")) -> frozenset[int]:
+    """Return the running CPUs that the kernel's command line keeps ordinary threads away from
+    (isolcpus); none where that is not told.
+    """
+    folder = root / "sys/devices/system/cpu"
+    try:
+        online, isolated = (cpu_list((folder / name).read_text()) for name in ("online", "isolated"))
+    except (OSError, ValueError):
+        return frozenset()
+    return online & isolated
+
+
+def usable_cpus(root: Path = Path("/")) -> frozenset[int]:
+    """Return the CPUs that a thread may be pinned to: those where this process may run, and the
+    isolated ones, which nobody has who does not ask.
+    """
+    allowed = frozenset(os.sched_getaffinity(0))
+    return allowed | {cpu for cpu in isolated_cpus(root) - allowed if _may_have(cpu)}
+
+
+def _may_have(cpu: int) -> bool:
+    """Tell whether the calling thread may run on a CPU: a container's limits show only so."""
+    before = os.sched_getaffinity(0)
+    try:
+        os.sched_setaffinity(0, {cpu})
+    except OSError:
+        return False
+    os.sched_setaffinity(0, before)
+    return True
+
+
+def default_cpu(root: Path = Path("/")) -> int | None:
+    """Return the CPU for the cycle: the last isolated one, else the last one where this process may
+    run; None when it has only one.
+    """
+    usable = usable_cpus(root)
+    isolated = usable & isolated_cpus(root)
+    return max(isolated) if isolated else max(usable) if len(usable) > 1 else None
+
+
 def pin(cpu: int) -> Right:
     """Let the calling thread run on one CPU only."""
     return _ask(f"CPU {cpu}", "", f"a CPU of those allowed here: {_cpus()}", lambda: os.sched_setaffinity(0, {cpu}))
 
 
 def _cpus() -> str:
-    return ", ".join(str(cpu) for cpu in sorted(os.sched_getaffinity(0)))
+    return ", ".join(str(cpu) for cpu in sorted(usable_cpus()))
 
 
 _latency: list[int] = []

@@ -89,12 +89,6 @@ def rig_filters(controllers: Controllers) -> tuple[tuple[int, int], ...]:
     return tuple((can_id, CAN_SFF_EXACT) for can_id in sorted(wanted))
 
 
-def default_cpu() -> int | None:
-    """Return the last CPU that this process may use, None when it has only one."""
-    allowed = sorted(os.sched_getaffinity(0))
-    return allowed[-1] if len(allowed) > 1 else None
-
-
 class DataPlane:
     """The process that runs the cycle of `controllers` on the bus at `address`.
 

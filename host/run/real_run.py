@@ -27,7 +27,7 @@ from coulombus.host.cycle.records import Phase, Trip
 from coulombus.host.cycle.step import SOURCE_HOST
 from coulombus.host.errors import SafetyTrip
 from coulombus.host.laws.law_source import law_attachments
-from coulombus.host.realtime.data_plane import PRIORITY, DataPlane, default_cpu
+from coulombus.host.realtime.data_plane import PRIORITY, DataPlane
 from coulombus.host.realtime.shared_memory import Status
 from coulombus.host.run.control_socket import HostSocket
 from coulombus.host.run.course import SAFE_TIMEOUT_NS, Course, Figures
@@ -44,6 +44,7 @@ from coulombus.rigs.draft.text import REHEARSAL, rehearsal_marks
 from coulombus.rigs.rig import Rig, RigError
 from coulombus.wire.address import BusAddress, BusUnavailable, default_address
 from coulombus.wire.frame import Records
+from coulombus.wire.realtime import default_cpu
 from coulombus.wire.stopping import Signals, status_of
 
 __all__ = ["real_run"]

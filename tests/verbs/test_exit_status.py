@@ -42,6 +42,7 @@ BASE = {
     "dbc": "dbc",
     "check": "check",
     "measure": "measure --bus coulombus:none",
+    "doctor": "doctor",
     "plan": "plan",
     "eds check": "eds check EDS",
     "init": "init --drive EDS --brake bench",
@@ -67,6 +68,7 @@ WITH_RIG = (
     "dbc",
     "check",
     "measure",
+    "doctor",
     "plan",
 )
 WITH_RIG += ("analyse", "analyse hold", "analyse map", "identify")
@@ -79,6 +81,7 @@ WITH_SET = (
     "dbc",
     "check",
     "measure",
+    "doctor",
     "plan",
     "analyse",
     "analyse hold",
@@ -242,6 +245,7 @@ def test_a_full_disk_is_a_usage_error_before_anything_is_armed(call, words):
             "plan --axes 0",
             "measure --rounds 1",
         ),
+        *("doctor --latency 0", "doctor --latency x", "doctor --cpu 99999", "doctor --bus x"),
         *("plan --bitrate x", "plan --errors x", "node --node-id 0", "node --node-id 128", "conformance --node 0"),
         *(
             "conformance --timeout 0",

@@ -35,6 +35,7 @@ ENDS = {
     "eds": ("eds check OTHER", 3),
     "eds ok": (f"eds check {EDS}", 0),
     "init": (f"init --drive {EDS} --brake bench", 0),
+    "doctor": ("doctor --bus socketcan:none7", 1),
     "check": ("check --rig bench --set bus.bitrate_bit_s=125000", 1),
     "check ok": ("check --rig bench", 0),
     "measure": ("measure --bus coulombus:none", 4),

@@ -1,0 +1,265 @@
+"""The CAN interface: its driver, how it is set up, and what it has counted."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shlex
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+from coulombus.host.doctor.finding import Check, Outcome
+from coulombus.host.doctor.machine import CannotRead, Machine
+
+__all__ = ["Link", "checks"]
+
+ARPHRD_CAN = 280
+SHORTEST_QUEUE, LONGEST_QUEUE = 16, 256
+"""Frames: below, an SDO beside the cycle finds no room; above, set-points that nobody wants any
+more wait in it.
+"""
+RESTART_MS = 100
+SAMPLE_POINTS = {1_000_000: (0.75, 0.90), 800_000: (0.75, 0.90)}
+SAMPLE_POINT, BEST_SAMPLE_POINT = (0.85, 0.90), 0.875
+"""CiA 301, bit timing: the range of the sample point, which is wider at 800 and 1000 kbit/s."""
+
+
+@dataclass(frozen=True)
+class Link:
+    """An interface, what is wanted of it, and what ``ip -details -json link`` says of it."""
+
+    machine: Machine
+    name: str
+    bitrate_bit_s: int | None = None
+    _kept: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def setup(self) -> str:
+        """The commands that set the interface up as it is wanted."""
+        rate = self.bitrate_bit_s or "BITRATE"
+        link = f"sudo ip link set {shlex.quote(self.name)}"
+        return (
+            f"{link} down && {link} type can bitrate {rate} sample-point {BEST_SAMPLE_POINT} restart-ms {RESTART_MS}\n"
+            f"{link} type can berr-reporting on || true  # not every card can\n"
+            f"{link} txqueuelen 64 up"
+        )
+
+    @property
+    def details(self) -> dict[str, Any]:
+        """What `ip` says of the interface, asked once; CannotRead where that is nothing."""
+        if "link" not in self._kept:
+            text = self.machine.ask(["ip", "-details", "-statistics", "-json", "link", "show", "dev", self.name])
+            try:
+                (self._kept["link"],) = json.loads(text)
+                dict.keys(self._kept["link"])
+            except (ValueError, TypeError, RecursionError):
+                self._kept.pop("link", None)
+                raise CannotRead(f"what `ip` says of {self.name} cannot be read: {text[:40]!r}") from None
+        found: dict[str, Any] = self._kept["link"]
+        return found
+
+    def data(self, *keys: str) -> Any:
+        """Return what stands under `keys` of the details; CannotRead where nothing does."""
+        found: Any = self.details
+        for key in keys:
+            if not isinstance(found, dict) or key not in found:
+                raise CannotRead(f"`ip` says nothing of {'.'.join(keys)} of {self.name}")
+            found = found[key]
+        return found
+
+    def number(self, *keys: str) -> float:
+        """Return the number under `keys`; CannotRead where none is."""
+        value = self.data(*keys)
+        try:
+            return float(value)
+        except (TypeError, ValueError):
+            raise CannotRead(f"{'.'.join(keys)} of {self.name}: got {value!r}, expected a number") from None
+
+    def info(self, *keys: str) -> Any:
+        """Return what stands under `keys` of the controller's own data."""
+        return self.data("linkinfo", "info_data", *keys)
+
+    @property
+    def modes(self) -> frozenset[str]:
+        """The controller's modes that are on; `ip` leaves the list out where none is."""
+        data = self.data("linkinfo", "info_data")
+        found = data.get("ctrlmode", []) if isinstance(data, dict) else None
+        if not isinstance(found, list):
+            raise CannotRead(f"ctrlmode of {self.name}: got {found!r}, expected a list")
+        return frozenset(map(str, found))
+
+    @property
+    def virtual(self) -> bool:
+        """Whether there is no controller behind it (vcan, vxcan)."""
+        kind = self.details.get("linkinfo")
+        return isinstance(kind, dict) and kind.get("info_kind") in ("vcan", "vxcan")
+
+
+def checks(machine: Machine, name: str, bitrate_bit_s: int | None = None) -> list[Check]:
+    """Return the checks of the interface `name`, which is to have this bit rate (None: any)."""
+    link = Link(machine, name, bitrate_bit_s)
+    if not machine.path(f"/sys/class/net/{name}").exists():
+        return [("can.interface", partial(_missing, link))]
+    if not _is_can(machine, name):  # of nothing else anything is to be mended
+        return [("can.interface", partial(interface, link))]
+    general = (interface, driver, up, txqueuelen)
+    of_controller = (state, mode, bitrate, sample_point, restart_ms, berr_reporting, error_counters, timestamps)
+    found: list[Check] = [(f"can.{one.__name__}", partial(one, link)) for one in general]
+    return found + [(f"can.{one.__name__}", partial(_of_controller, link, one)) for one in of_controller]
+
+
+def _of_controller(link: Link, check: Callable[[Link], Outcome]) -> Outcome:
+    if link.virtual:
+        return Outcome(True, f"{link.name} has no controller: it is {link.data('linkinfo', 'info_kind')}")
+    return check(link)
+
+
+def _is_can(machine: Machine, name: str) -> bool:
+    try:
+        return machine.number(f"/sys/class/net/{name}/type") == ARPHRD_CAN
+    except CannotRead:
+        return False
+
+
+def _missing(link: Link) -> Outcome:
+    there = [name for name in link.machine.names("/sys/class/net") if _is_can(link.machine, name)]
+    others = f"CAN interfaces here: {', '.join(there)}" if there else "no CAN interface is here"
+    fix = (
+        f"# name one of them: --bus socketcan:{there[0]}"
+        if there
+        else "# plug the card in; see `lsusb`, `lspci`, `dmesg`"
+    )
+    return Outcome(False, f"there is no interface {link.name}; {others}", fix)
+
+
+def interface(link: Link) -> Outcome:
+    """The interface is one of CAN."""
+    kind = link.machine.number(f"/sys/class/net/{link.name}/type")
+    if kind == ARPHRD_CAN:
+        return Outcome(True, f"{link.name} is a CAN interface")
+    return Outcome(
+        False, f"{link.name} is no CAN interface (type {kind})", "# name a CAN interface: --bus socketcan:can0"
+    )
+
+
+def driver(link: Link) -> Outcome:
+    """Which driver; slcan is a serial line and no match for a cycle of a millisecond."""
+    target = link.machine.path(f"/sys/class/net/{link.name}/device/driver")
+    name = os.path.basename(os.path.realpath(target)) if target.exists() else ""
+    if not name and link.virtual:
+        return Outcome(True, f"{link.data('linkinfo', 'info_kind')}: no wire, for trials only")
+    if not name and re.match(r"slcan|can-ser", link.name):
+        return Outcome(
+            False, "slcan: a serial line, with milliseconds of delay", "# take a card with a driver of its own"
+        )
+    if not name:
+        raise CannotRead(f"/sys/class/net/{link.name}/device/driver names no driver")
+    return Outcome(True, name)
+
+
+def up(link: Link) -> Outcome:
+    """The interface is up."""
+    flags = link.machine.text(f"/sys/class/net/{link.name}/flags")
+    try:
+        is_up = bool(int(flags, 16) & 1)
+    except ValueError:
+        raise CannotRead(f"/sys/class/net/{link.name}/flags cannot be read: got {flags[:40]!r}") from None
+    if is_up:
+        return Outcome(True, "up")
+    fix = f"sudo ip link set {shlex.quote(link.name)} up" if link.virtual else link.setup
+    return Outcome(False, "down", fix)
+
+
+def txqueuelen(link: Link) -> Outcome:
+    """What waits to be sent: too little room loses frames, too much keeps old set-points."""
+    length = link.machine.number(f"/sys/class/net/{link.name}/tx_queue_len")
+    fix = f"sudo ip link set {shlex.quote(link.name)} txqueuelen 64"
+    if length < SHORTEST_QUEUE:
+        return Outcome(False, f"{length} frames: an SDO beside the cycle may find no room", fix)
+    if length > LONGEST_QUEUE:
+        return Outcome(False, f"{length} frames: a bus that stands still fills it with old set-points", fix)
+    return Outcome(True, f"{length} frames")
+
+
+def state(link: Link) -> Outcome:
+    """The controller takes part in the bus."""
+    name = str(link.info("state"))
+    if name == "ERROR-ACTIVE":
+        return Outcome(True, name)
+    if name == "STOPPED":
+        return Outcome(False, name, link.setup)
+    return Outcome(
+        False,
+        f"{name}: bit rate, cable or termination",
+        "# 60 ohms between CAN_H and CAN_L with power off; then:\n" + link.setup,
+    )
+
+
+def mode(link: Link) -> Outcome:
+    """No mode in which frames are not sent, or not sent again."""
+    bad = sorted(link.modes & {"LOOPBACK", "LISTEN-ONLY", "ONE-SHOT", "PRESUME-ACK"})
+    if not bad:
+        return Outcome(True, "sends, and sends again what was destroyed")
+    off = " ".join(f"{one.lower()} off" for one in bad)
+    name = shlex.quote(link.name)
+    fix = f"sudo ip link set {name} down && sudo ip link set {name} type can {off} && sudo ip link set {name} up"
+    return Outcome(False, f"{', '.join(bad)} is on", fix)
+
+
+def bitrate(link: Link) -> Outcome:
+    """The bit rate is the rig's."""
+    rate = link.number("linkinfo", "info_data", "bittiming", "bitrate")
+    if link.bitrate_bit_s is None:
+        return Outcome(True, f"{rate / 1000:g} kbit/s")
+    if abs(rate - link.bitrate_bit_s) <= 0.005 * link.bitrate_bit_s:
+        return Outcome(True, f"{rate / 1000:g} kbit/s, as the rig file says")
+    return Outcome(False, f"{rate / 1000:g} kbit/s; the rig file says {link.bitrate_bit_s / 1000:g}", link.setup)
+
+
+def sample_point(link: Link) -> Outcome:
+    """Where in a bit it is looked at: 87.5 % (CiA 301, bit timing)."""
+    rate = round(link.number("linkinfo", "info_data", "bittiming", "bitrate"))
+    point = link.number("linkinfo", "info_data", "bittiming", "sample_point")
+    low, high = SAMPLE_POINTS.get(rate, SAMPLE_POINT)
+    text = f"{point:.1%}; CiA 301 has {low:.0%} to {high:.0%} at {rate / 1000:g} kbit/s"
+    return Outcome(low - 5e-4 <= point <= high + 5e-4, text, link.setup)
+
+
+def restart_ms(link: Link) -> Outcome:
+    """After a bus-off the interface comes back by itself; the host has tripped and stays so."""
+    after = link.number("linkinfo", "info_data", "restart_ms")
+    if after > 0:
+        return Outcome(True, f"{after:g} ms")
+    return Outcome(False, "0: after a bus-off the interface stays off", link.setup)
+
+
+def berr_reporting(link: Link) -> Outcome:
+    """Each error on the bus comes as an error frame, is counted and recorded."""
+    if "BERR-REPORTING" in link.modes:
+        return Outcome(True, "on")
+    return Outcome(False, "off: errors on the bus are not seen one by one", link.setup)
+
+
+def error_counters(link: Link) -> Outcome:
+    """The controller has met no errors since it was set up."""
+    tx, rx = (link.number("linkinfo", "info_data", "berr_counter", one) for one in ("tx", "rx"))
+    try:
+        counted = link.data("linkinfo", "info_xstats")
+        since = {name: int(counted.get(name, 0)) for name in ("bus_error", "error_passive", "bus_off")}
+    except (CannotRead, AttributeError, TypeError, ValueError):
+        since = {}
+    text = f"tx {tx:g}, rx {rx:g}" + "".join(f", {name.replace('_', ' ')} {n}" for name, n in since.items())
+    ok = tx == rx == 0 and not any(since.values())
+    return Outcome(
+        ok, text, "# cable, termination, bit rate of each device; then, to zero the counters:\n" + link.setup
+    )
+
+
+def timestamps(link: Link) -> Outcome:
+    """A card that stamps itself tells the time on the wire; without, the kernel's is used."""
+    if link.machine.stamps(link.name):
+        return Outcome(True, "in hardware")
+    return Outcome(True, "by the kernel, when the frame is handed over: some tens of microseconds late")

@@ -1,0 +1,42 @@
+"""Room for recordings."""
+
+from __future__ import annotations
+
+import os
+from functools import partial
+from pathlib import Path
+
+from coulombus.host.doctor.finding import Check, Outcome
+from coulombus.host.doctor.machine import CannotRead
+from coulombus.host.doctor.wanted import Wanted
+
+__all__ = ["bytes_s", "checks"]
+
+PACKET_BYTES, TRACE_BYTES = 48, 12
+"""Of a recording: each frame, and what the trace keeps of each cycle, rounded up."""
+ENOUGH_H = 8.0
+"""A day of work."""
+
+
+def bytes_s(wanted: Wanted) -> float:
+    """Return how fast a recording grows, in bytes a second of display."""
+    return (PACKET_BYTES * wanted.frames + TRACE_BYTES) / wanted.period_s
+
+
+def checks(folder: Path, wanted: Wanted) -> list[Check]:
+    """Return the checks of the folder for recordings."""
+    return [("disk.free", partial(free, folder, wanted))]
+
+
+def free(folder: Path, wanted: Wanted) -> Outcome:
+    """A day's recordings find room."""
+    try:
+        found = os.statvfs(folder)
+    except OSError as error:
+        raise CannotRead(f"{folder} cannot be read: {error.strerror}") from None
+    left = found.f_bavail * found.f_frsize
+    hours = left / bytes_s(wanted) / 3600
+    text = f"{left / 1e9:.1f} GB in {folder.absolute()}: {hours:.0f} h of recording"
+    if not os.access(folder, os.W_OK):
+        return Outcome(False, f"{folder.absolute()} cannot be written", "# record to another folder")
+    return Outcome(hours >= ENOUGH_H, text, "# free some space, or record with --rotate and --keep")

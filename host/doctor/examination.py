@@ -1,0 +1,50 @@
+"""All checks of a machine for a rig, in the order in which they are told."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from coulombus.host.doctor import can, cpu, disk, kernel, power, rights, software
+from coulombus.host.doctor.finding import Check, Finding, Outcome, examine
+from coulombus.host.doctor.machine import Machine
+from coulombus.host.doctor.wanted import Wanted
+from coulombus.wire.address import BusAddress
+
+__all__ = ["examination"]
+
+
+def examination(
+    wanted: Wanted,
+    addresses: Mapping[str, BusAddress],
+    *,
+    machine: Machine | None = None,
+    given_cpu: int | None = None,
+    folder: Path | None = None,
+) -> list[Finding]:
+    """Look at a machine and return what was found; raises nothing and changes nothing.
+
+    Parameters
+    ----------
+    wanted : what the rig asks for
+    addresses : the buses by their channels; the checks of a card are of those of Linux
+    machine : what is looked at; default is this one
+    given_cpu : for the cycle; default is the one that the host takes
+    folder : where recordings go; default is the present one
+    """
+    one = Machine() if machine is None else machine
+    checks = kernel.checks(one) + cpu.checks(one, given_cpu) + rights.checks(one)
+    for channel, address in addresses.items():
+        checks += _of_bus(one, wanted, channel, address, several=len(addresses) > 1)
+    checks += disk.checks(Path() if folder is None else folder, wanted) + software.checks()
+    return examine(checks)
+
+
+def _of_bus(machine: Machine, wanted: Wanted, channel: str, address: BusAddress, *, several: bool) -> list[Check]:
+    if address.kind != "socketcan":
+        text = f"{address} is a virtual bus: no card is looked at (--bus socketcan:can0 names one)"
+        found: list[Check] = [("can.interface", lambda: Outcome(True, text))]
+    else:
+        found = can.checks(machine, address.name, wanted.bitrates_bit_s.get(channel))
+        found += power.checks(machine, address.name)
+    return [(f"{name}.{channel}", check) for name, check in found] if several else found

@@ -1,0 +1,83 @@
+"""What a check finds, and how the checks are run: none of them ever raises."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass, field
+from typing import Any, NamedTuple, TypeAlias
+
+from coulombus.host.doctor.machine import CannotRead
+
+__all__ = ["Check", "Finding", "Outcome", "examine", "script"]
+
+
+class Outcome(NamedTuple):
+    """What a check says: whether all is well, what it found, and the command that mends it.
+
+    What no command mends is a comment of the shell: ``# ...``.
+    """
+
+    ok: bool
+    found: str
+    fix: str = ""
+
+
+Check: TypeAlias = tuple[str, Callable[[], Outcome]]
+"""A check's name (SUBJECT.WHAT) and what it does."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """The outcome of the check `check`."""
+
+    check: str
+    ok: bool
+    found: str
+    fix: str = ""
+    figures: dict[str, Any] = field(default_factory=dict)
+    """Of the latency test; else empty."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON, `figures` only where there are some."""
+        found = asdict(self)
+        return found if self.figures else {name: found[name] for name in found if name != "figures"}
+
+
+def examine(checks: Iterable[Check]) -> list[Finding]:
+    """Run the checks.
+
+    What cannot be read is said as such, and is not ok: nobody knows.
+    """
+    found = []
+    for name, check in checks:
+        try:
+            outcome = check()
+        except CannotRead as error:
+            outcome = Outcome(False, str(error), "# look at it by hand")
+        except Exception as error:
+            text = f"this check failed: {type(error).__name__}: {error}"
+            outcome = Outcome(False, text, "# a mistake of this program, please report it")
+        found.append(Finding(name, outcome.ok, _line(outcome.found), "" if outcome.ok else outcome.fix))
+    return found
+
+
+def _line(text: str) -> str:
+    return " ".join(text.split())
+
+
+def script(findings: Iterable[Finding]) -> str:
+    """Return a shell script of all fixes, each once, under what was found.
+
+    Nothing of what was found is a command: a line of it is a comment.
+    """
+    lines = ["#!/bin/sh", "# made by `coulombus doctor --fix`: read it before you run it", "set -eu", ""]
+    done: set[str] = set()
+    for one in findings:
+        if one.ok or one.fix in done:
+            continue
+        done.add(one.fix)
+        printable = "".join(c if c.isprintable() else "?" for c in one.found)
+        lines += [f"# {one.check}: {printable}", one.fix or "# no command mends it", ""]
+    if not done:
+        lines += ["# nothing has to be mended", ""]
+    return "\n".join(lines)

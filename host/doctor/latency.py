@@ -1,0 +1,304 @@
+"""The latency test: how late the cycle would wake while the machine has other work, beside what
+cyclictest says of the same machine, in turns.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from shutil import which
+from typing import Any
+
+from coulombus.host.doctor.finding import Finding, Outcome
+from coulombus.host.doctor.wanted import Wanted
+from coulombus.wire.realtime import die_with_parent
+
+__all__ = ["Latency", "Wakeups", "bars", "judge", "measure_latency", "read_cyclictest"]
+
+PRIORITY = 80
+ROUND_S = 5.0
+"""How long one contestant measures before the other one's turn."""
+SLACK_S = 180.0  # the first start ever compiles
+POLL_S = 0.1
+BINS = 20_000
+EDGES = (0, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000, 20_000)
+BAR = 18
+LATE_SHARE = 0.1
+"""Of the period: where the 99th percentile of the wake-ups has to be."""
+_COUNT = re.compile(r"^(\d+)\s+(\d+)\s*$", re.MULTILINE)
+_MOST = re.compile(r"^# Max Latencies:\s*(\d+)", re.MULTILINE)
+
+
+@dataclass
+class Wakeups:
+    """How many wake-ups were so many whole us late, and how late the latest was."""
+
+    counts: Counter[int] = field(default_factory=Counter)
+    latest_us: float = 0.0
+
+    def add(self, counts: Mapping[int, int], latest_us: float) -> None:
+        """Count more of them."""
+        self.counts.update(counts)
+        self.latest_us = max(self.latest_us, latest_us)
+
+    @property
+    def total(self) -> int:
+        """All of them."""
+        return sum(self.counts.values())
+
+    def at(self, share: float) -> float:
+        """Return the time [us] within which so large a share of them was; 0 where there are
+        none.
+        """
+        wanted, seen = share * self.total, 0
+        for us in sorted(self.counts):
+            seen += self.counts[us]
+            if seen >= wanted:
+                return min(us + 1.0, self.latest_us)
+        return 0.0
+
+    def beyond(self, us: float) -> int:
+        """Return how many were later than `us`."""
+        return sum(count for late, count in self.counts.items() if late >= us)
+
+    def between(self, low: int, high: int) -> int:
+        """Return how many were so late."""
+        return sum(count for late, count in self.counts.items() if low <= late < high)
+
+    def as_dict(self) -> dict[str, float]:
+        """Return plain values for JSON."""
+        return {"wakeups": self.total, "p50_us": self.at(0.5), "p99_us": self.at(0.99), "max_us": self.latest_us}
+
+
+@dataclass
+class Latency:
+    """What the test found.
+
+    Attributes
+    ----------
+    own, cyclictest : the wake-ups; None where cyclictest did not run, for `reason`
+    refused : the real-time rights that were refused
+    loads : how many processes worked beside it
+    """
+
+    own: Wakeups
+    cyclictest: Wakeups | None
+    reason: str
+    refused: tuple[str, ...]
+    loads: int
+
+
+class LatencyError(RuntimeError):
+    """The test did not run; the text says why."""
+
+
+def read_cyclictest(text: str) -> tuple[dict[int, int], float]:
+    """Return counts and maximum of what ``cyclictest -q -h`` prints; LatencyError for anything
+    else.
+    """
+    most = _MOST.search(text)
+    if most is None:
+        raise LatencyError("what cyclictest printed is no histogram")
+    counts = {int(us): int(count) for us, count in _COUNT.findall(text) if int(count)}
+    latest = int(most[1])
+    overflow = re.search(r"^# Histogram Overflows:\s*(\d+)", text, re.MULTILINE)
+    if overflow and int(overflow[1]):
+        counts[BINS - 1] = counts.get(BINS - 1, 0) + int(overflow[1])
+    return counts, float(latest)
+
+
+def _module(name: str, *words: str) -> list[str]:
+    return [sys.executable, "-P", "-m", f"coulombus.host.doctor.{name}", *words]
+
+
+def _environment() -> dict[str, str]:
+    root = str(Path(__file__).parents[__name__.count(".")])
+    path = os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH"))))
+    return {**os.environ, "PYTHONPATH": path, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+
+
+@contextmanager
+def _loaded(count: int, folder: str) -> Iterator[None]:
+    """Let so many processes work meanwhile."""
+    started: list[subprocess.Popen[bytes]] = []
+    try:
+        for number in range(count):
+            words = _module("load", str(os.getpid()), str(number), folder)
+            started.append(subprocess.Popen(words, stdin=subprocess.DEVNULL, env=_environment()))
+        yield
+    finally:
+        for one in started:
+            one.kill()
+        for one in started:
+            one.wait()
+
+
+def _ran(words: Sequence[str], seconds: float, tick: Callable[[float], None]) -> str:
+    """Return what a contestant prints; LatencyError where it fails."""
+    parent, began = os.getpid(), time.monotonic()
+    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
+        process = subprocess.Popen(
+            words,
+            stdin=subprocess.DEVNULL,
+            stdout=out,
+            stderr=err,
+            env=_environment(),
+            preexec_fn=lambda: die_with_parent(parent),
+        )
+        try:
+            while process.poll() is None:
+                spent = time.monotonic() - began
+                if spent > seconds + SLACK_S:
+                    raise LatencyError(f"{Path(words[0]).name} did not end within {spent:.0f} s")
+                tick(min(spent, seconds))
+                try:
+                    process.wait(POLL_S)
+                except subprocess.TimeoutExpired:
+                    continue
+        finally:
+            if process.poll() is None:
+                process.kill()
+                process.wait()
+        out.seek(0)
+        err.seek(0)
+        text, words_of_it = out.read().decode(errors="replace"), err.read().decode(errors="replace").strip()
+    if process.returncode != 0:
+        reason = words_of_it.splitlines()[-1] if words_of_it else f"status {process.returncode}"
+        raise LatencyError(f"{Path(words[0]).name}: {reason}")
+    return text
+
+
+def measure_latency(
+    seconds: float,
+    wanted: Wanted,
+    *,
+    cpu: int | None,
+    priority: int | None = PRIORITY,
+    loads: int | None = None,
+    progress: Callable[[float], None] = lambda t: None,
+) -> Latency:
+    """Measure for so many seconds in all, in turns with cyclictest where that is installed.
+
+    Parameters
+    ----------
+    cpu : for the loop
+    priority : of SCHED_FIFO; None asks for no real-time right
+    loads : how many processes work meanwhile; default is one for each CPU
+    progress : called with the time spent [s]
+
+    Raises
+    ------
+    LatencyError
+        the loop did not run
+    """
+    program = which("cyclictest")
+    contestants = 2 if program else 1
+    turns = max(1, round(seconds / ROUND_S / contestants))
+    turn_s = seconds / turns / contestants
+    own, beside = Wakeups(), Wakeups()
+    reason, refused, done = "" if program else "cyclictest is not installed (rt-tests)", (), 0.0
+    loads = len(os.sched_getaffinity(0)) if loads is None else loads
+    settings = {
+        "parent": os.getpid(),
+        "period_ns": round(wanted.period_s * 1e9),
+        "seconds": turn_s,
+        "priority": priority,
+        "cpu": cpu,
+    }
+    with _loaded(loads, tempfile.gettempdir()):
+        for _ in range(turns):
+            started = done
+
+            def tick(t: float, since: float = started) -> None:
+                progress(since + t)
+
+            told = json.loads(_ran(_module("sleeper", json.dumps(settings)), turn_s, tick))
+            own.add({int(us): count for us, count in told["counts"].items()}, told["latest_us"])
+            refused = tuple(right["name"] for right in told["real_time"] if not right["granted"])
+            done += turn_s
+            if program and not reason:
+                words = [
+                    program,
+                    "-m",
+                    "-q",
+                    "-t1",
+                    f"-p{priority or 0}",
+                    f"-i{round(wanted.period_s * 1e6)}",
+                    f"-h{BINS}",
+                ]
+                words += [f"-l{max(1, round(turn_s / wanted.period_s))}"] + ([] if cpu is None else [f"-a{cpu}"])
+                try:
+                    beside.add(*read_cyclictest(_ran(words, turn_s, lambda t, since=done: progress(since + t))))  # type: ignore[misc]
+                except LatencyError as error:
+                    reason = str(error)
+                done += turn_s
+    return Latency(own, None if reason else beside, reason, refused, loads)
+
+
+def judge(found: Latency, wanted: Wanted) -> Finding:
+    """Say whether the machine is fit for a rig's limits, and why not.
+
+    A wake-up that is a watchdog's time late, a period included, trips; one that leaves no room for
+    the TPDOs' window loses its period; and the 99th percentile is within a tenth of the period.
+    """
+    own = found.own
+    period_us, window_us, watchdog_us = (1e6 * t for t in (wanted.period_s, wanted.window_s, wanted.watchdog_s))
+    lost = own.beyond(period_us - window_us) / own.total if own.total else 1.0
+    reasons = []
+    if "SCHED_FIFO" in found.refused:
+        reasons.append("SCHED_FIFO was refused")
+    if own.latest_us + period_us > watchdog_us:
+        reasons.append(
+            f"a wake-up was {own.latest_us / 1000:.2f} ms late, and a watchdog ends at {watchdog_us / 1000:g} ms"
+        )
+    if lost > wanted.loss_limit:
+        reasons.append(f"{lost:.2%} of the periods are lost, and the limit is {wanted.loss_limit:.2%}")
+    if own.at(0.99) > LATE_SHARE * period_us:
+        reasons.append(
+            f"one wake-up in a hundred is {own.at(0.99):.0f} us late or later, a tenth of the period is {period_us / 10:.0f} us"
+        )
+    told = f"{own.total} wake-ups beside {found.loads} busy processes, p50 {own.at(0.5):.0f}, p99 {own.at(0.99):.0f}, latest {own.latest_us:.0f} us"
+    if found.cyclictest is not None:
+        told += f" (cyclictest {found.cyclictest.at(0.5):.0f}, {found.cyclictest.at(0.99):.0f}, {found.cyclictest.latest_us:.0f})"
+    outcome = Outcome(True, f"fit for {wanted}: {told}")
+    if reasons:
+        fix = "# mend what the other checks name, and test again; until then: simulated nodes only"
+        outcome = Outcome(False, f"not fit for {wanted}: {'; '.join(reasons)}; {told}", fix)
+    figures: dict[str, Any] = {
+        "own": own.as_dict(),
+        "cyclictest": None if found.cyclictest is None else found.cyclictest.as_dict(),
+        "refused": list(found.refused),
+        "lost_share": lost,
+        "fit": outcome.ok,
+    }
+    return Finding("latency", outcome.ok, outcome.found, outcome.fix, figures)
+
+
+def bars(found: Latency) -> list[tuple[str, int, str, int | None, str]]:
+    """Return the rows of the histogram: how late, and for each contestant the number and a bar
+    (logarithmic).
+    """
+
+    def bar(count: int, total: int) -> str:
+        return "█" * max(1, round(BAR * len(str(count)) / max(1, len(str(total))))) if count else ""
+
+    rows: list[tuple[str, int, str, int | None, str]] = []
+    for low, high in pairwise((*EDGES, 1 << 62)):
+        name = f"{low} - {high} us" if high < 1 << 62 else f"over {low} us"
+        one = found.own.between(low, high)
+        other = None if found.cyclictest is None else found.cyclictest.between(low, high)
+        beside = "" if other is None or found.cyclictest is None else bar(other, found.cyclictest.total)
+        rows.append((name, one, bar(one, found.own.total), other, beside))
+    used = [i for i, row in enumerate(rows) if row[1] or row[3]]
+    return rows[: used[-1] + 1] if used else []

@@ -1,0 +1,55 @@
+"""Ordinary work that a machine may have beside the cycle: ``python -m coulombus.host.doctor.load
+PARENT NUMBER FOLDER``, until it is ended.
+
+One copies memory about, the next one makes system calls and writes to the disk.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+from contextlib import suppress
+
+from coulombus.wire.realtime import die_with_parent
+
+__all__ = ["main"]
+
+BLOCK = 8 << 20
+WRITTEN = 1 << 20
+SYSTEM_CALLS = 2000
+
+
+def _copy() -> None:
+    block = bytearray(BLOCK)
+    while True:
+        block[:] = bytes(reversed(block))
+
+
+def _call(folder: str) -> None:
+    block = os.urandom(WRITTEN)
+    reading, writing = os.pipe()
+    with suppress(OSError), tempfile.TemporaryFile(dir=folder) as file:
+        while True:
+            file.seek(0)
+            file.write(block)
+            file.flush()
+            os.fsync(file.fileno())
+            for _ in range(SYSTEM_CALLS):
+                os.write(writing, b"x")
+                os.read(reading, 1)
+    while True:  # a folder that takes nothing
+        os.write(writing, b"x")
+        os.read(reading, 1)
+
+
+def main(parent: int, number: int, folder: str) -> None:
+    """Work until the parent ends."""
+    die_with_parent(parent)
+    if number % 2:
+        _call(folder)
+    _copy()
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]), int(sys.argv[2]), sys.argv[3])

@@ -1,0 +1,118 @@
+"""What is installed: versions, and whether another `coulombus` stands in the way of this one."""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+import sys
+from collections.abc import Callable, Sequence
+from functools import partial
+from importlib import metadata
+from pathlib import Path
+
+from coulombus.host.doctor.finding import Check, Outcome
+
+__all__ = ["NAME", "checks", "requirement_met"]
+
+NAME = "coulombus"
+_REQUIREMENT = re.compile(r"\s*([A-Za-z0-9._-]+)\s*(\[[^]]*\])?\s*\(?([^;)]*)\)?\s*(;.*)?$")
+_BOUND = re.compile(r"\s*(>=|<=|==|!=|~=|>|<)\s*([0-9][0-9a-zA-Z.*+!]*)\s*$")
+
+
+def checks(
+    path: Sequence[str] | None = None, programs: Sequence[str] | None = None, own: Path | None = None
+) -> list[Check]:
+    """Return the checks of what is installed.
+
+    Parameters
+    ----------
+    path, programs : where modules and programs are looked for; default is this process'
+    own : the package's folder; default is this one's
+    """
+    modules = sys.path if path is None else path
+    folders = os.environ.get("PATH", "").split(os.pathsep) if programs is None else programs
+    here = Path(__file__).resolve().parents[2] / NAME if own is None else own
+    return [
+        ("software.versions", versions),
+        ("software.import_name", partial(import_name, modules, here)),
+        ("software.script_name", partial(script_name, folders, Path(sys.prefix))),
+    ]
+
+
+def _numbers(text: str) -> tuple[int, ...]:
+    found = re.match(r"\d+(\.\d+)*", text)
+    return tuple(map(int, found[0].split("."))) if found else ()
+
+
+def requirement_met(bounds: str, version: str) -> bool:
+    """Tell whether a version is within ``>=1.2,<3``; bounds of other kinds are not looked at."""
+    have = _numbers(version)
+    for text in filter(None, bounds.split(",")):
+        found = _BOUND.match(text)
+        if found is None:
+            continue
+        kind, limit = found[1], _numbers(found[2])
+        size = max(len(have), len(limit))
+        a, b = (one + (0,) * (size - len(one)) for one in (have, limit))
+        if (kind == ">=" and a < b) or (kind == "<" and a >= b) or (kind == "<=" and a > b) or (kind == ">" and a <= b):
+            return False
+    return True
+
+
+def versions(
+    requires: Callable[[str], list[str] | None] = metadata.requires, version: Callable[[str], str] = metadata.version
+) -> Outcome:
+    """Everything that this project needs is here, in a version that it was tried with."""
+    try:
+        needed = requires(NAME) or []
+        told = [f"{NAME} {version(NAME)}", f"Python {platform.python_version()}"]
+    except metadata.PackageNotFoundError:
+        return Outcome(False, f"{NAME} is not installed, only found", f"{sys.executable} -m pip install {NAME}")
+    wrong = []
+    for text in needed:
+        found = _REQUIREMENT.match(text)
+        if found is None or (found[4] and "extra" in found[4]):
+            continue
+        try:
+            have = version(found[1])
+        except metadata.PackageNotFoundError:
+            wrong.append(f"{found[1]} is missing")
+            continue
+        told.append(f"{found[1]} {have}")
+        if not requirement_met(found[3], have):
+            wrong.append(f"{found[1]} is {have}, expected {found[3].strip()}")
+    if wrong:
+        return Outcome(False, "; ".join(wrong), f"{sys.executable} -m pip install --upgrade {NAME}")
+    return Outcome(True, ", ".join(told))
+
+
+def import_name(path: Sequence[str], own: Path) -> Outcome:
+    """Where a module is looked for there is no other `coulombus`."""
+    others = []
+    for entry in dict.fromkeys(path):
+        folder = Path(entry or ".")
+        for candidate in (folder / NAME / "__init__.py", folder / f"{NAME}.py"):
+            place = candidate.parent if candidate.name == "__init__.py" else candidate
+            if candidate.is_file() and place.resolve() != own.resolve():
+                others.append(str(place))
+    if not others:
+        return Outcome(True, f"only {own}")
+    fix = "# rename it, or take its folder out of PYTHONPATH: " + ", ".join(others)
+    return Outcome(False, f"another {NAME} can be imported: {', '.join(others)}", fix)
+
+
+def script_name(folders: Sequence[str], prefix: Path) -> Outcome:
+    """The command `coulombus` of the shell is this environment's."""
+    found: list[Path] = []
+    for folder in dict.fromkeys(filter(None, folders)):
+        script = Path(folder) / NAME
+        if script.is_file() and os.access(script, os.X_OK) and script.resolve() not in (one.resolve() for one in found):
+            found.append(script)
+    own = prefix / "bin" / NAME
+    if not found:
+        return Outcome(True, f"not on PATH; call it as {own}")
+    if found[0].resolve() == own.resolve():
+        return Outcome(True, str(found[0]))
+    fix = f". {prefix}/bin/activate  # in each terminal, or: hash -r; export PATH={prefix}/bin:$PATH"
+    return Outcome(False, f"the shell takes {found[0]}, not {own}", fix)
