@@ -22,6 +22,7 @@ from coulombus.verbs.run import run_command, stop
 from coulombus.verbs.scan import scan
 from coulombus.verbs.sim import node_command, sim
 from coulombus.verbs.simulate import demo, simulate_command
+from coulombus.verbs.systemd import systemd
 
 __all__ = ["main"]
 
@@ -29,7 +30,7 @@ VERBS = (
     *(demo, simulate_command, sim, node_command),
     *(run_command, stop, watch, decode, dbc, replay, bridge),
     *(scan, lss),
-    *(init, doctor, check, measure, plan_command),
+    *(init, doctor, systemd, check, measure, plan_command),
     *(eds, conformance, analyse, identify_command),
 )
 

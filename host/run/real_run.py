@@ -44,6 +44,7 @@ from coulombus.rigs.draft.text import REHEARSAL, rehearsal_marks
 from coulombus.rigs.rig import Rig, RigError
 from coulombus.wire.address import BusAddress, BusUnavailable, default_address
 from coulombus.wire.frame import Records
+from coulombus.wire.notify import Notifier
 from coulombus.wire.realtime import default_cpu
 from coulombus.wire.stopping import Signals, status_of
 
@@ -89,6 +90,7 @@ class _RealRun(Course):
         self._seen = (0, time.monotonic())
         self._outcome: dict[str, Any] | None = None  # what is told to those who asked for a stop
         self._stack = ExitStack()
+        self.notifier = Notifier()  # before anything is started that would inherit its variables
         try:
             self.door = HostSocket(address)
             self._stack.callback(lambda: self.door.close(self._outcome))
@@ -202,6 +204,7 @@ class _RealRun(Course):
         self.plane.attend()
         self.plane.start_cycle((time.monotonic_ns() + LEAD_NS) // period * period)
         self._seen = (0, time.monotonic())
+        self.notifier.tell(READY=1, STATUS=f"cycling on {self.address} in mode {self.k.mode}")
         try:
             self.display(seconds)
         except Exception as error:
@@ -235,6 +238,7 @@ class _RealRun(Course):
         The data plane goes there by itself: an error in here ends the looking on, not the waiting.
         """
         deadline, failures = 0, 0
+        self.notifier.tell(STOPPING=1, STATUS="ending safely")
         while failures < FAILURES:
             try:
                 self.plane.stop()
@@ -275,6 +279,7 @@ class _RealRun(Course):
         cycles, now = self.plane.cycles, time.monotonic()
         if cycles != self._seen[0]:
             self._seen = cycles, now
+            self.notifier.alive(cycles)
         self.mark_course(self.now_ns + 1)
         enabled = self.enabled_ns
         if enabled is not None and self.progress is not None:

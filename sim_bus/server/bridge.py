@@ -21,6 +21,7 @@ from coulombus.wire.can_id import CAN_RTR_FLAG
 from coulombus.wire.client import CAN_FRAME, BusDown, BusFull, Client
 from coulombus.wire.hello import Hello
 from coulombus.wire.identifiers import Ranges
+from coulombus.wire.notify import Notifier
 from coulombus.wire.stopping import StopSignals
 
 __all__ = ["QUEUE_FRAMES", "Between", "Counts", "Frame", "SameBus", "bridge", "faults"]
@@ -199,17 +200,24 @@ def bridge(
         if not one_way:
             ways[f"{b} -> {a}"] = _Way(right, left, back or faults(), ranges, room)
         result = Result({name: way.counts for name, way in ways.items()})
+        notifier = Notifier()
         ready()
+        notifier.tell(READY=1, STATUS=f"{a} and {b} are joined")
         begin = time.monotonic()
+        end = None if seconds is None else begin + seconds
         try:
-            _serve(tuple(ways.values()), (left, right), stop, None if seconds is None else begin + seconds)
+            _serve(tuple(ways.values()), (left, right), stop, end, notifier)
         except BusUnavailable as error:
             result.gone = str(error)
-        result.seconds = time.monotonic() - begin
+        finally:
+            notifier.tell(STOPPING=1)
+            result.seconds = time.monotonic() - begin
         return result
 
 
-def _serve(ways: tuple[_Way, ...], clients: tuple[Client, ...], stop: StopSignals, end: float | None) -> None:
+def _serve(
+    ways: tuple[_Way, ...], clients: tuple[Client, ...], stop: StopSignals, end: float | None, notifier: Notifier
+) -> None:
     poll = select.poll()
     poll.register(stop, select.POLLIN)
     by_fd = {way.source.fileno(): way for way in ways}
@@ -219,6 +227,7 @@ def _serve(ways: tuple[_Way, ...], clients: tuple[Client, ...], stop: StopSignal
     asked = time.monotonic()
     while True:
         now = time.monotonic()
+        notifier.alive(now)
         if end is not None and now >= end:
             return
         pause = LONGEST_S if end is None else min(LONGEST_S, end - now)

@@ -171,6 +171,11 @@ class BusServer:
     def _serve(self) -> int:
         return int(self._run(self._pace, self._clients, *self.world.arguments))
 
+    @property
+    def wakeups(self) -> int:
+        """How often the loop has woken: a bus that stands still has as many as before."""
+        return int(self._pace["wakeups"][0])
+
     def stop(self) -> None:
         """End `run` soon; may be called from another thread or a signal handler."""
         self._pace["stop"] = 1

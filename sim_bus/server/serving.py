@@ -13,6 +13,7 @@ from types import FrameType
 
 from coulombus.sim_bus.faults.lines import injected_lines
 from coulombus.sim_bus.server.server import BusServer, SimResult
+from coulombus.wire.notify import Notifier
 from coulombus.wire.stopping import taken
 from coulombus.wire.verdict import printed, say, verdict
 
@@ -42,12 +43,14 @@ def run_sim(
     switched on; by default it tells of a bus.
     """
     made: list[BusServer] = []
+    notifier = Notifier()
     over = threading.Event()
     failure: list[BaseException] = []
 
     def ready() -> None:
         with printed():  # the bus is there, whoever reads of it
             (tell_ready or _tell_ready)(server, as_json)
+        notifier.tell(READY=1, STATUS=f"bus {server.address}")
 
     def course() -> None:
         try:
@@ -69,9 +72,10 @@ def run_sim(
             thread = threading.Thread(target=course, name="bus")
             thread.start()
             while not over.wait(1.0):
-                pass
+                notifier.alive(server.wakeups)
             thread.join()
     finally:
+        notifier.tell(STOPPING=1)
         for one in made:
             one.close()
     if failure:

@@ -43,6 +43,7 @@ BASE = {
     "check": "check",
     "measure": "measure --bus coulombus:none",
     "doctor": "doctor",
+    "systemd": "systemd -o DIR/units",
     "plan": "plan",
     "eds check": "eds check EDS",
     "init": "init --drive EDS --brake bench",
@@ -69,6 +70,7 @@ WITH_RIG = (
     "check",
     "measure",
     "doctor",
+    "systemd",
     "plan",
 )
 WITH_RIG += ("analyse", "analyse hold", "analyse map", "identify")

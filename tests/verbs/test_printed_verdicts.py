@@ -36,6 +36,7 @@ ENDS = {
     "eds ok": (f"eds check {EDS}", 0),
     "init": (f"init --drive {EDS} --brake bench", 0),
     "doctor": ("doctor --bus socketcan:none7", 1),
+    "systemd": ("systemd -o /dev/null/units", 2),
     "check": ("check --rig bench --set bus.bitrate_bit_s=125000", 1),
     "check ok": ("check --rig bench", 0),
     "measure": ("measure --bus coulombus:none", 4),

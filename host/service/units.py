@@ -1,0 +1,285 @@
+"""The files that make services of host, simulation and bridge: systemd units, device rules, limits,
+and the CAN interface's set-up.
+
+The host's unit never restarts: after a trip nothing re-arms by itself, and a person starts it.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+__all__ = ["Service", "files", "quoted"]
+
+USER, GROUP = "coulombus", "realtime"
+WATCHDOG_S, SIM_WATCHDOG_S = 5, 10
+START_S = 300
+"""The first start compiles."""
+SAFE_S = 30
+"""For the safe end, beside the brake's hold and ramp."""
+STATUSES = "143 130 129"
+"""SIGTERM, SIGINT and SIGHUP, each after a safe end."""
+
+USB_DRIVERS = "gs_usb|peak_usb|kvaser_usb|ems_usb|esd_usb|mcba_usb|usb_8dev|etas_es58x|ucan"
+
+HARDENED = """\
+NoNewPrivileges=yes
+CapabilityBoundingSet=
+AmbientCapabilities=
+ProtectSystem=strict
+ProtectHome={home}
+PrivateTmp=yes
+ProtectClock=yes
+ProtectControlGroups=yes
+ProtectHostname=yes
+ProtectKernelLogs=yes
+ProtectKernelModules=yes
+ProtectKernelTunables=yes
+ProtectProc=invisible
+LockPersonality=yes
+RemoveIPC=yes
+RestrictNamespaces=yes
+RestrictSUIDSGID=yes
+RestrictAddressFamilies=AF_UNIX AF_CAN AF_NETLINK
+IPAddressDeny=any
+SystemCallArchitectures=native
+SystemCallFilter=@system-service
+SystemCallErrorNumber=EPERM
+KeyringMode=private
+DevicePolicy=closed
+UMask=0027
+# not set: MemoryDenyWriteExecute (kernels are compiled), RestrictRealtime (SCHED_FIFO)
+"""
+USER_HARDENED = """\
+NoNewPrivileges=yes
+LockPersonality=yes
+RestrictSUIDSGID=yes
+SystemCallArchitectures=native
+UMask=0027
+"""
+
+
+@dataclass(frozen=True)
+class Service:
+    """What the units are made for.
+
+    Attributes
+    ----------
+    program : the words that start `coulombus`
+    rig : a packaged rig's name, or the path of a rig file
+    bus : the bus of the host
+    mode : of the display
+    bitrate_bit_s : of the CAN interface
+    ending_s : how long the brake's hold and ramp may take
+    user : for a user's own service manager, and not the system's
+    """
+
+    program: Sequence[str]
+    rig: str
+    bus: str
+    mode: str
+    bitrate_bit_s: int
+    ending_s: float
+    user: bool = False
+
+    @property
+    def interface(self) -> str:
+        """The CAN interface: the host's, or can0 where that is on a virtual bus."""
+        kind, _, name = self.bus.partition(":")
+        return name if kind == "socketcan" else "can0"
+
+    def command(self, *words: str) -> str:
+        """Return a value of ExecStart."""
+        return " ".join(quoted(word) for word in (*self.program, *words))
+
+
+def quoted(word: str) -> str:
+    """Return a word as systemd reads it: quoted where need be, no specifier, no variable."""
+    word = word.replace("%", "%%").replace("$", "$$")
+    if re.fullmatch(r"[A-Za-z0-9_@%+=:,./$-]+", word):
+        return word
+    escaped = word.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n").replace("\t", "\\t")
+    return f'"{escaped}"'
+
+
+def _escaped(name: str) -> str:
+    """Return a name as it stands in the name of a device's unit (systemd-escape)."""
+    return re.sub(r"[^A-Za-z0-9:_.]", lambda found: "".join(f"\\x{byte:02x}" for byte in found[0].encode()), name)
+
+
+def files(service: Service) -> dict[str, str]:
+    """Return the files by their names; those beside the units only for the system's manager."""
+    units = {
+        "coulombus-host.service": _host(service),
+        "coulombus-sim.service": _sim(service),
+        "coulombus-bridge.service": _bridge(service),
+    }
+    if service.user:
+        return units | {"INSTALL.txt": USER_INSTALL}
+    name = service.interface
+    return units | {
+        "coulombus-sysusers.conf": SYSUSERS,
+        "coulombus-tmpfiles.conf": TMPFILES,
+        "90-coulombus-limits.conf": LIMITS,
+        "90-coulombus.rules": RULES,
+        f"80-coulombus-{name}.network": _network(name, service.bitrate_bit_s),
+        f"80-coulombus-{name}.link": LINK.format(name=name),
+        f"{name}-up.sh": UP.format(name=name, rate=service.bitrate_bit_s),
+        "INSTALL.txt": INSTALL.format(name=name),
+    }
+
+
+def _unit(
+    service: Service,
+    what: str,
+    command: str,
+    lines: str,
+    after: str = "",
+    *,
+    restart: bool,
+    watchdog_s: int,
+    priority: int,
+) -> str:
+    target = "default.target" if service.user else "multi-user.target"
+    home = (
+        "tmpfs"
+        if service.rig.find("/") < 0 and not service.program[0].startswith(("/home/", "/root/"))
+        else "read-only"
+    )
+    own = USER_HARDENED if service.user else HARDENED.format(home=home)
+    who = "" if service.user else f"User={USER}\nGroup={USER}\nSupplementaryGroups={GROUP}\n"
+    places = (
+        ""
+        if service.user
+        else "Environment=XDG_RUNTIME_DIR=/run/coulombus NUMBA_CACHE_DIR=/var/cache/coulombus MPLCONFIGDIR=/var/cache/coulombus\n"
+        "StateDirectory=coulombus\nCacheDirectory=coulombus\nReadWritePaths=/run/coulombus\nWorkingDirectory=/var/lib/coulombus\n"
+    )
+    limits = f"LimitRTPRIO={priority}\nLimitMEMLOCK=infinity\nLimitCORE=0\n"
+    again = "Restart=on-failure\nRestartSec=2\n" if restart else ""
+    install = f"\n[Install]\nWantedBy={target}\n" if restart else ""
+    return (
+        f"# made by `coulombus systemd`\n[Unit]\nDescription={what}\nDocumentation=man:systemd.service(5)\n{after}\n"
+        f"[Service]\nType=notify\nNotifyAccess=main\nExecStart={command}\nWatchdogSec={watchdog_s}\n"
+        f"TimeoutStartSec={START_S}\n{again}{lines}{who}{places}{limits}{own}{install}"
+    )
+
+
+def _host(service: Service) -> str:
+    after = ""
+    if service.bus.startswith("socketcan:") and not service.user:
+        device = f"sys-subsystem-net-devices-{_escaped(service.interface)}.device"
+        after = f"After={device}\nBindsTo={device}\n"
+    else:
+        after = "After=coulombus-sim.service\n"
+    stop_s = round(SAFE_S + service.ending_s)
+    lines = (
+        f"SuccessExitStatus={STATUSES}\n"
+        "# never restarted: after a trip nothing re-arms by itself\nRestart=no\n"
+        "# the data plane makes the rig safe by itself, whatever ends its parent: it is given the time\n"
+        f"KillMode=control-group\nTimeoutStopSec={stop_s}\nOOMScoreAdjust=-900\n"
+    )
+    if service.user:
+        lines = lines.replace("OOMScoreAdjust=-900\n", "")  # only the system's manager may
+    else:
+        lines += "DeviceAllow=/dev/cpu_dma_latency rw\n"
+    command = service.command("run", "--rig", service.rig, "--bus", service.bus, "--mode", service.mode)
+    return _unit(
+        service,
+        "Coulombus: the host on the rig",
+        command,
+        lines,
+        after,
+        restart=False,
+        watchdog_s=WATCHDOG_S,
+        priority=95,
+    )
+
+
+def _sim(service: Service) -> str:
+    bus = [] if service.bus.startswith("socketcan:") else ["--bus", service.bus]
+    command = service.command("sim", "--rig", service.rig, *bus)
+    lines = "TimeoutStopSec=10\n" + ("" if service.user else "DeviceAllow=/dev/cpu_dma_latency rw\n")
+    what = "Coulombus: a virtual bus with the simulated rig"
+    return _unit(service, what, command, lines, restart=True, watchdog_s=SIM_WATCHDOG_S, priority=95)
+
+
+def _bridge(service: Service) -> str:
+    virtual = service.bus if service.bus.startswith("coulombus:") else "coulombus:bench"
+    command = service.command("bridge", virtual, f"socketcan:{service.interface}")
+    what = "Coulombus: a virtual bus and a CAN interface as one"
+    after = "After=coulombus-sim.service\n"
+    return _unit(
+        service, what, command, "TimeoutStopSec=10\n", after, restart=True, watchdog_s=SIM_WATCHDOG_S, priority=0
+    )
+
+
+def _network(name: str, rate: int) -> str:
+    return (
+        f"# made by `coulombus systemd`\n[Match]\nName={name}\n\n[CAN]\nBitRate={rate}\nSamplePoint=87.5%\n"
+        "RestartSec=100ms\nBusErrorReporting=yes\n"
+    )
+
+
+LINK = """\
+# made by `coulombus systemd`
+[Match]
+OriginalName={name}
+
+[Link]
+TransmitQueueLength=64
+"""
+UP = """\
+#!/bin/sh
+# made by `coulombus systemd`: the same by hand, where systemd-networkd does not run
+set -eu
+ip link set {name} down
+ip link set {name} type can bitrate {rate} sample-point 0.875 restart-ms 100
+ip link set {name} type can berr-reporting on || true  # not every card can
+ip link set {name} txqueuelen 64 up
+"""
+SYSUSERS = f"""\
+# made by `coulombus systemd`
+g {GROUP} - -
+u {USER} - "Coulombus" /var/lib/coulombus
+m {USER} {GROUP}
+"""
+TMPFILES = f"""\
+# made by `coulombus systemd`: sockets of the virtual buses and of the host, recordings
+d /run/coulombus 0700 {USER} {USER} -
+d /var/lib/coulombus 0750 {USER} {USER} -
+"""
+LIMITS = f"""\
+# made by `coulombus systemd`: for people who run the host by hand
+@{GROUP}  -  rtprio   95
+@{GROUP}  -  memlock  unlimited
+"""
+RULES = f"""\
+# made by `coulombus systemd`: the CPUs stay awake while the host runs, and the port of a CAN card
+KERNEL=="cpu_dma_latency", GROUP="{GROUP}", MODE="0660"
+ACTION=="bind", SUBSYSTEM=="usb", DRIVER=="{USB_DRIVERS}", ATTR{{../power/control}}="on"
+"""
+INSTALL = """\
+Read each file first; then, as root in this folder:
+
+    cp coulombus-sysusers.conf /etc/sysusers.d/coulombus.conf && systemd-sysusers
+    cp coulombus-tmpfiles.conf /etc/tmpfiles.d/coulombus.conf && systemd-tmpfiles --create
+    cp 90-coulombus-limits.conf /etc/security/limits.d/
+    cp 90-coulombus.rules /etc/udev/rules.d/ && udevadm control --reload && udevadm trigger
+    cp 80-coulombus-{name}.network 80-coulombus-{name}.link /etc/systemd/network/
+    networkctl reload                    # or, without systemd-networkd: sh {name}-up.sh
+    cp *.service /etc/systemd/system/ && systemctl daemon-reload
+    systemctl start coulombus-host       # a person does this; it is never enabled
+
+To ask the running host, as its user:
+
+    sudo -u coulombus env XDG_RUNTIME_DIR=/run/coulombus coulombus stop
+"""
+USER_INSTALL = """\
+Read each file first; then:
+
+    cp *.service ~/.config/systemd/user/ && systemctl --user daemon-reload
+    systemctl --user start coulombus-sim coulombus-host
+
+Real-time priority and locked memory are limited to what this user has: `coulombus doctor`.
+"""

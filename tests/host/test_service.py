@@ -1,0 +1,159 @@
+"""`coulombus systemd`: the units, what systemd itself says of them, and signs of life of a host."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import time
+
+import pytest
+from click.testing import CliRunner
+
+from coulombus.compiled.decorator import JIT_DISABLED
+from coulombus.host.service.units import Service, files, quoted
+from coulombus.verbs.main import main
+from real_bench import children, host, result, simulation
+
+ANALYZE = shutil.which("systemd-analyze")
+EXPOSURE = 2.0
+
+
+def service(**more):
+    known = {"program": ("/bin/true",), "rig": "bench", "bus": "socketcan:can0", "mode": "hybrid"}
+    return Service(**(known | {"bitrate_bit_s": 500_000, "ending_s": 7.0} | more))
+
+
+def values(unit, key):
+    return re.findall(rf"^{key}=(.*)$", unit, re.M)
+
+
+@pytest.mark.parametrize("user", [False, True])
+@pytest.mark.parametrize("bus", ["socketcan:can0", "coulombus:bench"])
+@pytest.mark.skipif(ANALYZE is None, reason="no systemd-analyze")
+def test_systemd_takes_the_units_as_they_are(tmp_path, user, bus):
+    made = files(service(user=user, bus=bus, rig="/my rigs/50 % $x.toml"))
+    units = [name for name in made if name.endswith(".service")]
+    for name in units:
+        (tmp_path / name).write_text(made[name])
+    scope = ["--user"] if user else []
+    options = {"capture_output": True, "text": True, "env": {**os.environ, "XDG_RUNTIME_DIR": str(tmp_path)}}
+    done = subprocess.run([ANALYZE, *scope, "verify", *(tmp_path / name for name in units)], **options, check=False)
+    said = done.stdout + done.stderr
+    if "Failed to initialize manager" in said:
+        pytest.skip("systemd-analyze verifies nothing here")
+    assert done.returncode == 0, said
+    assert "coulombus-" not in said, said
+    if not user:
+        for name in units:
+            words = [ANALYZE, "security", "--offline=yes", str(tmp_path / name)]
+            told = subprocess.run(words, **options, check=False).stdout
+            level = re.search(r"exposure level for \S+: ([\d.]+)", told)
+            assert level is None or float(level[1]) <= EXPOSURE, told
+
+
+def test_the_host_is_never_started_again_and_never_enabled():
+    """After a trip nothing re-arms by itself."""
+    for user in (False, True):
+        made = files(service(user=user))
+        unit = made["coulombus-host.service"]
+        assert values(unit, "Restart") == ["no"]
+        assert "[Install]" not in unit
+        assert values(unit, "Type") == ["notify"]
+        assert values(unit, "TimeoutStopSec") == ["37"]
+        assert "143" in values(unit, "SuccessExitStatus")[0].split()
+        assert values(unit, "KillMode") == ["control-group"]
+        for name in ("coulombus-sim.service", "coulombus-bridge.service"):
+            assert values(made[name], "Restart") == ["on-failure"]
+            assert "[Install]" in made[name]
+
+
+def test_what_the_data_plane_needs_is_not_taken_away():
+    unit = files(service())["coulombus-host.service"]
+    assert values(unit, "LimitRTPRIO") == ["95"]
+    assert values(unit, "LimitMEMLOCK") == ["infinity"]
+    assert values(unit, "DeviceAllow") == ["/dev/cpu_dma_latency rw"]
+    assert "AF_CAN" in values(unit, "RestrictAddressFamilies")[0]
+    for key in ("MemoryDenyWriteExecute", "RestrictRealtime", "PrivateDevices", "PrivateNetwork"):
+        assert not values(unit, key)
+
+
+def test_the_interface_is_the_hosts_with_the_rigs_bit_rate():
+    made = files(service(bus="socketcan:can-a1"))
+    assert values(made["80-coulombus-can-a1.network"], "BitRate") == ["500000"]
+    assert "bitrate 500000" in made["can-a1-up.sh"]
+    assert values(made["coulombus-host.service"], "BindsTo") == [r"sys-subsystem-net-devices-can\x2da1.device"]
+    assert subprocess.run(["sh", "-n"], input=made["can-a1-up.sh"], text=True, check=False).returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("word", "written"),
+    [
+        ("/a/b-c.toml", "/a/b-c.toml"),
+        ("50%", "50%%"),
+        ("$HOME", "$$HOME"),
+        ("my rig", '"my rig"'),
+        ('a"b\\c', '"a\\"b\\\\c"'),
+        ("a\nExecStart=/bin/rm", '"a\\nExecStart=/bin/rm"'),
+        ("", '""'),
+    ],
+)
+def test_words_are_written_as_systemd_reads_them(word, written):
+    assert quoted(word) == written
+
+
+def test_no_file_is_replaced_and_then_none_is_written(tmp_path):
+    def call(*more):
+        return CliRunner().invoke(main, ["systemd", "-o", str(tmp_path / "units"), *more])
+
+    (tmp_path / "units").mkdir()
+    mine = tmp_path / "units" / "coulombus-sim.service"
+    mine.write_text("mine")
+    assert call().exit_code == 2
+    assert [path.name for path in (tmp_path / "units").iterdir()] == [mine.name]
+    assert mine.read_text() == "mine"
+    assert call("--force").exit_code == 0
+    assert "ExecStart" in mine.read_text()
+    assert len(list((tmp_path / "units").glob("*.service"))) == 3
+
+
+def test_a_rig_on_several_buses_is_refused(tmp_path):
+    sets = ["--set", "axis.left.bus.channel=a"]
+    rig = tmp_path / "two.toml"
+    assert CliRunner().invoke(main, ["check", "--rig", "two_axes", *sets, "--json"]).exit_code in (0, 1, 3)
+    rig.write_text("")
+    assert CliRunner().invoke(main, ["systemd", "--rig", str(rig), "-o", str(tmp_path / "u")]).exit_code == 3
+
+
+def test_a_folder_that_cannot_be_made_is_a_usage_error():
+    assert CliRunner().invoke(main, ["systemd", "-o", "/dev/null/x"]).exit_code == 2
+
+
+@pytest.mark.real_time
+@pytest.mark.usefixtures("private_sockets")
+@pytest.mark.skipif(JIT_DISABLED, reason="plain Python is no real-time loop")
+def test_a_host_gives_signs_of_life_while_its_cycle_goes_on(tmp_path):
+    """A data plane that stands still leaves a parent that runs, and no sign of life."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as ear:
+        ear.bind(str(tmp_path / "notify"))
+        ear.settimeout(60)
+        given = {**os.environ, "NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": "400000"}
+        with simulation("coulombus:n"), host("coulombus:n", env=given) as run:
+            assert ear.recv(4096).decode().startswith("READY=1\n"), result(run)
+            assert ear.recv(4096) == b"WATCHDOG=1"
+            assert ear.recv(4096) == b"WATCHDOG=1"
+            (plane,) = children(run.pid)
+            os.kill(plane, signal.SIGSTOP)
+            ear.setblocking(False)
+            begin, late = time.monotonic(), []
+            while run.poll() is None and time.monotonic() < begin + 60:
+                try:
+                    late.append((time.monotonic() - begin, ear.recv(4096)))
+                except BlockingIOError:
+                    time.sleep(0.01)
+            assert result(run)[0] == 7
+        assert not [t for t, message in late if message == b"WATCHDOG=1" and t > 0.5]
+        assert any(message.startswith(b"STOPPING=1") for _, message in late)

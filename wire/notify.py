@@ -1,0 +1,69 @@
+"""What a service tells systemd (sd_notify): that it is ready, that it goes on, that it ends.
+
+A message is one datagram to the socket that NOTIFY_SOCKET names. Nothing here raises or waits: who
+is not started by systemd tells nobody, and a message that finds no room is lost.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import time
+from collections.abc import MutableMapping
+from contextlib import suppress
+
+__all__ = ["Notifier"]
+
+SHARE = 4
+"""Signs of life within the time that the watchdog allows."""
+
+
+class Notifier:
+    """The service manager's ear.
+
+    Its variables are taken out of the environment: no child speaks for this process.
+
+    Parameters
+    ----------
+    environment : where NOTIFY_SOCKET and WATCHDOG_USEC stand
+    """
+
+    def __init__(self, environment: MutableMapping[str, str] | None = None) -> None:
+        found = os.environ if environment is None else environment
+        name, self._period_s = found.pop("NOTIFY_SOCKET", ""), _period_s(found)
+        for key in ("WATCHDOG_USEC", "WATCHDOG_PID"):
+            found.pop(key, None)
+        self._address = "\0" + name[1:] if name.startswith("@") else name
+        self._told_s = -float("inf")
+        self._progress: object = None
+
+    def tell(self, **lines: str | int) -> None:
+        """Send one message: ``READY=1``, ``STATUS=text``."""
+        if not self._address.startswith(("\0", "/")):
+            return
+        text = "\n".join(f"{name}={' '.join(str(value).split())}" for name, value in lines.items())
+        kind = socket.SOCK_DGRAM | socket.SOCK_NONBLOCK | socket.SOCK_CLOEXEC
+        with suppress(OSError, ValueError), socket.socket(socket.AF_UNIX, kind) as mouth:
+            mouth.sendto(text.encode(), self._address)
+
+    def alive(self, progress: object) -> None:
+        """Give a sign of life if `progress` is another than the last time, at most so often as
+        the watchdog needs it.
+
+        What stands still gives none, however often this is called.
+        """
+        if self._period_s is None or progress == self._progress:
+            return
+        now = time.monotonic()
+        if now - self._told_s < self._period_s:
+            return
+        self._progress, self._told_s = progress, now
+        self.tell(WATCHDOG=1)
+
+
+def _period_s(environment: MutableMapping[str, str]) -> float | None:
+    """Return how often a sign of life is due, None where nobody waits for one."""
+    text, pid = environment.get("WATCHDOG_USEC", ""), environment.get("WATCHDOG_PID", str(os.getpid()))
+    if not text.isdecimal() or int(text) == 0 or pid != str(os.getpid()):
+        return None
+    return int(text) * 1e-6 / SHARE
