@@ -395,7 +395,7 @@ def identify_command(
       coulombus identify strokes.pcapng --figure friction.png
     """
     with errors():
-        from coulombus.analysis.rig.identify import identify, lines
+        from coulombus.recording.friction.identify import identify, lines
         from coulombus.recording.output_file import new_file
         from coulombus.recording.signals import blocks
         from coulombus.rigs.rig import load_rig

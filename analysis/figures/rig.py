@@ -12,10 +12,10 @@ from coulombus.analysis.figures.style import BLACK, BLUE, COLOURS, DASHES, GREEN
 from coulombus.analysis.loop.karnopp import KarnoppStudy, karnopp_study
 from coulombus.analysis.rig.friction_study import FrictionStudy
 from coulombus.analysis.rig.hold import HoldStudy
-from coulombus.analysis.rig.identify import Identification
 from coulombus.analysis.rig.maps import OscillationMap, at
 from coulombus.analysis.rig.through_bus import BusCycle
 from coulombus.lab.demo.traces import DETAIL_FROM_S, DETAIL_S, Traces
+from coulombus.recording.friction.identify import Identification
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from coulombus.analysis.rig.identify import Identification, identify
 from coulombus.analysis.rig.runs import displayed, need_modes
+from coulombus.recording.friction.identify import Identification, identify
 from coulombus.rigs.rig import Rig, load_rig
 
 __all__ = ["EXPERIMENT", "FrictionStudy", "friction_study"]
@@ -95,7 +95,7 @@ def friction_study(rig: Rig | None = None, *, seed: int = 0) -> FrictionStudy:
     ------
     coulombus.host.errors.SafetyTrip
         a run tripped; which and why is in the text
-    coulombus.analysis.rig.sliding.IdentifyError
+    coulombus.recording.friction.sliding.IdentifyError
         the hand does not slide the handle
     coulombus.rigs.rig.RigError
         the rig has no mode hybrid

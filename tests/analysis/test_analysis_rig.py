@@ -21,10 +21,10 @@ from coulombus.analysis.figures.rig import (
 from coulombus.analysis.loop.karnopp import karnopp_study
 from coulombus.analysis.rig.friction_study import EXPERIMENT, friction_study
 from coulombus.analysis.rig.hold import hold_study
-from coulombus.analysis.rig.identify import identify
 from coulombus.analysis.rig.maps import oscillation_map
 from coulombus.analysis.rig.through_bus import BENCH_HARDWARE, through_bus
 from coulombus.lab.simulate import simulate
+from coulombus.recording.friction.identify import identify
 from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.rigs.rig import load_rig
 from coulombus.verbs.main import main

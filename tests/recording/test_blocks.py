@@ -12,7 +12,7 @@ import pytest
 from scipy.signal import welch
 
 import coulombus.recording.pcapng_reader
-from coulombus.analysis.rig.identify import IdentifyError, identify
+from coulombus.recording.friction.identify import IdentifyError, identify
 from coulombus.recording.measures import measure, phases
 from coulombus.recording.pcapng_reader import iter_pcapng
 from coulombus.recording.pcapng_writer import PcapngWriter

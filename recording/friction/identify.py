@@ -9,8 +9,8 @@ which is what the hand *feels*: the device's own friction, less what the motor c
 plus whatever is displayed. With the motor's torque (6077h) added to the left it is the *device's*
 friction, compensated or not. Both are fitted.
 
-`analysis.rig.sliding` takes the samples for which that is true and makes equations of them,
-`analysis.rig.friction_fit` solves these. :math:`f_0` (the transducer's bias) is fitted when both
+`recording.friction.sliding` takes the samples for which that is true and makes equations of them,
+`recording.friction.friction_fit` solves these. :math:`f_0` (the transducer's bias) is fitted when both
 directions are there. The intervals are 95 %; docs/theory.md has how often they hold the truth.
 
 Source: the paper, section 5 and Fig. 13.
@@ -25,8 +25,8 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from coulombus.analysis.rig.friction_fit import Fit, fit_friction
-from coulombus.analysis.rig.sliding import WINDOW_S, IdentifyError, equations, sliding
+from coulombus.recording.friction.friction_fit import Fit, fit_friction
+from coulombus.recording.friction.sliding import WINDOW_S, IdentifyError, equations, sliding
 from coulombus.recording.signals import Source, blocks
 
 __all__ = ["Identification", "IdentifyError", "identify", "lines"]

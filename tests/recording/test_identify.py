@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from coulombus.analysis.rig.friction_fit import fit_friction
-from coulombus.analysis.rig.identify import identify, lines
-from coulombus.analysis.rig.sliding import IdentifyError, Slide, equations, weights
 from coulombus.eds.cia402 import PowerState
+from coulombus.recording.friction.friction_fit import fit_friction
+from coulombus.recording.friction.identify import identify, lines
+from coulombus.recording.friction.sliding import IdentifyError, Slide, equations, weights
 from coulombus.recording.signals import Series, Source
 from coulombus.rigs.rig import load_rig
 from coulombus.verbs.main import main

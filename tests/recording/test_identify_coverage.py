@@ -7,8 +7,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from coulombus.analysis.rig.identify import identify
 from coulombus.lab.simulate import simulate
+from coulombus.recording.friction.identify import identify
 from coulombus.rigs.rig import load_rig
 
 RIGS = 40

@@ -1,4 +1,4 @@
-r"""Which samples of a recording obey the regression of `analysis.rig.identify`, and the equations
+r"""Which samples of a recording obey the regression of `recording.friction.identify`, and the equations
 that come of them.
 
 The equation :math:`f = J\,\dot v + [c + b\,|v|]\,\mathrm{sgn}(v) + f_0` holds for what the hand

@@ -1,4 +1,4 @@
-r"""The regression of `analysis.rig.identify`: coefficients, honest intervals, and whether the data
+r"""The regression of `recording.friction.identify`: coefficients, honest intervals, and whether the data
 bear Stribeck's term.
 
 The encoder's quantisation makes v and a wrong by a known variance, which would shrink their
@@ -27,7 +27,7 @@ import numpy.typing as npt
 from scipy.optimize import minimize_scalar
 from scipy.stats import t as student
 
-from coulombus.analysis.rig.sliding import Equations, IdentifyError
+from coulombus.recording.friction.sliding import Equations, IdentifyError
 
 __all__ = ["Estimate", "Fit", "fit_friction"]
 

@@ -1,0 +1,1 @@
+"""Friction from a recording of strokes: samples, equations, fit."""
