@@ -54,7 +54,9 @@ class _VirtualRun(Course):
         if order.record is not None:
             recorder = Recorder(order.record, rig, mode, seed, law=law_attachments(rig), force=order.force)
         on_frames = None if recorder is None else self._write
-        self.world = VirtualRig(rig, mode, seed=seed, truth=order.truth is not None, on_frames=on_frames)
+        self.world = VirtualRig(
+            order.simulated, mode, believed=rig, seed=seed, truth=order.truth is not None, on_frames=on_frames
+        )
         super().__init__(self.world.controllers, order.record, order.progress)
         self.recorder = recorder
         if recorder is not None:
@@ -148,6 +150,7 @@ def simulate(
     faults: FaultPlan | str | os.PathLike[str] | None = None,
     progress: Callable[[float], None] | None = None,
     force: bool = False,
+    simulated: Rig | None = None,
 ) -> RunResult:
     """Run the rig in virtual time and return what came of it.
 
@@ -165,6 +168,8 @@ def simulate(
     faults : a fault file (docs/bus.md): what goes wrong on the bus, and when
     progress : called with the display's time in s every 0.25 s of it
     force : replace `record` and `truth` where they exist
+    simulated : the rig as it truly is, where the host's `rig` believes something else of it: plant,
+        hand and devices are this one's; same buses, same nodes
 
     Raises
     ------
@@ -190,7 +195,8 @@ def simulate(
         for channel in chosen.channels:  # known before the first bus is run
             check_output(path_on(path, channel) if len(chosen.channels) > 1 else path, force=force)
     if truth is not None:
-        size = sum(seconds / axis.simulation.plant.step_s * 8 * len(TRUTH_COLUMNS) for axis in chosen.axes)
+        axes = (simulated or chosen).axes
+        size = sum(seconds / axis.simulation.plant.step_s * 8 * len(TRUTH_COLUMNS) for axis in axes)
         if size > TRUTH_BYTES:
             raise TruthError(
                 f"{truth}: {size / 1e9:.0f} GB of truth; show less than {seconds:g} s, or raise plant.step_s"
@@ -199,6 +205,7 @@ def simulate(
         wrong = wrong.on(chosen.channels[0], chosen.channels)
     order = _Order(
         rig=chosen,
+        simulated=simulated or chosen,
         mode=mode,
         seconds=seconds,
         record=None if record is None else Path(record),
@@ -217,6 +224,7 @@ class _Order:
     """What `simulate` was asked for, checked."""
 
     rig: Rig
+    simulated: Rig
     mode: str
     seconds: float
     record: Path | None
@@ -242,7 +250,8 @@ class _Order:
         record = None if self.record is None else path_on(self.record, channel)
         truth = None if self.truth is None else path_on(self.truth, channel)
         faults = None if self.faults is None else self.faults.on(channel, self.rig.channels)
-        return replace(self, rig=self.rig.on(channel), record=record, truth=truth, script=script, faults=faults)
+        rig, simulated = self.rig.on(channel), self.simulated.on(channel)
+        return replace(self, rig=rig, simulated=simulated, record=record, truth=truth, script=script, faults=faults)
 
 
 def _simulate_buses(order: _Order) -> RunResult:

@@ -58,6 +58,8 @@ class VirtualRig(VirtualNetwork):
 
     Parameters
     ----------
+    believed : the rig file that the host runs by, where it is another one: same bus, same nodes,
+        other beliefs; default is `rig`
     seed : starts the transducer's noise
     on_frames : called with each batch of frames (FRAME records, end-of-frame stamps) as the bus has
         carried them
@@ -69,15 +71,17 @@ class VirtualRig(VirtualNetwork):
         rig: Rig,
         mode: str,
         *,
+        believed: Rig | None = None,
         seed: int = 0,
         on_frames: Callable[[Records], None] | None = None,
         truth: bool = False,
     ) -> None:
         self.rig, self.mode = rig, mode
-        self.sdo_timeout_s = rig.host.sdo_timeout_s
-        self.controllers = Controllers(rig, mode)
+        host_rig = believed or rig
+        self.sdo_timeout_s = host_rig.host.sdo_timeout_s
+        self.controllers = Controllers(host_rig, mode)
         self.controller = self.controllers.each[0]
-        self.operators = [Operator(controller.axis, mode) for controller in self.controllers]
+        self.operators = [Operator(axis, mode) for axis in rig.axes]
         self.network = CanopenNetwork(lambda can_id, data, _: self.send(can_id, data), self._await_answer)
         self._left: list[tuple[float, float] | None] = [None] * len(
             rig.axes
