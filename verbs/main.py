@@ -8,6 +8,7 @@ import click
 
 from coulombus.verbs.analyse import analyse, identify_command
 from coulombus.verbs.check import check
+from coulombus.verbs.commission import commission
 from coulombus.verbs.common import EXIT_STATUS, Verbs
 from coulombus.verbs.conformance import conformance
 from coulombus.verbs.doctor import doctor
@@ -30,7 +31,7 @@ VERBS = (
     *(demo, simulate_command, sim, node_command),
     *(run_command, stop, watch, decode, dbc, replay, bridge),
     *(scan, lss),
-    *(init, doctor, systemd, check, measure, plan_command),
+    *(init, doctor, systemd, check, measure, plan_command, commission),
     *(eds, conformance, analyse, identify_command),
 )
 

@@ -96,7 +96,7 @@ TRIP_TEXT = {
     Trip.HANDLE_LOADED: "arming refused: more than limits.still_handle_torque_Nm on the handle; let go of it, or check the transducer",
     Trip.ENABLE_TIMEOUT: "arming refused: the drive did not reach Operation Enabled",
     Trip.SIGN_NO_MOTION: "arming refused: the sign check's torque did not move the handle: is it held, is the motor not connected, "
-    "or is there more friction than mechanics.friction_Nm?",
+    "or is there more friction than mechanics.friction_Nm? Then identify first: coulombus commission --step friction",
     Trip.SIGN_ENCODER: "arming refused: motor and encoder disagree on the sign (mechanics.motor_polarity, mechanics.encoder_polarity)",
     Trip.SIGN_TRANSDUCER: "arming refused: the torque transducer's sign is wrong (mechanics.transducer_polarity)",
     Trip.SIGN_TRAVEL: "arming refused: the handle moved too far in the sign check",

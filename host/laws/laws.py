@@ -49,6 +49,9 @@ __all__ = ["LAW", "LAW_STATE", "MOTION", "OWN_LAWS", "LawError", "coulomb", "fin
 OLD_PLACE = "host.laws"
 """What stood before their names in earlier rig files."""
 
+EXERCISES = "coulombus.host.laws.exercises"
+"""The module of the exercises of commissioning, which are the project's own, too."""
+
 MOTION = np.dtype(
     [
         ("x_rad", np.float64),
@@ -299,7 +302,7 @@ def load_law(name: str, directory: Path | None = None) -> Any:
         hint = f"; did you mean {alike[0]!r}?" if alike else ""
         names = ", ".join(map(repr, OWN_LAWS))
         raise LawError(f"law {name!r}: expected {names}, 'file.py:function' or 'module:function'{hint}")
-    own_law = place == __name__
+    own_law = place in (__name__, EXERCISES)
     checked = (
         nullcontext() if own_law or JIT_DISABLED else _bounds_checked()
     )  # a decorator with a signature compiles at once

@@ -45,6 +45,7 @@ BASE = {
     "doctor": "doctor",
     "systemd": "systemd -o DIR/units",
     "plan": "plan",
+    "commission": "commission --rig RIG --virtual --yes --step friction",
     "eds check": "eds check EDS",
     "init": "init --drive EDS --brake bench",
     "node": "node EDS --node-id 1 --bus coulombus:none",

@@ -40,6 +40,8 @@ ENDS = {
     "check": ("check --rig bench --set bus.bitrate_bit_s=125000", 1),
     "check ok": ("check --rig bench", 0),
     "measure": ("measure --bus coulombus:none", 4),
+    "commission": ("commission --rig NONE.toml --virtual --yes", 3),
+    "commission list": ("commission --list", 0),
     "plan": ("plan --rig bench --bitrate 125000", 1),
     "plan ok": ("plan --rig bench --json", 0),
     "decode": ("decode RECORDING --rig bench", 0),

@@ -1,0 +1,174 @@
+"""Commissioning, step after step: each is announced, run, analysed, and written into the rig file.
+
+Nothing is written before a step is over: what ends it - a trip, a signal, a lost device, a full
+disk - leaves the rig file as it was, and the steps before it done.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from coulombus.host.commission.state import State, folder_of
+from coulombus.host.commission.step import Exercise, Finding, Given, Outcome, Risk, Step, Taken, Trip
+from coulombus.host.errors import SafetyTrip
+from coulombus.host.run.result import RunResult
+from coulombus.recording.signals import read
+from coulombus.rigs.mistakes import toml_value
+from coulombus.rigs.rewrite import NewValue, replace_file, rewritten
+from coulombus.rigs.rig import Rig, load_rig, load_rig_text
+
+__all__ = ["MARK", "Done", "Ended", "Runner", "Session", "results"]
+
+MARK = "commission"
+"""How the comments begin that commissioning puts above a key."""
+
+Runner: TypeAlias = Callable[[Exercise, Path], RunResult]
+"""Runs an exercise, recorded at a path: on a bus (`host.run.real_run`), or in virtual time."""
+
+
+class Ended(Exception):
+    """A run was ended from outside, by Ctrl-C or ``coulombus stop``."""
+
+    def __init__(self, by: str, exit_status: int) -> None:
+        super().__init__(f"ended by {by}; nothing of this step was written")
+        self.exit_status = exit_status
+
+
+@dataclass(frozen=True)
+class Done:
+    """A step's end: "done", "skipped" (by the operator) or "lacking" (the rig cannot), and why."""
+
+    step: str
+    title: str
+    what: str
+    why: str = ""
+    outcome: Outcome | None = None
+    written: tuple[str, ...] = ()
+    """The keys of the rig file that were changed."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values; curves are left to the report."""
+        outcome = self.outcome
+        findings = [asdict(one) for one in outcome.findings] if outcome else []
+        remarks = list(outcome.remarks) if outcome else []
+        return asdict(replace(self, outcome=None)) | {"outcome": None, "findings": findings, "remarks": remarks}
+
+
+class Session:
+    """The commissioning of one rig file.
+
+    Parameters
+    ----------
+    path : of the rig file; it is written
+    run : runs an exercise
+    given : what the operator knows
+    now : returns date and time as text, "2026-11-22T14:03:05Z"
+    overrides : ``SECTION.KEY=VALUE``, for this session alone
+
+    Raises
+    ------
+    coulombus.rigs.rig.RigError
+        the rig file is wrong, or has several axes
+    CommissionError
+        the folder beside it holds something else
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        run: Runner,
+        given: Given,
+        now: Callable[[], str],
+        overrides: Sequence[str] = (),
+    ) -> None:
+        self.path, self.run, self.given, self.now = path, run, given, now
+        self.overrides = tuple(overrides)
+        self.rig().one_axis()
+        self.state = State.load(folder_of(path))
+
+    def rig(self) -> Rig:
+        """Return the rig as its file says now."""
+        return load_rig(str(self.path.resolve()), self.overrides)
+
+    def do(self, step: Step, agree: Callable[[Step, Risk], bool]) -> Done:
+        """Do one step: `agree` is asked before anything moves.
+
+        Raises
+        ------
+        Ended
+            it was stopped from outside
+        coulombus.host.errors.SafetyTrip
+            a run tripped
+        CommissionError
+            the recording does not carry what was looked for
+        OSError, coulombus.rigs.rig.RigError
+            what was found cannot be written; the rig file is as it was
+        """
+        for last in (False, True):
+            rig = self.rig()
+            axis = rig.one_axis()
+            lack = step.lacks(axis, self.given)
+            if lack is not None:
+                return Done(step.name, step.title, "lacking", lack)
+            if not agree(step, step.risk(axis, self.given)):
+                return Done(step.name, step.title, "skipped")
+            self.state.folder.mkdir(exist_ok=True)
+            exercises = step.exercises(rig, self.given)
+            taken = [self._take(step, one) for one in exercises]
+            outcome = step.analyse(taken, axis, self.given)
+            written = self._write(step, rig, outcome)
+            if not outcome.again or last:
+                break
+        kept = outcome.as_dict() | {
+            "at": self.now(),
+            "title": step.title,
+            "recordings": [f"{one.name}.pcapng" for one in exercises],
+        }
+        self.state.keep(step.name, kept)
+        return Done(step.name, step.title, "done", outcome=outcome, written=written)
+
+    def _take(self, step: Step, one: Exercise) -> Taken:
+        """Run an exercise, and return its recording."""
+        path = self.state.folder / f"{one.name}.pcapng"
+        result = self.run(one, path)
+        if result.stopped_by is not None:
+            raise Ended(result.stopped_by, result.exit_status)
+        trip = None
+        if result.trip is not None:
+            trip = Trip(result.trip.partition(":")[0], result.trip)
+            if trip.name not in one.may_trip:
+                raise SafetyTrip(f"step {step.name}: {result.trip}; nothing of it was written; the recording is {path}")
+        return Taken(read(path), trip)
+
+    def _write(self, step: Step, rig: Rig, outcome: Outcome) -> tuple[str, ...]:
+        """Write what was found into the rig file; return the keys that were changed."""
+        changed = [one for one in outcome.findings if one.key and one.changed]
+        if not changed:
+            return ()
+        at = self.now()
+        source = rig.origin.source()
+        values = {source.full(tuple(one.key.split("."))): NewValue(one.new, f"{at}: {_said(one)}") for one in changed}
+        text = rewritten(rig.text, values, MARK, str(self.path))
+        load_rig_text(text, str(self.path.resolve()), overrides=self.overrides)  # what it refuses is not written
+        stamp = at.replace(":", "").replace("-", "")
+        backup = self.state.folder / f"{self.path.stem}.{stamp}.{step.name}.toml"
+        replace_file(self.path, rig.text, text, backup)
+        return tuple(one.key for one in changed)
+
+
+def _said(one: Finding) -> str:
+    """Return a finding as the comment above its key."""
+    if one.new is None:
+        return f"taken out: {one.basis}"
+    short = toml_value(one.old) if one.old is not None else "nothing"
+    was = short if len(short) <= 40 else f"{short[:37]}..."
+    reach = "" if one.uncertainty is None else f"; 95 %: +- {one.uncertainty:.2g} {one.unit}"
+    return f"was {was}{reach}; {one.basis}".replace("\n", " ")
+
+
+def results(done: Sequence[Done]) -> Mapping[str, Any]:
+    """Return what `coulombus commission --json` prints."""
+    return {"steps": [one.as_dict() for one in done]}

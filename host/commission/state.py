@@ -1,0 +1,103 @@
+"""What an afternoon's commissioning has come to so far: a folder beside the rig file, so that it can
+be resumed.
+
+    my.toml                         the rig file, with what was found
+    my.commission/state.json        the outcome of each step that is done
+    my.commission/friction.pcapng   the recordings behind them
+    my.commission/my.TIME.toml      the rig file as it was before each change
+    my.commission/report.html       all of it on one page
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from coulombus.host.commission.step import CommissionError
+
+__all__ = ["State", "folder_of"]
+
+VERSION = 1
+LARGEST = 1 << 24
+
+
+def folder_of(rig_path: Path) -> Path:
+    """Return the folder of a rig file's commissioning."""
+    return rig_path.with_name(f"{rig_path.stem}.commission")
+
+
+@dataclass
+class State:
+    """The steps that are done, in the order in which they were.
+
+    Attributes
+    ----------
+    folder : where all of it stands
+    steps : name of a step -> {"at": time, "findings": [...], "remarks": [...], "curves": [...],
+        "recordings": [...]}
+    """
+
+    folder: Path
+    steps: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+    @property
+    def path(self) -> Path:
+        """The file."""
+        return self.folder / "state.json"
+
+    @classmethod
+    def load(cls, folder: Path) -> State:
+        """Return what the folder holds; nothing where there is none.
+
+        Raises
+        ------
+        CommissionError
+            the file is no state of this version
+        OSError
+        """
+        state = cls(folder)
+        try:
+            with state.path.open("rb") as file:
+                raw = file.read(LARGEST)
+        except FileNotFoundError:
+            return state
+        try:
+            values = json.loads(raw)
+            if values["version"] != VERSION or not all(
+                isinstance(one["findings"], list) for one in values["steps"].values()
+            ):
+                raise ValueError
+        except (ValueError, KeyError, TypeError, AttributeError):
+            text = f"{state.path}: this is no state of a commissioning (version {VERSION}); take the folder away to begin anew"
+            raise CommissionError(text) from None
+        state.steps = values["steps"]
+        return state
+
+    def keep(self, name: str, outcome: dict[str, Any]) -> None:
+        """Keep the outcome of a step; the file is replaced as a whole.
+
+        Raises
+        ------
+        OSError
+            it cannot be written; it is as it was
+        """
+        steps = {other: one for other, one in self.steps.items() if other != name} | {name: outcome}
+        self.write(self.path, json.dumps({"version": VERSION, "steps": steps}, indent=1).encode())
+        self.steps = steps
+
+    def write(self, path: Path, content: bytes) -> None:
+        """Write a file of the folder as a whole or not at all."""
+        beside = path.with_name(f".{path.name}-{os.getpid()}")
+        try:
+            with beside.open("wb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(beside, path)
+        finally:
+            with suppress(OSError):
+                beside.unlink()

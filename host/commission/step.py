@@ -1,0 +1,213 @@
+"""What a step of commissioning is: what will move, the exercise that moves it, and what its
+recording says.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any, ClassVar
+
+from coulombus.host.laws.laws import EXERCISES
+from coulombus.recording.signals import Recording
+from coulombus.rigs.axis import Axis
+from coulombus.rigs.rig import Rig
+
+__all__ = [
+    "CommissionError",
+    "Curve",
+    "Exercise",
+    "Finding",
+    "Given",
+    "Outcome",
+    "Risk",
+    "Step",
+    "Taken",
+    "Trip",
+    "exercise",
+]
+
+
+class CommissionError(Exception):
+    """A step found nothing that could be written: the text says why, and what to do."""
+
+    exit_status = 1
+
+
+@dataclass(frozen=True)
+class Given:
+    """What only the operator knows: None where it was not given."""
+
+    weight_Nm: float | None = None
+    """Torque of a known weight on an arm of known length at the handle, in its positive sense."""
+    marks_rad: float | None = None
+    """Angle between two marks at the handle."""
+
+
+@dataclass(frozen=True)
+class Risk:
+    """What a step moves, and at most how much.
+
+    The exercise keeps to these by its law; the limits of the rig file hold besides.
+    """
+
+    moves: str
+    motor_Nm: float = 0.0
+    speed_rad_s: float = 0.0
+    travel_rad: float = 0.0
+    brake_Nm: float = 0.0
+    seconds: float = 0.0
+    operator: str = "Let go of the handle, and stay clear of it."
+    """What the operator has to do."""
+
+    def lines(self) -> list[str]:
+        """Return it in words."""
+        most = [
+            f"motor {self.motor_Nm:.3g} Nm" if self.motor_Nm else "no motor torque",
+            f"brake {self.brake_Nm:.3g} Nm" if self.brake_Nm else "brake off",
+            *([f"{self.speed_rad_s:.3g} rad/s"] if self.speed_rad_s else []),
+            *([f"+-{self.travel_rad:.3g} rad"] if self.travel_rad else []),
+            f"{self.seconds:.0f} s",
+        ]
+        return [self.moves, f"at most: {', '.join(most)}", self.operator, "Ctrl-C stops it at any time."]
+
+
+@dataclass(frozen=True)
+class Exercise:
+    """One run: the rig file as it is for it, the mode, and how the rehearsal's hand behaves."""
+
+    name: str
+    rig: Rig
+    mode: str
+    seconds: float
+    hand: tuple[str, ...] = ()
+    """Overrides of [operator] and [[phase]] for the simulated hand, which does what `Risk.operator`
+    asks for.
+    """
+    may_trip: tuple[str, ...] = ()
+    """Trips that do not spoil what the recording says."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was measured.
+
+    Attributes
+    ----------
+    key : of the rig file; "" where there is none, and the figure is for people
+    name : in words
+    old, new : what the rig file says, and what was found; `new` None takes the key out
+    uncertainty : half of the 95 % interval, in `unit`; None where there is none
+    basis : what it rests on
+    changed : whether the difference is more than can be told apart
+    """
+
+    key: str
+    name: str
+    old: Any
+    new: Any
+    unit: str
+    uncertainty: float | None
+    basis: str
+    changed: bool = True
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A picture for the report: lines of points, drawn as `style` says ("-", "o")."""
+
+    title: str
+    x: str
+    y: str
+    lines: Mapping[str, tuple[Sequence[float], Sequence[float], str]]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a step came to."""
+
+    findings: tuple[Finding, ...]
+    remarks: tuple[str, ...] = ()
+    curves: tuple[Curve, ...] = ()
+    again: bool = False
+    """The rig could not be armed for the exercise as it was believed: with the findings it can, and
+    the step is to be done once more.
+    """
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Trip:
+    """How an exercise ended otherwise than planned: the trip's name, and its words."""
+
+    name: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Taken:
+    """What an exercise gave: its recording, and the trip where it tripped as it may."""
+
+    recording: Recording
+    trip: Trip | None = field(default=None)
+
+
+class Step(ABC):
+    """One step."""
+
+    name: ClassVar[str]
+    title: ClassVar[str]
+
+    def lacks(self, axis: Axis, given: Given) -> str | None:
+        """Return why the step cannot be done on this rig, None where it can."""
+        return None
+
+    @abstractmethod
+    def risk(self, axis: Axis, given: Given) -> Risk:
+        """Return what will move, and at most how much."""
+
+    @abstractmethod
+    def exercises(self, rig: Rig, given: Given) -> tuple[Exercise, ...]:
+        """Return the runs of the step; none where nothing has to move."""
+
+    @abstractmethod
+    def analyse(self, taken: Sequence[Taken], axis: Axis, given: Given) -> Outcome:
+        """Return what the recordings say.
+
+        Raises
+        ------
+        CommissionError
+            they do not carry it
+        """
+
+
+def exercise(
+    name: str,
+    rig: Rig,
+    law: str,
+    user: Sequence[float],
+    phases: Sequence[str],
+    *,
+    motor_Nm: float = 0.0,
+    hand: Sequence[str] = (),
+    may_trip: tuple[str, ...] = (),
+) -> Exercise:
+    """Return a run of one of `host.laws.exercises`, for the length of its `phases`.
+
+    With motor torque it is in mode active: the sign check comes first. Else it is in mode passive,
+    where the motor has none. The rig file's limits are taken as they are.
+    """
+    mode = "active" if motor_Nm > 0 else "passive"
+    law_keys = {"K_p_Nm_rad": 1.0, "F_s_Nm": 0.0, "F_d_Nm": 0.0, "compensation": 0.0, "motor_limit_Nm": motor_Nm}
+    schedule = f"phase=[{', '.join(phases)}]"
+    chosen = rig.variant(
+        f'law.function="{EXERCISES}:{law}"',
+        f"law.user={[float(number) for number in user]}",
+        *(f"mode.{mode}.{key}={value!r}" for key, value in law_keys.items()),
+        schedule,
+    )
+    return Exercise(name, chosen, mode, chosen.schedule_s, (*hand, schedule), may_trip)

@@ -1,0 +1,66 @@
+r"""Exercises: laws that display nothing, and move motor or brake in a known way so that a recording
+tells what the rig is like (`host.commission`).
+
+They are laws of the one signature (`host.laws.laws`), so what they ask for goes through the same
+compiled cycle, with its limits and watches, as any friction law. Their parameters are ``law.user``,
+in the order that each docstring names; none of them is in a rig file.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+__all__ = ["hold", "square", "stair", "sweep"]
+
+
+def hold(motion: Any, law: Any, state: Any) -> float:
+    """Hold the brake at ``user[0]`` [Nm]; the motor gives nothing."""
+    state.brake_Nm = law.user[0]
+    return 0.0
+
+
+def sweep(motion: Any, law: Any, state: Any) -> float:
+    r"""Turn the handle to and fro by :math:`\pm` ``user[1]`` [rad] about where it is, at the speeds
+    ``user[4]``, ``user[5]``, ``user[6]`` [rad/s] in turn, each there and back, by the motor alone.
+
+    .. math:: \tau = K e + I, \quad \dot I = K_i e, \quad e = v_r - v, \quad |\tau|, |I| \le \tau_{max}
+
+    with ``user[0]`` the largest torque [Nm], ``user[2]`` K [Nm s/rad], ``user[3]`` K_i [Nm/rad].
+    Where the handle does not come on for 0.5 s - a hand holds it, or a stop - it turns back.
+    """
+    own = state.user  # 0: sense, 1: integral, 2: turns, 3: where it began, 4: time without progress
+    if own[0] == 0.0:
+        own[0] = 1.0
+        own[3] = motion.x_rad
+    k = int(own[2]) // 2 % 3
+    e = own[0] * law.user[4 + k] - motion.v_rad_s
+    own[4] = own[4] + motion.dt_s if own[0] * motion.v_rad_s < 0.25 * law.user[4 + k] else 0.0
+    if (motion.x_rad - own[3]) * own[0] >= law.user[1] or own[4] > 0.5:
+        own[0] = -own[0]
+        own[1] = 0.0
+        own[2] += 1.0
+        own[4] = 0.0
+        return 0.0
+    limit = law.user[0]
+    own[1] = min(max(own[1] + law.user[3] * e * motion.dt_s, -limit), limit)
+    torque: float = min(max(law.user[2] * e + own[1], -limit), limit)
+    return -torque
+
+
+def stair(motion: Any, law: Any, state: Any) -> float:
+    """Let the brake climb from 0 to ``user[0]`` [Nm] in ``user[1]`` steps, ``user[2]`` [s] on each
+    of them, and down again; then it is 0.
+    """
+    state.user[0] += motion.dt_s
+    step = state.user[0] // law.user[2]
+    if step > law.user[1]:
+        step = max(2.0 * law.user[1] - step, 0.0)
+    state.brake_Nm = law.user[0] * step / law.user[1]
+    return 0.0
+
+
+def square(motion: Any, law: Any, state: Any) -> float:
+    """Let the motor's torque be ``user[0]`` and its opposite [Nm] in turn, ``user[1]`` [s] each."""
+    state.user[0] += motion.dt_s
+    torque: float = law.user[0]
+    return -torque if state.user[0] // law.user[1] % 2.0 == 0.0 else torque

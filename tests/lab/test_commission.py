@@ -1,0 +1,126 @@
+"""Commissioning recovers the truth of a simulated rig that its rig file does not know."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from coulombus.host.commission.session import Ended, Session
+from coulombus.host.commission.state import State
+from coulombus.host.commission.step import CommissionError, Given
+from coulombus.host.commission.steps import STEPS
+from coulombus.host.errors import SafetyTrip
+from coulombus.lab.rehearsal import rehearsed
+from coulombus.lab.simulate import simulate
+from coulombus.rigs.rig import load_rig, packaged_rig
+
+BY_NAME = {step.name: step for step in STEPS}
+AT = "2026-11-22T14:03:05Z"
+
+
+@pytest.fixture
+def afternoon(tmp_path):
+    """Return a function that does steps on a rig whose truth is `truth`, and whose file has
+    `believed`.
+    """
+    path = tmp_path / "my.toml"
+    path.write_text(packaged_rig("bench").read_text())
+
+    def do(*names, truth=(), believed=(), given=None, run=None, agree=lambda step, risk: True):
+        true = load_rig("bench", truth)
+        session = Session(path, run or rehearsed(true), given or Given(), lambda: AT, believed)
+        return session, [session.do(BY_NAME[name], agree) for name in names]
+
+    return do
+
+
+def found(done, key):
+    return next(one for one in done.outcome.findings if one.key == key or one.name == key)
+
+
+# friction
+
+
+TRUTH = ("plant.coulomb_Nm=0.12", "plant.viscous_Nms_rad=0.02", "plant.inertia_kg_m2=4e-3")
+
+
+def test_a_belief_that_is_too_small_refuses_and_names_the_step_that_mends_it():
+    trip = simulate("bench", "hybrid", 1.0, simulated=load_rig("bench", TRUTH)).trip
+    assert trip is not None
+    assert "SIGN_NO_MOTION" in trip
+    assert "identify first: coulombus commission --step friction" in trip
+
+
+def test_the_friction_step_finds_the_friction_though_the_belief_is_wrong(afternoon, tmp_path):
+    session, (done,) = afternoon("friction", truth=TRUTH)
+    assert found(done, "mechanics.friction_Nm").new == pytest.approx(0.20, rel=0.01)
+    assert found(done, "mechanics.viscous_Nms_rad").new == pytest.approx(0.02, rel=0.05)
+    assert found(done, "mechanics.inertia_kg_m2").new == pytest.approx(4e-3, rel=0.05)
+    rig = load_rig(str(session.path))
+    assert simulate(rig, "hybrid", 2.0, simulated=load_rig("bench", TRUTH)).trip is None
+    text = session.path.read_text()
+    assert f"# commission {AT}: was 0.14" in text
+    assert "# identified Coulomb friction with the coil off, compensated by the motor" in text
+    (copy,) = session.state.folder.glob("my.*.friction.toml")
+    assert copy.read_text() == packaged_rig("bench").read_text()
+    assert "friction" in State.load(session.state.folder).steps
+
+
+def test_a_friction_that_is_too_large_in_the_belief_is_found_as_well(afternoon):
+    _, (done,) = afternoon("friction", truth=("plant.coulomb_Nm=0.01", "plant.brake_off_state_Nm=0.05"))
+    assert found(done, "mechanics.friction_Nm").new == pytest.approx(0.06, rel=0.02)
+
+
+# what ends a step
+
+
+def test_a_trip_leaves_the_rig_file_and_tells_the_recording(afternoon, tmp_path):
+    before = packaged_rig("bench").read_text()
+    with pytest.raises(SafetyTrip, match=r"step friction: SIGN_ENCODER.*nothing of it was written; the recording is"):
+        afternoon("friction", truth=("plant.encoder_polarity=-1",))
+    assert (tmp_path / "my.toml").read_text() == before
+    assert State.load(tmp_path / "my.commission").steps == {}
+
+
+def test_a_stop_from_outside_ends_the_session_with_its_status(afternoon, tmp_path):
+    class Stopped:
+        stopped_by, exit_status, trip = "SIGINT", 130, None
+
+    with pytest.raises(Ended, match="ended by SIGINT; nothing of this step was written") as ended:
+        afternoon("friction", run=lambda one, path: Stopped)
+    assert ended.value.exit_status == 130
+    assert (tmp_path / "my.toml").read_text() == packaged_rig("bench").read_text()
+
+
+def test_an_operator_who_does_not_agree_is_not_pushed(afternoon):
+    def never(one, path):
+        raise AssertionError
+
+    _, (done,) = afternoon("friction", run=never, agree=lambda step, risk: False)
+    assert done.what == "skipped"
+
+
+def test_a_foreign_state_file_is_refused_with_its_name(afternoon, tmp_path):
+    (tmp_path / "my.commission").mkdir()
+    (tmp_path / "my.commission" / "state.json").write_text(json.dumps({"version": 7}))
+    with pytest.raises(CommissionError, match=r"state\.json: this is no state"):
+        afternoon()
+
+
+@pytest.mark.parametrize("step", STEPS, ids=lambda step: step.name)
+def test_each_step_says_what_moves_and_keeps_below_the_limits(step):
+    rig = load_rig("bench")
+    axis = rig.one_axis()
+    given = Given(weight_Nm=1.0, marks_rad=1.5)
+    risk = step.risk(axis, given)
+    assert step.lacks(axis, given) is None
+    assert any("Ctrl-C" in line for line in risk.lines())
+    for one in step.exercises(rig, given):
+        assert one.rig.one_axis().limits == axis.limits
+        assert one.rig.one_axis().motor_limit_Nm(one.mode) <= max(risk.motor_Nm, 0.0) + 1e-9
+        assert one.seconds <= risk.seconds
+    assert risk.motor_Nm <= axis.limits.sign_check_torque_Nm
+    assert risk.brake_Nm <= axis.limits.brake_torque_Nm
+    assert risk.travel_rad <= axis.limits.travel_limit_rad
+    assert risk.speed_rad_s <= 0.5 * axis.limits.speed_rad_s

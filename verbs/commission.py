@@ -1,0 +1,265 @@
+"""``coulombus commission``: from a rig file that believes to one that was measured."""
+
+from __future__ import annotations
+
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from coulombus.verbs.common import (
+    EXIT_STATUS,
+    OutputFile,
+    bus_option,
+    errors,
+    force_option,
+    json_option,
+    load,
+    print_json,
+    printable,
+    progress,
+    say,
+    seed_option,
+    set_option,
+    table_console,
+    verdict,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from coulombus.host.commission.session import Done, Runner, Session
+    from coulombus.host.commission.step import Exercise, Finding, Risk, Step
+    from coulombus.host.run.result import RunResult
+
+__all__ = ["commission"]
+
+
+@click.command(epilog=EXIT_STATUS)
+@click.option(
+    "--rig",
+    "rig_path",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="MY.toml",
+    help="The rig file to commission; it is written.",
+)
+@bus_option
+@click.option("--step", "names", multiple=True, metavar="NAME", help="Only this step; may be given several times.")
+@click.option("--list", "listed", is_flag=True, help="Print the steps, and which are done; nothing moves.")
+@click.option("--again", is_flag=True, help="Do the steps that are done once more.")
+@click.option("--yes", is_flag=True, help="Ask nothing: for a rehearsal, or a rig that nobody touches.")
+@click.option("--virtual", is_flag=True, help="Rehearse in virtual time, on the rig file's own [plant].")
+@click.option(
+    "--truth",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="T.toml",
+    help="With --virtual: the rig file of the simulated rig as it truly is.",
+)
+@click.option(
+    "--weight-Nm", "weight_Nm", type=float, help="Torque of a known weight at the handle, for the step weight."
+)
+@click.option(
+    "--marks-rad", "marks_rad", type=float, help="Angle between two marks at the handle, for the step encoder."
+)
+@click.option("--report", type=OutputFile(".html"), metavar="F.html", help="Write the report there, too.")
+@force_option
+@seed_option
+@set_option
+@json_option
+def commission(
+    rig_path: Path | None,
+    bus_name: str | None,
+    names: tuple[str, ...],
+    listed: bool,
+    again: bool,
+    yes: bool,
+    virtual: bool,
+    truth: Path | None,
+    weight_Nm: float | None,
+    marks_rad: float | None,
+    report: Path | None,
+    overwrite: bool,
+    seed: int,
+    overrides: tuple[str, ...],
+    as_json: bool,
+) -> None:
+    """Measure the rig step by step, and write what is found into its rig file.
+
+    Each step says what will move and at most how much, and asks before it does. Ctrl-C stops it
+    safely. What is found is written with date and figures; a copy of the old file is kept. A step
+    that is done is not done again, so an afternoon that was interrupted goes on where it was.
+
+    \b
+    Examples:
+      coulombus commission --list
+      coulombus commission --rig my.toml --bus socketcan:can0
+      coulombus commission --rig my.toml --bus socketcan:can0 --step friction
+      coulombus commission --rig my.toml --virtual --truth truth.toml --yes --json
+    """
+    with errors():
+        from coulombus.host.commission.steps import STEPS
+
+        chosen = _chosen(STEPS, names)
+        if listed:
+            _print_list(chosen, rig_path, as_json)
+        if rig_path is None:
+            raise click.UsageError("give --rig MY.toml: what is found is written into it")
+        if truth is not None and not virtual:
+            raise click.UsageError("--truth is for --virtual")
+        if virtual and bus_name is not None:
+            raise click.UsageError("--virtual has a bus of its own; leave out --bus")
+        if not yes and not sys.stdin.isatty():
+            raise click.UsageError("nobody is there to be asked: give --yes")
+        _commission(
+            chosen,
+            rig_path,
+            bus_name,
+            virtual=virtual,
+            truth=truth,
+            given={"weight_Nm": weight_Nm, "marks_rad": marks_rad},
+            again=again or bool(names),
+            yes=yes,
+            report=report,
+            seed=seed,
+            overrides=overrides,
+            as_json=as_json,
+        )
+
+
+def _chosen(steps: tuple[Step, ...], names: tuple[str, ...]) -> tuple[Step, ...]:
+    known = [step.name for step in steps]
+    for name in names:
+        if name not in known:
+            from coulombus.rigs.mistakes import nearest
+
+            raise click.BadParameter(
+                f"{name!r}: expected one of {', '.join(known)}{nearest(name, known)}", param_hint="--step"
+            )
+    return tuple(step for step in steps if not names or step.name in names)
+
+
+def _print_list(steps: tuple[Step, ...], rig_path: Path | None, as_json: bool) -> None:
+    """Print the steps, and end."""
+    from coulombus.host.commission.state import State, folder_of
+
+    done = State.load(folder_of(rig_path)).steps if rig_path is not None else {}
+    rows = [{"step": step.name, "title": step.title, "done": done.get(step.name, {}).get("at")} for step in steps]
+    with verdict(0):
+        if as_json:
+            print_json({"steps": rows})
+        else:
+            for row in rows:
+                click.echo(f"{row['step']:<12}{row['title']:<52}{row['done'] or '-'}")
+
+
+def _commission(
+    steps: tuple[Step, ...],
+    path: Path,
+    bus_name: str | None,
+    *,
+    virtual: bool,
+    truth: Path | None,
+    given: dict[str, float | None],
+    again: bool,
+    yes: bool,
+    report: Path | None,
+    seed: int,
+    overrides: tuple[str, ...],
+    as_json: bool,
+) -> None:
+    from coulombus.host.commission.session import Session, results
+    from coulombus.host.commission.step import Given
+
+    load(str(path.resolve()), overrides)
+    done: list[Done] = []
+    with progress(not as_json) as bar:
+        run = _virtual(truth, seed, bar) if virtual else _real(bus_name, bar)
+        session = Session(path, run, Given(**given), _now, overrides)
+        for step in steps:
+            if step.name in session.state.steps and not again:
+                say(f"{step.name}: done at {session.state.steps[step.name]['at']} (--again: once more)")
+                continue
+            one = session.do(step, lambda step, risk: _agree(step, risk, yes))
+            done.append(one)
+            _tell(one)
+            _report(session, report)
+    with verdict(0):
+        if as_json:
+            print_json(results(done))
+        else:
+            _print_findings(done)
+
+
+def _now() -> str:
+    return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+
+
+def _virtual(truth: Path | None, seed: int, bar: Callable[[str, float, float], None]) -> Runner:
+    from coulombus.lab.rehearsal import rehearsed
+
+    true = None if truth is None else load(str(truth.resolve()), ())
+    return rehearsed(true, seed=seed)
+
+
+def _real(bus_name: str | None, bar: Callable[[str, float, float], None]) -> Runner:
+    from coulombus.host.run.real_run import real_run
+    from coulombus.wire.address import parse_address
+    from coulombus.wire.stopping import Signals
+
+    address = None if bus_name is None else parse_address(bus_name)
+
+    def run(one: Exercise, path: Path) -> RunResult:
+        with Signals() as signals:
+            return real_run(
+                one.rig,
+                one.mode,
+                one.seconds,
+                bus=address,
+                record=path,
+                signals=signals,
+                force=True,
+                progress=lambda t: bar(one.name, t, one.seconds),
+            )
+
+    return run
+
+
+def _agree(step: Step, risk: Risk, yes: bool) -> bool:
+    say(f"\nstep {step.name}: {step.title}")
+    for line in risk.lines():
+        say(f"  {line}")
+    return yes or click.confirm("  begin?", default=True, err=True)
+
+
+def _tell(one: Done) -> None:
+    if one.what != "done":
+        say(f"{one.step}: {one.what}{': ' + one.why if one.why else ''}")
+        return
+    say(f"{one.step}: done{', written: ' + ', '.join(one.written) if one.written else ', nothing to change'}")
+    for text in one.outcome.remarks if one.outcome else ():
+        say(f"  note: {printable(text)}")
+
+
+def _report(session: Session, path: Path | None) -> None:
+    """Write the report after each step: what was found is on paper, whatever comes next."""
+
+
+def _print_findings(done: list[Done]) -> None:
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False)
+    for name, justify in (("finding", "left"), ("was", "right"), ("is", "right"), ("+-", "right"), ("unit", "left")):
+        table.add_column(name, justify=justify)  # type: ignore[arg-type]
+    for one in done:
+        for finding in one.outcome.findings if one.outcome else ():
+            reach = "" if finding.uncertainty is None else f"{finding.uncertainty:.2g}"
+            table.add_row(finding.key or finding.name, _figure(finding.old), _figure(finding.new), reach, finding.unit)
+    table_console(80).print(table)
+
+
+def _figure(value: Finding | object) -> str:
+    if isinstance(value, list | tuple):
+        return f"{len(value)} points"
+    return "-" if value is None else f"{value:.5g}" if isinstance(value, float) else str(value)
