@@ -64,9 +64,11 @@ TARGETS = {
     "node/deadlines.py": Target(("test_node_watch_edges",)),
     "node/guarding.py": Target(("test_node_watch_edges",)),
     "node/reactions.py": Target(("test_node_behaviour",)),
-    "node/states402.py": Target(("test_drive402_edges",)),
-    "node/motion402.py": Target(("test_motion402_edges",)),
-    "node/drive402.py": Target(("test_node_behaviour",), ("_apply", "_connection_lost", "_react", "_supply")),
+    "node/states402.py": Target(("test_drive402_edges", "test_stand_in")),
+    "node/motion402.py": Target(("test_motion402_edges", "test_stand_in")),
+    "node/drive402.py": Target(
+        ("test_node_behaviour", "test_stand_in"), ("_apply", "_connection_lost", "_react", "_supply")
+    ),
     "node/brake404.py": Target(
         ("test_brake404_edges", "test_node_behaviour"),
         (

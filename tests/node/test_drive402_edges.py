@@ -283,6 +283,9 @@ def test_a_setpoint_beyond_the_limits_is_counted(target, clipped):
     n.mode = 9
     states402.new_setpoint(n, T, True)
     assert n.clipped_setpoints == 4 + clipped
+    n.mode = n.vendor_mode = -3  # 6071h is no set-point of it
+    states402.new_setpoint(n, T, False)
+    assert n.clipped_setpoints == 4 + clipped
 
 
 # torque in CST

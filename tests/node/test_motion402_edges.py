@@ -58,6 +58,23 @@ def moved(n, elapsed_ns):
     return float(n.out_torque_pm)
 
 
+# a mode of the maker's own
+
+
+@pytest.mark.parametrize(
+    ("target", "torque", "limited"),
+    [(1600, 800, 0), (1602, 800, 1), (-1400, -700, 0), (-1402, -700, 1), (-5000, -700, 1), (7, 3.5, 0), (0, 0, 0)],
+)
+def test_the_makers_set_point_acts_at_once_within_the_limits(target, torque, limited):
+    n = drive(-3, 250.0, VENDOR_TARGET=target)
+    n.vendor_mode, n.vendor_slot, n.vendor_pm = -3, slots402.VENDOR_TARGET, 0.5
+    assert moved(n, 1) == torque
+    assert (n.torque_demand_pm, n.limited) == (torque, limited)
+    n.controlword = 0x10F  # halt
+    assert moved(n, 1) == 0
+    assert n.limited == 0
+
+
 # limits
 
 
@@ -510,6 +527,12 @@ def test_csv_tells_that_it_follows_and_other_modes_nothing(mode, controlword, sl
     n = drive(mode, TARGET_VELOCITY=0)
     n.controlword, n.slowing = controlword, slowing
     assert motion402.target_bits(n) == bits
+
+
+def test_torque_of_the_makers_own_in_cia_s_mode_4_tells_nothing_of_a_target():
+    n = drive(TORQUE, 300.0, TARGET_TORQUE=300)
+    n.vendor_mode = TORQUE
+    assert motion402.target_bits(n) == 0
 
 
 def told(speed, target=0, elapsed_ms=0, controlword=15, demand=None, sign=1):

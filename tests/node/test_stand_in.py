@@ -322,6 +322,16 @@ def test_the_loss_of_the_host_is_a_fault_of_a_drive_without_6007h_and_of_our_own
         assert bench.node.power_state == 7
 
 
+@pytest.mark.parametrize(("bit", "code"), [(0, 0x2310), (2, 0x7305)])
+@pytest.mark.parametrize("option", [0, 1, 2, 3])
+def test_6007h_is_for_a_lost_host_and_for_nothing_else(bit, code, option):
+    bench = guarded(option)
+    bench.node.in_faults = 1 << bit
+    bench.sync()
+    assert bench.emcy()[0][0] == code
+    assert (bench.node.power_state, bench.node.out_torque_pm) == (7, 0)
+
+
 # vendors' files
 
 
