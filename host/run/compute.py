@@ -26,12 +26,13 @@ from coulombus.eds.codec import pack
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.records import Image, Phase
 from coulombus.host.cycle.step import SOURCE_HOST
-from coulombus.host.realtime.data_plane import PRIORITY, DataPlane, default_cpu
+from coulombus.host.realtime.data_plane import PRIORITY, DataPlane
 from coulombus.rigs.rig import Rig
 from coulombus.wire.address import BusAddress
 from coulombus.wire.client import pack_frame
 from coulombus.wire.frame import Records, data_bytes, new_records
 from coulombus.wire.hello import SO_TIMESTAMPNS
+from coulombus.wire.realtime import default_cpu
 
 __all__ = ["compute_times_ns", "measure_compute"]
 
