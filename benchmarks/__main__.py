@@ -195,6 +195,7 @@ def main() -> None:
             "first",
             "bus",
             "nodes",
+            "eds",
             "network",
             "bits",
             "loss",
@@ -226,6 +227,10 @@ def main() -> None:
         from benchmarks.nodes import nodes
 
         nodes(show)
+    if options.what in ("all", "eds"):
+        from benchmarks.eds_files import eds_files
+
+        eds_files(show)
     if options.what == "bits":
         million_frames()
     if options.what == "loss":

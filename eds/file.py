@@ -12,7 +12,7 @@ from types import MappingProxyType
 from coulombus.eds.cia301 import DUMMY_TYPES, RECORD, predefined
 from coulombus.eds.dcf import COMMISSIONING, DcfReader
 from coulombus.eds.description import Object, Variable
-from coulombus.eds.sections import OBJECT_SECTION, Section
+from coulombus.eds.sections import Section
 
 __all__ = ["FileReader"]
 
@@ -161,7 +161,9 @@ class FileReader(DcfReader):
         unknown: Counter[str] = Counter()
         first: dict[str, Section] = {}
         for name, section in self.sections.items():
-            if OBJECT_SECTION.fullmatch(section.name):
+            if section.index >= 0:
+                if section.entries.keys() <= OBJECT_KEYS:
+                    continue
                 for key in section.entries.keys() - OBJECT_KEYS:
                     unknown[key] += 1
                     if key not in first or section.line < first[key].line:

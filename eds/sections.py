@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 from coulombus.eds.description import Diagnosis, Severity
 
@@ -86,6 +86,10 @@ class Section:
     spelled: dict[str, str] = field(default_factory=dict)
     conflicts: set[str] = field(default_factory=set)
     reopened: bool = False
+    index: int = -1
+    """Of an object's section, the object; -1 of any other."""
+    subindex: int = -1
+    """And the sub-index; -1 of the object's own section."""
 
     def get(self, key: str) -> str:
         """Return the key's value as written; empty when it is absent."""
@@ -107,9 +111,11 @@ class Section:
         """Return the keys that are numbers, by these: sub-indices of [1003Name], entries of a list."""
         return {int(key): key for key in reversed(self.entries) if key.isdecimal() and len(key) <= MOST_DIGITS}
 
-    @cached_property
+    @property
     def pdo_parameter(self) -> bool:
         """True for the sections of 1400h to 1BFFh, where nothing may be assumed."""
+        if self.index >= 0:
+            return self.index in PDO_PARAMETERS
         match = OBJECT_SECTION.fullmatch(re.sub("(?i)value$", "", self.name))
         return match is not None and int(match[1], 16) in PDO_PARAMETERS
 
@@ -117,7 +123,10 @@ class Section:
 OBJECT_SECTION = re.compile(
     r"(?:0x)?0*([0-9a-f]{1,4})(?:[\s_]*sub(?:index)?[\s_]*(?:0x)?0*([0-9a-f]{1,2}))?", re.IGNORECASE
 )
-_STRICT = re.compile(r"[0-9a-f]{1,4}(sub[0-9a-f]{1,2})?", re.IGNORECASE)
+_STRICT = re.compile(r"([0-9a-f]{1,4})(?:sub([0-9a-f]{1,2}))?")
+"""Of a name in small letters."""
+_REST = "\x00\x1a\ufeff"
+"""What editors and copies leave at the ends of lines and files."""
 _LINE_END = re.compile(r"\r*\n|\r")
 
 
@@ -194,19 +203,36 @@ class SectionReader:
     def split(self) -> None:
         """Split the text into sections; what is neither head nor key is a comment."""
         section: Section | None = None
+        lowered: dict[str, str] = {}  # the same few keys come again and again
         for number, raw in enumerate(_LINE_END.split(self.text), 1):
-            line = raw.strip().strip("\x00\x1a\ufeff")
-            if not line or line[0] in ";#":
+            line = raw.strip()
+            if not line:
                 continue
-            key, equals, value = line.partition("=")
-            if line[0] == "[":
+            if line[0] in _REST or line[-1] in _REST:
+                line = line.strip(_REST)
+                if not line:
+                    continue
+            first = line[0]
+            if first in ";#":
+                continue
+            if first == "[":
                 section = self.open_section(line, number)
-            elif section is None:
+                continue
+            spelled, equals, value = line.partition("=")
+            spelled = spelled.strip()
+            if section is None:
                 self.say(number, f"'{line[:40]}' stands before the first section", "a comment")
-            elif not equals or not key.strip():
+            elif not equals or not spelled:
                 self.say(number, f"'{line[:40]}' is no key=value", "a comment")
             else:
-                self.enter(section, key.strip(), value.strip(), number)
+                key = lowered.get(spelled)
+                if key is None:
+                    key = lowered[spelled] = spelled.lower()
+                if key in section.entries:
+                    self.enter_again(section, key, spelled, value.strip(), number)
+                else:
+                    section.entries[key] = (value.strip(), number)
+                    section.spelled[key] = spelled
 
     def open_section(self, line: str, number: int) -> Section:
         """Return the section that a head names; a second head of one name goes on with the first."""
@@ -217,13 +243,16 @@ class SectionReader:
             self.say(number, f"the section head '{line[:40]}' has no ']'", f"[{cut(name)}]")
         elif rest.strip() and rest.strip()[0] not in ";#":
             self.say(number, f"'{rest.strip()[:40]}' stands behind the section head [{cut(name)}]", "a comment")
-        match = OBJECT_SECTION.fullmatch(name)
+        index = subindex = -1
         key = name.lower()
-        if match and not _STRICT.fullmatch(name):
-            strict = f"{int(match[1], 16):04X}" + (f"sub{int(match[2], 16):X}" if match[2] else "")
-            self.say(number, f"the section head [{cut(name)}] is not spelled as CiA 306 has it", f"[{strict}]")
+        strict = _STRICT.fullmatch(key)
+        match = strict or OBJECT_SECTION.fullmatch(name)
         if match:  # one key for [1018sub1], [1018Sub01] and [0x1018sub1]
-            key = f"{int(match[1], 16):04x}" + (f"sub{int(match[2], 16):x}" if match[2] else "")
+            index, subindex = int(match[1], 16), int(match[2], 16) if match[2] else -1
+            key = f"{index:04x}" if subindex < 0 else f"{index:04x}sub{subindex:x}"
+        if match and not strict:
+            usual = f"{index:04X}" if subindex < 0 else f"{index:04X}sub{subindex:X}"
+            self.say(number, f"the section head [{cut(name)}] is not spelled as CiA 306 has it", f"[{usual}]")
         known = self.sections.get(key)
         if known is not None:
             self.say(
@@ -231,15 +260,10 @@ class SectionReader:
             )
             known.reopened = True
             return known
-        return self.sections.setdefault(key, Section(cut(name), number))
+        return self.sections.setdefault(key, Section(cut(name), number, index=index, subindex=subindex))
 
-    def enter(self, section: Section, spelled: str, value: str, number: int) -> None:
-        """Enter a key; of doubled keys the first value counts, and a conflict is kept in mind."""
-        key = spelled.lower()
-        if key not in section.entries:
-            section.entries[key] = (value, number)
-            section.spelled[key] = spelled
-            return
+    def enter_again(self, section: Section, key: str, spelled: str, value: str, number: int) -> None:
+        """Take a key that is there already: the first value counts, and a conflict is kept in mind."""
         first, line = section.entries[key]
         if _same(first, value):
             if not section.reopened:
@@ -253,7 +277,10 @@ class SectionReader:
 
     def bare(self, section: Section, key: str) -> str:
         """Return a value without the comment behind it."""
-        text = section.get(key)
+        found = section.entries.get(key)
+        if found is None or found[0].isalnum():  # most of them
+            return "" if found is None else found[0]
+        text = found[0]
         if not text:
             return text
         bare = _without_comment(text)

@@ -125,6 +125,10 @@ class ValueReader(SectionReader):
 
     def whole(self, section: Section, key: str, text: str, code: int) -> tuple[int | None, bool, str]:
         """Read an integer, ``$NODEID+0x180`` or ``0x180+$NODEID``."""
+        plain = number_of(text)
+        if plain is not None and not plain.complaint:  # most of them
+            value, why = self.fit(section, key, plain.value, code, plain.hexadecimal)
+            return value, False, why
         where, what = section.at(key), section.what(key)
         terms = [term.strip() for term in text.strip("() ").split("+")] if "$" in text else [text]
         rest = [term for term in terms if term.upper() != "$NODEID"]
