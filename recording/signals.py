@@ -118,6 +118,10 @@ class Source:
             return (self,)
         return tuple(self.seen_by(name) for name in self.rig.axis_names)
 
+    def has(self, name: str) -> bool:
+        """Tell whether the rig has a signal: one whose role is absent is in no PDO."""
+        return any(signal.name == name for pdo in self.rig.pdos() for signal in pdo.signals)
+
     def signal(self, name: str) -> Signal:
         """Return what the rig says of a signal: object, scale, offset, unit; KeyError names the
         nearest ones.

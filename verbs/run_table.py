@@ -86,10 +86,10 @@ def print_remark(text: str) -> None:
     Console(highlight=False).print(f"[yellow]remark[/] {escape(text)}", soft_wrap=True)
 
 
-def print_verdict(holds: bool, text: str) -> None:
-    """Print whether a criterion holds, and its text."""
+def print_verdict(holds: bool | None, text: str) -> None:
+    """Print whether a criterion holds (None: it could not be judged), and its text."""
     from rich.console import Console
     from rich.markup import escape
 
-    mark = "[green]ok  [/]" if holds else "[red]FAIL[/]"
+    mark = "[yellow]?   [/]" if holds is None else "[green]ok  [/]" if holds else "[red]FAIL[/]"
     Console(highlight=False).print(f"{mark} {escape(text)}", soft_wrap=True)

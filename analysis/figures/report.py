@@ -253,14 +253,12 @@ def hold_lines(found: HoldStudy) -> Iterable[str]:
             f"{v:8.2g}" if v is not None else f"{'-':>8}"
             for v in (row.hold_velocity_rms_rad_s, row.stick_velocity_rms_rad_s)
         ]
-        away = [
-            f"{'-' if push is None else 'never' if push.share_of_F_s is None else format(push.share_of_F_s, '.0%'):>6}"
-            for push in (row.slow, row.fast)
-        ]
+        away = [f"{'-' if push is None else push.verdict('.0%'):>6}" for push in (row.slow, row.fast)]
         peak = "-" if row.hold_peak_Hz is None else f"{row.hold_peak_Hz:.3g} Hz"
         yield (
             f"{row.mode:<8} {row.stick_entry:<12} {row.brake_stick:<7} {row.K_p_Nm_rad:<7g} {still[0]}  {still[1]}  {away[0]}  {away[1]}  {peak}"
         )
+    yield from (f"note: {remark}" for remark in found.remarks)
 
 
 def map_lines(found: OscillationMap) -> Iterable[str]:

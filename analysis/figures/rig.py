@@ -109,7 +109,7 @@ def write_fig13(directory: Path, data: FrictionStudy) -> list[Path]:
 
 def _draw_trace(torque: Axes, speed: Axes, detail: Axes, data: Traces, title: str) -> None:
     torque.plot(data.command_t_s, data.command_Nm, lw=0.4, color=VERMILION, label=data.command_label)
-    torque.plot(data.torque_t_s, data.handle_Nm, lw=0.9, color=BLUE, label="hand on the handle, measured")
+    torque.plot(data.torque_t_s, data.handle_Nm, lw=0.9, color=BLUE, label=data.handle_label)
     label(torque, "", "torque [Nm]", title)
     torque.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=2)
     speed.plot(data.t_s, data.velocity_rad_s, lw=0.4, color=GREEN)
@@ -155,7 +155,7 @@ def write_stick_figure(directory: Path, data: HoldStudy) -> list[Path]:
             angle, torque = axes[:, column]
             for i, row in enumerate(rows):
                 ramp: Any = getattr(row, name)
-                share = "never" if ramp.share_of_F_s is None else f"{ramp.share_of_F_s:.0%} of $F_s$"
+                share = ramp.verdict(".0%", " of $F_s$")
                 ways = f"{row.stick_entry}, {row.brake_stick}: slides at {share}"
                 angle.plot(ramp.t_s * 1e3, ramp.angle_rad * 1e3, color=COLOURS[i], ls=DASHES[i], label=ways)
                 torque.plot(ramp.t_s * 1e3, ramp.setpoint_Nm, color=COLOURS[i], ls=DASHES[i])

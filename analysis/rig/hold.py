@@ -29,7 +29,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.analysis.rig.runs import displayed, need_modes
-from coulombus.lab.demo.traces import Traces, traces
+from coulombus.lab.demo.traces import HANDLE, Traces, traces
 from coulombus.recording.measures import measure, phases, velocity
 from coulombus.recording.signals import Recording, read
 from coulombus.rigs.rig import Rig, RigError, load_rig
@@ -51,8 +51,9 @@ class Breakaway:
 
     ramp_s: float
     torque_Nm: float | None
-    """Hand's torque on the handle just before it slid; None: it never did."""
+    """Hand's torque on the handle just before it slid; None: it never did, or nothing measures it."""
     share_of_F_s: float | None
+    slid: bool
     crept_rad: float
     """How far it had moved when the push reached 0.95 F_s; stuck it should be 0."""
     t_s: Floats
@@ -60,6 +61,14 @@ class Breakaway:
     angle_rad: Floats
     handle_Nm: Floats
     setpoint_Nm: Floats
+
+    def verdict(self, share: str, of: str = "") -> str:
+        """Return at which share of F_s it slid, formatted as `share`; "slid" where the rig does not
+        measure the hand's torque, "never" where it did not slide.
+        """
+        if self.share_of_F_s is not None:
+            return f"{self.share_of_F_s:{share}}{of}"
+        return "slid" if self.slid else "never"
 
 
 @dataclass(frozen=True)
@@ -88,6 +97,7 @@ class HoldRow:
             ramp: Breakaway | None = values.pop(name) and getattr(self, name)
             values[f"{name}_breakaway_Nm"] = ramp.torque_Nm if ramp else None
             values[f"{name}_breakaway_share"] = ramp.share_of_F_s if ramp else None
+            values[f"{name}_slid"] = ramp.slid if ramp else None
             values[f"{name}_crept_rad"] = ramp.crept_rad if ramp else None
         return values
 
@@ -102,6 +112,16 @@ class HoldStudy:
     traces: dict[str, Traces]
     """Of active, and of hybrid as the rig has it: Fig. 14."""
 
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What the figures cannot say of this rig."""
+        ramps = [ramp for row in self.rows for ramp in (row.slow, row.fast) if ramp is not None]
+        if not any(ramp.slid and ramp.torque_Nm is None for ramp in ramps):
+            return ()
+        return (
+            "the rig does not measure the hand's torque ([role.handle_torque]): the torque at which it slid is not known",
+        )
+
     def row(self, mode: str, stick_entry: str | None = None, brake_stick: str | None = None) -> HoldRow:
         """Return the first row of a mode, or of one way of its stick phase."""
         for row in self.rows:
@@ -111,7 +131,7 @@ class HoldStudy:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the figures of all rows."""
-        return {"rig": self.rig, "rows": [row.as_dict() for row in self.rows]}
+        return {"rig": self.rig, "rows": [row.as_dict() for row in self.rows], "remarks": list(self.remarks)}
 
 
 def _recorded(rig: Rig, mode: str, directory: Path, name: str, seed: int) -> Recording:
@@ -124,23 +144,26 @@ def breakaway(recording: Recording, F_s_Nm: float, ramp_s: float) -> Breakaway:
     """
     ramp = phases(recording)[-1]
     period = recording.rig.bus.period_s
-    angle, handle = recording["motor.position_rad"], recording["brake.handle_torque_Nm"]
+    angle, measured = recording["motor.position_rad"], recording.has(HANDLE)
     setpoint = recording["brake.setpoint_Nm"]
     count = abs(recording.scale("motor.position_rad"))
     t, v = velocity(angle.t_s, angle.values, period)
     inside = (t >= ramp.begin_s) & (t < ramp.end_s)
     x = angle.values[1:]
     start = float(x[inside][0])
-    torque = np.interp(t, handle.t_s, np.abs(handle.values))
+    torque = np.full(len(t), np.nan)
+    if measured:
+        torque = np.interp(t, recording[HANDLE].t_s, np.abs(recording[HANDLE].values))
     slides = np.abs(v) > recording.rig.one_axis().law.velocity_band_counts * count / period
     lasting = np.convolve(slides[inside], np.ones(SLIDING_CYCLES), "valid") == SLIDING_CYCLES
     begins = int(np.argmax(lasting)) if np.any(lasting) else None
-    broke = None if begins is None else float(torque[inside][max(begins - 1, 0)])
+    broke = None if begins is None or not measured else float(torque[inside][max(begins - 1, 0)])
     near = np.argmax(t[inside] - ramp.begin_s >= CREEP_F_S / PUSH_F_S * ramp_s)
     return Breakaway(
         ramp_s=ramp_s,
         torque_Nm=broke,
         share_of_F_s=None if broke is None else broke / F_s_Nm,
+        slid=begins is not None,
         crept_rad=float(np.max(np.abs(x[inside][: near + 1] - start))),
         t_s=t[inside] - ramp.begin_s,
         angle_rad=x[inside] - start,

@@ -179,7 +179,8 @@ def bus_cycle(
     start = next(t for t, text in recording.markers if text.startswith("phase "))
     begin, end = start + settle_s, start + settle_s + window_s
     delay = loop_delay(recording, begin, end)
-    angle, torque = recording["motor.position_rad"], recording["motor.torque_Nm"]
+    angle = recording["motor.position_rad"]
+    torque = recording["motor.torque_Nm" if recording.has("motor.torque_Nm") else "motor.target_torque_Nm"]
     t, v = velocity(angle.t_s, angle.values, rig.bus.period_s)
     inside = (t >= begin) & (t < end)
     return BusCycle(
@@ -194,7 +195,7 @@ def bus_cycle(
         motor_lag_s=rig.one_axis().simulation.plant.motor_lag_s,
         t_s=t[inside] - begin,
         v_m_s=v[inside],
-        force_N=torque.values[1:][inside],
+        force_N=np.interp(t[inside], torque.t_s, torque.values),
     )
 
 

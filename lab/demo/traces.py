@@ -15,7 +15,7 @@ from coulombus.recording.signals import Source, series
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["Traces", "draw_detail", "draw_traces", "figure_14", "traces"]
+__all__ = ["HANDLE", "Traces", "draw_detail", "draw_traces", "figure_14", "traces"]
 
 HANDLE_COLOUR, COMMAND_COLOUR, VELOCITY_COLOUR = (
     "#0072B2",
@@ -23,6 +23,7 @@ HANDLE_COLOUR, COMMAND_COLOUR, VELOCITY_COLOUR = (
     "#009E73",
 )  # Okabe-Ito: safe for colour-blind eyes
 SHADES = {"rest": "#ffffff", "hold": "#ececec", "stroke": "#f7f7f7"}
+HANDLE = "brake.handle_torque_Nm"
 DETAIL_FROM_S, DETAIL_S = 2.5, 0.1  # of the hold
 LABELS = {
     "active": "(a) active force feedback",
@@ -39,11 +40,17 @@ class Traces:
     velocity_rad_s: Floats
     torque_t_s: Floats
     handle_Nm: Floats
+    """The hand's torque; empty where the rig does not measure it."""
     command_t_s: Floats
     command_Nm: Floats
     """The display's command: the motor's torque in mode active, the brake's set-point otherwise."""
     command_label: str
     phases: tuple[PhaseSpan, ...]
+
+    @property
+    def handle_label(self) -> str:
+        """What a legend says of the hand's torque."""
+        return f"hand on the handle, {'measured' if len(self.handle_Nm) else 'not measured'}"
 
 
 def traces(recording: Source, mode: str) -> Traces:
@@ -51,13 +58,14 @@ def traces(recording: Source, mode: str) -> Traces:
     spans = phases(recording)
     start = spans[0].begin_s if spans else 0.0
     end = spans[-1].end_s if spans else np.inf
-    names = ["motor.position_rad", "brake.handle_torque_Nm"]
     name, label = (
         ("motor.target_torque_Nm", "motor, commanded")
         if mode == "active"
         else ("brake.setpoint_Nm", "brake, commanded")
     )
-    angle, handle, command = series(recording, *names, name)
+    measured = recording.has(HANDLE)
+    angle, command, *handles = series(recording, "motor.position_rad", name, *((HANDLE,) if measured else ()))
+    handle = handles[0] if measured else replace(command, t_s=command.t_s[:0], values=command.values[:0])
     t, v = velocity(angle.t_s, angle.values, recording.rig.bus.period_s)
 
     def cut(times: Floats, values: Floats) -> tuple[Floats, Floats]:
@@ -72,7 +80,7 @@ def draw_traces(torque: Axes, speed: Axes, data: Traces, mode: str) -> None:
     """Draw torque and velocity of one recording into two axes, phases marked."""
     torque.set_title(LABELS.get(mode, mode), loc="left", fontsize=11)
     torque.plot(data.command_t_s, data.command_Nm, lw=0.5, color=COMMAND_COLOUR, label=data.command_label, alpha=0.8)
-    torque.plot(data.torque_t_s, data.handle_Nm, lw=0.8, color=HANDLE_COLOUR, label="hand on the handle, measured")
+    torque.plot(data.torque_t_s, data.handle_Nm, lw=0.8, color=HANDLE_COLOUR, label=data.handle_label)
     torque.set_ylabel("torque [Nm]")
     torque.legend(loc="lower center", bbox_to_anchor=(0.5, -0.02), fontsize=7, ncols=2, frameon=False)
     speed.plot(data.t_s, data.velocity_rad_s, lw=0.5, color=VELOCITY_COLOUR)

@@ -79,7 +79,7 @@ class Slide:
     hand_Nm: Floats
     """The transducer's."""
     motor_Nm: Floats
-    """The motor's, as the drive tells it (6077h)."""
+    """The motor's, as the drive tells it (6077h), or as it was told where the drive does not."""
 
 
 @dataclass(frozen=True)
@@ -209,13 +209,21 @@ def sliding(recording: Source, window_s: float = WINDOW_S) -> Sliding:
     Raises
     ------
     IdentifyError
-        hardly a sample does, the text counts why; or the recording's stamps go back
+            the rig has no transducer; hardly a sample does, the text counts why; or the recording's
+        stamps go back
     """
     axis, period = recording.rig.one_axis(), recording.rig.bus.period_s
     size = 2 * max(round(0.5 * (window_s / period - 1)), 2) + 1
-    found = series(recording, "motor.position_rad", "brake.handle_torque_Nm", "motor.torque_Nm", "brake.setpoint_Nm")
+    names = ("motor.position_rad", "brake.handle_torque_Nm")
+    if not recording.has(names[1]):
+        raise IdentifyError(
+            f"{recording.path}: the rig {recording.rig.name!r} does not measure the hand's torque, and without it what is felt at the "
+            "handle is not known; give the rig a transducer ([role.handle_torque])"
+        )
+    told = recording.has("motor.torque_Nm")
+    found = series(recording, *names, "motor.torque_Nm" if told else "motor.target_torque_Nm", "brake.setpoint_Nm")
     angle, transducer, drive_torque, setpoint = found
-    for name, one in zip(("motor.position_rad", "brake.handle_torque_Nm"), found, strict=False):
+    for name, one in zip(names, found, strict=False):
         if not len(one):
             raise IdentifyError(
                 f"{recording.path}: no sample of {name}; record a run of the rig {recording.rig.name!r} with strokes, or give --rig"
@@ -231,6 +239,9 @@ def sliding(recording: Source, window_s: float = WINDOW_S) -> Sliding:
     hand, motor = _nearest(transducer, t, 0.5 * period), _nearest(drive_torque, t, 0.5 * period)
     brake = _held(setpoint, t)
     shown, notes = _displayed(recording, t, counts)
+    if not told:
+        motor = _held(drive_torque, t)
+        notes += ("the motor's torque is not measured: the device's own friction is with the torque that it was told",)
 
     samples = _Samples(len(t))
     samples.keep("not in the display at full gain (arming, gain ramp, after the end)", shown)
