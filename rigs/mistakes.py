@@ -9,6 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from coulombus.rigs.problem import Problem
 from coulombus.rigs.toml_lines import Document, Key
 
 __all__ = ["RigError", "Source", "dotted", "nearest", "shown", "toml_value"]
@@ -21,16 +22,16 @@ _KEY = re.compile(r"(?<![\w.])(?:bus|host|motor|brake|sensor|role|mechanics|law|
 class RigError(Exception):
     """A rig file is refused; `errors` holds one line for each mistake, all that were found.
 
-    `problems` are those of them that are about a role: `rigs.roles.Problem`.
+    `problems` are those of them that are about a role.
     """
 
     exit_status = 3
 
-    def __init__(self, errors: Sequence[str], problems: Sequence[tuple[str, ...]] = ()) -> None:
+    def __init__(self, errors: Sequence[str], problems: Sequence[Problem] = ()) -> None:
         self.errors, self.problems = tuple(errors), tuple(problems)
         super().__init__("\n".join(self.errors))
 
-    def __reduce__(self) -> tuple[type[RigError], tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]]:
+    def __reduce__(self) -> tuple[type[RigError], tuple[tuple[str, ...], tuple[Problem, ...]]]:
         return type(self), (self.errors, self.problems)
 
 
@@ -50,8 +51,8 @@ class Source:
     """
     found: list[tuple[float, str]] = field(default_factory=list)
     wrong: set[Key] = field(default_factory=set)
-    problems: list[tuple[str, ...]] = field(default_factory=list)
-    """What is wrong with roles: `rigs.roles.Problem`."""
+    problems: list[Problem] = field(default_factory=list)
+    """What is wrong with roles."""
 
     def of_axis(self, name: str) -> Source:
         """Return a source of its own for the axis `name` of the same file."""

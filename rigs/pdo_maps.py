@@ -29,7 +29,8 @@ from coulombus.eds.pdo import COMMUNICATION, MAPPING, PDO_BITS, PDO_COUNT, Entry
 from coulombus.eds.reader import Description, EdsError, Variable
 from coulombus.rigs.devices import Brake, Motor
 from coulombus.rigs.model import to_ns
-from coulombus.rigs.roles import Binding, Bound, Problem, bind
+from coulombus.rigs.problem import Problem
+from coulombus.rigs.roles import Binding, Bound, bind
 from coulombus.rigs.signals import Constant, Direction, Node, Parts, RigPdo, Signal
 from coulombus.rigs.switch import bind_switch
 

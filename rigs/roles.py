@@ -34,6 +34,7 @@ from typing import NamedTuple
 from coulombus.eds.pdo import Entry, entry_of
 from coulombus.eds.reader import Description
 from coulombus.rigs.devices import BrakeRole, Role
+from coulombus.rigs.problem import Problem
 from coulombus.rigs.signals import Direction, Node, Parts
 
 __all__ = [
@@ -44,7 +45,6 @@ __all__ = [
     "Binding",
     "Bound",
     "Kind",
-    "Problem",
     "bind",
     "checked_entry",
     "profile_of",
@@ -132,19 +132,6 @@ BRAKE_OBJECTS: Mapping[int, Mapping[str, Objects]] = {
         "brake_statusword": ((0x6041, 0),),
     },
 }
-
-
-class Problem(NamedTuple):
-    """Why a device cannot have a role, or bring-up would be refused, and what to do."""
-
-    role: str
-    node: Node
-    object: str
-    text: str
-    remedy: str
-
-    def __str__(self) -> str:
-        return f"{self.text}; {self.remedy}" if self.remedy else self.text
 
 
 @dataclass(frozen=True)

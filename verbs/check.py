@@ -12,6 +12,7 @@ from coulombus.verbs.common import EXIT_STATUS, errors, json_option, load, print
 if TYPE_CHECKING:
     from coulombus.host.setup.device_plan import DevicePlan
     from coulombus.host.setup.reactions import Reaction
+    from coulombus.rigs.mistakes import RigError
     from coulombus.rigs.plan.rig_plan import Plan
     from coulombus.rigs.rig import Rig
 
@@ -55,14 +56,15 @@ def check(rig_name: str, overrides: tuple[str, ...], steps: bool, as_json: bool)
                 found.tell(steps)
 
 
-def _refused(error: Any) -> list[dict[str, str]]:
+def _refused(error: RigError) -> list[dict[str, str]]:
     """Return the mistakes of a rig file as problems: those of roles with their role, the others as
     they are told.
     """
-    names = ("role", "node", "object", "text", "remedy")
-    known = [dict(zip(names, problem, strict=True)) for problem in error.problems]
+    from coulombus.rigs.problem import Problem
+
+    known = [problem._asdict() for problem in error.problems]
     told = [text for text in error.errors if not any(problem["text"] in text for problem in known)]
-    return known + [dict(zip(names, ("", "", "", text, "correct the rig file"), strict=True)) for text in told]
+    return known + [Problem("", "", "", text, "correct the rig file")._asdict() for text in told]
 
 
 def _once(texts: Iterable[Any]) -> list[Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from itertools import zip_longest
 from pathlib import Path
@@ -18,8 +17,6 @@ if TYPE_CHECKING:
 __all__ = ["init"]
 
 NODE_ID = click.IntRange(1, 127)
-ACKNOWLEDGEMENT = re.compile(r'host\.accept = \["([^"]+)"\]')
-"""How a problem names the sentence that acknowledges it."""
 
 
 @click.command(epilog=EXIT_STATUS)
@@ -114,8 +111,8 @@ def _answered(bus_name: str) -> dict[int, dict[tuple[int, int], int]]:
 
 
 def _acknowledgements(rig: Rig) -> Iterator[str]:
-    """Yield what the rig file has to acknowledge of its devices before they are armed, as
-    `coulombus check` names it.
+    """Yield what the rig file has to acknowledge of its devices before they are armed
+    (`rigs.problem.Problem.accept`).
     """
     from coulombus.host.cycle.controller import Controller
     from coulombus.host.setup.device_plan import device_plans
@@ -128,5 +125,4 @@ def _acknowledgements(rig: Rig) -> Iterator[str]:
             except RigError:  # of this mode; `check` tells
                 continue
             for plan in device_plans(controller):
-                for problem in plan.problems:
-                    yield from ACKNOWLEDGEMENT.findall(str(problem))
+                yield from (problem.accept for problem in plan.problems if problem.accept)

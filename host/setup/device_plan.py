@@ -21,7 +21,8 @@ from coulombus.rigs.axis import Axis
 from coulombus.rigs.devices import Brake, Device, Motor
 from coulombus.rigs.guarding import beats
 from coulombus.rigs.pdo_maps import mode_of
-from coulombus.rigs.roles import CIA402, Problem, profile_of
+from coulombus.rigs.problem import Problem
+from coulombus.rigs.roles import CIA402, profile_of
 
 __all__ = ["DevicePlan", "device_plans", "missing_mode", "steps_of"]
 
@@ -134,8 +135,8 @@ class _Planner:
         """Whether the device has torque in this mode."""
         return self.limit_pm > 0 if self.node == "motor" else self.mode != "active"
 
-    def _problem(self, text: str, remedy: str, place: str = "") -> None:
-        self.problems.append(Problem("", self.node, place, f"{self.who}{text}", remedy))
+    def _problem(self, text: str, remedy: str, place: str = "", accept: str = "") -> None:
+        self.problems.append(Problem("", self.node, place, f"{self.who}{text}", remedy, accept))
 
     def _acknowledge(self, what: str, why: str, needed: bool) -> None:
         """Refuse what a device cannot do, unless the rig file acknowledges it by name."""
@@ -143,7 +144,8 @@ class _Planner:
         if sentence in self.axis.host.accept:
             self.losses.append(f"{sentence}: {why} (host.accept)")
         elif needed:
-            self._problem(f": {what}: {why}", f'take another device, or acknowledge it: host.accept = ["{sentence}"]')
+            remedy = f'take another device, or acknowledge it: host.accept = ["{sentence}"]'
+            self._problem(f": {what}: {why}", remedy, accept=sentence)
 
     def _described(self) -> list[Setting]:
         """Return the settings whose objects the device has; the others are lost, or refused."""

@@ -10,7 +10,8 @@ from coulombus.rigs.draft.device import Device, Place, label
 from coulombus.rigs.draft.motor import command_of, describe_mode
 from coulombus.rigs.draft.text import RigText
 from coulombus.rigs.mistakes import RigError
-from coulombus.rigs.roles import CIA401, CIA402, CIA404, UNITS, Problem, profile_of
+from coulombus.rigs.problem import Problem
+from coulombus.rigs.roles import CIA401, CIA402, CIA404, UNITS, profile_of
 
 __all__ = ["describe_brake", "describe_sensors"]
 

@@ -216,15 +216,14 @@ class Draft:
         """Take out the optional roles that are refused, and wait longer for a TPDO that comes
         seldom; raise what is refused otherwise.
         """
-        if self.text.get(MISSED) < MOST_MISSED and any(MISSED in problem[-1] for problem in error.problems):
-            self.text.put(
-                MISSED, MOST_MISSED, "; ".join(problem[3] for problem in error.problems if MISSED in problem[-1])
-            )
+        seldom = [problem.text for problem in error.problems if MISSED in problem.remedy]
+        if seldom and self.text.get(MISSED) < MOST_MISSED:
+            self.text.put(MISSED, MOST_MISSED, "; ".join(seldom))
             return
-        problems = {problem[0]: str(problem) for problem in error.problems}
+        problems = {problem.role: str(problem) for problem in error.problems}
         refused = {role for role in problems if role not in OPTIONAL}
         if refused or not problems:
-            told = [f"{problem[1]}: {problem}" for problem in error.problems if problem[0] in refused]
+            told = [f"{problem.node}: {problem}" for problem in error.problems if problem.role in refused]
             raise RigError(told or error.errors, error.problems) from None
         for role, why in problems.items():
             if self.text.get(f"role.{role}.object") == "none":

@@ -10,7 +10,7 @@ from coulombus.rigs.draft.device import Device, Place, label
 from coulombus.rigs.draft.makers import MakerMode, maker_mode
 from coulombus.rigs.draft.text import CHECK, RigText
 from coulombus.rigs.mistakes import RigError
-from coulombus.rigs.roles import Problem
+from coulombus.rigs.problem import Problem
 
 __all__ = ["Command", "command_of", "describe_mode", "describe_motor"]
 

@@ -291,6 +291,7 @@ def test_the_torque_is_limited_by_what_the_drive_has():
     assert (
         problem.remedy == 'take another device, or acknowledge it: host.accept = ["motor: no torque limit of its own"]'
     )
+    assert problem.accept == "motor: no torque limit of its own"
     assert plan_of(none, BRAKE, ACCEPT).problems == ()
     assert plan_of(none, mode="passive").problems == ()  # there the motor has no torque
 
