@@ -59,7 +59,7 @@ TARGETS = {
     "host/laws/laws.py": Target(("test_law_edges",), ("karnopp", "coulomb")),
     "host/cycle/controller.py": Target(
         ("test_host_control", "test_host_roles"),
-        ("_cycles", "Controller._new_control", "Controller.motor_limit_pm", "Controller.start", "Controller.stop"),
+        ("_cycles", "Controller._new_control", "Controller.motor_limit_raw", "Controller.start", "Controller.stop"),
     ),
     "node/deadlines.py": Target(("test_node_watch_edges",)),
     "node/guarding.py": Target(("test_node_watch_edges",)),

@@ -247,7 +247,7 @@ class Controller:
         c["velocity_band_counts"] = axis.law.velocity_band_counts
         c["gain_step"] = T / axis.law.gain_ramp_s if axis.law.gain_ramp_s > 0 else 1.0
 
-        c["motor_limit_pm"] = self.motor_limit_pm(float(c["Nm_pm"]))
+        c["motor_limit_raw"] = self.motor_limit_raw(float(c["motor_Nm_raw"]))
         c["motor_rate_Nm"] = limits.torque_rate_Nm_s * T
         c["brake_limit_raw"] = brake_limit_raw(axis)
         c["brake_limit_Nm"] = min(limits.brake_torque_Nm, brake_end_Nm(axis))
@@ -267,7 +267,7 @@ class Controller:
         c["still_handle_Nm"] = limits.still_handle_torque_Nm if handle else math.inf
         c["still_timeout_cycles"] = _cycles(limits.still_timeout_s, T)
         c["enable_timeout_cycles"] = _cycles(ENABLE_TIMEOUT_S, T)
-        c["sign_check"] = c["motor_limit_pm"] > 0
+        c["sign_check"] = c["motor_limit_raw"] > 0
         c["sign_step_Nm"] = limits.sign_check_rate_Nm_s * T
         c["sign_counts"], c["sign_torque_Nm"] = limits.sign_check_counts, limits.sign_check_torque_Nm
         c["sign_travel_counts"] = math.ceil(limits.sign_check_travel_rad / abs(c["rad_count"]))
@@ -298,7 +298,7 @@ class Controller:
         """Set what a raw count of each role is; of one that is absent, what stands for it."""
         bound = self.axis.allocation.bound
         c["rad_count"] = bound["position"].scale
-        c["Nm_pm"] = bound["torque_setpoint"].scale
+        c["motor_Nm_raw"] = bound["torque_setpoint"].scale
         brake, torque, handle, coil = map(bound.get, ("brake_setpoint", "torque", "handle_torque", "coil_current"))
         assert brake is not None
         c["torque_Nm_raw"], c["torque_commanded"] = (0.0, 1.0) if torque is None else (torque.scale, 0.0)
@@ -314,17 +314,17 @@ class Controller:
         limit, of another set-point what it is in Nm.
         """
         setpoint = self.axis.allocation.bound["torque_setpoint"]
-        limit = int(self.control["motor_limit_pm"][0])
+        limit = int(self.control["motor_limit_raw"][0])
         if setpoint.entry.index == TARGET_TORQUE:
             return limit
         rated_Nm = self.axis.motor.rated_torque_Nm * self.axis.mechanics.ratio
         return math.ceil(limit * abs(setpoint.scale) / rated_Nm * 1000)
 
-    def motor_limit_pm(self, Nm_pm: float) -> int:
+    def motor_limit_raw(self, motor_Nm_raw: float) -> int:
         """Return the motor's torque limit in counts of its set-point (6071h: per mille), rounded
         down.
         """
-        limit = math.floor(self.axis.motor_limit_Nm(self.mode) / abs(Nm_pm) + 1e-9)
+        limit = math.floor(self.axis.motor_limit_Nm(self.mode) / abs(motor_Nm_raw) + 1e-9)
         motor, entry = self.axis.description("motor"), self.axis.allocation.bound["torque_setpoint"].entry
         target = motor.variable(entry.index, entry.subindex)
         ends = [(entry.index, target.largest)]
@@ -337,7 +337,7 @@ class Controller:
         if limit > end:
             raise self.axis.mistake(
                 f"mode.{self.mode}.motor_limit_Nm",
-                f"at most {end * abs(Nm_pm):.4g}: the drive's {index:04X}h ends at {end:g}{' per mille' if per_mille else ''}",
+                f"at most {end * abs(motor_Nm_raw):.4g}: the drive's {index:04X}h ends at {end:g}{' per mille' if per_mille else ''}",
             )
         return limit
 

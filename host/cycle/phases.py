@@ -153,7 +153,7 @@ def sign_check(c: Any, h: Any) -> tuple[float, int]:
         return _refuse(h, Trip.SIGN_TRAVEL)
     if moved <= -c.sign_counts:
         return _refuse(h, Trip.SIGN_ENCODER)
-    limit = min(c.sign_torque_Nm, c.motor_limit_pm * abs(c.Nm_pm))
+    limit = min(c.sign_torque_Nm, c.motor_limit_raw * abs(c.motor_Nm_raw))
     if moved < SIGN_TRAVEL_FACTOR * c.sign_counts and u < limit:
         u = min(u + c.sign_step_Nm, limit)
     if moved < c.sign_counts:

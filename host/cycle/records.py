@@ -126,7 +126,7 @@ CONTROL = np.dtype(
         ("brake_is_drive", np.int64),  # 1: the brake has power states of its own
         # scales
         ("rad_count", np.float64),  # signed by the encoder's polarity
-        ("Nm_pm", np.float64),  # signed by the motor's polarity; of a set-point in another unit, of one count
+        ("motor_Nm_raw", np.float64),  # torque at the handle of one count of the set-point (6071h: per mille), signed
         ("torque_Nm_raw", np.float64),  # of the measured torque; 0: not measured
         ("torque_commanded", np.float64),  # 1: the command stands for it
         ("handle_Nm_raw", np.float64),
@@ -144,7 +144,7 @@ CONTROL = np.dtype(
         ("velocity_band_counts", np.float64),
         ("gain_step", np.float64),  # a cycle
         # limits
-        ("motor_limit_pm", np.int64),  # the same number as the drive's 6072h
+        ("motor_limit_raw", np.int64),  # in counts of the set-point; of 6071h the same number as the drive's 6072h
         ("motor_rate_Nm", np.float64),  # a cycle
         ("brake_limit_Nm", np.float64),  # the rig file's limit or the device's, whichever is less
         ("brake_limit_raw", np.int64),  # what its object takes at most

@@ -44,7 +44,7 @@ def limit_torque(c: Any, h: Any, torque_Nm: float) -> float:
     if torque_Nm != torque_Nm:
         h.clipped_torque += 1
         return 0.0
-    limit_Nm, count_Nm = c.motor_limit_pm * abs(c.Nm_pm), abs(c.Nm_pm)
+    limit_Nm, count_Nm = c.motor_limit_raw * abs(c.motor_Nm_raw), abs(c.motor_Nm_raw)
     if abs(torque_Nm) > limit_Nm + count_Nm:  # less than a count is rounding
         h.clipped_torque += 1
     limited_Nm = min(max(torque_Nm, h.torque_Nm - c.motor_rate_Nm), h.torque_Nm + c.motor_rate_Nm)
@@ -170,7 +170,7 @@ def _close(c: Any, h: Any, t_ns: int) -> None:
 def send(axis: Any, t_ns: int, out: Any) -> None:
     """Send the RPDOs: torque and brake in raw counts, beside the controlword of the phase."""
     c, h = axis.control, axis.host
-    h.image[Image.TARGET_TORQUE] = round(h.torque_Nm / c.Nm_pm)
+    h.image[Image.TARGET_TORQUE] = round(h.torque_Nm / c.motor_Nm_raw)
     h.image[Image.BRAKE_SETPOINT] = brake_raw(c, h)
     for k in range(c.rpdos):
         pdo = axis.rpdos[k]

@@ -114,7 +114,7 @@ def test_the_brake_takes_what_its_file_or_its_data_type_says(data_type, limit, m
 
 def test_a_limit_of_0_that_nobody_has_set_is_none_of_the_motors_either():
     rig = with_eds("motor.eds", ("6072", "HighLimit=10000", "HighLimit=0"), ("6071", "HighLimit=10000", "HighLimit="))
-    assert Controller(rig.one_axis(), "active").control[0]["motor_limit_pm"] == 869
+    assert Controller(rig.one_axis(), "active").control[0]["motor_limit_raw"] == 869
     rig = with_eds("motor.eds", ("6071", "HighLimit=10000", "HighLimit=0"))  # its LowLimit is -10000
     with pytest.raises(RigError, match="6071h ends at 0 per mille"):
         Controller(rig.one_axis(), "active")
@@ -198,8 +198,8 @@ def test_torque_beyond_the_limit_is_clipped_and_counted_in_either_sense(sense):
         bench.cycle()
     assert bench.phase is Phase.RUN
     assert bench.h.clipped_torque == 8
-    assert abs(bench.motor_pm) == bench.c.motor_limit_pm
-    assert bench.motor_pm * bench.c.Nm_pm * sense > 0
+    assert abs(bench.motor_pm) == bench.c.motor_limit_raw
+    assert bench.motor_pm * bench.c.motor_Nm_raw * sense > 0
 
 
 def test_torque_that_its_rate_holds_back_is_counted():

@@ -74,7 +74,7 @@ def test_a_hand_that_rests_on_the_handle(preload_Nm, encoder, transducer, text):
     for _ in range(3000):
         if bench.phase >= Phase.RUN:
             break
-        torque = bench.motor_pm * bench.c.Nm_pm
+        torque = bench.motor_pm * bench.c.motor_Nm_raw
         net = torque + preload_Nm
         if abs(net) > 0.14:
             angle = (abs(net) - 0.14) / 5.0 * (1 if net > 0 else -1)
@@ -87,7 +87,7 @@ def test_a_hand_that_rests_on_the_handle(preload_Nm, encoder, transducer, text):
         assert bench.h.sign_direction == (1 if preload_Nm > 0 else -1)
     else:
         assert bench.k.trip.startswith(text)
-    assert abs(bench.motor_pm * bench.c.Nm_pm) <= 0.168
+    assert abs(bench.motor_pm * bench.c.motor_Nm_raw) <= 0.168
 
 
 def test_no_torque_before_operation_enabled_and_little_in_the_sign_check():
@@ -97,11 +97,11 @@ def test_no_torque_before_operation_enabled_and_little_in_the_sign_check():
         if bench.phase in (Phase.SIGN, Phase.SETTLE):
             bench.follow_sign_check()
         bench.cycle()
-        torque = bench.motor_pm * bench.c.Nm_pm
+        torque = bench.motor_pm * bench.c.motor_Nm_raw
         if bench.phase < Phase.SIGN:
             assert torque == 0
         largest = max(largest, torque)
-    assert 0.1 < largest <= bench.rig.one_axis().limits.sign_check_torque_Nm + bench.c.Nm_pm
+    assert 0.1 < largest <= bench.rig.one_axis().limits.sign_check_torque_Nm + bench.c.motor_Nm_raw
 
 
 def test_a_moving_handle_is_waited_for_and_then_refused():

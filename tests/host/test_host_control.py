@@ -71,7 +71,7 @@ FIELDS = [
     ("limits.safe_hold_s=0.15", "safe_hold_cycles", 150),
     ("limits.safe_ramp_s=0.4", "safe_ramp_cycles", 400),
     ("mechanics.encoder_polarity=-1", "rad_count", -RAD_COUNT),
-    ("mechanics.motor_polarity=-1", "Nm_pm", -NM_PM),
+    ("mechanics.motor_polarity=-1", "motor_Nm_raw", -NM_PM),
     ("mechanics.transducer_polarity=-1", "handle_Nm_raw", -0.001),
     ("brake.coil_continuous_A=0.8", "coil_A_raw", 0.001),
     ("brake.coil_continuous_A=0.8", "brake_Nm_raw", 0.001),
@@ -114,31 +114,31 @@ def test_a_time_is_so_many_cycles_and_at_least_one(seconds, cycles):
 @pytest.mark.parametrize("polarity", [1, -1])
 def test_the_mode_says_who_displays_and_how_strong_the_motor_is(mode, motor, brake, limit_pm, polarity):
     c = control(mode, f"mechanics.motor_polarity={polarity}")
-    assert (c["motor_active"], c["brake_active"], c["motor_limit_pm"]) == (motor, brake, limit_pm)
+    assert (c["motor_active"], c["brake_active"], c["motor_limit_raw"]) == (motor, brake, limit_pm)
     assert c["sign_check"] == (limit_pm > 0)
 
 
 def test_a_motor_of_one_per_mille_is_checked_too():
-    assert control("active", "mode.active.motor_limit_Nm=0.002")["motor_limit_pm"] == 1
+    assert control("active", "mode.active.motor_limit_Nm=0.002")["motor_limit_raw"] == 1
     assert control("active", "mode.active.motor_limit_Nm=0.002")["sign_check"] == 1
 
 
 @pytest.mark.parametrize("polarity", [1, -1])
 def test_the_motors_limit_is_rounded_down_but_not_by_a_rounding_error(polarity):
     controller = Controller(rig_of("bench", ("mode.active.motor_limit_Nm=1.5",)).one_axis(), "active")
-    assert controller.motor_limit_pm(polarity * 0.25) == 6
-    assert controller.motor_limit_pm(polarity * 0.26) == 5
-    assert controller.motor_limit_pm(polarity * 0.1) == 15  # 1.5 / 0.1 is 14.999999999999998 or 15
-    assert controller.motor_limit_pm(polarity * 1.5 / 7) == 7
+    assert controller.motor_limit_raw(polarity * 0.25) == 6
+    assert controller.motor_limit_raw(polarity * 0.26) == 5
+    assert controller.motor_limit_raw(polarity * 0.1) == 15  # 1.5 / 0.1 is 14.999999999999998 or 15
+    assert controller.motor_limit_raw(polarity * 1.5 / 7) == 7
 
 
 @pytest.mark.parametrize("polarity", [1, -1])
 def test_a_limit_that_6072h_cannot_hold_is_refused_with_the_most(polarity):
     controller = Controller(rig_of("bench").one_axis(), "active")
     high = controller.axis.description("motor").variable(0x6072, 0).high
-    assert controller.motor_limit_pm(polarity * 1.5 / high) == high
+    assert controller.motor_limit_raw(polarity * 1.5 / high) == high
     with pytest.raises(RigError, match=f"at most {high * 1.4 / high:.4g}: the drive's 6072h ends at {high} per mille"):
-        controller.motor_limit_pm(polarity * 1.4 / high)
+        controller.motor_limit_raw(polarity * 1.4 / high)
 
 
 EDS = Path(__file__).parent.parent.parent / "eds"
@@ -177,12 +177,12 @@ def test_a_switch_in_a_tpdo_has_its_slot():
 
 def test_the_limit_of_6072h_is_its_own_and_may_be_absent():
     assert (
-        Controller(own_files(high_limit("6072", "HighLimit=869\n")).one_axis(), "active").control[0]["motor_limit_pm"]
+        Controller(own_files(high_limit("6072", "HighLimit=869\n")).one_axis(), "active").control[0]["motor_limit_raw"]
         == 869
     )
     with pytest.raises(RigError, match="6072h ends at 868 per mille"):
         Controller(own_files(high_limit("6072", "HighLimit=868\n")).one_axis(), "active")
-    assert Controller(own_files(high_limit("6072", "")).one_axis(), "active").control[0]["motor_limit_pm"] == 869
+    assert Controller(own_files(high_limit("6072", "")).one_axis(), "active").control[0]["motor_limit_raw"] == 869
 
 
 TARGET = "LowLimit=-10000\nHighLimit=10000\n"
@@ -208,7 +208,7 @@ def test_the_motors_limit_fits_the_set_points_object_in_both_senses(lines, most)
         with pytest.raises(RigError, match=r"the drive's 6071h ends at \d+ per mille"):
             Controller(rig.one_axis(), "active")
     else:
-        assert Controller(rig.one_axis(), "active").control[0]["motor_limit_pm"] == most
+        assert Controller(rig.one_axis(), "active").control[0]["motor_limit_raw"] == most
 
 
 @pytest.mark.parametrize(("line", "most"), [("HighLimit=4100\n", 4100), ("HighLimit=40000\n", 32767), ("", 32767)])
@@ -222,7 +222,7 @@ def test_the_brakes_set_point_ends_at_its_objects_limit_and_at_16_bits(line, mos
 def test_without_6072h_the_set_points_object_alone_bounds_the_limit():
     rig = own_files(lambda text: text.replace("[6072]", "[2F72]", 1)).one_axis()
     assert not rig.description("motor").has(0x6072, 0)
-    assert Controller(rig, "active").control[0]["motor_limit_pm"] == 869
+    assert Controller(rig, "active").control[0]["motor_limit_raw"] == 869
 
 
 def test_a_set_point_without_a_sign_ends_at_its_own_limit():

@@ -189,8 +189,8 @@ def limited(
 ):
     bench = HostBench("active").enter(phase)
     c, h = bench.c, bench.h
-    c.Nm_pm, c.rad_count, c.period_ns = motor * 2.0**-8, encoder * 2.0**-6, 500_000_000
-    c.motor_limit_pm, c.motor_rate_Nm, c.speed_limit = limit_pm, 0.5, 20.0
+    c.motor_Nm_raw, c.rad_count, c.period_ns = motor * 2.0**-8, encoder * 2.0**-6, 500_000_000
+    c.motor_limit_raw, c.motor_rate_Nm, c.speed_limit = limit_pm, 0.5, 20.0
     h.torque_Nm, h.v_counts, h.position_age, h.clipped_torque = before, v_counts, age, 5
     h.slowed_torque = 5
     torque = limit_torque(c, h, wanted)
@@ -625,10 +625,10 @@ def test_the_brakes_set_point_is_rounded_not_negative_and_within_its_object(brak
 def test_the_target_torque_is_rounded_and_in_the_motors_sense(sign, motor):
     bench = HostBench("active", f"mechanics.motor_polarity={motor}").enter(Phase.RUN, counts=5)
     bench.k.law_function = TOLD
-    bench.k.law[0].user[0] = -sign * 100.4 * abs(bench.c.Nm_pm)
+    bench.k.law[0].user[0] = -sign * 100.4 * abs(bench.c.motor_Nm_raw)
     bench.cycle()
     assert bench.motor_pm == motor * sign * 100
-    bench.k.law[0].user[0] = -sign * 100.6 * abs(bench.c.Nm_pm)
+    bench.k.law[0].user[0] = -sign * 100.6 * abs(bench.c.motor_Nm_raw)
     bench.cycle()
     assert bench.motor_pm == motor * sign * 101
 

@@ -30,7 +30,7 @@ class Handle(HostBench):
         motor, encoder, _ = self.polarity
         self.counts = start + self.sign * encoder * position
         self.handle_Nm = self.sign * handle_Nm
-        self.torque_pm = self.sign * torque_Nm / self.c.Nm_pm
+        self.torque_pm = self.sign * torque_Nm / self.c.motor_Nm_raw
         self.cycle()
         return self.phase.name, round(self.sign * motor * self.motor_pm, 9), self.h.image[2], self.k.trip
 
@@ -47,7 +47,7 @@ def armed(handle, hand=-1):
     for _ in range(3000):
         if handle.phase >= Phase.RUN:
             break
-        torque = handle.motor_pm * handle.c.Nm_pm
+        torque = handle.motor_pm * handle.c.motor_Nm_raw
         moved = int(max(abs(torque) - 0.14, 0.0) / 5.0 / abs(handle.c.rad_count)) * (1 if torque > 0 else -1)
         course.append(handle.show(295 + moved, hand * 5.0 * moved * abs(handle.c.rad_count)))
     return course

@@ -204,7 +204,7 @@ def checking(direction=1, motor=1, encoder=1, start=-640):
     """A sign check at torque 0; its numbers are powers of two."""
     bench = standing(Phase.SIGN, start, sign_step_Nm=STEP, sign_torque_Nm=LIMIT, sign_counts=COUNTS)
     c, h = bench.c, bench.h
-    c.Nm_pm, c.rad_count, c.motor_limit_pm = motor * 2.0**-8, encoder * 2.0**-6, 1000
+    c.motor_Nm_raw, c.rad_count, c.motor_limit_raw = motor * 2.0**-8, encoder * 2.0**-6, 1000
     c.sign_travel_counts, c.sign_hand_Nm, c.sign_hand_cycles = TRAVEL, HAND, HAND_CYCLES
     h.sign_direction, h.torque_Nm, h.handle_before_Nm = direction, 0.0, -0.125
     h.sign_result = int(SignResult.NOT_RUN)
@@ -238,9 +238,9 @@ def test_the_torque_is_ramped_to_its_limit_in_the_sense_that_is_tried(sign, moto
 @POLARITIES
 def test_the_torque_never_exceeds_the_modes_limit(sign, motor, encoder):
     bench = checking(sign, motor, encoder)
-    bench.c.motor_limit_pm = 80  # 0.3125 Nm
+    bench.c.motor_limit_raw = 80  # 0.3125 Nm
     assert [asked(bench, 0) for _ in range(6)] == [STEP * k for k in (1, 2, 3, 4, 5, 5)]
-    bench.c.motor_limit_pm = 72  # 0.28125 Nm: no whole number of steps
+    bench.c.motor_limit_raw = 72  # 0.28125 Nm: no whole number of steps
     assert asked(bench, 0, STEP * 4) == 0.28125
 
 

@@ -402,5 +402,5 @@ def test_a_torque_in_the_makers_own_unit_is_limited_in_its_counts():
     k = Controller(
         load_rig_text(BENCH + text, "r.toml", {"motor.eds": MOTOR, "mr_brake.eds": BRAKE}).one_axis(), "active"
     )
-    assert k.control[0]["Nm_pm"] == pytest.approx(0.00001 * 9.587)
-    assert k.control[0]["motor_limit_pm"] == int(1.5 / (0.00001 * 9.587))
+    assert k.control[0]["motor_Nm_raw"] == pytest.approx(0.00001 * 9.587)
+    assert k.control[0]["motor_limit_raw"] == int(1.5 / (0.00001 * 9.587))

@@ -195,10 +195,10 @@ def test_a_mad_law_cannot_get_past_the_limits(mode, psi, brake):
         bench.counts += 10
         bench.handle_Nm = 3.0 if mode == "hybrid" else 0.1
         bench.cycle()
-        assert abs(bench.motor_pm) <= bench.c.motor_limit_pm
+        assert abs(bench.motor_pm) <= bench.c.motor_limit_raw
         assert 0.0 <= bench.brake_Nm <= bench.c.brake_limit_Nm
         if mode == "hybrid":
-            assert abs(bench.motor_pm * bench.c.Nm_pm) <= 0.97 * 0.14 + bench.c.Nm_pm / 2
+            assert abs(bench.motor_pm * bench.c.motor_Nm_raw) <= 0.97 * 0.14 + bench.c.motor_Nm_raw / 2
     if math.isnan(psi) or math.isnan(brake):
         assert bench.k.trip.startswith("LAW")
     elif mode == "hybrid" and brake < 0:
@@ -218,7 +218,7 @@ def test_the_brake_never_becomes_motor_torque():
         bench.cycle()
         if bench.phase is not Phase.RUN:
             break
-        assert abs(bench.motor_pm * bench.c.Nm_pm) <= 0.97 * 0.14 + bench.c.Nm_pm / 2
+        assert abs(bench.motor_pm * bench.c.motor_Nm_raw) <= 0.97 * 0.14 + bench.c.motor_Nm_raw / 2
 
 
 def test_compensation_is_zero_when_stuck():
@@ -230,7 +230,7 @@ def test_compensation_is_zero_when_stuck():
     bench.counts += 3
     bench.handle_Nm = 3.0
     bench.cycle()
-    assert bench.motor_pm == round(0.97 * 0.14 / bench.c.Nm_pm)
+    assert bench.motor_pm == round(0.97 * 0.14 / bench.c.motor_Nm_raw)
 
 
 def test_near_the_speed_limit_the_motor_may_only_brake():
@@ -262,7 +262,7 @@ def test_any_wire_input_keeps_the_outputs_within_limits(positions, torques):
         bench.handle_Nm = torque * 1e-3
         bench.torque_pm = torque
         bench.cycle()
-        assert abs(bench.motor_pm) <= bench.c.motor_limit_pm
+        assert abs(bench.motor_pm) <= bench.c.motor_limit_raw
         assert 0 <= bench.h.image[Image.BRAKE_SETPOINT] <= round(bench.c.brake_limit_Nm / bench.c.brake_Nm_raw)
 
 

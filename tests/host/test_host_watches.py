@@ -23,14 +23,20 @@ def binary(**control):
     """
     bench = HostBench("hybrid")
     c, h = bench.c, bench.h
-    c.period_ns, c.rad_count, c.Nm_pm, c.handle_Nm_raw, c.coil_A_raw = 500_000_000, 2.0**-6, 2.0**-8, 2.0**-7, 2.0**-4
+    c.period_ns, c.rad_count, c.motor_Nm_raw, c.handle_Nm_raw, c.coil_A_raw = (
+        500_000_000,
+        2.0**-6,
+        2.0**-8,
+        2.0**-7,
+        2.0**-4,
+    )
     c.speed_limit = c.travel_rad = c.net_work_J = c.coil_limit_A2 = c.mismatch_Nm = FAR
     c.brake_lag_decay = c.coil_decay = 0.5
     c.friction_Nm, c.viscous, c.velocity_band_counts = 0.25, 0.125, 2.0
     c.net_work_cycles = 4
     for name, value in control.items():
         setattr(c, name, value)
-    c.torque_Nm_raw = c.Nm_pm
+    c.torque_Nm_raw = c.motor_Nm_raw
     h.counts, h.fresh = 4096, 1
     return bench
 
@@ -190,7 +196,7 @@ def test_the_motors_net_work_is_summed_over_a_sliding_window(sign, polarity):
     what is old is forgotten.
     """
     motor, encoder = polarity
-    bench = binary(Nm_pm=motor * 2.0**-8, rad_count=encoder * 2.0**-6)
+    bench = binary(motor_Nm_raw=motor * 2.0**-8, rad_count=encoder * 2.0**-6)
     c, h = bench.c, bench.h
     h.work_row = 2
     done = []

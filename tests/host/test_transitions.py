@@ -34,7 +34,7 @@ def still(bench, **fields):
 def checking(bench, moved, handle_Nm=0.0):
     """Be at the end of the sign check's ramp, the handle `moved` counts away."""
     c, h = bench.c, bench.h
-    h.torque_Nm = min(c.sign_torque_Nm, c.motor_limit_pm * abs(c.Nm_pm))
+    h.torque_Nm = min(c.sign_torque_Nm, c.motor_limit_raw * abs(c.motor_Nm_raw))
     h.handle_samples, h.handle_during_Nm = c.sign_hand_cycles - 1, (c.sign_hand_cycles - 1) * handle_Nm
     bench.counts += moved
     bench.handle_Nm = handle_Nm

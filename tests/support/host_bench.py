@@ -147,7 +147,7 @@ class HostBench:
         """Be a handle on a light hand: move when the torque exceeds the friction, and let the hand
         resist.
         """
-        torque = self.motor_pm * self.c.Nm_pm
+        torque = self.motor_pm * self.c.motor_Nm_raw
         excess = max(abs(torque) - 0.14, 0.0)
         angle = direction * excess / 5.0
         self.counts = angle / abs(self.c.rad_count)
