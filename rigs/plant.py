@@ -42,6 +42,12 @@ class Plant(Section):
     motor_lag_s: float = Field(ge=0, le=1, description="time constant of the motor's torque; 0: none")
     brake_max_Nm: float = Field(gt=0, le=1e4, description="largest torque of the brake")
     brake_off_state_Nm: float = Field(ge=0, le=1e3, description="the brake's torque without current")
+    brake_gain: float = Field(
+        1.0,
+        gt=0,
+        le=100,
+        description="true torque of the brake for each Nm that the role's scale or table says; 1: they are right",
+    )
     brake_coil_lag_s: float = Field(ge=0, le=1, description="time constant of the brake's coil; 0: none")
     brake_fluid_lag_s: float = Field(ge=0, le=1, description="time constant of the brake's fluid; 0: none")
     transducer_noise_Nm: float = Field(0.0, ge=0, le=1e3, description="standard deviation of the transducer's noise")

@@ -92,6 +92,7 @@ PLANT = np.dtype(
         ("K_A2", np.float64),  # steady rise of the coil's temperature for the square of its current
         ("thermal_s", np.float64),
         ("remanence", np.float64),
+        ("brake_gain", np.float64),  # true torque for each Nm that the command stands for
         # state
         ("temperature", np.float64),
         ("coil_fault", np.int64),  # COIL_INTACT, COIL_OPEN, COIL_SHORT
@@ -170,7 +171,7 @@ def new_plant(axis: Axis, seed: int = 0) -> Records:
     r["noise"], r["transducer_polarity"] = p.transducer_noise_Nm, p.transducer_polarity
     r["temperature"], r["ambient"] = p.temperature_degC, p.ambient_degC
     r["K_A2"], r["thermal_s"] = p.coil_thermal_K_W * p.coil_resistance_ohm, p.coil_thermal_s
-    r["remanence"] = p.brake_remanence
+    r["remanence"], r["brake_gain"] = p.brake_remanence, p.brake_gain
     r["random"] = (seed * 0x5DEECE66D + 0x2545F491) & 0xFFFFFFFFFFFF
     return plant
 
@@ -313,7 +314,7 @@ def advance(p: Any, f_h: Any, per_knot: int, first: int, steps: int, truth: Any,
         square += p.coil * p.coil
         iron = _magnetise(p) if remembers else p.coil
         p.fluid = iron + (p.fluid - iron) * p.fluid_decay
-        capacity = p.fluid + p.off_state
+        capacity = p.brake_gain * p.fluid + p.off_state
         level = capacity + p.coulomb
         hand = f_h[knot] + slope * (within + 0.5)
         drive = hand + torque

@@ -62,3 +62,10 @@ def test_it_is_armed_in_real_time(tmp_path, kind):
     _, raw = set_points(record, load_rig(str(file), overrides))
     assert RAW[kind] in raw
     assert raw[-1] == 0
+
+
+@pytest.mark.parametrize(("gain", "trip"), [(1.0, None), (0.4, "HANDLE_TORQUE"), (1.8, "HANDLE_TORQUE")])
+def test_a_wrong_belief_of_the_brake_is_noticed_by_the_transducer(tmp_path, gain, trip):
+    file, overrides = written(tmp_path, drive("own"), brake("404"))
+    done = simulate(load_rig(str(file), (*overrides, f"plant.brake_gain={gain}")), "hybrid", 3.0)
+    assert (done.trip and done.trip.partition(":")[0]) == trip

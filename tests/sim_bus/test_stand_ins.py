@@ -302,3 +302,35 @@ def test_a_falling_table_and_a_torque_that_is_never_negative():
     for raw, torque in ((0, 0.0), (50, 0.0), (-100, 1.0), (-600, 4.0), (-5000, 6.0)):
         nodes[0]["values"][2] = raw
         assert function(axis[0], nodes[0]) == pytest.approx(torque)
+
+
+# what is believed wrongly
+
+
+@pytest.mark.parametrize(("object_", "mode"), [("6071", None), ("2030", -3)])
+def test_a_motor_that_is_weaker_than_believed(object_, mode):
+    motor = with_variable(edited(another(MOTOR), "6072", DefaultValue=1000), "2030", I16, 0)
+    text = role("torque_setpoint", object=object_, scale_Nm=0.0001) if mode else ""
+    options = (FOREIGN_MOTOR, *(() if mode is None else (f"motor.mode={mode}",)))
+    torques = []
+    for rated in ("", "plant.motor_rated_torque_Nm=0.09"):  # half of what is believed
+        world = world_of(motor, BRAKE, *options, *((rated,) if rated else ()), text=text)
+        enable(world, 1, mode or 10)
+        write(world, 1, int(object_, 16), 0, -90, 2)
+        torques.append(float(world.plant[0]["motor_pm"]) * float(world.plant[0]["motor_Nm_pm"]))
+    assert torques[1] == pytest.approx(torques[0] / 2)
+    assert torques[0] < -0.05
+
+
+def test_a_brake_that_is_stronger_than_believed_has_the_current_that_is_expected():
+    look_at = {}
+    for gain in (1.0, 1.7):
+        world = world_of(MOTOR, BRAKE, f"plant.brake_gain={gain}", "plant.brake_off_state_Nm=0")
+        world.plant[0]["inertia"], world.plant[0]["v"] = 1e4, 1.0  # it slides on and on
+        write(world, 2, 0x7300, 1, 3000, 2)
+        world.wait_ns(80 * MS)
+        look(world)
+        look_at[gain] = float(world.plant[0]["f_brake"]), int(world.brake[0x7130, 2])
+    assert look_at[1.0][0] == pytest.approx(-3.0, rel=0.02)
+    assert look_at[1.7][0] == pytest.approx(1.7 * look_at[1.0][0])
+    assert look_at[1.7][1] == look_at[1.0][1] == pytest.approx(600, abs=1)
