@@ -33,6 +33,7 @@ from typing import NamedTuple
 
 from coulombus.eds.pdo import Entry, entry_of
 from coulombus.eds.reader import Description
+from coulombus.eds.units import BLOCK_UNITS, NOTATION
 from coulombus.rigs.devices import BrakeRole, Role
 from coulombus.rigs.problem import Problem
 from coulombus.rigs.signals import Direction, Node, Parts
@@ -51,12 +52,10 @@ __all__ = [
 ]
 
 CIA401, CIA402, CIA404 = 401, 402, 404
-UNITS = {"Nm": 0x56, "A": 0x04, "degC": 0x2D}
+UNITS = {name: index for index, name in NOTATION.items() if name in ("Nm", "A", "degC")}
 """Notation indices of CiA 303-2: the numerator of a unit."""
 REVOLUTIONS, MINUTES, SECONDS = 0xB4, 0x47, 0x03
 """Notation indices of 60A9h, the unit of a velocity."""
-BLOCK_UNITS = {0x7130: (0x6131, 0x6132), 0x9130: (0x6131, 0x6132), 0x7300: (0x6301, 0x6302), 0x9300: (0x6301, 0x6302)}
-"""CiA 404: where an analogue input's and output's unit and decimal digits stand."""
 PER_MILLE = (0x6071, 0x6074, 0x6077, 0x6078)
 """Objects in per mille of a rated value."""
 WIDEST = 32

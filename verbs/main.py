@@ -17,10 +17,12 @@ from coulombus.verbs.init import init
 from coulombus.verbs.look import dbc, decode, watch
 from coulombus.verbs.lss import lss
 from coulombus.verbs.measure import measure
+from coulombus.verbs.nmt import nmt
 from coulombus.verbs.plan import plan_command
 from coulombus.verbs.replay import bridge, replay
 from coulombus.verbs.run import run_command, stop
 from coulombus.verbs.scan import scan
+from coulombus.verbs.sdo import sdo
 from coulombus.verbs.sim import node_command, sim
 from coulombus.verbs.simulate import demo, simulate_command
 from coulombus.verbs.systemd import systemd
@@ -30,7 +32,7 @@ __all__ = ["main"]
 VERBS = (
     *(demo, simulate_command, sim, node_command),
     *(run_command, stop, watch, decode, dbc, replay, bridge),
-    *(scan, lss),
+    *(scan, lss, sdo, nmt),
     *(init, doctor, systemd, check, measure, plan_command, commission),
     *(eds, conformance, analyse, identify_command),
 )

@@ -96,6 +96,11 @@ class BusLink:
     ) -> None:
         self._client.close()
 
+    @property
+    def bitrate_bit_s(self) -> int:
+        """The bit rate that a virtual bus told; 0 on SocketCAN."""
+        return self._client.bitrate_bit_s
+
     def now_ns(self) -> int:
         """Return the monotonic time."""
         return time.monotonic_ns()

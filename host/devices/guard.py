@@ -28,6 +28,8 @@ def who_is_at_work(link: FrameLink, address: BusAddress, listen_s: float = LISTE
     """
     if host_runs(address):
         return "its control socket answers"
+    while link.receive(link.now_ns()) is not None:  # of before: it may have ended since
+        pass
     until_ns = link.now_ns() + round(listen_s * 1e9)
     while (frame := link.receive(until_ns)) is not None:
         if frame.can_id == CobId.SYNC:

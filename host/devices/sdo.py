@@ -25,12 +25,14 @@ from coulombus.host.devices.transfers import (
 from coulombus.host.errors import HostError
 from coulombus.wire.bus_link import Frame, FrameLink
 
-__all__ = ["TIMEOUT_S", "SdoClient", "Talk", "talk_to_all"]
+__all__ = ["TIMEOUT_S", "SdoClient", "Talk", "load_defaults", "store_parameters", "talk_to_all"]
 
 T = TypeVar("T")
 TIMEOUT_S = 1.0
 """How long an answer may take."""
 LENGTH = 8
+STORING_S = 10.0
+"""How long a device may take to write its storage."""
 
 
 class Talk(Generic[T]):
@@ -197,3 +199,17 @@ class SdoClient:
         if isinstance(found[0], HostError):
             raise found[0]
         return found[0]
+
+
+def store_parameters(link: FrameLink, node_id: int, part: int = 1) -> None:
+    """Let a node keep its parameters when it is switched off: 1010h, "save" (part 1: all, 2:
+    communication, 3: application). Raises as `SdoClient.upload`.
+    """
+    SdoClient(link, node_id, STORING_S).download(0x1010, part, b"save")
+
+
+def load_defaults(link: FrameLink, node_id: int, part: int = 1) -> None:
+    """Give a node its maker's parameters back, from its next reset on: 1011h, "load". Raises as
+    `SdoClient.upload`.
+    """
+    SdoClient(link, node_id, STORING_S).download(0x1011, part, b"load")

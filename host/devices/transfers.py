@@ -140,6 +140,21 @@ def upload(
     """
     say = _Answers("upload of", index, subindex)
     answer = yield from say.first(head(0x40, index, subindex))
+    if answer[0] >> 5 == 2 and answer[0] & 0x03 == 0x01 and block:
+        told = int.from_bytes(answer[4:8], "little")
+        if LONG < told <= most:
+            yield Step((abort(index, subindex),), waits=False)  # the ordinary one
+            try:
+                return (yield from _block_upload(say, most, progress))
+            except Refused as refused:
+                if refused.code != Abort.COMMAND:
+                    raise
+            answer = yield from say.first(head(0x40, index, subindex))
+    return (yield from _ordinary(say, answer, most, progress))
+
+
+def _ordinary(say: _Answers, answer: bytes, most: int, progress: Progress) -> Transfer[bytes]:
+    """Go on with an upload that the server has answered, expedited or by segments."""
     if answer[0] >> 5 != 2:
         raise say.wrong(f"command {answer[0]:02X}h is no upload response", Abort.COMMAND)
     if answer[0] & 0x02:
@@ -147,14 +162,6 @@ def upload(
     told = int.from_bytes(answer[4:8], "little") if answer[0] & 0x01 else None
     if told is not None and told > most:
         raise say.wrong(f"it has {told} bytes, {most} are the most expected", Abort.MEMORY)
-    if block and told is not None and told > LONG:
-        yield Step((abort(index, subindex),), waits=False)  # the ordinary one
-        try:
-            return (yield from _block_upload(say, most, progress))
-        except Refused as refused:
-            if refused.code != Abort.COMMAND:
-                raise
-        return (yield from upload(index, subindex, most=most, block=False, progress=progress))
     limit = told if told is not None else min(most, MOST_UNTOLD)
     data, toggle, last = b"", 0, False
     while not last:
@@ -175,8 +182,8 @@ def upload(
 
 def _block_upload(say: _Answers, most: int, progress: Progress) -> Transfer[bytes]:
     answer = yield from say.first(head(0xA4, say.index, say.subindex, bytes((BLOCK, 0))))
-    if answer[0] >> 5 == 2:  # a server may answer a short one as an ordinary upload; not a long one
-        raise say.wrong("the server answers a block upload with an ordinary one", Abort.COMMAND)
+    if answer[0] >> 5 == 2:  # it has no block transfer, and says so by an ordinary upload
+        return (yield from _ordinary(say, answer, most, progress))
     if answer[0] & 0xE1 != 0xC0:
         raise say.wrong(f"command {answer[0]:02X}h, expected C0h to C6h", Abort.COMMAND)
     crc = bool(answer[0] & 0x04)

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from coulombus.eds.units import BLOCK_UNITS
 from coulombus.rigs.draft.device import Device, Place, label
 from coulombus.rigs.draft.motor import command_of, describe_mode
 from coulombus.rigs.draft.text import RigText
@@ -22,7 +23,6 @@ OUTPUTS: dict[int, tuple[Place, ...]] = {CIA404: ((0x7300, 1), (0x9300, 1)), CIA
 INPUTS: tuple[Place, ...] = ((0x7130, 1), (0x9130, 1), (0x6401, 1))
 """Where a torque transducer's amplifier may tell its value: CiA 404 in 16 and in 32 bits, CiA 401.
 """
-UNIT_OF = {0x7300: (0x6301, 0x6302), 0x9300: (0x6301, 0x6302), 0x7130: (0x6131, 0x6132), 0x9130: (0x6131, 0x6132)}
 
 
 def describe_brake(text: RigText, device: Device) -> None:
@@ -121,9 +121,9 @@ def _unit(device: Device, place: Place) -> tuple[int, float]:
     nothing tells.
     """
     index, subindex = place
-    if index not in UNIT_OF:
+    if index not in BLOCK_UNITS:
         return 0, 1.0
-    code, digits = (device.told(object_, subindex) for object_ in UNIT_OF[index])
+    code, digits = (device.told(object_, subindex) for object_ in BLOCK_UNITS[index])
     if code is None or code >> 8 & 0xFF:  # with a denominator
         return 0, 1.0
     prefix = (code >> 24 & 0xFF) - (0x100 if code >> 31 & 1 else 0)

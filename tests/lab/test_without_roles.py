@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from coulombus.analysis.rig.identify import IdentifyError, identify
 
 from coulombus.analysis.figures.report import hold_lines
 from coulombus.analysis.figures.rig import write_fig14, write_identification, write_stick_figure
 from coulombus.analysis.rig.hold import hold_study
-from coulombus.analysis.rig.identify import IdentifyError, identify
 from coulombus.analysis.rig.through_bus import bus_cycle
 from coulombus.lab.demo.demo import judge
 from coulombus.lab.demo.traces import figure_14, traces

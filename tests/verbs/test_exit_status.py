@@ -51,6 +51,14 @@ BASE = {
     "node": "node EDS --node-id 1 --bus coulombus:none",
     "scan": "scan --bus coulombus:none",
     "lss": "lss --bus coulombus:none",
+    "sdo get": "sdo get 1 1000h --bus coulombus:none",
+    "sdo set": "sdo set 1 1017h 5 --bus coulombus:none",
+    "sdo dump": "sdo dump 1 DIR/out.dcf --bus coulombus:none",
+    "sdo restore": "sdo restore 1 EDS --bus coulombus:none",
+    "sdo store": "sdo store 1 --bus coulombus:none",
+    "sdo restore-defaults": "sdo restore-defaults 1 --bus coulombus:none",
+    "sdo shell": "sdo 1 --bus coulombus:none",
+    "nmt": "nmt start 1 --bus coulombus:none",
     "conformance": "conformance --bus coulombus:none --node 1 --eds EDS",
     "analyse": "analyse",
     "analyse hold": "analyse hold",
@@ -91,8 +99,9 @@ WITH_SET = (
     "analyse map",
 )
 WITH_RECORDING = ("decode", "replay --host", "replay --virtual", "replay --bus", "identify")
-WITH_EDS = ("eds check", "init", "node", "conformance")
-WITH_BUS = ("run", "stop", "measure", "watch", "replay --bus", "bridge", "conformance", "scan", "lss")
+WITH_EDS = ("eds check", "init", "node", "conformance", "sdo restore")
+WITH_BUS = ("run", "stop", "measure", "watch", "replay --bus", "bridge", "conformance", "scan", "lss", "nmt")
+WITH_BUS += ("sdo get", "sdo set", "sdo dump", "sdo restore", "sdo store", "sdo restore-defaults", "sdo shell")
 OUTPUTS = (
     ("simulate", "--record", ".pcapng"),
     ("simulate", "--truth", ""),
@@ -105,6 +114,7 @@ OUTPUTS = (
     ("identify", "--figure", ".png"),
     ("conformance", "--junit", ""),
     ("conformance", "--report", ""),
+    ("sdo get", "--output", ""),
 )
 NO_FILES = {
     "missing": lambda path: None,

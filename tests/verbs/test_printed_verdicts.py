@@ -32,6 +32,8 @@ ENDS = {
     "conformance": (f"conformance --bus coulombus:none --node 1 --eds {EDS}", 4),
     "scan": ("scan --bus coulombus:none", 4),
     "lss": ("lss --bus coulombus:none", 4),
+    "sdo": ("sdo get 1 1000h --bus coulombus:none", 4),
+    "nmt": ("nmt start 1 --bus coulombus:none", 4),
     "eds": ("eds check OTHER", 3),
     "eds ok": (f"eds check {EDS}", 0),
     "init": (f"init --drive {EDS} --brake bench", 0),

@@ -1,0 +1,330 @@
+"""A device's configuration as a DCF: read out, held against the device, written back.
+
+What acts when it is written is no configuration: set-points and controlwords, what the device's
+RPDOs carry, and commands as store and restore. It is neither dumped nor restored.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from coulombus.eds.cia301 import DATA_TYPES
+from coulombus.eds.data import decode, encode
+from coulombus.eds.dcf_text import configured
+from coulombus.eds.own_devices import told_identity
+from coulombus.eds.reader import Description, Value, Variable
+from coulombus.eds.sdo_frames import where
+from coulombus.host.devices.device import Device, identity_of, trimmed
+from coulombus.host.errors import DeviceMismatch, SdoAborted
+
+__all__ = ["Difference", "Dump", "acts", "check_file", "differences", "dump", "restore"]
+
+Place = tuple[int, int]
+Show = Callable[[int, int], None]
+WRITABLE = ("rw", "rwr")
+AXIS, PROFILE = 0x800, 0x6000
+SETPOINTS = (0x6040, 0x6042, 0x6071, 0x607A, 0x60FF, 0x60B0, 0x60B1, 0x60B2, 0x60FE)
+"""Of CiA 402, of a drive's first axis."""
+OUTPUTS = (0x6200, 0x6300, 0x6400, 0x6411, 0x7300, 0x9300)
+"""Of CiA 401 and 404."""
+COMMANDS = (0x1003, 0x1010, 0x1011, 0x1020, 0x1021, 0x1022, 0x1023, 0x1024, 0x1F50, 0x1F51, 0x1F80)
+RPDO_MAPS = range(0x1600, 0x1800)
+INVALID = 1 << 31
+MOST_BYTES = 4096
+"""An object of more is no setting."""
+
+
+def acts(variable: Variable, mapped: Iterable[Place] = ()) -> bool:
+    """Tell whether a write of the object does something now.
+
+    Parameters
+    ----------
+    mapped : objects that the device's RPDOs carry
+    """
+    index = variable.index
+    if PROFILE + AXIS <= index < 0xA000 and (index - PROFILE) % AXIS + PROFILE in SETPOINTS:
+        return True
+    return (
+        index in (*SETPOINTS, *OUTPUTS, *COMMANDS)
+        or variable.access == "rww"
+        or (index, variable.subindex) in set(mapped)
+    )
+
+
+def _mapped(values: Mapping[Place, Value]) -> set[Place]:
+    """Return the objects that RPDO mappings name."""
+    entries = (value for (index, sub), value in values.items() if index in RPDO_MAPS and sub and isinstance(value, int))
+    return {(entry >> 16, entry >> 8 & 0xFF) for entry in entries}
+
+
+@dataclass(frozen=True)
+class Dump:
+    """What a device holds.
+
+    Attributes
+    ----------
+    aborted : objects that cannot be read, with the abort's text
+    left_out : objects that act when they are written
+    """
+
+    values: Mapping[Place, Value]
+    aborted: tuple[str, ...]
+    left_out: tuple[Place, ...]
+
+
+def dump(device: Device, show: Show = lambda done, total: None) -> Dump:
+    """Read all that can be configured of a device.
+
+    Raises
+    ------
+    SdoSilent
+        (exit status 5) it does not answer (any more)
+    """
+    wanted = [one for one in device.variables() if one.access in (*WRITABLE, "rww") and one.subindex <= 0xFE]
+    values: dict[Place, Value] = {}
+    aborted = []
+    for number, variable in enumerate(wanted):
+        show(number, len(wanted))
+        kind = DATA_TYPES.get(variable.data_type)
+        if kind is None or kind.kind in ("domain", "record", "time"):
+            continue
+        try:
+            data = device.client.upload(variable.index, variable.subindex, most=MOST_BYTES)
+        except SdoAborted as error:
+            aborted.append(str(error))
+            continue
+        value = decode(variable, trimmed(variable, data))
+        if isinstance(value, bytes) and kind.kind != "bytes":
+            aborted.append(f"{where(variable.index, variable.subindex)}: {len(data)} bytes are no {kind.name}")
+        elif isinstance(value, str) and not _fits_a_line(value):
+            aborted.append(f"{where(variable.index, variable.subindex)}: its text does not fit into a file of lines")
+        else:
+            values[variable.index, variable.subindex] = value
+    mapped = _mapped(values)
+    left_out = tuple(p for p in values if acts(device.at(*p), mapped))
+    return Dump({p: v for p, v in values.items() if p not in left_out}, tuple(aborted), left_out)
+
+
+def _fits_a_line(text: str) -> bool:
+    return bool(text) and text.isprintable() and text == text.strip() and not (text[0] == text[-1] == '"')
+
+
+def check_file(device: Device, description: Description) -> dict[Place, Value]:
+    """Return the values of a DCF that are to be written to this device.
+
+    Raises
+    ------
+    DeviceMismatch
+        (exit status 3) it is of another device, has no values, or one that cannot be read
+    """
+    expected, found = told_identity(description), identity_of(device.client)
+    if any(expected) and expected != found[:2]:
+        told = f"{expected[0]:#010x} {expected[1]:#010x}"
+        raise DeviceMismatch(
+            f"{description.path} is of the device 1018h {told}; node {device.node_id} has {found[0]:#010x} {found[1]:#010x}"
+        )
+    bad = [one for one in description.diagnoses if one.assumed == "the default"]
+    if bad:
+        raise DeviceMismatch(f"{bad[0]}; mend the file first ({len(bad)} such values)")
+    node_id = device.node_id
+    values = {place: description.default(*place, node_id) for place in configured(description)}
+    if not values:
+        raise DeviceMismatch(f"{description.path} gives no values (ParameterValue): it is no DCF")
+    mapped = _mapped(values)
+    return {
+        place: value
+        for place, value in values.items()
+        if value is not None
+        and description.variable(*place).access in WRITABLE
+        and not acts(description.variable(*place), mapped)
+    }
+
+
+@dataclass(frozen=True)
+class Difference:
+    """An object that the device has otherwise than the file; `held` None: it cannot be read."""
+
+    variable: Variable
+    held: Value
+    wanted: Value
+
+    @property
+    def place(self) -> Place:
+        """Index and sub-index."""
+        return self.variable.index, self.variable.subindex
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as JSON has it; bytes in hexadecimal."""
+        held, wanted = (one.hex() if isinstance(one, bytes) else one for one in (self.held, self.wanted))
+        return {
+            "index": self.variable.index,
+            "subindex": self.variable.subindex,
+            "name": self.variable.name,
+            "device": held,
+            "file": wanted,
+        }
+
+
+def differences(
+    device: Device, description: Description, values: Mapping[Place, Value], show: Show = lambda done, total: None
+) -> list[Difference]:
+    """Return what the device has otherwise than `values`.
+
+    Raises
+    ------
+    SdoSilent
+        (exit status 5) it does not answer
+    """
+    found = []
+    for number, (place, wanted) in enumerate(values.items()):
+        show(number, len(values))
+        variable = description.variable(*place)
+        held: Value
+        try:
+            data = trimmed(variable, device.client.upload(*place, most=MOST_BYTES))
+            held = decode(variable, data)
+            same = _same(variable, data, wanted)
+        except SdoAborted:
+            held, same = None, False
+        if not same:
+            found.append(Difference(variable, held, wanted))
+    return found
+
+
+@dataclass
+class Restored:
+    """What came of writing.
+
+    Attributes
+    ----------
+    written : objects that hold the file's value now
+    failed : what went wrong, object by object
+    """
+
+    written: list[Place] = field(default_factory=list)
+    failed: list[str] = field(default_factory=list)
+
+
+def restore(
+    device: Device,
+    values: Mapping[Place, Value],
+    found: Sequence[Difference],
+    show: Show = lambda done, total: None,
+    told: Restored | None = None,
+) -> Restored:
+    """Write what differs, and read it back. A PDO is made invalid before its mapping is changed,
+    and valid at its end, as CiA 301 (section 7.5.2.36) wants it.
+
+    Parameters
+    ----------
+    values : all values of the file: of a PDO whose mapping differs all entries are written
+    told : filled as it goes, for who is interrupted
+
+    Raises
+    ------
+    SdoSilent
+        (exit status 5) the device does not answer any more
+    """
+    told = told or Restored()
+    of_pdos: dict[int, list[Difference]] = {}
+    plain = []
+    for one in found:
+        pdo = _pdo_of(one.variable.index)
+        if pdo is None:
+            plain.append(one)
+        else:
+            of_pdos.setdefault(pdo, []).append(one)
+    done = 0
+    for one in plain:
+        show(done, len(found))
+        _write(device, one.variable, one.wanted, told)
+        done += 1
+    for pdo, rows in of_pdos.items():
+        show(done, len(found))
+        _write_pdo(device, pdo, values, {one.place for one in rows}, told)
+        done += len(rows)
+    return told
+
+
+def _pdo_of(index: int) -> int | None:
+    """Return the communication parameter (14xxh, 18xxh) of a PDO's object, None of others."""
+    for first in (0x1400, 0x1800):
+        if first <= index < first + 0x400:
+            return first + (index & 0x1FF)
+    return None
+
+
+def _same(variable: Variable, data: bytes, value: Value) -> bool:
+    """Tell whether bytes are a value; a text may have zeros behind it."""
+    return data == encode(variable, value) or decode(variable, data) == value
+
+
+def _write(device: Device, variable: Variable, value: Value, told: Restored) -> bool:
+    place = variable.index, variable.subindex
+    data = encode(variable, value)
+    try:
+        device.client.download(*place, data)
+        back = device.client.upload(*place, most=MOST_BYTES)
+        if not _same(variable, trimmed(variable, back), value):
+            told.failed.append(f"{where(*place)} {variable.name}: written, and reads back as {back.hex(' ')}")
+            return False
+    except SdoAborted as error:
+        told.failed.append(f"{variable.name}: {error}")
+        return False
+    told.written.append(place)
+    return True
+
+
+def _write_pdo(device: Device, pdo: int, values: Mapping[Place, Value], differing: set[Place], told: Restored) -> None:
+    """Write the parameters of one PDO in the order that a device asks for."""
+    steps = Restored()
+    cob, mapping = device.at(pdo, 1), pdo + 0x200
+
+    def write(place: Place, value: Value) -> bool:
+        """Write one; what does not differ is written for its mapping's sake, and not counted."""
+        one = Restored()
+        well = _write(device, device.at(*place), value, one)
+        steps.failed += one.failed
+        steps.written += [place for place in one.written if place in differing]
+        return well
+
+    try:
+        held = int.from_bytes(device.client.upload(pdo, 1, most=4), "little")
+    except SdoAborted as error:
+        told.failed.append(f"PDO {pdo:04X}h: {error}")
+        return
+    wanted = values.get((pdo, 1), held)
+    data = encode(cob, held | INVALID)
+    try:
+        if not held & INVALID:
+            device.client.download(pdo, 1, data)
+    except SdoAborted as error:
+        told.failed.append(f"PDO {pdo:04X}h cannot be made invalid: {error}")
+        return
+    whole = True
+    if any(index == mapping for index, _ in differing):
+        count = values.get((mapping, 0))
+        if not isinstance(count, int):
+            count = int.from_bytes(device.client.upload(mapping, 0, most=1), "little")
+        whole = write((mapping, 0), 0)
+        steps.written.clear()
+        for sub in range(1, count + 1):
+            entry = values.get((mapping, sub))
+            if whole and entry is not None:
+                whole = write((mapping, sub), entry)
+        for index, sub in sorted(differing):  # beyond the count: they are kept, and mean nothing
+            if whole and index == mapping and sub > count:
+                whole = write((index, sub), values[index, sub])
+        whole = whole and write((mapping, 0), count)
+    for index, sub in sorted(differing):
+        if index == pdo and sub > 1:
+            write((index, sub), values[index, sub])
+    if whole:
+        if not write((pdo, 1), wanted):
+            steps.failed.append(f"PDO {pdo:04X}h stays invalid")
+    else:
+        steps.failed.append(f"PDO {pdo:04X}h stays invalid: its mapping was refused")
+    told.written += steps.written
+    told.failed += steps.failed

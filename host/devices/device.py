@@ -1,0 +1,391 @@
+"""A device and its EDS file: objects by number or by name, values typed and with their units."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from coulombus.eds.cia301 import DATA_TYPES
+from coulombus.eds.data import READ_ONLY, decode, encode
+from coulombus.eds.folder import fitting, read_folder
+from coulombus.eds.own_devices import packaged, told_identity
+from coulombus.eds.reader import Description, Value, Variable, parse_eds, read_eds
+from coulombus.eds.sdo_frames import where
+from coulombus.eds.units import BLOCK_UNITS, Unit, fixed_unit, told_unit
+from coulombus.host.devices.sdo import SdoClient
+from coulombus.host.devices.transfers import MOST_BYTES, Progress
+from coulombus.host.errors import DeviceMismatch, HostError, SdoAborted
+
+__all__ = ["Device", "ObjectUnknown", "Reading", "ValueRefused", "describe", "identity_of", "trimmed"]
+
+Place = tuple[int, int]
+STORED_EDS = (0x1021, 0)
+BOOLEAN, UNSIGNED8, UNSIGNED16, UNSIGNED32, UNSIGNED64 = 0x0001, 0x0005, 0x0006, 0x0007, 0x001B
+BY_WIDTH = {1: UNSIGNED8, 2: UNSIGNED16, 4: UNSIGNED32, 8: UNSIGNED64}
+TYPE_CODES = {kind.name: code for code, kind in DATA_TYPES.items() if kind.kind not in ("record", "time")}
+SHOWN_BYTES = 64
+PLACE = re.compile(r"(?:0x)?([0-9a-f]{4})h?(?:[:.](?:0x)?([0-9a-f]{1,2})h?)?", re.IGNORECASE)
+NUMBER = re.compile(r"([-+]?(?:0x[0-9a-f]+|[0-9][0-9a-f]*h|[0-9.]+(?:e[-+]?[0-9]+)?))\s*(.*)", re.IGNORECASE)
+ROUNDED = 1e-9
+LARGEST_REAL32 = (2 - 2**-23) * 2.0**127
+
+
+class ObjectUnknown(HostError):
+    """A name that no object has; the text tells the nearest one."""
+
+    exit_status = 2
+
+
+class ValueRefused(HostError):
+    """A value that the object cannot take; the text tells what it can."""
+
+    exit_status = 2
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What an object holds.
+
+    Attributes
+    ----------
+    raw : the number as it is transferred; of what is no number its bytes in hexadecimal
+    value : raw in `unit`; a text as text
+    """
+
+    variable: Variable
+    data: bytes
+    raw: int | float | str
+    value: int | float | str
+    unit: str
+
+    def as_dict(self, node_id: int) -> dict[str, Any]:
+        """Return it as JSON has it; a REAL that is no number is its text."""
+        kind = DATA_TYPES.get(self.variable.data_type)
+        return {
+            "node_id": node_id,
+            "index": self.variable.index,
+            "subindex": self.variable.subindex,
+            "name": self.variable.name or None,
+            "type": kind.name if kind else None,
+            "raw": _finite(self.raw),
+            "value": _finite(self.value),
+            "unit": self.unit,
+        }
+
+    def __str__(self) -> str:
+        if isinstance(self.value, str):
+            return self.value
+        text = f"{self.value:.12g}" if isinstance(self.value, float) else str(self.value)
+        words = [f"{text} {self.unit}".rstrip()]
+        if isinstance(self.raw, int):
+            width = 2 * len(self.data)
+            words.append(f"({self.raw & (1 << 4 * width) - 1:0{width}X}h)")
+        return " ".join(words)
+
+
+def _finite(value: float | str) -> float | str:
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def trimmed(variable: Variable, data: bytes) -> bytes:
+    """Return an upload's bytes without those behind its type: a server that does not tell the length
+    of an expedited one sends four.
+    """
+    size = (variable.bits + 7) // 8
+    return data[:size] if size and size < len(data) <= 4 else data
+
+
+def identity_of(client: SdoClient) -> tuple[int, int, int]:
+    """Return vendor id, product code and revision of a node, 0 where it tells none.
+
+    Raises
+    ------
+    SdoSilent
+        (exit status 5) it does not answer
+    """
+    found = []
+    for part in (1, 2, 3):
+        try:
+            found.append(int.from_bytes(client.upload(0x1018, part, most=4), "little"))
+        except SdoAborted:
+            found.append(0)
+    return found[0], found[1], found[2]
+
+
+def describe(
+    client: SdoClient, source: Path | str | None, progress: Progress = lambda done, total: None
+) -> Description | None:
+    """Return the EDS file of a node, None where there is none.
+
+    Parameters
+    ----------
+    source : an EDS or DCF file; a folder of them, in which that of the node's identity is taken;
+        "device": what the node itself keeps (1021h); None: one of our own devices' files, if it is
+        one
+
+    Raises
+    ------
+    EdsError
+        (exit status 3) the file cannot be read
+    DeviceMismatch
+        (3) it is another device's, or the folder has none of this one
+    """
+    if source == "device":
+        return parse_eds(
+            client.upload(*STORED_EDS, most=MOST_BYTES, progress=progress), f"1021h of node {client.node_id}"
+        )
+    identity = identity_of(client)
+    told = f"node {client.node_id} has 1018h {identity[0]:#010x} {identity[1]:#010x}"
+    if source is None:
+        return fitting(packaged(), identity[:2], identity[2])
+    path = Path(source)
+    if not path.is_dir():
+        description = read_eds(path)
+        expected = told_identity(description)
+        if any(expected) and expected != identity[:2]:
+            raise DeviceMismatch(f"{told}, and {path} is the file of {expected[0]:#010x} {expected[1]:#010x}")
+        return description
+    files, _ = read_folder(path)
+    found = fitting(files, identity[:2], identity[2])
+    if found is None:
+        raise DeviceMismatch(f"{told}, and none of {len(files)} EDS files in {path} has it")
+    return found
+
+
+@dataclass
+class Device:
+    """A node with its EDS file, None where there is none.
+
+    Attributes
+    ----------
+    units : of objects, as a rig file has them; they go before CiA's
+    """
+
+    client: SdoClient
+    description: Description | None = None
+    units: Mapping[Place, Unit] = field(default_factory=dict)
+    _blocks: dict[Place, Unit | None] = field(default_factory=dict)
+
+    @property
+    def node_id(self) -> int:
+        """The node id."""
+        return self.client.node_id
+
+    # objects
+
+    def variables(self) -> Iterator[Variable]:
+        """Yield all variables that the EDS file describes, from 1000h on."""
+        for index, entry in sorted((self.description.objects if self.description else {}).items()):
+            if index >= 0x1000:
+                yield from entry.variables.values()
+
+    @cached_property
+    def names(self) -> Mapping[str, Variable]:
+        """Objects by name: "Heartbeat_time", "Identity.Vendor_ID"; blanks are underscores.
+
+        A name that stands twice has its number behind it: "Current_2003h".
+        """
+        found: dict[str, list[Variable]] = {}
+        for variable in self.variables():
+            assert self.description is not None
+            entry = self.description.objects[variable.index]
+            single = len(entry.variables) == 1 and variable.subindex == 0
+            name = _word(entry.name if single else f"{entry.name}.{variable.name}")
+            found.setdefault(name, []).append(variable)
+        return {
+            name
+            if len(row) == 1
+            else f"{name}_{one.index:04X}h"
+            + (f"{one.subindex:02X}" if len({x.index for x in row}) < len(row) else ""): one
+            for name, row in found.items()
+            for one in row
+        }
+
+    def find(self, text: str) -> Variable:
+        """Return the object that a text names: ``6041h``, ``0x6041``, ``6041:00`` (sub-indices are
+        hexadecimal, too), or its name in the EDS file.
+
+        Raises
+        ------
+        ObjectUnknown
+            (exit status 2) there is none
+        """
+        small = {name.lower(): variable for name, variable in self.names.items()}
+        if (wanted := _word(text).lower()) in small:
+            return small[wanted]
+        match = PLACE.fullmatch(text.strip())
+        if match:
+            return self.at(int(match[1], 16), int(match[2] or "0", 16))
+        if self.description is None:
+            raise ObjectUnknown(
+                f"{text!r}: without an EDS file objects have numbers only, as 6041h or 1018h:01; name a file by --eds"
+            )
+        ends = [name for name in small if name.rpartition(".")[2] == wanted]
+        if len(ends) == 1:
+            return small[ends[0]]
+        spelled = {name.rpartition(".")[2].lower(): name for name in self.names} | {n.lower(): n for n in self.names}
+        near = ends or difflib.get_close_matches(wanted, spelled, 3, 0.5)
+        told = ", ".join(dict.fromkeys(spelled.get(name, name) for name in near))
+        hint = f"; did you mean {told}?" if told else "; `ls` in `coulombus sdo NODE` lists them"
+        raise ObjectUnknown(f"{text!r}: {self.description.path} has no such object{hint}")
+
+    def at(self, index: int, subindex: int) -> Variable:
+        """Return the object of a number; one that the EDS file does not describe has no type."""
+        if self.description is not None and self.description.has(index, subindex):
+            return self.description.variable(index, subindex)
+        return Variable(index, subindex, "", 0, "rw", None, False, None, None, False, 0)
+
+    # values
+
+    def unit(self, variable: Variable) -> Unit | None:
+        """Return the unit of an object: the rig file's, CiA's, or what the device tells (6131h)."""
+        place = variable.index, variable.subindex
+        found = self.units.get(place) or fixed_unit(*place)
+        if found is None and variable.index in BLOCK_UNITS and variable.subindex:
+            if place not in self._blocks:
+                self._blocks[place] = self._told(*BLOCK_UNITS[variable.index], variable.subindex)
+            found = self._blocks[place]
+        return found
+
+    def _told(self, unit: int, digits: int, subindex: int) -> Unit | None:
+        try:
+            code, count = (
+                int.from_bytes(self.client.upload(one, subindex, most=4), "little") for one in (unit, digits)
+            )
+        except SdoAborted:
+            return None
+        return told_unit(code, count)
+
+    def read(self, variable: Variable, progress: Progress = lambda done, total: None) -> Reading:
+        """Return what an object holds. Raises as `host.devices.sdo.SdoClient.upload`."""
+        most = (variable.bits + 7) // 8 + 8 if variable.bits else MOST_BYTES
+        data = self.client.upload(variable.index, variable.subindex, most=most, progress=progress)
+        return self.reading(variable, data)
+
+    def reading(self, variable: Variable, data: bytes) -> Reading:
+        """Return the meaning of bytes; without a type: a number, where they may be one."""
+        kind, data = variable, trimmed(variable, data)
+        if not variable.data_type and len(data) in BY_WIDTH:
+            kind = Variable(**{**vars(variable), "data_type": BY_WIDTH[len(data)]})
+        content = decode(kind, data)
+        if isinstance(content, bytes):
+            text = content.hex(" ") if len(content) <= SHOWN_BYTES else f"{len(content)} bytes"
+            return Reading(variable, data, data.hex(), text, "")
+        if isinstance(content, str):
+            return Reading(variable, data, data.hex(), content, "")
+        unit = self.unit(variable)
+        if unit is None:
+            return Reading(kind, data, content, content, "")
+        value = content if unit.scale == 1 and not unit.offset else content * unit.scale + unit.offset
+        return Reading(kind, data, content, value, unit.unit)
+
+    def parse(self, variable: Variable, text: str, *, type_name: str = "") -> bytes:
+        """Return the bytes of a value that a user writes, checked against type, limits and access.
+
+        A number is raw; behind it the object's unit may stand ("0.5 Nm"), and it is converted.
+        Bytes are hexadecimal, or a file's: ``@FILE``.
+
+        Parameters
+        ----------
+        type_name : data type of an object that no EDS file describes, as UNSIGNED16
+
+        Raises
+        ------
+        ValueRefused
+            (exit status 2) the text spells no such value
+        """
+        if type_name:
+            code = TYPE_CODES.get(type_name.upper())
+            if code is None:
+                raise ValueRefused(f"{type_name}: expected one of {', '.join(TYPE_CODES)}")
+            variable = Variable(**{**vars(variable), "data_type": code})
+        what = f"{where(variable.index, variable.subindex)} {variable.name}".rstrip()
+        if variable.access in READ_ONLY:
+            raise ValueRefused(f"{what} can only be read, says {self._path}")
+        kind = DATA_TYPES.get(variable.data_type)
+        if kind is None:
+            raise ValueRefused(
+                f"{what}: its type is not known; name it by --type, as UNSIGNED16, or an EDS file by --eds"
+            )
+        if kind.kind in ("int", "bool", "real"):
+            return encode(variable, self._number(variable, text, what))
+        if text.startswith("@"):
+            return Path(text[1:]).read_bytes()
+        if kind.kind in ("text", "unicode"):
+            return encode(variable, text)
+        try:
+            return bytes.fromhex(text.removeprefix("0x"))
+        except ValueError:
+            raise ValueRefused(f"{what}: {text!r} is no row of hexadecimal bytes; a file is @FILE") from None
+
+    @property
+    def _path(self) -> str:
+        return self.description.path if self.description else "its EDS file"
+
+    def _number(self, variable: Variable, text: str, what: str) -> Value:
+        kind = DATA_TYPES[variable.data_type]
+        match = NUMBER.fullmatch(text.strip())
+        if match is None:
+            word = {"true": 1, "false": 0}.get(text.strip().lower())
+            if kind.kind != "bool" or word is None:
+                raise ValueRefused(f"{what}: {text!r} is no number; expected {kind.name}")
+            return word
+        number = _spelled(match[1], text, what)
+        if match[2]:
+            unit = self.unit(variable)
+            if unit is None or unit.unit != match[2]:
+                known = f"its unit is {unit.unit!r}" if unit else "it has no unit that is known"
+                raise ValueRefused(f"{what}: {text!r}: {known}; a number alone is raw")
+            number = (number - unit.offset) / unit.scale
+            if kind.kind != "real" and abs(number - round(number)) > ROUNDED * max(1.0, abs(number)):
+                near = round(number) * unit.scale + unit.offset
+                raise ValueRefused(
+                    f"{what}: {text!r} lies between two counts; the nearest value is {near:.12g} {unit.unit}"
+                )
+            number = number if kind.kind == "real" else round(number)
+        if not math.isfinite(number):
+            raise ValueRefused(f"{what}: {text!r} is too large; expected {kind.name}")
+        if kind.kind != "real":
+            if number != int(number):
+                raise ValueRefused(f"{what}: {text!r} is no whole number; expected {kind.name}")
+            number = int(number)
+        widest = LARGEST_REAL32 if kind.bits == 32 else math.inf  # of a REAL
+        low, high = variable.whole or (-widest, widest)
+        low = low if variable.low is None else max(low, variable.low)
+        high = min(high, variable.largest)
+        if not low <= number <= high:
+            raise ValueRefused(f"{what}: {text!r} is out of range; expected {low} to {high}")
+        return number
+
+    def write(self, variable: Variable, data: bytes, progress: Progress = lambda done, total: None) -> Reading | None:
+        """Write an object and read it back; None where it can only be written.
+
+        Raises as `host.devices.sdo.SdoClient.upload`.
+        """
+        self.client.download(variable.index, variable.subindex, data, progress=progress)
+        if variable.access == "wo":
+            return None
+        return self.read(variable)
+
+
+def _word(name: str) -> str:
+    return re.sub(r"\s+", "_", name.strip())
+
+
+def _spelled(number: str, text: str, what: str) -> float:
+    try:
+        if number.lower().endswith("h") and "0x" not in number.lower():
+            return int(number[:-1], 16)
+        if "0x" in number.lower():
+            return int(number, 16)
+        found = float(number)
+        whole = re.fullmatch(r"[-+]?[0-9]+", number)
+        return int(number) if whole else found
+    except (ValueError, OverflowError):
+        raise ValueRefused(f"{what}: {text!r} is no number") from None

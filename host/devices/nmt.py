@@ -1,0 +1,93 @@
+"""NMT commands to nodes, and whether their heartbeat or boot-up says that they followed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from coulombus.eds.cia301 import CobId, NmtCommand, NmtState
+from coulombus.host.devices.sdo import SdoClient
+from coulombus.host.errors import HostError, NodeMissing
+from coulombus.wire.bus_link import FrameLink
+
+__all__ = ["COMMANDS", "Followed", "command"]
+
+COMMANDS = {
+    "start": (NmtCommand.START, NmtState.OPERATIONAL),
+    "stop": (NmtCommand.STOP, NmtState.STOPPED),
+    "preop": (NmtCommand.ENTER_PRE_OPERATIONAL, NmtState.PRE_OPERATIONAL),
+    "reset": (NmtCommand.RESET_NODE, NmtState.INITIALISING),
+    "reset-communication": (NmtCommand.RESET_COMMUNICATION, NmtState.INITIALISING),
+}
+"""Word -> the command, and the state that a heartbeat tells then (a boot-up: INITIALISING)."""
+HEARTBEAT = (0x1017, 0)
+ASK_S, QUIET_S = 0.3, 0.5
+
+
+@dataclass(frozen=True)
+class Followed:
+    """What a node did.
+
+    Attributes
+    ----------
+    state : what its heartbeat or boot-up told last, None: none came
+    well : whether it told what was wanted; None: it cannot tell, for it sends no heartbeat
+    """
+
+    node_id: int
+    state: NmtState | None
+    well: bool | None
+
+    def __str__(self) -> str:
+        if self.state is not None:
+            told = "booted" if self.state is NmtState.INITIALISING else self.state.name.lower().replace("_", "-")
+            return f"node {self.node_id}: {told}" + ("" if self.well else ", which is not what was asked for")
+        if self.well is None:
+            return f"node {self.node_id}: sent; it sends no heartbeat (1017h is 0) that would tell its state"
+        return f"node {self.node_id}: no heartbeat and no boot-up came"
+
+
+def command(link: FrameLink, word: str, node_id: int | None, timeout_s: float) -> tuple[Followed, ...]:
+    """Send an NMT command, and wait for what the nodes say.
+
+    Parameters
+    ----------
+    word : of `COMMANDS`
+    node_id : None: all nodes; then those are returned that say something within the time
+
+    Raises
+    ------
+    NodeMissing
+        (exit status 5) all nodes were meant, and none said anything after a reset
+    """
+    what, wanted = COMMANDS[word]
+    silent = node_id is not None and wanted is not NmtState.INITIALISING and _has_no_heartbeat(link, node_id)
+    while link.receive(link.now_ns()) is not None:  # of before
+        pass
+    link.send(CobId.NMT, bytes((what, node_id or 0)))
+    heard: dict[int, NmtState] = {}
+    until_ns = link.now_ns() + round((min(QUIET_S, timeout_s) if silent else timeout_s) * 1e9)
+    while (frame := link.receive(until_ns)) is not None:
+        one = frame.can_id - CobId.HEARTBEAT
+        if not 1 <= one <= 127 or len(frame.data) != 1 or node_id not in (None, one):
+            continue
+        state = frame.data[0] & 0x7F
+        if state in tuple(NmtState) and heard.get(one) is not wanted:  # behind its boot-up others come
+            heard[one] = NmtState(state)
+        if node_id is not None and heard.get(one) is wanted:
+            break
+    if node_id is None:
+        if not heard and wanted is NmtState.INITIALISING:
+            raise NodeMissing(f"no node booted within {timeout_s:g} s")
+        return tuple(Followed(one, state, state is wanted) for one, state in sorted(heard.items()))
+    state_heard = heard.get(node_id)
+    if state_heard is None:
+        return (Followed(node_id, None, None if silent else False),)
+    return (Followed(node_id, state_heard, state_heard is wanted),)
+
+
+def _has_no_heartbeat(link: FrameLink, node_id: int) -> bool:
+    """Tell whether 1017h says so; a node that does not answer (it is stopped) may have one."""
+    try:
+        return not any(SdoClient(link, node_id, ASK_S).upload(*HEARTBEAT, most=4))
+    except HostError:
+        return False

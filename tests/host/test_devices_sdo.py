@@ -1,0 +1,234 @@
+"""The host's SDO client: all kinds of transfers with our nodes and with canopen's, and servers that
+do it wrong.
+"""
+
+from __future__ import annotations
+
+import canopen
+import pytest
+
+from coulombus.host.devices.sdo import SdoClient, load_defaults, store_parameters
+from coulombus.host.devices.transfers import Nonsense, Refused, SdoSilent
+from devices_bench import EDS, DevicesLink, Server, eds
+
+S = 1_000_000_000
+LABEL = (0x2004, 0)
+PLACE = (0x2000, 1)
+HEAD = b"\x00\x20\x01"
+LENGTHS = (1, 4, 5, 7, 8, 14, 889, 890, 896, 1778, 2000)
+
+
+def motor():
+    link = DevicesLink()
+    link.add(eds("motor"), 1)
+    return link, SdoClient(link, 1)
+
+
+@pytest.mark.parametrize("length", LENGTHS)
+def test_what_is_written_is_read_again(length):
+    """Expedited, by segments, and (from 890 bytes on) by blocks."""
+    link, client = motor()
+    data = bytes(32 + k % 90 for k in range(length))
+    told = []
+    client.download(*LABEL, data, progress=lambda done, total: told.append((done, total)))
+    assert client.upload(*LABEL) == data
+    assert told[-1:] == ([(length, length)] if length > 4 else [])
+    assert any(frame[0] & 0xE3 == 0xC2 for _, frame in link.sent) == (length > 889)
+    assert any(frame[0] == 0xA4 for _, frame in link.sent) == (length > 889)
+
+
+def test_a_long_object_comes_by_blocks_with_progress():
+    link, client = motor()
+    told = []
+    content = client.upload(0x1021, 0, progress=lambda done, total: told.append((done, total)))
+    assert content == (EDS / "motor.eds").read_bytes()
+    assert told == sorted(told)
+    assert told[-1] == (len(content), len(content))
+    assert link.t < 0.3 * S
+
+
+class LocalNode:
+    """A node of canopen on the link, which has no block transfer that works."""
+
+    def __init__(self, link, node_id=5):
+        self.answers = []
+        self.network = canopen.Network()
+        self.network.send_message = lambda can_id, data, remote=False: self.answers.append((can_id, bytes(data)))
+        self.node = canopen.LocalNode(node_id, str(EDS / "motor.eds"))
+        self.network.add_node(self.node)
+        link.others.append(self._hear)
+
+    def _hear(self, can_id, data):
+        self.answers.clear()
+        self.network.notify(can_id, bytearray(data), 0.0)
+        return list(self.answers)
+
+
+@pytest.mark.parametrize("length", [2, 20, 1500])
+def test_a_node_of_canopen_is_read_and_written(length):
+    link = DevicesLink()
+    local, client = LocalNode(link), SdoClient(link, 5)
+    data = bytes(65 + k % 26 for k in range(length))
+    client.download(*LABEL, data)
+    assert client.upload(*LABEL) == data
+    assert client.upload(0x1000, 0) == b"\x92\x01\x02\x00"
+    with pytest.raises(Refused, match="0x06020000: object does not exist"):
+        client.upload(0x5FFF, 0)
+    assert local.node.sdo[LABEL[0]].raw == data.decode()
+
+
+def test_an_abort_is_told_in_words():
+    _, client = motor()
+    with pytest.raises(Refused, match="download to 1000h:00 was aborted: 0x06010002: attempt to write") as caught:
+        client.download(0x1000, 0, bytes(4))
+    assert caught.value.exit_status == 6
+
+
+def test_a_node_that_is_not_there_is_told_and_nobody_waits_longer():
+    link = DevicesLink()
+    with pytest.raises(SdoSilent, match=r"node 9 does not answer \(SDO of 2000h:01\)") as caught:
+        SdoClient(link, 9, 0.25).upload(*PLACE)
+    assert caught.value.exit_status == 5
+    assert link.t < 0.3 * S
+    assert link.sent[-1][1] == b"\x80" + HEAD + b"\x00\x00\x04\x05"
+
+
+def upload_of(*segments, size=None):
+    """Return a server of one upload by segments, and after them always the last one."""
+
+    def answer(request):
+        if request[0] == 0x40:
+            return [(b"\x41" if size is not None else b"\x40") + request[1:4] + (size or 0).to_bytes(4, "little")]
+        if request[0] >> 5 == 3:
+            return [rows.pop(0) if len(rows) > 1 else rows[0]]
+        return []
+
+    rows = list(segments)
+    return answer
+
+
+FULL, LAST = b"\x00ABCDEFG", b"\x01ABCDEFG"
+
+
+@pytest.mark.parametrize(
+    ("answer", "text", "code"),
+    [
+        (upload_of(FULL, FULL), "toggle bit", 0x05030000),
+        (upload_of(b"\x10ABCDEFG"), "toggle bit", 0x05030000),
+        (upload_of(FULL, b"\x11ABCDEFG", size=15), "15 bytes were told, 14 came", 0x06070010),
+        (upload_of(FULL, b"\x10ABCDEFG", FULL, size=9), "goes on behind 9 bytes", 0x06070012),
+        (upload_of(LAST, size=1 << 31), "2147483648 bytes", 0x05040005),
+        (upload_of(b"\x80" + b"\x00" * 7), "0x00000000", None),
+        (upload_of(b"\x20" + bytes(7)), "command 20h is no segment", 0x05040001),
+        (lambda request: [b"\x60" + request[1:4] + bytes(4)], "no upload response", 0x05040001),
+    ],
+)
+def test_a_server_that_does_it_wrong_is_told_and_aborted(answer, text, code):
+    link = DevicesLink()
+    server = Server(link, 5, answer)
+    with pytest.raises((Nonsense, Refused), match=text) as caught:
+        SdoClient(link, 5).upload(*PLACE)
+    assert caught.value.exit_status == 6
+    if code is not None:
+        assert server.requests[-1] == b"\x80" + HEAD + code.to_bytes(4, "little")
+
+
+def test_an_upload_without_an_end_is_given_up():
+    link, toggle = DevicesLink(), [0x10]
+
+    def answer(request):
+        if request[0] == 0x40:
+            return [b"\x40" + request[1:4] + bytes(4)]
+        toggle[0] ^= 0x10
+        return [bytes((toggle[0],)) + bytes(7)] if request[0] >> 5 == 3 else []
+
+    Server(link, 5, answer)
+    with pytest.raises(Nonsense, match="goes on behind 100 bytes"):
+        SdoClient(link, 5).upload(*PLACE, most=100)
+
+
+def test_answers_to_earlier_requests_are_none_to_this_one():
+    link = DevicesLink()
+    late = [b"\x43\x18\x10\x01\x01\0\0\0", b"\x80\x18\x10\x02\0\0\x02\x06", b"\x00" * 8, b"\x43" + HEAD + b"\x07\0\0\0"]
+    Server(link, 5, lambda request: late if request[0] == 0x40 else [])
+    assert SdoClient(link, 5).upload(*PLACE) == b"\x07\0\0\0"
+
+
+def test_answers_of_a_wrong_length_are_dropped():
+    link = DevicesLink()
+    Server(link, 5, lambda request: [b"\x43" + HEAD, b"\x4b" + HEAD + b"\x07\0\0\0"] if request[0] == 0x40 else [])
+    assert SdoClient(link, 5).upload(*PLACE) == b"\x07\0"
+
+
+@pytest.mark.parametrize("lost", [1, 3, 127, 130])
+def test_a_segment_that_is_lost_in_a_block_is_asked_for_again(lost):
+    link, client = motor()
+    data = bytes(32 + k % 90 for k in range(2000))
+    client.download(*LABEL, data)
+    count = [0]
+
+    def tamper(frame):
+        begun = any(sent[0] == 0xA3 for _, sent in link.sent[-1:])
+        if frame.can_id == 0x581 and (begun or count[0]):
+            count[0] += 1
+            if count[0] == lost:
+                return [type(frame)(frame.t_ns, frame.can_id, b"\x7f" + frame.data[1:], 8)] if lost == 127 else []
+        return [frame]
+
+    link.tamper = tamper
+    assert client.upload(*LABEL) == data
+    assert count[0] > lost
+
+
+def test_a_wrong_crc_is_told():
+    link, client = motor()
+    client.download(*LABEL, bytes(2000 * b"x"))
+    link.tamper = lambda frame: [
+        type(frame)(frame.t_ns, frame.can_id, frame.data[:1] + b"\0\0" + frame.data[3:], 8)
+        if frame.can_id == 0x581 and frame.data[0] & 0xE3 == 0xC1 and frame.data[3:] == bytes(5)
+        else frame
+    ]
+    with pytest.raises(Nonsense, match="CRC is wrong"):
+        client.upload(*LABEL)
+
+
+def test_a_server_without_block_transfer_is_asked_by_segments():
+    link = DevicesLink()
+    link.add(eds("motor"), 1)
+    refused, original = [], link.send
+
+    def send(can_id, data=b"", length=None):
+        if can_id == 0x601 and data[0] in (0xA4, 0xC6):
+            refused.append(data[0])
+            link.put(0x581, b"\x80" + data[1:4] + b"\x01\x00\x04\x05")
+        else:
+            original(can_id, data, length)
+
+    link.send = send
+    client, data = SdoClient(link, 1), b"x" * 1500
+    client.download(*LABEL, data)
+    assert client.upload(*LABEL) == data
+    assert refused == [0xC6, 0xA4]
+
+
+def test_who_is_interrupted_aborts_the_transfer():
+    link, client = motor()
+
+    def interrupted(done, total):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        client.upload(0x1021, 0, progress=interrupted)
+    assert link.sent[-1] == (0x601, b"\x80\x21\x10\x00\x00\x00\x00\x08")
+    assert client.upload(0x1000, 0) == b"\x92\x01\x02\x00"
+
+
+def test_parameters_are_stored_and_defaults_come_back():
+    link, client = motor()
+    client.download(0x1017, 0, b"\x64\0")
+    store_parameters(link, 1)
+    link.send(0x000, b"\x81\x01")
+    assert client.upload(0x1017, 0) == b"\x64\0"
+    load_defaults(link, 1)
+    link.send(0x000, b"\x81\x01")
+    assert client.upload(0x1017, 0) == b"\0\0"

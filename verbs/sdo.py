@@ -1,0 +1,447 @@
+"""``coulombus sdo``: read and write a device's objects."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from coulombus.verbs.common import (
+    EXIT_STATUS,
+    SECONDS,
+    OutputFile,
+    errors,
+    force_option,
+    json_option,
+    print_json,
+    printable,
+    say,
+    table_console,
+    verdict,
+)
+from coulombus.verbs.devices import LiveLine, beside_option, devices_bus_option, open_link
+
+if TYPE_CHECKING:
+    from coulombus.host.devices.configuration import Difference
+    from coulombus.host.devices.device import Device
+    from coulombus.wire.bus_link import BusLink
+
+__all__ = ["sdo"]
+
+WIDTH = 80
+CHECK_FAILED, ABORTED = 1, 6
+
+node_argument = click.argument("node_id", type=click.IntRange(1, 127), metavar="NODE")
+object_argument = click.argument("name", metavar="OBJECT")
+eds_option = click.option(
+    "--eds",
+    "eds",
+    type=click.Path(path_type=Path),
+    metavar="E",
+    help="Its EDS or DCF file; a folder, in which it is found by 1018h; or `device`: what the device keeps (1021h).",
+)
+rig_option = click.option(
+    "--rig", "rig_name", metavar="R", help="A rig file that has the node: its EDS file and its SI units."
+)
+timeout_option = click.option(
+    "--timeout",
+    "timeout_s",
+    type=SECONDS,
+    default=1.0,
+    show_default=True,
+    metavar="S",
+    help="How long an answer may take.",
+)
+type_option = click.option(
+    "--type", "type_name", default="", metavar="T", help="Data type without an EDS file, as UNSIGNED16."
+)
+part_option = click.option(
+    "--part",
+    type=click.IntRange(1, 127),
+    default=1,
+    show_default=True,
+    help="1: all; 2: communication; 3: application.",
+)
+
+
+def device_options(function: Callable[..., None]) -> Callable[..., None]:
+    """Give a verb the options of who asks a device."""
+    for option in (beside_option, timeout_option, rig_option, eds_option, devices_bus_option):
+        function = option(function)
+    return function
+
+
+@contextmanager
+def open_device(
+    node_id: int, bus_name: str, eds: Path | None, rig_name: str | None, timeout_s: float, *, beside: bool
+) -> Iterator[tuple[BusLink, Device]]:
+    """Open a bus and a node on it, with its EDS file where there is one."""
+    from coulombus.host.devices.device import Device, describe
+    from coulombus.host.devices.sdo import SdoClient
+
+    if eds is not None and rig_name is not None:
+        raise click.UsageError("the EDS file is that of --eds, or that of --rig; give one of them")
+    with open_link(bus_name, beside=beside) as link:
+        client = SdoClient(link, node_id, timeout_s)
+        if rig_name is not None:
+            description, units = _of_rig(rig_name, node_id)
+            yield link, Device(client, description, units)
+            return
+        with LiveLine() as show:
+            source = "device" if eds is not None and str(eds) == "device" else eds
+            description = describe(client, source, lambda done, total: show(f"EDS file: {done} of {total} bytes"))
+        yield link, Device(client, description)
+
+
+def _of_rig(rig_name: str, node_id: int) -> tuple[Any, dict[tuple[int, int], Any]]:
+    """Return the EDS file of a node of a rig, and the units of what the host exchanges with it."""
+    from coulombus.eds.units import Unit
+    from coulombus.host.errors import DeviceMismatch
+    from coulombus.verbs.common import load
+
+    rig = load(rig_name, ())
+    units = {
+        (signal.index, signal.subindex): Unit(signal.scale, signal.unit, signal.offset)
+        for pdo in rig.pdos()
+        if pdo.node_id == node_id
+        for signal in pdo.signals
+        if signal.unit
+    }
+    for axis in rig.axes:
+        for name in axis.devices:
+            if axis.part(name).node_id == node_id:
+                return axis.description(name), units
+    raise DeviceMismatch(f"the rig {rig_name} has no node {node_id}")
+
+
+class SdoGroup(click.Group):
+    """The verbs; a node id in the place of one opens the shell."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Put the word `shell` before a node id."""
+        if args and args[0].isdecimal():
+            args = ["shell", *args]
+        return super().parse_args(ctx, args)
+
+
+@click.group(cls=SdoGroup, epilog=EXIT_STATUS)
+def sdo() -> None:
+    """Read and write the objects of a device by SDO; `coulombus sdo NODE` opens a shell.
+
+    Objects are named by number (6041h, 0x6041, 1018h:01; sub-indices are hexadecimal, too) or by
+    their name in the EDS file. Values are typed and have units. Long ones go by block transfer.
+
+    \b
+    Examples:
+      coulombus sdo get 5 1008h --bus socketcan:can0
+      coulombus sdo set 5 Producer_heartbeat_time 100 --eds drive.eds --bus socketcan:can0
+      coulombus sdo dump 5 drive.dcf --eds drive.eds --bus socketcan:can0
+      coulombus sdo restore 5 drive.dcf --bus socketcan:can0
+      coulombus sdo 5 --eds drive.eds --bus socketcan:can0
+    """
+
+
+@sdo.command(epilog=EXIT_STATUS)
+@node_argument
+@object_argument
+@device_options
+@click.option("-o", "--output", type=OutputFile(), metavar="F", help="Write the bytes there, of a long object.")
+@force_option
+@json_option
+def get(
+    node_id: int,
+    name: str,
+    bus_name: str,
+    eds: Path | None,
+    rig_name: str | None,
+    timeout_s: float,
+    beside: bool,
+    output: Path | None,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Read an object: its value, its unit, and the raw number.
+
+    \b
+    Examples:
+      coulombus sdo get 1 6041h --bus coulombus:bench
+      coulombus sdo get 2 7130h:01 --bus coulombus:bench --json
+      coulombus sdo get 1 1021h --bus coulombus:bench -o device.eds
+    """
+    with errors():
+        from coulombus.recording.output_file import new_file
+
+        with open_device(node_id, bus_name, eds, rig_name, timeout_s, beside=True) as (_, device), LiveLine() as show:
+            variable = device.find(name)
+            reading = device.read(variable, lambda done, total: show(f"{done} of {total or '?'} bytes"))
+        if output is not None:
+            with new_file(output, force=overwrite) as path:
+                path.write_bytes(reading.data)
+        with verdict(0):
+            if as_json:
+                print_json(reading.as_dict(node_id))
+            elif output is None:
+                click.echo(printable(str(reading)))
+            else:
+                say(f"{len(reading.data)} bytes are in {output}")
+
+
+@sdo.command("set", epilog=EXIT_STATUS)
+@node_argument
+@object_argument
+@click.argument("value", metavar="VALUE")
+@device_options
+@type_option
+@json_option
+def set_command(
+    node_id: int,
+    name: str,
+    value: str,
+    bus_name: str,
+    eds: Path | None,
+    rig_name: str | None,
+    timeout_s: float,
+    beside: bool,
+    type_name: str,
+    as_json: bool,
+) -> None:
+    """Write an object, and read it back.
+
+    The value is checked against type, limits and access of the EDS file before it is sent. A number
+    is raw; with the object's unit behind it ("0.5 Nm") it is converted. Bytes are hexadecimal or a
+    file's (@FILE). Ends with 1 when the device holds another value afterwards. Refused while a host
+    is at work on the bus.
+
+    \b
+    Examples:
+      coulombus sdo set 1 1017h 100 --bus coulombus:bench
+      coulombus sdo set 2 7300h:01 "0.5 Nm" --bus coulombus:bench
+      coulombus sdo set 5 2000h:03 7 --type UNSIGNED8 --bus socketcan:can0
+    """
+    with errors():
+        with open_device(node_id, bus_name, eds, rig_name, timeout_s, beside=beside) as (_, device), LiveLine() as show:
+            variable = device.find(name)
+            data = device.parse(variable, value, type_name=type_name)
+            back = device.write(variable, data, lambda done, total: show(f"{done} of {total} bytes"))
+        kept = back is None or back.data.rstrip(b"\0") == data.rstrip(b"\0")
+        with verdict(0 if kept else CHECK_FAILED):
+            if as_json:
+                print_json(None if back is None else back.as_dict(node_id))
+            else:
+                click.echo("written; it can only be written" if back is None else printable(str(back)))
+            if not kept:
+                say(f"coulombus: {data.hex(' ')} was written, and the device holds another value")
+
+
+@sdo.command(epilog=EXIT_STATUS)
+@node_argument
+@click.argument("output", type=OutputFile(".dcf"), metavar="F.dcf")
+@device_options
+@force_option
+@json_option
+def dump(
+    node_id: int,
+    output: Path,
+    bus_name: str,
+    eds: Path | None,
+    rig_name: str | None,
+    timeout_s: float,
+    beside: bool,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Write the configuration of a device to a DCF file (CiA 306).
+
+    All objects that can be read and written, but those that act when they are written: set-points,
+    controlwords, what the RPDOs carry, commands.
+
+    \b
+    Examples:
+      coulombus sdo dump 1 motor.dcf --bus coulombus:bench
+      coulombus sdo dump 5 drive.dcf --eds drive.eds --bus socketcan:can0
+    """
+    with errors():
+        from coulombus.eds.dcf_text import with_values
+        from coulombus.eds.sdo_frames import where
+        from coulombus.host.devices.configuration import dump as read_all
+        from coulombus.recording.output_file import new_file
+
+        with (
+            open_device(node_id, bus_name, eds, rig_name, timeout_s, beside=True) as (link, device),
+            LiveLine() as show,
+        ):
+            description = _described(device)
+            found = read_all(device, lambda done, total: show(f"{done} of {total} objects"))
+            rate = link.bitrate_bit_s
+        with new_file(output, force=overwrite) as path:
+            path.write_text(with_values(description, found.values, node_id, rate), encoding="utf-8", newline="")
+        with verdict(0):
+            left_out = [where(*place) for place in found.left_out]
+            if as_json:
+                print_json({"values": len(found.values), "left_out": left_out, "aborted": list(found.aborted)})
+            else:
+                click.echo(f"{len(found.values)} values are in {output}")
+                for text in found.aborted:
+                    say(f"coulombus: not in it: {text}")
+                if left_out:
+                    say(f"coulombus: not in it, for they act when they are written: {', '.join(left_out)}")
+
+
+def _described(device: Device) -> Any:
+    """Return the EDS file of a device, without which a DCF cannot be made."""
+    from coulombus.host.errors import DeviceMismatch
+
+    if device.description is None:
+        raise DeviceMismatch(
+            f"node {device.node_id} is no device of ours: name its EDS file by --eds, or --eds device, if it keeps one"
+        )
+    return device.description
+
+
+@sdo.command(epilog=EXIT_STATUS)
+@node_argument
+@click.argument("dcf", type=click.Path(path_type=Path), metavar="F.dcf")
+@devices_bus_option
+@timeout_option
+@beside_option
+@click.option("--yes", is_flag=True, help="Write without asking.")
+@json_option
+def restore(node_id: int, dcf: Path, bus_name: str, timeout_s: float, beside: bool, yes: bool, as_json: bool) -> None:
+    """Write the values of a DCF file to a device: what differs is shown first, and only that is
+    written.
+
+    Every value is read back. PDOs are made invalid while their mapping changes; a device may want
+    to be pre-operational for that (coulombus nmt preop NODE). A file of another device is refused
+    (3). Nothing is stored in the device: that is `coulombus sdo store`. Ends with 6 when the device
+    refused a value; all others are written.
+
+    \b
+    Examples:
+      coulombus sdo restore 1 motor.dcf --bus coulombus:bench
+      coulombus sdo restore 1 motor.dcf --bus coulombus:bench --yes --json
+    """
+    with errors():
+        from coulombus.eds.reader import read_eds
+        from coulombus.host.devices.configuration import Restored, check_file, differences
+        from coulombus.host.devices.configuration import restore as write_all
+        from coulombus.host.devices.device import Device
+        from coulombus.host.devices.sdo import SdoClient
+
+        description = read_eds(dcf)
+        told = Restored()
+        with open_link(bus_name, beside=beside) as link:
+            device = Device(SdoClient(link, node_id, timeout_s), description)
+            with LiveLine() as show:
+                values = check_file(device, description)
+                found = differences(device, description, values, lambda done, total: show(f"{done} of {total} objects"))
+            if not as_json:
+                _print_differences(found)
+            if found and not yes:
+                _ask(f"write {len(found)} of {len(values)} values to node {node_id}?")
+            try:
+                with LiveLine() as show:
+                    write_all(device, values, found, lambda done, total: show(f"{done} of {total} written"), told)
+            except BaseException:
+                say(f"coulombus: {len(told.written)} of {len(found)} values were written before the end")
+                raise
+        with verdict(ABORTED if told.failed else 0):
+            if as_json:
+                rows = [one.as_dict() for one in found]
+                print_json({"differences": rows, "written": len(told.written), "failed": told.failed})
+            else:
+                click.echo(f"{len(told.written)} of {len(found)} values written; {len(values) - len(found)} were right")
+                for text in told.failed:
+                    say(f"coulombus: {printable(text)}")
+
+
+def _ask(question: str) -> None:
+    """Ask on the terminal; without one, or without a yes, nothing is written."""
+    if not sys.stdin.isatty():
+        raise click.UsageError("say --yes: there is no terminal to ask on")
+    if not click.confirm(question, err=True):
+        raise click.Abort
+
+
+def _print_differences(found: list[Difference]) -> None:
+    from rich.markup import escape
+    from rich.table import Table
+
+    from coulombus.eds.sdo_frames import where
+
+    if not found:
+        return
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for head, options in (("object", {"no_wrap": True}), ("name", {"overflow": "fold"}), ("device", {}), ("file", {})):
+        table.add_column(head, **options)
+    for one in found:
+        held, wanted = (
+            "-" if v is None else v.hex(" ") if isinstance(v, bytes) else str(v) for v in (one.held, one.wanted)
+        )
+        table.add_row(where(*one.place), *(escape(printable(text)) for text in (one.variable.name, held, wanted)))
+    table_console(WIDTH).print(table)
+
+
+@sdo.command(epilog=EXIT_STATUS)
+@node_argument
+@devices_bus_option
+@part_option
+@beside_option
+def store(node_id: int, bus_name: str, part: int, beside: bool) -> None:
+    """Let a device keep its parameters when it is switched off (1010h, "save").
+
+    \b
+    Example:
+      coulombus sdo store 1 --bus coulombus:bench
+    """
+    with errors():
+        from coulombus.host.devices.sdo import store_parameters
+
+        with open_link(bus_name, beside=beside) as link:
+            store_parameters(link, node_id, part)
+        with verdict(0):
+            click.echo(f"node {node_id} has stored its parameters (1010h:{part:02X})")
+
+
+@sdo.command("restore-defaults", epilog=EXIT_STATUS)
+@node_argument
+@devices_bus_option
+@part_option
+@beside_option
+def restore_defaults(node_id: int, bus_name: str, part: int, beside: bool) -> None:
+    """Give a device its maker's parameters back, from its next reset on (1011h, "load").
+
+    \b
+    Example:
+      coulombus sdo restore-defaults 1 --bus coulombus:bench
+    """
+    with errors():
+        from coulombus.host.devices.sdo import load_defaults
+
+        with open_link(bus_name, beside=beside) as link:
+            load_defaults(link, node_id, part)
+        with verdict(0):
+            click.echo(f"node {node_id} has its defaults after: coulombus nmt reset {node_id} --bus {bus_name}")
+
+
+@sdo.command(epilog=EXIT_STATUS)
+@node_argument
+@device_options
+def shell(node_id: int, bus_name: str, eds: Path | None, rig_name: str | None, timeout_s: float, beside: bool) -> None:
+    """Read and write objects one after the other, with completion of names (Tab) and a history.
+
+    From a pipe the first line that fails ends it, with that line's exit status.
+
+    \b
+    Examples:
+      coulombus sdo 1 --bus coulombus:bench
+      echo "get 1008h" | coulombus sdo 1 --bus coulombus:bench
+    """
+    with errors():
+        from coulombus.verbs.sdo_shell import Shell, run
+
+        with open_device(node_id, bus_name, eds, rig_name, timeout_s, beside=True) as (link, device):
+            run(Shell(link, device, beside=beside))
