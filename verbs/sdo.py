@@ -340,8 +340,9 @@ def restore(node_id: int, dcf: Path, bus_name: str, timeout_s: float, beside: bo
                 found = differences(device, description, values, lambda done, total: show(f"{done} of {total} objects"))
             if not as_json:
                 _print_differences(found)
-            if found and not yes:
-                _ask(f"write {len(found)} of {len(values)} values to node {node_id}?")
+            if found and not yes and not _agreed(f"write {len(found)} of {len(values)} values to node {node_id}?"):
+                with verdict(CHECK_FAILED):
+                    say("coulombus: nothing was written")
             try:
                 with LiveLine() as show:
                     write_all(device, values, found, lambda done, total: show(f"{done} of {total} written"), told)
@@ -353,17 +354,17 @@ def restore(node_id: int, dcf: Path, bus_name: str, timeout_s: float, beside: bo
                 rows = [one.as_dict() for one in found]
                 print_json({"differences": rows, "written": len(told.written), "failed": told.failed})
             else:
-                click.echo(f"{len(told.written)} of {len(found)} values written; {len(values) - len(found)} were right")
+                done = f"{len(told.written)} of {len(found)} values written; " if found else ""
+                click.echo(f"{done}{len(values) - len(found)} were right already")
                 for text in told.failed:
                     say(f"coulombus: {printable(text)}")
 
 
-def _ask(question: str) -> None:
-    """Ask on the terminal; without one, or without a yes, nothing is written."""
+def _agreed(question: str) -> bool:
+    """Ask on the terminal; without one nothing is written."""
     if not sys.stdin.isatty():
         raise click.UsageError("say --yes: there is no terminal to ask on")
-    if not click.confirm(question, err=True):
-        raise click.Abort
+    return click.confirm(question, err=True)
 
 
 def _print_differences(found: list[Difference]) -> None:

@@ -6,6 +6,10 @@ from __future__ import annotations
 
 import io
 import json
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from click.testing import CliRunner
@@ -17,6 +21,7 @@ from coulombus.verbs.main import main
 from coulombus.wire.address import BusUnavailable, parse_address
 from devices_bench import UNCONFIGURED, DevicesLink, Server, eds
 
+ROOT = Path(__file__).resolve().parent.parent.parent
 BUS = ("--bus", "coulombus:desk")
 LATER_NS = 500_000_000
 """When it has been listened for a host."""
@@ -39,6 +44,11 @@ class DeskLink(DevicesLink):
         if self.left < 0:
             raise BusUnavailable("bus coulombus:desk is gone: its process ended")
         super().send(can_id, data, length)
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
 
 
 @pytest.fixture
@@ -264,6 +274,18 @@ def test_ctrl_c_at_any_step_ends_with_130(desk, monkeypatch, step):
         assert told("sdo", "get", 1, "1000h")["raw"] == 0x20192  # nothing is left open in the device
 
 
+@pytest.mark.parametrize(("answer", "raw", "status"), [("n", 200, 1), ("y", 0, 0)])
+def test_restore_asks_at_a_terminal(desk, monkeypatch, answer, raw, status):
+    call("sdo", "dump", 1, "m.dcf", *BUS)
+    call("sdo", "set", 1, "1017h", "200", *BUS)
+    monkeypatch.setattr("coulombus.verbs.sdo.sys", SimpleNamespace(stdin=Terminal()))
+    result = call("sdo", "restore", 1, "m.dcf", *BUS, input=f"{answer}\n")
+    assert result.exit_code == status, result.output
+    assert "write 1 of" in result.stderr
+    assert ("nothing was written" in result.stderr) == (answer == "n")
+    assert told("sdo", "get", 1, "1017h")["raw"] == raw
+
+
 def test_store_and_defaults(desk):
     call("sdo", "set", 1, "1017h", "200", *BUS)
     assert "has stored" in call("sdo", "store", 1, *BUS).stdout
@@ -329,11 +351,6 @@ def test_a_line_that_fails_ends_a_pipe(desk, line, status):
     assert "Coulombus" not in result.stdout
 
 
-class Terminal(io.StringIO):
-    def isatty(self):
-        return True
-
-
 def test_at_a_terminal_the_shell_goes_on_and_completes_names(desk, monkeypatch, capsys):
     from coulombus.host.devices.device import Device, describe
     from coulombus.host.devices.sdo import SdoClient
@@ -356,3 +373,34 @@ def test_at_a_terminal_the_shell_goes_on_and_completes_names(desk, monkeypatch, 
     with pytest.raises(BusUnavailable):
         shell.onecmd("get 1008h")
     assert shell.onecmd("quit") is True
+
+
+@pytest.mark.real_time
+def test_live_devices_without_node_ids_get_them_and_are_found(private_sockets, tmp_path):
+    """The same on a live bus: two devices of one maker whose answers come one behind the other."""
+    files = []
+    for serial in (7, 0xF0000008):
+        files.append(tmp_path / f"{serial}.eds")
+        files[-1].write_text(eds("motor", vendor=0x77, serial=serial).text)
+    words = [*map(str, files), "--node-id", "255", "--node-id", "255", "--bus", "coulombus:desk", "--json"]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "coulombus", "node", *words],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert [("waits on bus" in process.stderr.readline()) for _ in files] == [True, True]
+        assert len(told("scan", "--eds", tmp_path)["unconfigured"]) == 2
+        done = told("lss", "--set-id", 9, "--all", "--store")
+        assert [(one["serial"], one["node_id"], one["booted"]) for one in done["set"]] == [
+            (7, 9, True),
+            (0xF0000008, 10, True),
+        ]
+        assert [json.loads(process.stdout.readline())["node_id"] for _ in files] == [9, 10]
+        assert [one["node_id"] for one in told("scan")["nodes"]] == [9, 10]
+        assert told("sdo", "get", 10, "1018h:04", "--eds", files[1])["raw"] == 0xF0000008
+    finally:
+        process.terminate()
+        process.communicate(timeout=60)
