@@ -19,6 +19,7 @@ import numpy as np
 
 from coulombus.compiled.decorator import kernel
 from coulombus.eds.regular_file import naming, require_regular
+from coulombus.recording.folders import segments
 from coulombus.recording.pcapng_blocks import (
     ATTACHMENT,
     BYTE_ORDER_MAGIC,
@@ -140,7 +141,7 @@ class _Reader:
 
 def iter_pcapng(path: str | Path) -> Iterator[Capture]:
     """Read a pcapng file of SocketCAN frames stretch by stretch: the memory does not grow with the
-    file.
+    file. Of a folder (`recording.segments`) the segments of its newest run are read as one.
 
     Each stretch has what stands in it; the section's texts are those read so far. The last one,
     perhaps without a frame, tells of an unfinished last block, which is left out (`Capture.torn`).
@@ -154,6 +155,10 @@ def iter_pcapng(path: str | Path) -> Iterator[Capture]:
     OSError
         It cannot be opened or read.
     """
+    if Path(path).is_dir():
+        for segment in _segments(path):
+            yield from iter_pcapng(segment)
+        return
     require_regular(path)
     with Path(path).open("rb") as file:
         reader = _Reader(str(path), file)
@@ -178,6 +183,16 @@ def iter_pcapng(path: str | Path) -> Iterator[Capture]:
     yield reader.take(torn)
 
 
+def _segments(path: str | Path) -> list[Path]:
+    """Return the segments in a folder, at least one."""
+    found = segments(Path(path))
+    if not found:
+        raise PcapngError(
+            f"{path}: there is no recording in this folder; expected a run's segments, as in 000001.pcapng"
+        )
+    return found
+
+
 def read_pcapng(path: str | Path) -> Capture:
     """Read a whole pcapng file of SocketCAN frames, 40 bytes of memory for each.
 
@@ -190,6 +205,8 @@ def read_pcapng(path: str | Path) -> Capture:
         attachments |= part.attachments
     return replace(
         parts[-1],
+        path=str(path),
+        torn=sum(part.torn for part in parts),
         frames=np.concatenate([part.frames for part in parts]),
         comments=[(row + at, text) for row, part in zip(first, parts, strict=False) for at, text in part.comments],
         attachments=attachments,

@@ -169,6 +169,10 @@ class PcapngWriter:
             if error.errno not in (errno.EINVAL, errno.EROFS):  # a pipe cannot be synchronised
                 raise self._fail(error) from error
 
+    def fileno(self) -> int:
+        """Return the file's descriptor, -1 when it is closed."""
+        return self._fd
+
     def close(self) -> None:
         """Close the file; may be called again."""
         fd, self._fd = self._fd, -1

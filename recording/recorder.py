@@ -41,7 +41,7 @@ def project_version() -> str:
 
 class Recorder:
     """Writes frames to a pcapng file, a new one unless `force` is given; a marker is the comment of
-    the first frame at or after its time.
+    the first frame at or after its time. `more` are further attachments, `comment` the file's.
 
     Raises
     ------
@@ -59,6 +59,8 @@ class Recorder:
         *,
         law: Mapping[str, bytes] = NO_LAW,
         bus: str = "",
+        more: Mapping[str, bytes] = NO_LAW,
+        comment: str = "",
         force: bool = False,
     ) -> None:
         attachments = {
@@ -72,13 +74,22 @@ class Recorder:
             attachments["bus"] = bus.encode()
         attachments |= {name: text.encode() for name, text in rig.eds_texts.items()}
         attachments |= law
-        self._writer = PcapngWriter(path, attachments=attachments, force=force)
+        self._attachments, self._comment = {**attachments, **more}, comment
+        self._open(path, force=force)
         self._markers: list[tuple[int, int, str]] = []
         self._marked = 0
         self._traces = self._sents = 0
         self._own: list[Records] = []
         self._rows: list[Records] = []
         self._sent: list[Records] = []
+
+    def _open(self, path: Path, *, force: bool = False) -> None:
+        """Begin a file: with everything attached, so that it can be read alone."""
+        self._writer = PcapngWriter(path, attachments=self._attachments, comment=self._comment, force=force)
+
+    def attach(self, name: str, content: bytes) -> None:
+        """Add an attachment that is known only now."""
+        self._writer.attach(name, content)
 
     def mark(self, t_ns: int, text: str) -> None:
         """Let the first frame at or after `t_ns` carry the comment `text`."""
@@ -116,11 +127,15 @@ class Recorder:
             self._writer.attach(f"{SENT}{self._sents}", pack_sent(np.concatenate(sent)))
             self._sents += 1
 
+    def _flush_trace(self) -> None:
+        """Write what is left of the trace."""
+        if self._rows:
+            self._write_trace()
+
     def close(self) -> None:
         """Write what is left and close the file."""
         try:
-            if self._rows:
-                self._write_trace()
+            self._flush_trace()
         finally:
             self._writer.close()
 

@@ -32,6 +32,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.eds.pdo import Entry
+from coulombus.recording.clock import CLOCK, META, attached_object
 from coulombus.recording.log_files import WALL_CLOCK_NS, LogError, is_log, read_log
 from coulombus.recording.pcapng_reader import Capture, iter_pcapng, read_pcapng
 from coulombus.recording.turns import POSITION, Turns, fastest, follow
@@ -193,6 +194,18 @@ class Recording(Source):
         return self.capture.frames
 
     @property
+    def clock(self) -> Mapping[str, Any]:
+        """When time 0 was by the clock of the wall, and whether that was kept right
+        (`recording.clock`); empty in virtual time.
+        """
+        return attached_object(self.capture.attachments.get(CLOCK))
+
+    @property
+    def meta(self) -> Mapping[str, Any]:
+        """What a person has said of the recording (``run --meta``)."""
+        return attached_object(self.capture.attachments.get(META))
+
+    @property
     def t_s(self) -> Floats:
         """Time of each frame [s]."""
         return (self.frames["t_ns"] - self.epoch_ns) / 1e9
@@ -288,7 +301,7 @@ def read(path: str | Path, rig: Rig | str | None = None) -> Recording:
     Parameters
     ----------
     path
-        A pcapng file of SocketCAN frames, or a log that python-can reads (.log, .asc, .blf, .trc,
+        A pcapng file of SocketCAN frames, a folder of segments (the newest run in it), or a log that python-can reads (.log, .asc, .blf, .trc,
         .csv), which has no rig.
     rig
         Decode with this rig (a `Rig`, a packaged rig's name, or a rig file's path) and not with the
@@ -313,7 +326,7 @@ def blocks(path: str | Path, rig: Rig | str | None = None) -> Blocks:
     The file is read anew each time: it must stay as it is meanwhile, and a pipe is refused
     (LogError).
     """
-    if Path(path).exists() and not Path(path).is_file():
+    if Path(path).exists() and not Path(path).is_file() and not Path(path).is_dir():
         raise LogError(f"{path}: it is no file, and a recording is read more than once; save it to a file first")
     return Blocks(str(path), _attached_rig(_captures(path)) if rig is None else _rig(rig))
 

@@ -34,6 +34,7 @@ __all__ = [
     "SECONDS",
     "OutputDirectory",
     "OutputFile",
+    "RecordingPlace",
     "Verbs",
     "bus_option",
     "buses_option",
@@ -323,6 +324,23 @@ class OutputDirectory(click.Path):
         return path
 
 
+class RecordingPlace(OutputFile):
+    """Where a run is recorded: a new file ``F.pcapng``, or a folder for segments - one that exists,
+    or any name where the verb's parameter `rotate` is given.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(".pcapng")
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the path; BadParameter says what is wrong with it."""
+        path = Path(value)
+        rotated = ctx is not None and ctx.params.get("rotate") is not None
+        if path.suffix.lower() != ".pcapng" and not is_stream(path) and (path.is_dir() or rotated):
+            return OutputDirectory().convert(value, param, ctx)
+        return super().convert(value, param, ctx)
+
+
 PICTURE = OutputFile(".png", ".svg", ".pdf")
 
 
@@ -431,9 +449,9 @@ def table_console(width: int) -> Console:
 
 
 @contextmanager
-def progress(enabled: bool, done: str = "displayed") -> Iterator[Callable[[str, float, float], None]]:
+def progress(enabled: bool, done: str = "displayed") -> Iterator[Callable[[str, float, float | None], None]]:
     """Show live bars on stderr: call what is yielded with a label, the time reached and the whole
-    time; `done` is what is said of it.
+    time (None: nobody knows); `done` is what is said of it.
     """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
@@ -453,13 +471,14 @@ def progress(enabled: bool, done: str = "displayed") -> Iterator[Callable[[str, 
     tasks: dict[str, TaskID] = {}
     shown = suppress(OSError)  # a terminal that was closed takes nothing more: what is shown there goes on without it
 
-    def report(label: str, t: float, total: float) -> None:
+    def report(label: str, t: float, total: float | None) -> None:
         with shown:
             if label not in tasks:
                 bars.update(starting, visible=False)
                 tasks[label] = bars.add_task(label, total=total, told="")
-            t = min(t, total)
-            bars.update(tasks[label], completed=t, told=f"{t:5.1f} of {total:.0f} s {done}")
+            t = t if total is None else min(t, total)
+            whole = "" if total is None else f" of {total:.0f}"
+            bars.update(tasks[label], completed=t, told=f"{t:5.1f}{whole} s {done}")
 
     with shown:
         bars.start()

@@ -29,7 +29,7 @@ class NotToTheRig(Exception):
 
 
 @click.command("replay", epilog=EXIT_STATUS)
-@click.argument("file", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.argument("file", type=click.Path(exists=True, path_type=Path))
 @click.option("--bus", "bus_name", metavar="B", help="Play it there: coulombus:NAME or socketcan:IF.")
 @click.option("--host", "as_host", is_flag=True, help="Feed the host with it: do its outputs come out again?")
 @click.option("--virtual", is_flag=True, help="Feed the bus with it in virtual time: do its frames come out again?")

@@ -12,10 +12,11 @@ from coulombus.verbs.common import (
     CPU,
     EXIT_STATUS,
     PICTURE,
+    SECONDS,
+    RecordingPlace,
     buses_option,
     channel_option,
     check_mode,
-    display_s,
     errors,
     force_option,
     json_option,
@@ -23,19 +24,21 @@ from coulombus.verbs.common import (
     mode_option,
     print_json,
     progress,
-    record_option,
     rig_option,
     say,
-    seconds_option,
     set_option,
     verdict,
 )
 from coulombus.verbs.run_table import print_runs
 
 if TYPE_CHECKING:
+    from coulombus.recording.segments import Rotation
     from coulombus.wire.address import BusAddress
 
 __all__ = ["run_command", "stop"]
+
+GIVEN = f"{__name__}.given"
+"""What a context keeps: the words of --rotate and --keep."""
 
 
 @click.command("run", epilog=EXIT_STATUS)
@@ -43,8 +46,27 @@ __all__ = ["run_command", "stop"]
 @buses_option
 @channel_option
 @mode_option
-@seconds_option
-@record_option
+@click.option("--seconds", type=SECONDS, default=None, help="Length of the display.  [default: until it is stopped]")
+@click.option(
+    "--record",
+    type=RecordingPlace(),
+    metavar="PLACE",
+    help="Record every frame there: in a new file F.pcapng, or in segments in a folder.",
+)
+@click.option(
+    "--rotate",
+    is_eager=True,
+    callback=lambda ctx, param, text: None if text is None else _checked(text, "parse_rotation"),
+    metavar="SIZE|TIME",
+    help="--record is a folder; a new segment after so much or so long: 100MB, 1h.  [default of a folder: 100MB]",
+)
+@click.option(
+    "--keep",
+    callback=lambda ctx, param, text: None if text is None else _checked(text, "parse_size"),
+    metavar="SIZE",
+    help="Keep so much in that folder, and remove the oldest segments: 20GB.  [default: all]",
+)
+@click.option("--meta", "meta", multiple=True, metavar="KEY=VALUE", help="Say something of the recording: subject=S01.")
 @force_option
 @click.option(
     "--histogram",
@@ -65,6 +87,9 @@ def run_command(
     mode: str,
     seconds: float | None,
     record: Path | None,
+    rotate: Rotation | None,
+    keep: int | None,
+    meta: tuple[str, ...],
     overwrite: bool,
     histogram: Path | None,
     overrides: tuple[str, ...],
@@ -85,6 +110,7 @@ def run_command(
       coulombus sim &
       coulombus run --mode hybrid --seconds 13 --record run.pcapng
       coulombus run --bus socketcan:can0 --rig my-rig.toml --mode active --json
+      coulombus run --record runs --rotate 1h --keep 20GB --meta subject=S01
     """
     with errors():
         from coulombus.host.run.buses import path_on
@@ -101,17 +127,23 @@ def run_command(
             text = f"for simulated nodes only: on {real[0]} a motor could push unwatched for 50 ms; choose each limit by --set"
             raise click.BadParameter(text, param_hint="--shared-machine")
         check_mode(rig, rig_name, mode)
-        total = display_s(rig, seconds)
+        rotation, said = _rotation(record, rotate, keep), _said(meta)
         if channel is not None:
             rig = rig.on(channel)
         if len(rig.channels) > 1:
-            words = ["run", "--rig", rig_name, "--mode", mode, "--seconds", str(total), "--json"]
+            words = ["run", "--rig", rig_name, "--mode", mode, "--json"]
+            words += [] if seconds is None else ["--seconds", str(seconds)]
             words += [word for text in overrides for word in ("--set", text)]
             words += ["--shared-machine"] if shared_machine else []
             words += ["--force"] if overwrite else []
             words += [] if cpu is None else ["--cpu", str(cpu)]
+            given = {"--rotate": "100MB"} if rotation else {}
+            given |= click.get_current_context().meta.get(GIVEN, {})
+            words += [word for option, text in given.items() for word in (option, text)]
+            words += [word for text in meta for word in ("--meta", text)]
             files = {"--record": record, "--histogram": histogram}
-            for path in (path_on(path, channel) for path in files.values() if path for channel in addresses):
+            wanted = [path for path in files.values() if path and not (rotation and path == record)]
+            for path in (path_on(path, channel) for path in wanted for channel in addresses):
                 check_output(path, force=overwrite)  # of all buses before the first one starts
             _run_buses(words, addresses, files, mode, as_json)
         (address,) = addresses.values()
@@ -119,14 +151,16 @@ def run_command(
             result = real_run(
                 rig,
                 mode,
-                total,
+                seconds,
                 bus=address,
                 record=record,
                 histogram=histogram,
                 signals=signals,
-                progress=lambda t: report(mode, t, total),
+                progress=lambda t: report(mode, t, seconds),
                 cpu=cpu,
                 force=overwrite,
+                rotation=rotation,
+                meta=said,
             )
         with verdict(result.exit_status):
             _say_what_to_do(result.trip, shared_machine)
@@ -134,6 +168,52 @@ def run_command(
                 print_json(result.as_dict())
             else:
                 print_runs({mode: result})
+
+
+def _checked(text: str, name: str) -> Any:
+    """Return what a word of --rotate or --keep says, and keep the word for the processes of several
+    buses.
+    """
+    from coulombus.recording import segments
+
+    try:
+        found = getattr(segments, name)(text)
+    except ValueError as error:
+        raise click.BadParameter(str(error)) from None
+    context = click.get_current_context()
+    context.meta.setdefault(GIVEN, {})["--rotate" if name == "parse_rotation" else "--keep"] = text
+    return found
+
+
+def _rotation(record: Path | None, rotate: Rotation | None, keep: int | None) -> Rotation | None:
+    """Return when a segment ends, None where the recording is one file or none."""
+    from dataclasses import replace
+
+    from coulombus.recording.segments import Rotation
+
+    folder = record is not None and record.is_dir()
+    if not folder and (rotate is not None or keep is not None):
+        raise click.UsageError(
+            "--rotate and --keep are of a folder: give one with --record, as in --record runs --rotate 1h"
+        )
+    if not folder:
+        return None
+    found = replace(rotate or Rotation(), keep_bytes=keep)
+    if keep is not None and keep < 2 * (found.most_bytes or 0):
+        raise click.UsageError(f"--keep {keep} bytes: expected at least two segments of {found.most_bytes} bytes")
+    return found
+
+
+def _said(meta: tuple[str, ...]) -> dict[str, str]:
+    """Return the pairs of --meta."""
+    found: dict[str, str] = {}
+    for text in meta:
+        key, equals, value = text.partition("=")
+        if not equals or not key.strip() or key in found:
+            reason = "twice" if key in found else "expected KEY=VALUE, as in subject=S01"
+            raise click.BadParameter(f"{text!r}: {reason}", param_hint="--meta")
+        found[key] = value
+    return found
 
 
 def _say_what_to_do(trip: str | None, shared_machine: bool) -> None:

@@ -24,6 +24,8 @@ from coulombus.recording.signals import blocks
 
 __all__ = ["SAFE_TIMEOUT_NS", "Course", "Figures"]
 
+FOREVER_NS = 1 << 62
+
 SAFE_TIMEOUT_NS = 10_000_000_000
 """How long the safe state is waited for, beside the brake's ramp."""
 
@@ -96,14 +98,16 @@ class Course(ABC):
         starts = self.starts_ns
         return None if None in starts else max(start for start in starts if start is not None)
 
-    def display(self, seconds: float) -> None:
-        """Wait until all axes are armed, and display for `seconds` from then on."""
+    def display(self, seconds: float | None) -> None:
+        """Wait until all axes are armed, and display for `seconds` from then on; None: until
+        something ends it.
+        """
         arming_ends = self.now_ns + round(2e9 * self.k.arming_s)
         while self.enabled_ns is None and self.now_ns < arming_ends and self.look(arming_ends, self._one_more):
             pass
         enabled = self.enabled_ns
         if enabled is not None:
-            display_ends = enabled + round(seconds * 1e9)
+            display_ends = FOREVER_NS if seconds is None else enabled + round(seconds * 1e9)
             while self.now_ns < display_ends and self.look(display_ends, lambda: self.k.ending):
                 pass
         for marker in self.marks.end(self._shown_ns()):

@@ -12,10 +12,10 @@ from __future__ import annotations
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from types import TracebackType
+from types import MappingProxyType, TracebackType
 from typing import Any
 
 import can
@@ -36,10 +36,12 @@ from coulombus.host.run.histogram import Counts
 from coulombus.host.run.result import RunResult
 from coulombus.host.setup.bringup import bring_up, check_plan, release, shut_down
 from coulombus.host.setup.control_plane import RealControlPlane
+from coulombus.recording.clock import meta_attachment, wall_clock
 from coulombus.recording.measures import Measures
 from coulombus.recording.output_file import new_file
 from coulombus.recording.pcapng_blocks import RecordingError
 from coulombus.recording.recorder import Recorder
+from coulombus.recording.segments import Rotation, SegmentedRecorder
 from coulombus.rigs.draft.text import REHEARSAL, rehearsal_marks
 from coulombus.rigs.rig import Rig, RigError
 from coulombus.wire.address import BusAddress, BusUnavailable, default_address
@@ -56,6 +58,7 @@ LISTEN_S = 1.0  # for another host
 LEAD_NS = 20_000_000
 FAILURES = 1000  # of this process while the rig is made safe: the data plane does that by itself meanwhile
 KEY_TIMEOUT_S = 30.0
+NO_META: Mapping[str, str] = MappingProxyType({})
 STUCK_S = 2.0  # a data plane that does not cycle for so long is dead
 
 
@@ -77,6 +80,8 @@ class _RealRun(Course):
         priority: int | None,
         cpu: int | None,
         force: bool,
+        rotation: Rotation | None,
+        meta: Mapping[str, str],
     ) -> None:
         self.rig, self.address = rig, address
         self.signals, self.say = signals, say
@@ -99,13 +104,28 @@ class _RealRun(Course):
             self.control = RealControlPlane(rig, address)
             self._stack.callback(self.control.close)
             if record is not None:
-                self.recorder = Recorder(record, rig, mode, law=law_attachments(rig), force=force)
+                self.recorder = self._recorder(record, mode, force, rotation, meta)
                 self._stack.callback(self._give_up_recording)
         except BaseException:
             self._stack.close()
             raise
 
     # recording
+
+    def _recorder(
+        self, record: Path, mode: str, force: bool, rotation: Rotation | None, meta: Mapping[str, str]
+    ) -> Recorder:
+        """Begin the recording, which says when it began by the clock of the wall."""
+        started_ns, more, comment = wall_clock(self.zero_ns)
+        more |= meta_attachment(meta)
+        law = law_attachments(self.rig)
+        if rotation is None:
+            return Recorder(record, self.rig, mode, law=law, more=more, comment=comment, force=force)
+        recorder = SegmentedRecorder(
+            record, self.rig, mode, rotation, started_ns=started_ns, law=law, more=more, comment=comment
+        )
+        self.path = recorder.run
+        return recorder
 
     def mark(self, t_ns: int, text: str) -> None:
         """Mark the recording, whose time begins with the run's."""
@@ -192,8 +212,8 @@ class _RealRun(Course):
                 raise SafetyTrip(f"arming refused: the space bar was not held within {KEY_TIMEOUT_S:g} s")
             time.sleep(POLL_S)
 
-    def course(self, seconds: float) -> None:
-        """Run from arming to the safe end."""
+    def course(self, seconds: float | None) -> None:
+        """Run from arming to the safe end; `seconds` as `display`."""
         if self.deadman == "key":
             self._hold_key()
         self.signals.defer()
@@ -457,7 +477,7 @@ def check_no_rehearsal(rig: Rig, address: BusAddress) -> None:
 def real_run(
     rig: Rig,
     mode: str,
-    seconds: float,
+    seconds: float | None,
     *,
     bus: BusAddress | None = None,
     record: Path | None = None,
@@ -468,13 +488,15 @@ def real_run(
     priority: int | None = PRIORITY,
     cpu: int | None = None,
     force: bool = False,
+    rotation: Rotation | None = None,
+    meta: Mapping[str, str] = NO_META,
 ) -> RunResult:
     """Run the host on a bus and return what came of it.
 
     Parameters
     ----------
     mode : ``active``, ``passive`` or ``hybrid``
-    seconds : length of the display, from Operation Enabled on
+    seconds : length of the display, from Operation Enabled on; None: until it is stopped
     bus : the bus; default is the virtual one of the rig's name
     record : write a pcapng recording there; the display's figures are computed from it
     histogram : write a picture of the wake-up and the SYNC-to-RPDO times there
@@ -484,6 +506,8 @@ def real_run(
     priority : of SCHED_FIFO for the data plane, None: ask for no real-time right
     cpu : for the data plane; default is the last one that this process may use
     force : replace `record` and `histogram` where they exist
+    rotation : `record` is a folder, in which the run has segments (`recording.segments`)
+    meta : what a person says of the recording; it is attached
 
     Raises
     ------
@@ -511,6 +535,8 @@ def real_run(
             priority=priority,
             cpu=default_cpu() if cpu is None else cpu,
             force=force,
+            rotation=rotation,
+            meta=meta,
         )
     try:
         try:

@@ -84,7 +84,7 @@ def load_tape(path: str | Path) -> Tape:
     coulombus.recording.log_files.LogError, coulombus.recording.pcapng_blocks.PcapngError
         The file is of another kind or damaged.
     """
-    if Path(path).suffix == ".pcapng" or is_pcapng(path):
+    if Path(path).suffix == ".pcapng" or Path(path).is_dir() or is_pcapng(path):
         from coulombus.recording.pcapng_reader import read_pcapng
 
         capture = read_pcapng(path)

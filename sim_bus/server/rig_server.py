@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from coulombus.eds.cia402 import PowerState
 from coulombus.host.cycle.step import SOURCE_HOST
+from coulombus.recording.clock import wall_clock
 from coulombus.recording.recorder import PACED, Recorder
 from coulombus.rigs.rig import Rig
 from coulombus.sim_bus.copper.stations import detach
@@ -123,6 +124,12 @@ class SimServer(BusServer):
                 self.close()
                 raise
             self.keep_frames()
+
+    def _began(self, begin_ns: int) -> None:
+        """Let the recording say when its time began by the clock of the wall."""
+        if self._recorder is not None:
+            for name, content in wall_clock(begin_ns)[1].items():
+                self._recorder.attach(name, content)
 
     def close(self) -> None:
         """Close the sockets, remove the socket's file, close the recording."""

@@ -202,6 +202,7 @@ class BusServer:
             ready()
         begin, cpu_begin = time.monotonic_ns(), time.thread_time_ns()
         pace["start_ns"], pace["planned_ns"] = begin, 0
+        self._began(begin)
         if seconds is not None:
             pace["end_ns"] = round(seconds * 1e9)
         world.power_on()
@@ -233,6 +234,9 @@ class BusServer:
         self.result.cpu_s = (time.thread_time_ns() - cpu_begin) * 1e-9
         self.result.seconds = (time.monotonic_ns() - begin) * 1e-9
         return self._finish()
+
+    def _began(self, begin_ns: int) -> None:
+        """Called once, when the world's time begins: CLOCK_MONOTONIC at 0."""
 
     def _finish(self) -> SimResult:
         result, pace, bus = self.result, self._pace[0], self.world.bus

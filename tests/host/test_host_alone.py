@@ -89,7 +89,7 @@ def test_the_rooms_are_really_gone(alone):
         ("--help", 0, "Friction you can feel"),
         ("stop --rig rig.toml --bus coulombus:nobody-there", 4, "no host"),
         ("run --rig rig.toml --seconds 1 --bus coulombus:nobody-there", 4, "nobody-there"),
-        ("run --rig rig.toml --bus coulombus:nobody-there", 2, "no schedule ([[phase]])"),
+        ("run --rig rig.toml --bus coulombus:nobody-there", 4, "nobody-there"),
     ],
 )
 def test_the_hosts_verbs_need_the_hosts_rooms_only(alone, words, status, text):

@@ -22,6 +22,7 @@ from coulombus.recording.trace import TRACE
 from coulombus.rigs.rig import load_rig
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
 from coulombus.wire.frame import FRAME
+from coulombus.wire.notify import Notifier
 from coulombus.wire.stopping import Signals
 
 MS, S = 1_000_000, 1_000_000_000
@@ -175,6 +176,7 @@ def marked(tmp_path, monkeypatch, *, slow_batch=1, trip=Trip.NONE, rig="bench", 
     monkeypatch.setattr(real_run, "time", plane.clock)
     Course.__init__(run, k, tmp_path / "r.pcapng", None)
     run.rig, run.plane, run.zero_ns = rig, plane, 0
+    run.notifier, run.address = Notifier({}), "coulombus:bench"
     run.recorder = Recorder(tmp_path / "r.pcapng", rig, "hybrid")
     run.error = run.stopped_by = run._waiting = None
     run.deadman, run._seen = "none", (0, 0.0)

@@ -1,0 +1,39 @@
+"""Where the segments of recordings are: ``DIR/000007-20261122T200412Z/000001.pcapng``."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+__all__ = ["RUN", "SEGMENT", "runs", "segments", "segments_of"]
+
+RUN = re.compile(r"\d{6}-\d{8}T\d{6}Z")
+"""The name of a run's folder: its number, and when it began."""
+SEGMENT = re.compile(r"\d{6}\.pcapng")
+
+
+def runs(folder: Path) -> list[Path]:
+    """Return the folders of the runs in a folder, the oldest first."""
+    try:
+        return sorted(one for one in folder.iterdir() if RUN.fullmatch(one.name) and one.is_dir())
+    except OSError:
+        return []
+
+
+def segments(folder: Path) -> list[Path]:
+    """Return the segments of a run, or of the newest run in a folder that has any, in their order;
+    none where there are none.
+    """
+    for run in (folder, *reversed(runs(folder))):
+        found = segments_of(run)
+        if found:
+            return found
+    return []
+
+
+def segments_of(run: Path) -> list[Path]:
+    """Return the segments of a run in their order."""
+    try:
+        return sorted(one for one in run.iterdir() if SEGMENT.fullmatch(one.name))
+    except OSError:
+        return []

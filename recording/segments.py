@@ -1,0 +1,300 @@
+"""A recording that goes on for months: a folder for each run, segments that each open alone, an
+index, and an end to what is kept.
+
+::
+
+    DIR/000007-20261122T200412Z/          the seventh run here; began then, as the clock said
+        000001.pcapng                     a whole recording: Wireshark and `read` open it alone
+        000002.pcapng
+        index.jsonl                       a line for each segment that begins, ends, or is removed
+
+The order is that of the numbers, whatever a clock that is set back says. A process that is killed
+leaves what it has written: each write hands over whole blocks. Room is reserved ahead, without a
+change of the file's length, so that a disk that is filling up is seen early; what was reserved is
+given back at the segment's end. A thread brings what is written to the disk every few seconds, as
+that may take longer than the host can wait.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import json
+import os
+import queue
+import re
+import threading
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from coulombus.recording.clock import utc
+from coulombus.recording.folders import runs, segments_of
+from coulombus.recording.pcapng_blocks import RecordingError
+from coulombus.recording.recorder import Recorder
+from coulombus.rigs.rig import Rig
+from coulombus.wire.frame import Records
+
+__all__ = ["INDEX", "Rotation", "SegmentedRecorder", "parse_rotation", "parse_size", "reserve"]
+
+INDEX = "index.jsonl"
+ATTEMPTS = 100
+RESERVED = 16 << 20
+FLUSH_S = 5.0
+END_S = 10.0
+FALLOC_FL_KEEP_SIZE = 1
+UNITS = {"kB": 10**3, "MB": 10**6, "GB": 10**9, "TB": 10**12}
+TIMES = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86_400.0}
+SMALLEST = 100_000
+_SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*(kB|MB|GB|TB)")
+_TIME = re.compile(r"(\d+(?:\.\d+)?)\s*(s|min|h|d)")
+_library = ctypes.CDLL(None, use_errno=True)
+
+
+@dataclass(frozen=True)
+class Rotation:
+    """When a segment ends, and how much is kept.
+
+    Attributes
+    ----------
+    most_bytes, most_s : a segment has so many bytes, or is so long, and then ends; None: no matter
+    keep_bytes : of all segments in the folder, the oldest are removed; None: all are kept
+    """
+
+    most_bytes: int | None = 100 * 10**6
+    most_s: float | None = None
+    keep_bytes: int | None = None
+
+
+def parse_size(text: str) -> int:
+    """Return the bytes of ``20GB``; ValueError for anything else."""
+    found = _SIZE.fullmatch(text.strip())
+    size = round(float(found[1]) * UNITS[found[2]]) if found else 0
+    if size < SMALLEST:
+        raise ValueError(f"got {text!r}, expected a size of at least 100kB, as in 100MB or 20GB")
+    return size
+
+
+def parse_rotation(text: str) -> Rotation:
+    """Return the rotation of ``100MB`` or ``1h``; ValueError for anything else."""
+    found = _TIME.fullmatch(text.strip())
+    if found is None:
+        with suppress(ValueError):
+            return Rotation(most_bytes=parse_size(text))
+    elif float(found[1]) * TIMES[found[2]] >= 1.0:
+        return Rotation(most_bytes=None, most_s=float(found[1]) * TIMES[found[2]])
+    raise ValueError(f"got {text!r}, expected a size of at least 100kB or a time of at least 1s, as in 100MB or 1h")
+
+
+def reserve(fd: int, offset: int, length: int) -> None:
+    """Let the file system keep so much room for a file, whose length stays as it is.
+
+    Raises
+    ------
+    OSError
+        there is no room; a file system that reserves nothing is no error
+    """
+    call = _library.fallocate64 if hasattr(_library, "fallocate64") else _library.fallocate
+    if call(fd, FALLOC_FL_KEEP_SIZE, ctypes.c_int64(offset), ctypes.c_int64(length)) != 0:
+        number = ctypes.get_errno()
+        if number in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+            raise OSError(number, os.strerror(number))
+
+
+class _Flusher:
+    """Brings files to the disk in a thread of its own."""
+
+    def __init__(self) -> None:
+        self._orders: queue.Queue[int | None] = queue.Queue(2)
+        self._thread = threading.Thread(target=self._work, name="recording to disk", daemon=True)
+        self._thread.start()
+
+    def flush(self, fd: int) -> None:
+        """Bring a file to the disk soon; where the last ones are not there yet, not at all."""
+        own = -1
+        try:
+            own = os.dup(fd)
+            self._orders.put_nowait(own)
+        except (OSError, queue.Full):
+            if own >= 0:
+                os.close(own)
+
+    def close(self) -> None:
+        """Wait for what was ordered, a while."""
+        with suppress(queue.Full):
+            self._orders.put(None, timeout=END_S)
+            self._thread.join(END_S)
+
+    def _work(self) -> None:
+        while (fd := self._orders.get()) is not None:
+            with suppress(OSError):
+                os.fsync(fd)
+            os.close(fd)
+
+
+class SegmentedRecorder(Recorder):
+    """A `Recorder` that begins a new file when the present one is large or long enough.
+
+    Parameters
+    ----------
+    folder : where the run's own folder is made
+    started_ns : CLOCK_REALTIME at the frames' time 0
+
+    Raises
+    ------
+    coulombus.recording.pcapng_blocks.RecordingError
+        the folder or a segment cannot be written
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        rig: Rig,
+        mode: str,
+        rotation: Rotation,
+        *,
+        started_ns: int,
+        law: Mapping[str, bytes],
+        more: Mapping[str, bytes],
+        comment: str = "",
+    ) -> None:
+        self.folder, self.rotation, self._started_ns = folder, rotation, started_ns
+        self.run = _new_run(folder, started_ns)
+        self._number, self._begun_ns, self._last_ns, self._frames = 1, -1, 0, 0
+        self._reserved, self._told_s = 0, time.monotonic()
+        try:
+            self._index = os.open(self.run / INDEX, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o666)
+            super().__init__(self.run / "000001.pcapng", rig, mode, law=law, more=more, comment=comment)
+        except OSError as error:
+            if isinstance(error, RecordingError):
+                raise
+            raise RecordingError(f"{self.run}: the recording cannot be created ({error.strerror})") from error
+        self._flusher = _Flusher()
+        self._note("begun", segment=self._segment.name)
+        self._make_room()
+
+    @property
+    def _segment(self) -> Path:
+        return Path(self._writer.path)
+
+    def write(self, frames: Records) -> None:
+        """Append a batch of frames with rising stamps, in a new segment where it is time for one."""
+        if len(frames):
+            if self._begun_ns >= 0 and self._over(int(frames["t_ns"][0])):
+                self._rotate()
+            if self._begun_ns < 0:
+                self._begun_ns = int(frames["t_ns"][0])
+            self._last_ns = int(frames["t_ns"][-1])
+        super().write(frames)
+        self._make_room()
+        if time.monotonic() - self._told_s >= FLUSH_S:
+            self._told_s = time.monotonic()
+            self._flusher.flush(self._writer.fileno())
+
+    def _over(self, t_ns: int) -> bool:
+        most = self.rotation
+        large = most.most_bytes is not None and self._writer.bytes >= most.most_bytes
+        return large or (most.most_s is not None and t_ns - self._begun_ns >= most.most_s * 1e9)
+
+    def _rotate(self) -> None:
+        self._flush_trace()
+        self._end_segment()
+        self._prune(0)
+        self._number += 1
+        self._begun_ns, self._reserved = -1, 0
+        self._open(self.run / f"{self._number:06d}.pcapng")
+        self._note("begun", segment=self._segment.name)
+
+    def _end_segment(self) -> None:
+        """Give back what was reserved, and tell the index."""
+        writer, size = self._writer, self._writer.bytes
+        with suppress(OSError):
+            os.ftruncate(writer.fileno(), size)
+        self._flusher.flush(writer.fileno())
+        times = {} if self._begun_ns < 0 else {"first_ns": self._begun_ns, "last_ns": self._last_ns}
+        name, frames = self._segment.name, writer.frames
+        writer.close()
+        self._note("ended", segment=name, frames=frames, bytes=size, **times)
+
+    def _note(self, event: str, **values: Any) -> None:
+        """Append a line to the index; a disk that takes none loses nothing of the recording."""
+        begun = {"utc": utc(self._started_ns + max(0, self._last_ns))}
+        line = json.dumps({"event": event, **values, **begun}) + "\n"
+        with suppress(OSError):
+            os.write(self._index, line.encode())
+
+    def _make_room(self) -> None:
+        """Reserve the next room where the present one is nearly used; without any, remove old
+        segments first.
+        """
+        while self._writer.bytes + RESERVED // 2 > self._reserved:
+            try:
+                reserve(self._writer.fileno(), self._reserved, RESERVED)
+                self._reserved += RESERVED
+            except OSError:
+                if self.rotation.keep_bytes is None or not self._prune(RESERVED):
+                    return  # what is left is still written; then the run ends as on any full disk
+
+    def _prune(self, more: int) -> bool:
+        """Remove the oldest segments until what is kept is small enough, at least `more` bytes of
+        them; return whether one was removed.
+        """
+        keep = self.rotation.keep_bytes
+        if keep is None:
+            return False
+        present = self._segment if self._writer.fileno() >= 0 else None
+        old = [one for run in runs(self.folder) for one in segments_of(run) if one != present]
+        sizes = [_size(one) for one in old]
+        wanted = max(sum(sizes) + (self.rotation.most_bytes or max(sizes, default=0)) - keep, more)
+        freed = 0
+        for one, size in zip(old, sizes, strict=True):
+            if freed >= wanted:
+                break
+            with suppress(OSError):
+                one.unlink()
+                freed += size
+                self._note("removed", segment=str(one.relative_to(self.folder)), bytes=size)
+                if one.parent != self.run and not segments_of(one.parent):
+                    (one.parent / INDEX).unlink(missing_ok=True)
+                    one.parent.rmdir()
+        return freed > 0
+
+    def close(self) -> None:
+        """Write what is left, end the segment, bring it to the disk; may be called again."""
+        if self._index < 0:
+            return
+        try:
+            self._flush_trace()
+        finally:
+            self._end_segment()
+            os.close(self._index)
+            self._index = -1
+            self._flusher.close()
+
+
+def _size(path: Path) -> int:
+    try:
+        return path.stat().st_size
+    except OSError:
+        return 0
+
+
+def _new_run(folder: Path, started_ns: int) -> Path:
+    """Make the folder of a new run, numbered behind those that are there."""
+    stamp = utc(started_ns)[:19].replace("-", "").replace(":", "") + "Z"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for _ in range(ATTEMPTS):
+            last = runs(folder)
+            number = int(last[-1].name[:6]) + 1 if last else 1
+            run = folder / f"{number:06d}-{stamp}"
+            with suppress(FileExistsError):  # another host records here, too
+                run.mkdir()
+                return run
+    except OSError as error:
+        text = f"{folder}: the recording cannot be created ({error.strerror}); choose a folder that can be written"
+        raise RecordingError(text) from error
+    raise RecordingError(f"{folder}: no folder for a new run can be made there; choose another one")
