@@ -25,13 +25,14 @@ from coulombus.verbs.scan import scan
 from coulombus.verbs.sdo import sdo
 from coulombus.verbs.sim import node_command, sim
 from coulombus.verbs.simulate import demo, simulate_command
+from coulombus.verbs.status import status
 from coulombus.verbs.systemd import systemd
 
 __all__ = ["main"]
 
 VERBS = (
     *(demo, simulate_command, sim, node_command),
-    *(run_command, stop, watch, decode, dbc, replay, bridge),
+    *(run_command, status, stop, watch, decode, dbc, replay, bridge),
     *(scan, lss, sdo, nmt),
     *(init, doctor, systemd, check, measure, plan_command, commission),
     *(eds, conformance, analyse, identify_command),

@@ -66,6 +66,13 @@ GIVEN = f"{__name__}.given"
     metavar="SIZE",
     help="Keep so much in that folder, and remove the oldest segments: 20GB.  [default: all]",
 )
+@click.option(
+    "--status",
+    "status",
+    type=click.Path(path_type=Path),
+    metavar="SOCKET",
+    help="Make a socket there that tells the state, a JSON line each 100 ms, to all who read it.",
+)
 @click.option("--meta", "meta", multiple=True, metavar="KEY=VALUE", help="Say something of the recording: subject=S01.")
 @force_option
 @click.option(
@@ -89,6 +96,7 @@ def run_command(
     record: Path | None,
     rotate: Rotation | None,
     keep: int | None,
+    status: Path | None,
     meta: tuple[str, ...],
     overwrite: bool,
     histogram: Path | None,
@@ -141,8 +149,8 @@ def run_command(
             given |= click.get_current_context().meta.get(GIVEN, {})
             words += [word for option, text in given.items() for word in (option, text)]
             words += [word for text in meta for word in ("--meta", text)]
-            files = {"--record": record, "--histogram": histogram}
-            wanted = [path for path in files.values() if path and not (rotation and path == record)]
+            files = {"--record": record, "--histogram": histogram, "--status": status}
+            wanted = [path for path in files.values() if path and path != status and not (rotation and path == record)]
             for path in (path_on(path, channel) for path in wanted for channel in addresses):
                 check_output(path, force=overwrite)  # of all buses before the first one starts
             _run_buses(words, addresses, files, mode, as_json)
@@ -161,6 +169,7 @@ def run_command(
                 force=overwrite,
                 rotation=rotation,
                 meta=said,
+                status=status,
             )
         with verdict(result.exit_status):
             _say_what_to_do(result.trip, shared_machine)

@@ -1,9 +1,10 @@
 """The running host's door: a socket beside the bus', by which ``coulombus stop`` asks for a safe
-stop, and by which a second host knows of it.
+stop, ``coulombus status`` for its state, and by which a second host knows of it.
 
 The asker sends ``stop``. The host answers ``accepted`` as soon as it has read it, and at its end
 what came of it, as JSON. Only after ``accepted`` is the end of the connection the end of the host;
-before, it may be anything, and the rig may be armed still.
+before, it may be anything, and the rig may be armed still. Who sends ``status`` gets one JSON object
+at once.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import json
 import re
 import socket
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -19,11 +21,12 @@ from typing import Any
 from coulombus.host.errors import HostError, SafetyTrip
 from coulombus.wire.address import BusAddress, socket_path
 
-__all__ = ["HostSocket", "NoHost", "StopRequest", "control_path", "host_runs", "stop_host"]
+__all__ = ["HostSocket", "NoHost", "StopRequest", "ask_status", "control_path", "host_runs", "stop_host"]
 
 STOP_TIMEOUT_S = 30.0
 MESSAGE_BYTES = 1 << 16
-STOP, ACCEPTED = b"stop", b"accepted"
+STOP, ACCEPTED, STATUS = b"stop", b"accepted", b"status"
+STATUS_TIMEOUT_S = 3.0
 ASKERS = 16
 """Who may be connected at a time.
 
@@ -72,9 +75,9 @@ class _Asker:
         connection.setblocking(False)
         self.connection, self.since, self.accepted = connection, time.monotonic(), False
 
-    def asks(self) -> bool | None:
-        """Tell whether a stop is asked for now; None: it has gone, talks nonsense, or has said
-        nothing for too long.
+    def asks(self, status: Callable[[], bytes]) -> bool | None:
+        """Tell whether a stop is asked for now; None: it has gone, has its answer, talks nonsense,
+        or has said nothing for too long.
         """
         try:
             message = self.connection.recv(MESSAGE_BYTES)
@@ -82,6 +85,8 @@ class _Asker:
             return False if self.accepted or time.monotonic() - self.since < SILENT_S else None
         except OSError:
             return None
+        if message == STATUS:
+            self.tell(status())
         if message != STOP:
             return None
         self.accepted = True
@@ -96,6 +101,8 @@ class _Asker:
 class HostSocket:
     """Claims the bus at `address` for this process.
 
+    `status` makes the answer to who asks for the state; it may be set later.
+
     Raises
     ------
     SafetyTrip
@@ -105,6 +112,7 @@ class HostSocket:
     def __init__(self, address: BusAddress) -> None:
         self._path = control_path(address)
         self._askers: list[_Asker] = []
+        self.status: Callable[[], bytes] = lambda: b"{}"
         if host_runs(address):
             raise SafetyTrip(_occupied(address))
         self._path.unlink(missing_ok=True)  # left behind by a host that was killed
@@ -128,7 +136,7 @@ class HostSocket:
         self._let_in()
         wanted = False
         for asker in list(self._askers):
-            asks = asker.asks()
+            asks = asker.asks(self.status)
             wanted = wanted or bool(asks)
             if asks is None:
                 self._let_go(asker)
@@ -271,3 +279,31 @@ def stop_host(address: BusAddress, timeout_s: float = STOP_TIMEOUT_S) -> dict[st
         none runs there, it did not take the request, or it does not come to an end
     """
     return StopRequest(address, timeout_s).result()
+
+
+def ask_status(address: BusAddress, timeout_s: float = STATUS_TIMEOUT_S) -> dict[str, Any]:
+    """Ask the host on a bus for its state.
+
+    Raises
+    ------
+    NoHost
+        none runs there, or it gives no answer that is one
+    """
+    with _new() as asker:
+        try:
+            asker.connect(str(control_path(address)))
+            asker.send(STATUS)
+            asker.settimeout(timeout_s)
+            found = json.loads(asker.recv(MESSAGE_BYTES))
+        except (FileNotFoundError, ConnectionRefusedError):
+            raise NoHost(f"no host runs on bus {address}") from None
+        except (BlockingIOError, TimeoutError):
+            text = f"the host on bus {address} gives no answer: it starts, or it ends"
+            raise NoHost(text) from None
+        except OSError as error:
+            raise NoHost(f"the host on bus {address} broke off: {error.strerror or error}") from None
+        except (ValueError, RecursionError):
+            raise NoHost(f"the host on bus {address} gave no answer that is one") from None
+    if not isinstance(found, dict) or not found:
+        raise NoHost(f"the host on bus {address} gave no answer that is one")
+    return found

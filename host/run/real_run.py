@@ -29,14 +29,16 @@ from coulombus.host.errors import SafetyTrip
 from coulombus.host.laws.law_source import law_attachments
 from coulombus.host.realtime.data_plane import PRIORITY, DataPlane
 from coulombus.host.realtime.shared_memory import Status
+from coulombus.host.run.axis_state import axis_state
 from coulombus.host.run.control_socket import HostSocket
 from coulombus.host.run.course import SAFE_TIMEOUT_NS, Course, Figures
 from coulombus.host.run.deadman import HeldKey, deadman_of
 from coulombus.host.run.histogram import Counts
 from coulombus.host.run.result import RunResult
+from coulombus.host.run.status_socket import StatusSocket, encoded
 from coulombus.host.setup.bringup import bring_up, check_plan, release, shut_down
 from coulombus.host.setup.control_plane import RealControlPlane
-from coulombus.recording.clock import meta_attachment, wall_clock
+from coulombus.recording.clock import meta_attachment, utc, wall_clock
 from coulombus.recording.measures import Measures
 from coulombus.recording.output_file import new_file
 from coulombus.recording.pcapng_blocks import RecordingError
@@ -82,6 +84,7 @@ class _RealRun(Course):
         force: bool,
         rotation: Rotation | None,
         meta: Mapping[str, str],
+        status: Path | None,
     ) -> None:
         self.rig, self.address = rig, address
         self.signals, self.say = signals, say
@@ -94,11 +97,16 @@ class _RealRun(Course):
         self._touched = False  # whether this host has sent anything
         self._seen = (0, time.monotonic())
         self._outcome: dict[str, Any] | None = None  # what is told to those who asked for a stop
+        self.teller: StatusSocket | None = None
         self._stack = ExitStack()
         self.notifier = Notifier()  # before anything is started that would inherit its variables
         try:
             self.door = HostSocket(address)
             self._stack.callback(lambda: self.door.close(self._outcome))
+            self.door.status = self._answer
+            if status is not None:
+                self.teller = StatusSocket(status, self.status)
+                self._stack.callback(self.teller.close)
             self.plane = DataPlane(self.k, address, priority=priority, cpu=cpu)
             self._stack.callback(self.plane.close)
             self.control = RealControlPlane(rig, address)
@@ -109,6 +117,49 @@ class _RealRun(Course):
         except BaseException:
             self._stack.close()
             raise
+
+    # what others see
+
+    def status(self) -> dict[str, Any]:
+        """Return the run's state for other programs, as plain values; SI at the handle.
+
+        It is read while the data plane writes: values of one line may be of two cycles.
+        """
+        plane, enabled = self.plane, self.enabled_ns
+        wakeup, latency = plane.wakeup(), plane.latency()
+        return {
+            "rig": self.rig.name,
+            "bus": str(self.address),
+            "mode": self.k.mode,
+            "utc": utc(time.time_ns()),
+            "display_s": None if enabled is None else (self.now_ns - enabled) * 1e-9,
+            "data_plane": plane.status.name.lower(),
+            "cycles": plane.cycles,
+            "trip": self.trip,
+            "wakeup_us": wakeup and wakeup.as_dict(),
+            "sync_to_rpdo_us": latency and latency.as_dict(),
+            "counters": plane.counters(),
+            "recording": None if self.path is None else str(self.path),
+            "axes": [axis_state(controller) for controller in self.k],
+        }
+
+    def _answer(self) -> bytes:
+        """Return the state for who asks at the door; what goes wrong there concerns nobody else."""
+        try:
+            return encoded(self.status())
+        except Exception as error:
+            return encoded({"error": f"{type(error).__name__}: {error}"})
+
+    def _tell_status(self) -> None:
+        """Tell the readers of the status socket; what goes wrong there ends the telling alone."""
+        if self.teller is None:
+            return
+        try:
+            self.teller.serve(time.monotonic_ns())
+        except Exception as error:
+            self.teller.close()
+            self.teller = None
+            self.say(f"the status socket is closed: {type(error).__name__}: {error}")
 
     # recording
 
@@ -306,6 +357,7 @@ class _RealRun(Course):
             with suppress(OSError):  # of a terminal that was closed
                 self.progress((time.monotonic_ns() - enabled) * 1e-9)
         self.drain(seen_ns)
+        self._tell_status()
         stuck = now - self._seen[1] > STUCK_S and self.plane.status is not Status.LOST
         if (stuck or not self.plane.alive) and self.plane.status not in (Status.LOST, Status.ENDED):
             self._plane_died()
@@ -490,6 +542,7 @@ def real_run(
     force: bool = False,
     rotation: Rotation | None = None,
     meta: Mapping[str, str] = NO_META,
+    status: Path | None = None,
 ) -> RunResult:
     """Run the host on a bus and return what came of it.
 
@@ -508,6 +561,7 @@ def real_run(
     force : replace `record` and `histogram` where they exist
     rotation : `record` is a folder, in which the run has segments (`recording.segments`)
     meta : what a person says of the recording; it is attached
+    status : a socket is made there, which tells the run's state (`host.run.status_socket`)
 
     Raises
     ------
@@ -537,6 +591,7 @@ def real_run(
             force=force,
             rotation=rotation,
             meta=meta,
+            status=status,
         )
     try:
         try:

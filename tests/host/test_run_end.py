@@ -176,7 +176,7 @@ def marked(tmp_path, monkeypatch, *, slow_batch=1, trip=Trip.NONE, rig="bench", 
     monkeypatch.setattr(real_run, "time", plane.clock)
     Course.__init__(run, k, tmp_path / "r.pcapng", None)
     run.rig, run.plane, run.zero_ns = rig, plane, 0
-    run.notifier, run.address = Notifier({}), "coulombus:bench"
+    run.notifier, run.address, run.teller = Notifier({}), "coulombus:bench", None
     run.recorder = Recorder(tmp_path / "r.pcapng", rig, "hybrid")
     run.error = run.stopped_by = run._waiting = None
     run.deadman, run._seen = "none", (0, 0.0)

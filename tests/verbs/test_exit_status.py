@@ -33,6 +33,7 @@ BASE = {
     "sim": "sim --bus coulombus:none --seconds 0.01",
     "run": "run --bus coulombus:none",
     "stop": "stop --bus coulombus:none",
+    "status": "status --bus coulombus:none",
     "watch": "watch --bus coulombus:none",
     "decode": "decode RECORDING",
     "replay --host": "replay RECORDING --host",
@@ -71,6 +72,7 @@ WITH_RIG = (
     "sim",
     "run",
     "stop",
+    "status",
     "watch",
     "decode",
     "replay --host",
@@ -100,7 +102,7 @@ WITH_SET = (
 )
 WITH_RECORDING = ("decode", "replay --host", "replay --virtual", "replay --bus", "identify")
 WITH_EDS = ("eds check", "init", "node", "conformance", "sdo restore")
-WITH_BUS = ("run", "stop", "measure", "watch", "replay --bus", "bridge", "conformance", "scan", "lss", "nmt")
+WITH_BUS = ("run", "stop", "status", "measure", "watch", "replay --bus", "bridge", "conformance", "scan", "lss", "nmt")
 WITH_BUS += ("sdo get", "sdo set", "sdo dump", "sdo restore", "sdo store", "sdo restore-defaults", "sdo shell")
 OUTPUTS = (
     ("simulate", "--record", ".pcapng"),
@@ -289,7 +291,7 @@ def test_a_bus_that_is_not_there_is_told_as_such(call, verb):
 
 
 @pytest.mark.parametrize(
-    "verb", ["run", "stop", "measure", "watch", "sim", "node", "conformance", "replay --bus", "bridge"]
+    "verb", ["run", "stop", "status", "measure", "watch", "sim", "node", "conformance", "replay --bus", "bridge"]
 )
 def test_a_name_that_is_no_bus_is_a_usage_error(call, verb):
     base = BASE[verb].replace("coulombus:none", "canbus0")

@@ -26,6 +26,7 @@ ENDS = {
     "node": ("node NONE.eds --node-id 1 --bus coulombus:none", 3),
     "run": ("run --bus coulombus:none", 4),
     "stop": ("stop --bus coulombus:none", 4),
+    "status": ("status --bus coulombus:none", 4),
     "watch": ("watch --bus coulombus:none", 4),
     "replay": ("replay RECORDING --bus coulombus:none", 4),
     "bridge": ("bridge coulombus:none coulombus:other", 4),
