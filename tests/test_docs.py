@@ -14,10 +14,12 @@ from coulombus.eds.cia402 import diagram as power_states
 from coulombus.host.cycle.records import Phase, Trip
 from coulombus.host.cycle.transitions import TRANSITIONS as TABLE_OF_PHASES
 from coulombus.host.cycle.transitions import diagram as phases
+from coulombus.host.run.runbook import anchor
 from coulombus.node.emcy import CAUSES
 from coulombus.rigs.overrides import SHARED_MACHINE
 from coulombus.rigs.rig import load_rig
 from coulombus.sim_bus.rig.plant import TRUTH_COLUMNS
+from coulombus.verbs.exit_status import STATUSES
 from coulombus.verbs.main import main
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -115,6 +117,26 @@ def test_every_trip_is_explained():
     text = text_of("docs/safety.md")
     missing = [trip.name for trip in Trip if trip is not Trip.NONE and f"`{trip.name}`" not in text]
     assert not missing
+
+
+def test_the_runbook_has_each_trip_each_emcy_and_each_exit_status():
+    text = text_of("docs/runbook.md")
+    trips = [trip.name for trip in Trip if trip is not Trip.NONE]
+    assert sorted(re.findall(r"^### (\w+)$", text, re.M)) == sorted(trips)
+    assert not [name for name in trips if anchor(f"{name}: why") != f"docs/runbook.md#{name.lower()}"]
+    assert {name.lower() for name in trips} <= anchors(text)
+    assert not [f"{cause.code:04X}h" for cause in CAUSES if cause.name and f"| {cause.code:04X}h |" not in text]
+    assert not [status for status in STATUSES if f"| {status} | " not in text]
+    for name in trips:  # a heading alone helps nobody
+        section = text.partition(f"### {name}\n")[2].partition("\n#")[0]
+        assert len(section.split()) >= 8, name
+
+
+def test_the_cause_is_looked_up_before_what_it_led_to():
+    assert anchor("axis left: OTHER_AXIS (TPDO_LOST on axis right)") == "docs/runbook.md#tpdo_lost"
+    assert anchor("axis left: OTHER_AXIS") == "docs/runbook.md#other_axis"
+    assert anchor("HOST: OSError: x") == "docs/runbook.md#host"
+    assert anchor("arming refused: the space bar was not held") is None
 
 
 def test_every_limit_is_in_the_safety_document():

@@ -226,10 +226,18 @@ def _said(meta: tuple[str, ...]) -> dict[str, str]:
 
 
 def _say_what_to_do(trip: str | None, shared_machine: bool) -> None:
-    """After a trip for want of TPDOs on a machine of one's own: what else it may be."""
-    if trip is not None and "TPDO_LOST" in trip and not shared_machine:
+    """After a trip: where its causes stand; for want of TPDOs on a machine of one's own, what else it
+    may be.
+    """
+    from coulombus.host.run.runbook import anchor
+
+    if trip is None:
+        return
+    if "TPDO_LOST" in trip and not shared_machine:
         text = "if this machine does other work, too, it may have stood still for so long: --shared-machine widens the limits"
         say(f"coulombus: {text} (docs/realtime.md)")
+    if place := anchor(trip):
+        say(f"coulombus: likely causes, and what to do: {place}")
 
 
 def _run_buses(
@@ -247,6 +255,7 @@ def _run_buses(
     buses = supervise(list(addresses), arguments)
     whole = merged({b.channel: b.result for b in buses}, {b.channel: b.status for b in buses})
     with verdict(whole["exit_status"]):
+        _say_what_to_do(whole.get("trip"), "--shared-machine" in words)
         if as_json:
             print_json(whole)
         elif "mode" in whole:
