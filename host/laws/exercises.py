@@ -26,9 +26,13 @@ def sweep(motion: Any, law: Any, state: Any) -> float:
     .. math:: \tau = K e + I, \quad \dot I = K_i e, \quad e = v_r - v, \quad |\tau|, |I| \le \tau_{max}
 
     with ``user[0]`` the largest torque [Nm], ``user[2]`` K [Nm s/rad], ``user[3]`` K_i [Nm/rad].
-    Where the handle does not come on for 0.5 s - a hand holds it, or a stop - it turns back.
+    Where the handle does not come on for 0.5 s - a hand holds it, or a stop - it turns back. The
+    first 0.2 s are without torque: so a recording shows where the sign check has ended.
     """
-    own = state.user  # 0: sense, 1: integral, 2: turns, 3: where it began, 4: time without progress
+    own = state.user  # 0: sense, 1: integral, 2: turns, 3: where it began, 4: time without progress, 5: time
+    own[5] += motion.dt_s
+    if own[5] < 0.2:
+        return 0.0
     if own[0] == 0.0:
         own[0] = 1.0
         own[3] = motion.x_rad

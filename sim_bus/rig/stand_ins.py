@@ -116,7 +116,7 @@ def _shown(axis: Axis, kinds: Mapping[Node, Profile]) -> Iterator[Binding]:
         if kind is None or name not in _QUANTITIES:
             continue
         by_itself = kind is BRAKE404 and one.node == "brake" and _OWN_INPUTS.get(name) == _key(one)
-        if by_itself and not one.decided.startswith(_BY_ROLE):
+        if by_itself and not one.decided.startswith(_BY_ROLE) and one.offset == 0.0:
             continue
         if kind is DRIVE402 and one.node == "motor":
             if name == "position" and _key(one) == _POSITION and one.decided.startswith(_BY_ENCODER):

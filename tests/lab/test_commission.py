@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from coulombus.host.commission.session import Ended, Session
@@ -124,3 +126,82 @@ def test_each_step_says_what_moves_and_keeps_below_the_limits(step):
     assert risk.brake_Nm <= axis.limits.brake_torque_Nm
     assert risk.travel_rad <= axis.limits.travel_limit_rad
     assert risk.speed_rad_s <= 0.5 * axis.limits.speed_rad_s
+
+
+# transducer
+
+
+@pytest.mark.parametrize("zero_Nm", [0.12, -0.4])
+def test_the_zero_is_found_even_where_it_refuses_the_arming(afternoon, zero_Nm):
+    truth = ("role.handle_torque.scale_Nm=0.001", f"role.handle_torque.offset_Nm={zero_Nm}")
+    session, (done,) = afternoon("zero", truth=truth)
+    assert found(done, "role.handle_torque.offset_Nm").new == pytest.approx(zero_Nm, abs=0.002)
+    assert found(done, "transducer's noise, RMS").new == pytest.approx(0.001, rel=0.2)
+    _, (again,) = afternoon("zero", truth=truth)
+    assert again.written == ()
+    assert session.rig().one_axis().role.handle_torque.offset_Nm == pytest.approx(zero_Nm, abs=0.002)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_weight_tells_sign_and_scale_and_the_zero_stays(afternoon, sign):
+    truth = (
+        "role.handle_torque.scale_Nm=0.0012",
+        "role.handle_torque.offset_Nm=0.06",
+        f"plant.transducer_polarity={sign}",
+    )
+    session, _ = afternoon("zero", "weight", truth=truth, given=Given(weight_Nm=1.7))
+    axis = session.rig().one_axis()
+    assert axis.mechanics.transducer_polarity == sign
+    assert axis.role.handle_torque.scale_Nm == pytest.approx(0.0012, rel=0.005)
+    assert axis.role.handle_torque.offset_Nm == pytest.approx(0.06, abs=0.005)
+
+
+def test_a_weight_that_did_not_hang_changes_nothing(afternoon, tmp_path):
+    virtual = rehearsed(load_rig("bench"))
+
+    def forgetful(one, path):
+        return virtual(replace(one, hand=(*one.hand, "phase.1.torque_Nm=[0.0, 0.0, 0.0, 0.0]")), path)
+
+    with pytest.raises(CommissionError, match="did the weight hang"):
+        afternoon("weight", given=Given(weight_Nm=1.0), run=forgetful)
+    assert (tmp_path / "my.toml").read_text() == packaged_rig("bench").read_text()
+
+
+# encoder and motor
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_turning_by_hand_between_marks_tells_sign_and_ratio(afternoon, sign):
+    truth = ("plant.ratio=9.2", "mechanics.ratio=9.2", f"plant.encoder_polarity={sign}")
+    session, _ = afternoon("encoder", truth=truth, given=Given(marks_rad=1.5))
+    mechanics = session.rig().one_axis().mechanics
+    assert mechanics.encoder_polarity == sign
+    assert mechanics.ratio == pytest.approx(9.2, rel=0.002)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_motor_step_finds_a_motor_that_turns_the_wrong_way_and_its_torque(afternoon, sign):
+    truth = (f"plant.motor_polarity={sign}", "plant.motor_rated_torque_Nm=0.150")
+    session, (done,) = afternoon("motor", truth=truth)
+    axis = session.rig().one_axis()
+    assert axis.mechanics.motor_polarity == sign
+    assert axis.motor.rated_torque_Nm == pytest.approx(0.150, rel=0.03)
+    assert done.what == "done"
+
+
+# brake
+
+TABLE = ((0, 0.0), (1000, 0.8), (2000, 1.9), (3000, 3.0), (5000, 5.2))
+
+
+def test_the_brakes_table_is_found_within_3_percent(afternoon):
+    truth = (f"role.brake_setpoint.table={[list(point) for point in TABLE]}",)
+    session, (done,) = afternoon("brake", truth=truth)
+    table = session.rig().one_axis().role.brake_setpoint.table
+    assert table[0] == (0, 0.0)
+    assert len(table) == 6
+    for raw, torque in table[1:]:
+        true = np.interp(raw, *zip(*TABLE, strict=True))
+        assert torque == pytest.approx(true, rel=0.03), raw
+    assert found(done, "brake's hysteresis, up against down").new < 0.05
+    assert found(done, "inherent friction in the stroke, coil off").new == pytest.approx(0.145, abs=0.02)

@@ -1,0 +1,223 @@
+"""The brake: its torque at each set-point, up and down a stair, in slip and at break-away.
+
+A hand strokes the handle to and fro while the brake climbs a stair of set-points and comes down
+again. In slip the hand bears the brake's torque, the device's own friction and the inertia: what it
+bears more than on the first stair, with the brake off, is the brake's torque. Up and down differ by
+the brake's hysteresis; the table has the mean of both.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from coulombus.host.commission.samples import Floats, handle_torque, held
+from coulombus.host.commission.step import (
+    CommissionError,
+    Curve,
+    Exercise,
+    Finding,
+    Given,
+    Outcome,
+    Risk,
+    Step,
+    Taken,
+    exercise,
+)
+from coulombus.host.cycle.demand import brake_end_Nm
+from coulombus.recording.signals import Recording
+from coulombus.rigs.axis import Axis
+from coulombus.rigs.rig import Rig
+
+__all__ = ["Brake"]
+
+STROKING_HAND = ("operator.stiffness_Nm_rad=40.0", "operator.damping_Nms_rad=1.0", "operator.tremor_Nm=0.0")
+STEPS, STAIR_S, LEAD_S = 5, 2.4, 3.0
+SPEED_RAD_S, MOVE_S, DWELL_S = 1.0, 1.0, 0.1
+FOLLOWED_S = 0.4
+"""So long after a new set-point coil and fluid have followed."""
+SLIP_SHARE = 0.5
+"""Of the mean stroke: slower samples do not count as slip."""
+LEAST_SAMPLES = 40
+SMOOTH = 15
+TOP_SHARE = 0.95
+
+
+@dataclass(frozen=True)
+class _Stair:
+    """What one stair came to."""
+
+    raw: int
+    up: bool
+    slip_Nm: float
+    """Mean of both senses."""
+    scatter_Nm: float
+    breakaway_Nm: float
+    """NaN where the handle never stuck."""
+
+
+class Brake(Step):
+    """The brake's table."""
+
+    name = "brake"
+    title = "brake's torque at each set-point, up and down"
+
+    def lacks(self, axis: Axis, given: Given) -> str | None:
+        """Return what the rig has not."""
+        return None if axis.allocation.bound.get("handle_torque") else "the rig has no role handle_torque"
+
+    def _top(self, axis: Axis) -> float:
+        """Return the highest stair [Nm]: what limits, coil and set-point bear for long."""
+        coil = (
+            axis.brake.coil_continuous_A / axis.brake.coil_A_Nm
+            if axis.brake.coil_A_Nm > 0
+            else axis.limits.brake_torque_Nm
+        )
+        return round(TOP_SHARE * min(axis.limits.brake_torque_Nm, brake_end_Nm(axis), coil), 3)
+
+    def risk(self, axis: Axis, given: Given) -> Risk:
+        """Return what the brake bears."""
+        return Risk(
+            "The brake's torque climbs a stair and comes down again.",
+            brake_Nm=self._top(axis),
+            speed_rad_s=SPEED_RAD_S,
+            travel_rad=SPEED_RAD_S * MOVE_S,
+            seconds=LEAD_S + STAIR_S * (2 * STEPS + 1),
+            operator=f"Stroke the handle to and fro without a stop, about {SPEED_RAD_S:g} rad/s, {MOVE_S:g} s each way, "
+            "and keep to it against the brake.",
+        )
+
+    def exercises(self, rig: Rig, given: Given) -> tuple[Exercise, ...]:
+        """Return the stair."""
+        axis = rig.one_axis()
+        length = self.risk(axis, given).seconds
+        stroke = (
+            f'{{kind="stroke", duration_s={length}, speed_rad_s={SPEED_RAD_S}, move_s={MOVE_S}, dwell_s={DWELL_S}}}'
+        )
+        return (exercise(self.name, rig, "stair", [self._top(axis), STEPS, STAIR_S], [stroke], hand=STROKING_HAND),)
+
+    def analyse(self, taken: Sequence[Taken], axis: Axis, given: Given) -> Outcome:
+        """Return the table, the hysteresis, and the share of the slip torque at which it lets go."""
+        stairs = _stairs(taken[0].recording, axis)
+        off = [one for one in stairs if one.raw == stairs[0].raw]
+        zero = float(np.mean([one.slip_Nm for one in off]))
+        table: list[list[float]] = [[stairs[0].raw, 0.0]]
+        for raw in sorted({one.raw for one in stairs} - {stairs[0].raw}, key=lambda raw: abs(raw - stairs[0].raw)):
+            table.append([raw, round(float(np.mean([one.slip_Nm for one in stairs if one.raw == raw])) - zero, 4)])
+        if len(table) < 3:
+            raise CommissionError(
+                f"the handle slid on {len(table)} stairs only: stroke it without a stop, harder where it binds"
+            )
+        if any(later[1] <= earlier[1] for earlier, later in itertools.pairwise(table)):
+            text = ", ".join(f"{raw:g}: {Nm:.3f} Nm" for raw, Nm in table)
+            raise CommissionError(
+                f"the brake's torque does not grow with the set-point ({text}): is the coil connected?"
+            )
+        ups = {one.raw: one.slip_Nm for one in stairs if one.up}
+        downs = {one.raw: one.slip_Nm for one in stairs if not one.up}
+        gap = max((abs(ups[raw] - downs[raw]) for raw in ups.keys() & downs.keys()), default=0.0)
+        scatter = max(one.scatter_Nm for one in stairs)
+        lets = [
+            one.breakaway_Nm / one.slip_Nm
+            for one in stairs
+            if one.breakaway_Nm == one.breakaway_Nm and one.raw != stairs[0].raw
+        ]
+        setpoint = axis.allocation.bound["brake_setpoint"]
+        believed = [_believed(axis, raw) for raw, _ in table]
+        other = any(
+            abs(was - Nm) > max(0.01 * table[-1][1], scatter) for was, (_, Nm) in zip(believed, table, strict=True)
+        )
+        basis = f"{len(stairs)} stairs, slip both ways, up and down"
+        old = [list(one) for one in setpoint.table] or None
+        findings = (
+            Finding(
+                "role.brake_setpoint.table", "brake's table", old, table, "[raw, Nm]", scatter, basis, changed=other
+            ),
+            Finding("", "brake's hysteresis, up against down", None, round(gap, 4), "Nm", scatter, basis),
+            Finding(
+                "", "break-away against slip", None, round(float(np.mean(lets)), 3) if lets else None, "", None, basis
+            ),
+            Finding("", "inherent friction in the stroke, coil off", None, round(zero, 4), "Nm", None, basis),
+        )
+        lines = {
+            "up": (
+                [float(one.raw) for one in stairs if one.up],
+                [one.slip_Nm - zero for one in stairs if one.up],
+                "o-",
+            ),
+            "down": (
+                [float(one.raw) for one in stairs if not one.up],
+                [one.slip_Nm - zero for one in stairs if not one.up],
+                "s--",
+            ),
+            "believed": ([float(raw) for raw, _ in table], believed, ":"),
+        }
+        return Outcome(findings, curves=(Curve("Brake's torque", "set-point [counts]", "[Nm]", lines),))
+
+
+def _believed(axis: Axis, raw: float) -> float:
+    """Return the torque that a set-point is believed to be [Nm]."""
+    one = axis.allocation.bound["brake_setpoint"]
+    if not one.table:
+        return float(raw * abs(one.scale))
+    points = sorted(one.table)
+    return float(np.interp(raw, [at for at, _ in points], [Nm for _, Nm in points]))
+
+
+def _stairs(recording: Recording, axis: Axis) -> list[_Stair]:
+    """Return what each stair came to, in their order, those on which the handle slid both ways.
+
+    Raises
+    ------
+    CommissionError
+        the first one, with the brake off, is not among them
+    """
+    angle, hand = recording["motor.position_rad"], handle_torque(recording)
+    signal = recording.signal("brake.setpoint_Nm")
+    t, period = angle.t_s, recording.rig.bus.period_s
+    raw = np.rint((held(recording["brake.setpoint_Nm"], t) - signal.offset) / signal.scale).astype(int)
+    x = np.asarray(angle.values, np.float64)
+    window = np.ones(SMOOTH) / SMOOTH
+    v = np.convolve(np.gradient(x, period), window, "same")
+    a = np.convolve(np.gradient(v, period), window, "same")
+    torque = np.interp(t, hand.t_s, hand.values) - axis.mechanics.inertia_kg_m2 * a
+    sent = recording["brake.setpoint_Nm"].t_s
+    begin = float(sent[0]) if len(sent) else 0.0
+    edges = [int(np.searchsorted(t, begin)), *(np.flatnonzero(np.diff(raw)) + 1).tolist(), len(t)]
+    typical = np.median(np.abs(v[np.abs(v) > 0.1 * SPEED_RAD_S])) if np.any(np.abs(v) > 0.1 * SPEED_RAD_S) else np.inf
+    found: list[_Stair] = []
+    top = False
+    for first, end in itertools.pairwise(edges):
+        if t[end - 1] - t[first] < 0.75 * STAIR_S:  # the end of the run ramps the brake off
+            continue
+        inside = slice(first + round(FOLLOWED_S / period), end)
+        one = _stair(int(raw[first]), not top, v[inside], torque[inside], SLIP_SHARE * float(typical))
+        top = top or abs(int(raw[first])) == int(np.max(np.abs(raw)))
+        if one is not None:
+            found.append(one)
+        elif not found:
+            raise CommissionError("the handle did not slide both ways with the brake off: stroke it to and fro")
+    if not found:
+        raise CommissionError("the run ended before the first stair; do the step again")
+    return found
+
+
+def _stair(raw: int, up: bool, v: Floats, torque: Floats, slip: float) -> _Stair | None:
+    """Return what one stair came to; None where the handle did not slide both ways."""
+    ways = [torque[np.sign(v) * (np.abs(v) > slip) == sign] * sign for sign in (1, -1)]
+    if min(map(len, ways)) < LEAST_SAMPLES:
+        return None
+    stuck = np.abs(v) < 0.02 * slip
+    lets = np.flatnonzero(stuck[:-1] & ~stuck[1:])
+    # where it lets go the hand bears most
+    peaks = [float(np.max(np.abs(torque[max(at - 10, 0) : at + 10]))) for at in lets]
+    return _Stair(
+        raw=raw,
+        up=up,
+        slip_Nm=float(np.mean([np.mean(way) for way in ways])),
+        scatter_Nm=float(max(2 * np.std(way) / np.sqrt(len(way) / 20) for way in ways)),
+        breakaway_Nm=float(np.median(peaks)) if peaks else float("nan"),
+    )

@@ -1,0 +1,123 @@
+"""Encoder and transmission by hand: the operator turns the handle from one mark to another.
+
+The angle between the marks is known. The encoder's counts for it give its sign, and how many of them
+the handle's turn has. That is one figure: the counts of the motor's turn times the transmission's
+ratio. The data sheet's counts are believed, and the ratio is corrected.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from coulombus.host.commission.samples import mean_in, span_of, thinned
+from coulombus.host.commission.step import (
+    CommissionError,
+    Curve,
+    Exercise,
+    Finding,
+    Given,
+    Outcome,
+    Risk,
+    Step,
+    Taken,
+    exercise,
+)
+from coulombus.rigs.axis import Axis
+from coulombus.rigs.rig import Rig
+
+__all__ = ["FIRM_HAND", "Encoder"]
+
+FIRM_HAND = ("operator.stiffness_Nm_rad=400.0", "operator.damping_Nms_rad=4.0", "operator.tremor_Nm=0.0")
+"""The simulated hand looks where it goes."""
+
+REST_S, MOVE_S, STAY_S = 3.0, 5.0, 5.0
+SETTLED_S = 2.0
+LEAST_RAD, MOST_RAD = 0.05, 50.0
+LEAST_SHARE = 0.1
+LEAST_CHANGE = 0.002
+"""From this share on the ratio counts as another one."""
+
+
+class Encoder(Step):
+    """Sign of the encoder, and counts of a turn of the handle."""
+
+    name = "encoder"
+    title = "encoder's sign and the ratio, by hand between two marks"
+
+    def lacks(self, axis: Axis, given: Given) -> str | None:
+        """Return what the operator has not."""
+        if given.marks_rad is None:
+            return "give --marks-rad: the angle between two marks at the handle"
+        if not LEAST_RAD <= given.marks_rad <= min(MOST_RAD, 0.9 * axis.limits.travel_limit_rad):
+            most = min(MOST_RAD, 0.9 * axis.limits.travel_limit_rad)
+            return f"--marks-rad {given.marks_rad:g}: expected from {LEAST_RAD:g} to {most:.3g} (limits.travel_rad)"
+        return None
+
+    def risk(self, axis: Axis, given: Given) -> Risk:
+        """Return that only the hand moves."""
+        return Risk(
+            "Only your hand moves the handle.",
+            speed_rad_s=(given.marks_rad or 0.0) / MOVE_S,
+            travel_rad=given.marks_rad or 0.0,
+            seconds=REST_S + MOVE_S + STAY_S,
+            operator=f"Set the handle to the first mark, and leave it for {REST_S:g} s; turn it within {MOVE_S:g} s to the second mark, "
+            f"in the positive sense, and leave it there for {STAY_S:g} s.",
+        )
+
+    def exercises(self, rig: Rig, given: Given) -> tuple[Exercise, ...]:
+        """Return a run in which nothing but the hand acts."""
+        speed = (given.marks_rad or 0.0) / MOVE_S
+        phases = (
+            f'{{kind="rest", duration_s={REST_S}}}',
+            f'{{kind="stroke", duration_s={MOVE_S + STAY_S}, speed_rad_s={speed!r}, move_s={MOVE_S}, dwell_s={STAY_S}}}',
+        )
+        return (exercise(self.name, rig, "hold", [0.0], phases, hand=FIRM_HAND),)
+
+    def analyse(self, taken: Sequence[Taken], axis: Axis, given: Given) -> Outcome:
+        """Return sign and ratio."""
+        recording, marks = taken[0].recording, given.marks_rad or 0.0
+        angle = recording["motor.position_rad"]
+        rest, stroke = span_of(recording, "rest"), span_of(recording, "stroke")
+        first = mean_in(angle, rest.end_s - SETTLED_S, rest.end_s, "the first mark")
+        second = mean_in(angle, stroke.end_s - SETTLED_S, stroke.end_s, "the second mark")
+        turned = second.value - first.value
+        if abs(turned) < LEAST_SHARE * marks:
+            raise CommissionError(
+                f"the encoder counts {turned:.4f} rad between marks {marks:g} rad apart: did the handle turn?"
+            )
+        position = axis.allocation.bound["position"]
+        count = abs(position.scale)
+        counts = round(abs(turned) / count)
+        reach = (first.reach + second.reach + count) / abs(turned)
+        factor = abs(turned) / marks
+        other = abs(factor - 1) > max(reach, LEAST_CHANGE)
+        basis = f"{counts} counts between marks {marks:g} rad apart; as exact as the marks"
+        polarity = axis.mechanics.encoder_polarity
+        sign = polarity if turned > 0 else -polarity
+        findings = [
+            Finding(
+                "mechanics.encoder_polarity",
+                "encoder's sign",
+                polarity,
+                sign,
+                "",
+                None,
+                basis,
+                changed=sign != polarity,
+            )
+        ]
+        if position.decided.startswith("role."):
+            new = float(f"{count / factor:.6g}")
+            key = "role.position.scale_rad"
+            findings.append(Finding(key, "angle of a count", count, new, "rad", new * reach, basis, changed=other))
+        else:
+            ratio = axis.mechanics.ratio
+            new = round(ratio * factor, 4)
+            findings.append(Finding("mechanics.ratio", "ratio", ratio, new, "", new * reach, basis, changed=other))
+        curve = Curve(
+            "By hand from mark to mark",
+            "time [s]",
+            "angle [rad]",
+            {"as it read": (*thinned(angle.t_s, angle.values), "-")},
+        )
+        return Outcome(tuple(findings), curves=(curve,))

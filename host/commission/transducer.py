@@ -1,0 +1,173 @@
+"""The torque transducer: its zero and noise with nobody at the handle, then its sign and scale with a
+known weight.
+
+Its signal is raw counts times a scale plus an offset, both turned by the polarity. The zero is the
+offset's, the weight the scale's and the polarity's. Neither step gives the motor any torque. While
+the weight hangs, the brake holds the handle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from coulombus.host.commission.friction import FREE_HAND
+from coulombus.host.commission.samples import handle_torque, mean_in, span_of, thinned
+from coulombus.host.commission.step import (
+    CommissionError,
+    Curve,
+    Exercise,
+    Finding,
+    Given,
+    Outcome,
+    Risk,
+    Step,
+    Taken,
+    exercise,
+)
+from coulombus.rigs.axis import Axis
+from coulombus.rigs.rig import Rig
+from coulombus.rigs.roles import Binding
+
+__all__ = ["Weight", "Zero"]
+
+OFFSET, SCALE, POLARITY = "role.handle_torque.offset_Nm", "role.handle_torque.scale_Nm", "mechanics.transducer_polarity"
+ZERO_S = 4.0
+REST_S, HANG_S, TAIL_S = 3.0, 9.0, 3.0
+HANGING = "a weight that hangs still"
+SETTLED_S = 3.0
+"""The last so many seconds of a phase count: by then the operator has done what the phase asks."""
+HOLDS = 1.5
+"""How much more than the weight the brake is told to bear ..."""
+HOLDS_NM = 0.5
+"""... and so much on top [Nm]."""
+LEAST_SHARE = 0.1
+LEAST_CHANGE = 0.005
+"""From this share on the scale counts as another one."""
+
+
+def _binding(axis: Axis) -> Binding:
+    one = axis.allocation.bound.get("handle_torque")
+    assert one is not None  # `lacks` has told
+    return one
+
+
+def _lacks_transducer(axis: Axis) -> str | None:
+    if axis.allocation.bound.get("handle_torque") is None:
+        return "the rig has no role handle_torque"
+    return None
+
+
+class Zero(Step):
+    """Zero and noise of the transducer."""
+
+    name = "zero"
+    title = "torque transducer: zero and noise"
+
+    def lacks(self, axis: Axis, given: Given) -> str | None:
+        """Return what the rig has not."""
+        return _lacks_transducer(axis)
+
+    def risk(self, axis: Axis, given: Given) -> Risk:
+        """Return that nothing moves."""
+        return Risk("Nothing moves: the transducer is read.", seconds=ZERO_S)
+
+    def exercises(self, rig: Rig, given: Given) -> tuple[Exercise, ...]:
+        """Return a run in which nothing happens.
+
+        A zero that is far off lets the arming be refused; the signal is there all the same.
+        """
+        rest = f'{{kind="rest", duration_s={ZERO_S}}}'
+        return (exercise(self.name, rig, "hold", [0.0], [rest], hand=FREE_HAND, may_trip=("HANDLE_LOADED",)),)
+
+    def analyse(self, taken: Sequence[Taken], axis: Axis, given: Given) -> Outcome:
+        """Return the offset that makes the mean zero, and the noise."""
+        series = handle_torque(taken[0].recording)
+        found = mean_in(series, float(series.t_s[0]), float(series.t_s[-1]), "the transducer's zero")
+        one, turned = _binding(axis), axis.mechanics.transducer_polarity
+        new = round((one.offset - found.value) * turned, 5)
+        reach = max(found.reach, abs(one.scale) / 2)
+        basis = f"mean of {len(series)} samples with nobody at the handle"
+        old = one.offset * turned
+        findings = (
+            Finding(OFFSET, "transducer's zero", old, new, "Nm", reach, basis, changed=abs(new - old) > reach),
+            Finding("", "transducer's noise, RMS", None, float(f"{found.deviation:.3g}"), "Nm", None, basis),
+        )
+        curve = Curve(
+            "Transducer at rest", "time [s]", "[Nm]", {"as it reads": (*thinned(series.t_s, series.values), "-")}
+        )
+        return Outcome(findings, curves=(curve,))
+
+
+class Weight(Step):
+    """Sign and scale of the transducer."""
+
+    name = "weight"
+    title = "torque transducer: sign and scale by a known weight"
+
+    def lacks(self, axis: Axis, given: Given) -> str | None:
+        """Return what the rig or the operator has not."""
+        if given.weight_Nm is None:
+            return "give --weight-Nm: the torque of a known weight at the handle, in its positive sense"
+        if not 0 < given.weight_Nm <= axis.limits.brake_torque_Nm / HOLDS:
+            most = axis.limits.brake_torque_Nm / HOLDS
+            return f"--weight-Nm {given.weight_Nm:g}: expected above 0, at most {most:.3g}, which the brake holds with a margin"
+        return _lacks_transducer(axis)
+
+    def _brake(self, axis: Axis, given: Given) -> float:
+        return min(HOLDS * (given.weight_Nm or 0.0) + HOLDS_NM, axis.limits.brake_torque_Nm)
+
+    def risk(self, axis: Axis, given: Given) -> Risk:
+        """Return what the brake bears."""
+        return Risk(
+            "The brake holds the handle while the weight hangs on it.",
+            brake_Nm=self._brake(axis, given),
+            seconds=REST_S + HANG_S + TAIL_S,
+            operator=f"Leave the handle free for {REST_S:g} s; then hang {given.weight_Nm or 0:g} Nm on it, in the positive sense, "
+            f"and let it hang still for {HANG_S:g} s; take it off.",
+        )
+
+    def exercises(self, rig: Rig, given: Given) -> tuple[Exercise, ...]:
+        """Return the run with the weight."""
+        weight = given.weight_Nm or 0.0
+        times, torques = [0.0, 1.0, HANG_S - 0.5, HANG_S], [0.0, weight, weight, 0.0]
+        phases = (
+            f'{{kind="rest", duration_s={REST_S}}}',
+            f'{{kind="file", duration_s={HANG_S}, t_s={times}, torque_Nm={torques}}}',
+            f'{{kind="rest", duration_s={TAIL_S}}}',
+        )
+        return (exercise(self.name, rig, "hold", [self._brake(rig.one_axis(), given)], phases, hand=FREE_HAND),)
+
+    def analyse(self, taken: Sequence[Taken], axis: Axis, given: Given) -> Outcome:
+        """Return scale and polarity that read the weight as it is."""
+        recording, weight = taken[0].recording, given.weight_Nm or 0.0
+        series = handle_torque(recording)
+        rest, hang = span_of(recording, "rest"), span_of(recording, "file")
+        zero = mean_in(series, rest.begin_s + 1.0, rest.end_s, "the free handle")
+        end = hang.end_s - 1.0
+        loaded = mean_in(series, end - SETTLED_S, end, HANGING)
+        difference = loaded.value - zero.value
+        if abs(difference) < LEAST_SHARE * weight:
+            raise CommissionError(
+                f"the transducer shows {difference:.4f} Nm of the {weight:g} Nm: did the weight hang?"
+            )
+        one, turned = _binding(axis), axis.mechanics.transducer_polarity
+        factor = weight / abs(difference)
+        polarity = turned if difference > 0 else -turned
+        reach = (loaded.reach + zero.reach) / abs(difference)
+        old = abs(one.scale)
+        new = float(f"{old * factor:.5g}")
+        other = abs(factor - 1) > max(reach, LEAST_CHANGE)
+        basis = f"{weight:g} Nm reads {difference:.4f} Nm"
+        findings = [
+            Finding(POLARITY, "transducer's sign", turned, polarity, "", None, basis, changed=polarity != turned),
+            Finding(SCALE, "transducer's scale", old, new, "Nm/count", new * reach, basis, changed=other),
+        ]
+        if other and one.offset:
+            offset = one.offset * turned
+            findings.append(
+                Finding(
+                    OFFSET, "transducer's zero", offset, round(offset * factor, 5), "Nm", None, "with the new scale"
+                )
+            )
+        curve = Curve("Weight", "time [s]", "[Nm]", {"as it read": (*thinned(series.t_s, series.values), "-")})
+        return Outcome(tuple(findings), curves=(curve,))
