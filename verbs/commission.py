@@ -184,7 +184,8 @@ def _commission(
             one = session.do(step, lambda step, risk: _agree(step, risk, yes))
             done.append(one)
             _tell(one)
-            _report(session, report)
+            if one.what == "done":
+                _report(session, report)
     with verdict(0):
         if as_json:
             print_json(results(done))
@@ -244,6 +245,13 @@ def _tell(one: Done) -> None:
 
 def _report(session: Session, path: Path | None) -> None:
     """Write the report after each step: what was found is on paper, whatever comes next."""
+    from coulombus.host.commission.report import report
+    from coulombus.host.commission.steps import STEPS
+
+    page = report(session.rig(), session.state, {step.name: step.title for step in STEPS}).encode()
+    session.state.write(session.state.folder / "report.html", page)
+    if path is not None:
+        session.state.write(path, page)
 
 
 def _print_findings(done: list[Done]) -> None:

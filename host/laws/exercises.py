@@ -64,7 +64,11 @@ def stair(motion: Any, law: Any, state: Any) -> float:
 
 
 def square(motion: Any, law: Any, state: Any) -> float:
-    """Let the motor's torque be ``user[0]`` and its opposite [Nm] in turn, ``user[1]`` [s] each."""
+    """Let the motor's torque be ``user[0]`` and its opposite [Nm] in turn, and the brake ``user[2]``
+    [Nm] and off, ``user[1]`` [s] each.
+    """
     state.user[0] += motion.dt_s
+    first = state.user[0] // law.user[1] % 2.0 == 0.0
+    state.brake_Nm = law.user[2] if first else 0.0
     torque: float = law.user[0]
-    return -torque if state.user[0] // law.user[1] % 2.0 == 0.0 else torque
+    return -torque if first else torque

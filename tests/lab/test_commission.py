@@ -15,6 +15,7 @@ from coulombus.host.commission.steps import STEPS
 from coulombus.host.errors import SafetyTrip
 from coulombus.lab.rehearsal import rehearsed
 from coulombus.lab.simulate import simulate
+from coulombus.recording.signals import read
 from coulombus.rigs.rig import load_rig, packaged_rig
 
 BY_NAME = {step.name: step for step in STEPS}
@@ -205,3 +206,47 @@ def test_the_brakes_table_is_found_within_3_percent(afternoon):
         assert torque == pytest.approx(true, rel=0.03), raw
     assert found(done, "brake's hysteresis, up against down").new < 0.05
     assert found(done, "inherent friction in the stroke, coil off").new == pytest.approx(0.145, abs=0.02)
+
+
+# delays, limits, display
+
+
+@pytest.mark.parametrize(("actuation", "delay_us"), [("next_sync", 1000.0), ("on_reception", 600.0)])
+def test_the_delay_from_sync_to_torque_is_found_within_50_us(afternoon, actuation, delay_us):
+    truth = ("plant.motor_lag_s=2e-3", "plant.brake_coil_lag_s=5e-3", f"bus.actuation={actuation}")
+    session, (done,) = afternoon("delay", truth=truth, believed=(f"bus.actuation={actuation}",))
+    if actuation == "on_reception":  # when the RPDO has come, as the recording has it
+        delay_us = 1e6 * rpdo_after_sync_s(session.state.folder / "delay-motor.pcapng")
+    assert found(done, "SYNC to motor's torque").new == pytest.approx(delay_us, abs=50)
+    assert found(done, "time constant of the motor's torque").new == pytest.approx(2.0, rel=0.05)
+    assert found(done, "time constant of the coil's current").new == pytest.approx(5.0, rel=0.05)
+
+
+def rpdo_after_sync_s(path):
+    recording = read(path)
+    sync = recording.t_s[recording.frames["can_id"] == 0x80]
+    sent = recording["motor.target_torque_Nm"].t_s
+    return float(np.median(sent - sync[np.searchsorted(sync, sent) - 1]))
+
+
+def test_limits_that_contradict_the_rig_are_mended_and_others_stay(afternoon):
+    session, (done,) = afternoon("limits")
+    assert done.written == ()
+    truth = ("plant.transducer_noise_Nm=0.02",)
+    session.path.write_text(
+        session.path.read_text()
+        .replace("encoder_jump_counts = 500 ", "encoder_jump_counts = 120 ")
+        .replace("still_handle_torque_Nm = 0.25", "still_handle_torque_Nm = 0.08")
+    )
+    _, (done,) = afternoon("limits", truth=truth)
+    assert set(done.written) == {"limits.encoder_jump_counts", "limits.still_handle_torque_Nm"}
+    limits = session.rig().one_axis().limits
+    assert limits.encoder_jump_counts > limits.speed_rad_s * 1e-3 / 8e-5
+    assert limits.still_handle_torque_Nm == pytest.approx(0.24, rel=0.2)
+
+
+def test_the_last_step_displays_the_law_and_holds_still(afternoon):
+    _, (done,) = afternoon("display")
+    assert found(done, "hold: encoder peak to peak").new <= 2
+    assert found(done, "hold: largest push").new == pytest.approx(1.75, rel=0.1)
+    assert done.outcome.remarks == ()

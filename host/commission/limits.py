@@ -1,0 +1,87 @@
+"""Limits that noise, counts and cycle suggest: those of the rig file that contradict what was
+measured.
+
+A limit that is narrower than the noise trips by itself; one that a healthy rig never reaches guards
+nothing. A wider limit is only suggested where the present one would trip without a fault. Nothing
+moves: the handle is let alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from coulombus.host.commission.friction import FREE_HAND
+from coulombus.host.commission.samples import handle_torque, mean_in
+from coulombus.host.commission.step import Exercise, Finding, Given, Outcome, Risk, Step, Taken, exercise
+from coulombus.recording.signals import Recording
+from coulombus.rigs.axis import Axis
+from coulombus.rigs.rig import Rig
+
+__all__ = ["Limits"]
+
+SECONDS = 4.0
+NOISE_FACTOR = 6.0
+"""So many standard deviations are never reached in a day of samples at 1 kHz."""
+JUMP_MARGIN = 1.5
+JUMP_LOOSE = 10.0
+"""From so many times the counts at the speed limit on, a jump passes unseen."""
+
+
+class Limits(Step):
+    """Limits that contradict the rig."""
+
+    name = "limits"
+    title = "limits against noise, counts and speed"
+
+    def risk(self, axis: Axis, given: Given) -> Risk:
+        """Return that nothing moves."""
+        return Risk("Nothing moves: encoder and transducer are read.", seconds=SECONDS)
+
+    def exercises(self, rig: Rig, given: Given) -> tuple[Exercise, ...]:
+        """Return a run in which nothing happens."""
+        rest = f'{{kind="rest", duration_s={SECONDS}}}'
+        return (exercise(self.name, rig, "hold", [0.0], [rest], hand=FREE_HAND),)
+
+    def analyse(self, taken: Sequence[Taken], axis: Axis, given: Given) -> Outcome:
+        """Return the limits that cannot stay."""
+        return Outcome(tuple(_findings(taken[0].recording, axis)))
+
+
+def _findings(recording: Recording, axis: Axis) -> Iterator[Finding]:
+    limits, period = axis.limits, axis.bus.period_s
+    angle = recording["motor.position_rad"]
+    count = abs(recording.scale("motor.position_rad"))
+    counts = np.rint(np.asarray(angle.values, np.float64) / count)
+    jitter = int(np.max(np.abs(np.diff(counts)))) if len(counts) > 1 else 0
+    basis = f"{len(counts)} samples at rest"
+    yield Finding("", "encoder's jitter at rest", None, jitter, "counts/cycle", None, basis)
+    band = axis.law.velocity_band_counts
+    why = f"at rest the encoder moves by {jitter} counts a cycle; a band below that never sticks"
+    yield Finding(
+        "law.velocity_band_counts", "velocity band", band, max(band, jitter + 1), "counts", None, why, band <= jitter
+    )
+    fastest = limits.speed_rad_s * period / count
+    jump, wanted = limits.encoder_jump_counts, math.ceil(JUMP_MARGIN * fastest)
+    why = f"limits.speed_rad_s is {fastest:.0f} counts a cycle, times {JUMP_MARGIN:g}"
+    wrong = jump < fastest or jump > JUMP_LOOSE * fastest
+    yield Finding(
+        "limits.encoder_jump_counts", "encoder's jump", jump, wanted if wrong else jump, "counts", None, why, wrong
+    )
+    if axis.allocation.bound.get("handle_torque") is None:
+        return
+    series = handle_torque(recording)
+    found = mean_in(series, float(series.t_s[0]), float(series.t_s[-1]), "the transducer at rest")
+    least = abs(found.value) + NOISE_FACTOR * found.deviation
+    yield Finding("", "transducer's noise, RMS", None, float(f"{found.deviation:.3g}"), "Nm", None, basis)
+    for key, old in (
+        ("still_handle_torque_Nm", limits.still_handle_torque_Nm),
+        ("handle_mismatch_Nm", limits.handle_mismatch_Nm),
+    ):
+        why = f"zero and {NOISE_FACTOR:g} x noise are {least:.4f} Nm"
+        new = float(f"{2 * least:.3g}") if old < least else old
+        yield Finding(
+            f"limits.{key}", key.removesuffix("_Nm").replace("_", " "), old, new, "Nm", None, why, old < least
+        )

@@ -1,0 +1,105 @@
+"""The report of a commissioning: one HTML page, with its pictures in it, that needs nothing else."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Mapping
+from html import escape
+from typing import Any
+
+from coulombus.host.commission.state import State
+from coulombus.rigs.rig import Rig
+
+__all__ = ["report"]
+
+PICTURE_INCHES = (4.4, 2.9)
+COLOURS = ("#0b5394", "#b45f06", "#38761d")
+STYLE = """
+body { font: 15px/1.45 system-ui, sans-serif; color: #1a1a1a; max-width: 980px; margin: 2em auto; padding: 0 1em; }
+h1 { font-size: 1.5em; margin-bottom: 0; } h2 { font-size: 1.15em; margin: 1.6em 0 .3em; border-bottom: 1px solid #bbb; }
+p { margin: .3em 0; } .small { color: #555; font-size: .87em; }
+table { border-collapse: collapse; width: 100%; font-size: .92em; margin: .4em 0; }
+th { text-align: left; border-bottom: 1px solid #888; font-weight: 600; } td, th { padding: .18em .6em .18em 0; vertical-align: top; }
+td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
+tr.written td { font-weight: 600; } code { font-size: .93em; }
+.pictures { display: flex; flex-wrap: wrap; gap: .6em; } .pictures svg { max-width: 100%; height: auto; }
+@media print { body { margin: 0; } h2 { break-after: avoid; } .pictures { break-inside: avoid; } }
+"""
+
+
+def report(rig: Rig, state: State, titles: Mapping[str, str]) -> str:
+    """Return the report as HTML.
+
+    Parameters
+    ----------
+    titles : of all steps, in their order; those that are not done are told, too
+    """
+    return "\n".join(_page(rig, state, titles)) + "\n"
+
+
+def _page(rig: Rig, state: State, titles: Mapping[str, str]) -> Iterator[str]:
+    done = [name for name in titles if name in state.steps]
+    missing = [title for name, title in titles.items() if name not in state.steps]
+    yield f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>Commissioning of {escape(rig.name)}</title>'
+    yield f"<style>{STYLE}</style></head><body>"
+    yield f"<h1>Commissioning of {escape(rig.name)}</h1>"
+    yield f'<p class="small">{escape(rig.about.description)}<br><code>{escape(rig.path)}</code></p>'
+    yield "<p>Bold rows were written into the rig file. The intervals are 95 %.</p>"
+    for name in done:
+        yield from _step(titles[name], state.steps[name])
+    if missing:
+        yield f"<h2>Not done</h2><p>{escape('; '.join(missing))}</p>"
+    yield "</body></html>"
+
+
+def _step(title: str, one: Mapping[str, Any]) -> Iterator[str]:
+    yield f"<h2>{escape(title)}</h2>"
+    files = ", ".join(f"<code>{escape(name)}</code>" for name in one["recordings"])
+    yield f'<p class="small">{escape(one["at"])}; {files}</p>'
+    yield '<table><tr><th>what</th><th class="n">was</th><th class="n">is</th><th class="n">&plusmn;</th><th>unit</th><th>rests on</th></tr>'
+    for finding in one["findings"]:
+        written = ' class="written"' if finding["key"] and finding["changed"] else ""
+        name = escape(finding["name"]) + (f" <code>{escape(finding['key'])}</code>" if finding["key"] else "")
+        reach = "" if finding["uncertainty"] is None else f"{finding['uncertainty']:.2g}"
+        yield (
+            f'<tr{written}><td>{name}</td><td class="n">{_figure(finding["old"])}</td><td class="n">{_figure(finding["new"])}</td>'
+            f'<td class="n">{reach}</td><td>{escape(finding["unit"])}</td><td class="small">{escape(finding["basis"])}</td></tr>'
+        )
+    yield "</table>"
+    for text in one["remarks"]:
+        yield f'<p class="small">Note: {escape(text)}</p>'
+    if one["curves"]:
+        yield f'<div class="pictures">{"".join(_picture(curve) for curve in one["curves"])}</div>'
+
+
+def _figure(value: Any) -> str:
+    if isinstance(value, list):
+        return "<br>".join(f"{point[0]:g}: {point[1]:.3f}" for point in value)
+    if value is None:
+        return "&ndash;"
+    return escape(f"{value:.5g}" if isinstance(value, float) else str(value))
+
+
+def _picture(curve: Mapping[str, Any]) -> str:
+    """Return a curve as an SVG element."""
+    from matplotlib import rc_context
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
+    with rc_context({"svg.fonttype": "none", "font.size": 9, "svg.hashsalt": "coulombus"}):
+        figure = Figure(figsize=PICTURE_INCHES, layout="constrained")
+        ax = figure.add_subplot()
+        for colour, (name, (x, y, style)) in zip(COLOURS * 3, curve["lines"].items(), strict=False):
+            ax.plot(x, y, style, color=colour, label=name, linewidth=1.2, markersize=3.5)
+        ax.set(title=curve["title"], xlabel=curve["x"], ylabel=curve["y"])
+        ax.grid(alpha=0.3)
+        low, high = ax.get_ylim()
+        middle = 0.5 * (low + high)
+        if high - low < 0.1 * abs(middle):  # what hardly differs is to look so
+            ax.set_ylim(middle - 0.1 * abs(middle), middle + 0.1 * abs(middle))
+        if len(curve["lines"]) > 1:
+            ax.legend(fontsize=8, framealpha=0.9)
+        file = io.StringIO()
+        FigureCanvasSVG(figure).print_svg(file, metadata={"Date": None})  # type: ignore[no-untyped-call]
+    text = file.getvalue()
+    return text[text.index("<svg") :]
