@@ -102,8 +102,7 @@ class Brake(Step):
     def analyse(self, taken: Sequence[Taken], axis: Axis, given: Given) -> Outcome:
         """Return the table, the hysteresis, and the share of the slip torque at which it lets go."""
         stairs = _stairs(taken[0].recording, axis)
-        off = [one for one in stairs if one.raw == stairs[0].raw]
-        zero = float(np.mean([one.slip_Nm for one in off]))
+        zero = stairs[0].slip_Nm  # before the iron has anything to remember
         table: list[list[float]] = [[stairs[0].raw, 0.0]]
         for raw in sorted({one.raw for one in stairs} - {stairs[0].raw}, key=lambda raw: abs(raw - stairs[0].raw)):
             table.append([raw, round(float(np.mean([one.slip_Nm for one in stairs if one.raw == raw])) - zero, 4)])

@@ -142,7 +142,7 @@ def _answer(recording: Recording, asked: str, answered: str) -> _Answer:
     size = 0.5 * (np.max(command) - np.min(command))
     edges = 1 + np.flatnonzero(np.abs(np.diff(command)) > size)
     begin_s = target.t_s[edges[0]] + SKIP_S if len(edges) else 0.0
-    lags, delays = [], []
+    lags, delays, sizes = [], [], []
     shares: list[Floats] = []
     for edge, following in itertools.pairwise(edges):
         if target.t_s[edge] < begin_s or target.t_s[following] - target.t_s[edge] < 0.9 * HALF_S:
@@ -156,6 +156,7 @@ def _answer(recording: Recording, asked: str, answered: str) -> _Answer:
         if before != after:
             shares.append((y[first : first + AFTER] - before) / (after - before))
             lags.append(sampled[first : first + AFTER] - asked_s)
+            sizes.append(abs(after - before))
     if len(shares) < LEAST_EDGES:
         raise CommissionError(f"{answered}: {len(shares)} steps were answered; expected at least {LEAST_EDGES}")
     mean, at = np.mean(shares, axis=0), np.mean(lags, axis=0)
@@ -172,9 +173,10 @@ def _answer(recording: Recording, asked: str, answered: str) -> _Answer:
         if np.any(inside):
             delays.append(float(np.mean(lag[inside] - np.log(1 - share[inside]) / slope)))
     reach = student.ppf(0.975, len(delays) - 1) * np.std(delays, ddof=1) / np.sqrt(len(delays))
+    rounding = abs(recording.scale(answered)) / float(np.mean(sizes)) / abs(slope)  # half a count at either end
     return _Answer(
         delay_us=float(-offset / slope * 1e6),
-        reach_us=float(f"{reach * 1e6:.2g}"),
+        reach_us=float(f"{max(reach, rounding) * 1e6:.2g}"),
         tau_ms=float(-1e3 / slope),
         t_ms=[round(float(v) * 1e3, 3) for v in at],
         y=[round(float(v), 4) for v in mean],
