@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from coulombus.analysis.rig.identify import IdentifyError, identify
 
 from coulombus.analysis.figures.report import hold_lines
 from coulombus.analysis.figures.rig import write_fig14, write_identification, write_stick_figure
@@ -20,6 +19,7 @@ from coulombus.lab.demo.demo import judge
 from coulombus.lab.demo.traces import figure_14, traces
 from coulombus.lab.replay.host_replay import host_replay
 from coulombus.lab.simulate import simulate
+from coulombus.recording.friction.identify import IdentifyError, identify
 from coulombus.recording.signals import blocks
 from coulombus.rigs.rig import load_rig
 from coulombus.scope.decode import rows
