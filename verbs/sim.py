@@ -97,7 +97,7 @@ def sim(
 
         rig = load_rig(rig_name, overrides)
         addresses = bus_addresses(rig, bus_names, channel)
-        entries = () if script is None else read_script(script)
+        entries = () if script is None else read_script(script, [node.name for node in rig.nodes])
         plans = {} if faults is None else {name: read_faults(faults).on(name, rig.channels) for name in rig.channels}
         chosen = mode or rig.modes[-1]
         if record is not None and (unpaced or len(addresses) > 1 or next(iter(addresses.values())).kind != "coulombus"):

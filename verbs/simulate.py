@@ -91,7 +91,7 @@ def simulate_command(
         rig = load(rig_name, overrides)
         check_mode(rig, rig_name, mode)
         total = display_s(rig, seconds)
-        entries = () if script is None else read_script(script)
+        entries = () if script is None else read_script(script, [node.name for node in rig.nodes])
         with progress(not as_json) as report:
             result = simulate(
                 rig,

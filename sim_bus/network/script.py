@@ -5,18 +5,19 @@ file.
 
     [[at]]
     t_s = 5.0
-    node = "motor"            # or "brake"
+    node = "motor"            # or "brake", a sensor's name, of several axes "left.motor"
     action = "power_off"      # or "power_on", "reset" (as by the NMT command), "fault", "clear"
     fault = "over_current"    # with "fault" and "clear": one of FAULTS; "clear" without it ends all of the node
     after = "enabled"         # t_s counts from the drive's first Operation Enabled; default: "start", the power-on
 
-A node has the faults that FAULTS names for it. "clear" takes the cause away; the device then wants
-its own reset.
+A node has the faults that FAULTS names for it, a sensor none. "clear" takes the cause away; the
+device then wants its own reset. Of a rig of several axes "motor" and "brake" are the first's on its
+bus; what is named and hangs on another bus is left to that one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,7 +30,7 @@ from coulombus.sim_bus.network.kernel import BRAKE, MOTOR
 if TYPE_CHECKING:
     from coulombus.sim_bus.network.virtual_rig import VirtualRig
 
-__all__ = ["Entry", "ScriptError", "read_script"]
+__all__ = ["Entry", "ScriptError", "faults_of", "read_script"]
 
 NODES = {"motor": MOTOR, "brake": BRAKE}
 ACTIONS = ("power_off", "power_on", "reset", "fault", "clear")
@@ -37,7 +38,7 @@ FAULTS = {
     "motor": ("over_current", "over_temperature", "encoder_lost", "supply_low"),
     "brake": ("over_current", "over_temperature", "supply_low", "coil_open", "coil_short"),
 }
-"""Device faults by node."""
+"""Device faults by the device."""
 
 ORIGINS = ("start", "enabled")
 REQUIRED, OPTIONAL = frozenset(("t_s", "node", "action")), frozenset(("after", "fault"))
@@ -61,21 +62,32 @@ class Entry:
 
     def act(self, world: VirtualRig) -> None:
         """Do it now."""
-        row = NODES[self.node]
-        device = (world.motor, world.brake)[row]
+        row = NODES.get(self.node, world.rows.get(self.node))
+        if row is None:  # it is on another bus
+            return
+        device = world.devices[row]
         if self.action == "power_off":
             world.power_off(row)
         elif self.action == "power_on":
             world.power_on(row)
         elif self.action in ("fault", "clear"):
-            for fault in FAULTS[self.node] if self.fault is None else (self.fault,):
+            for fault in faults_of(self.node) if self.fault is None else (self.fault,):
                 world.inject(row, fault, self.action == "fault")
         elif device.record["powered"]:
             world.nmt_command(row, NmtCommand.RESET_NODE)
 
 
-def read_script(path: Path) -> tuple[Entry, ...]:
+def faults_of(node: str) -> tuple[str, ...]:
+    """Return the device faults of a node by its name, with or without its axis."""
+    return FAULTS.get(node.rpartition(".")[2], ())
+
+
+def read_script(path: Path, nodes: Collection[str] = ()) -> tuple[Entry, ...]:
     """Return the entries of the script `path`.
+
+    Parameters
+    ----------
+    nodes : the names of the rig's devices (`Rig.nodes`), beside "motor" and "brake"
 
     Raises
     ------
@@ -99,25 +111,28 @@ def read_script(path: Path) -> tuple[Entry, ...]:
         raise ScriptError(
             f"{path}: there is no entry in it; expected [[at]] with t_s, node and action, once for each thing that happens"
         )
-    return tuple(_entry(f"{path}: entry {n} of [[at]]", given) for n, given in enumerate(entries, 1))
+    names = tuple(dict.fromkeys((*NODES, *nodes)))
+    return tuple(_entry(f"{path}: entry {n} of [[at]]", given, names) for n, given in enumerate(entries, 1))
 
 
-def _entry(where: str, given: Any) -> Entry:
+def _entry(where: str, given: Any, names: Sequence[str]) -> Entry:
     if not isinstance(given, dict) or not REQUIRED <= set(given) <= REQUIRED | OPTIONAL:
         raise ScriptError(f"{where}: {given}; expected the keys t_s, node, action, and perhaps after and fault")
     t_s = given["t_s"]
     if isinstance(t_s, bool) or not isinstance(t_s, int | float) or not 0 <= t_s < 1e9:
         raise ScriptError(f"{where}: t_s = {t_s!r}; expected seconds, 0 or more")
-    for key, allowed in (("node", tuple(NODES)), ("action", ACTIONS), ("after", ORIGINS)):
+    for key, allowed in (("node", names), ("action", ACTIONS), ("after", ORIGINS)):
         if key in given and given[key] not in allowed:
             raise ScriptError(f"{where}: {key} = {given[key]!r}; expected {_either(allowed)}")
     node, action, fault = given["node"], given["action"], given.get("fault")
+    if action in ("fault", "clear") and not faults_of(node):
+        raise ScriptError(f'{where}: the node "{node}" has no faults of its own; expected {_either(ACTIONS[:3])}')
     if fault is None and action == "fault":
-        raise ScriptError(f"{where}: the key fault is missing; expected {_either(FAULTS[node])}")
+        raise ScriptError(f"{where}: the key fault is missing; expected {_either(faults_of(node))}")
     if fault is not None and action not in ("fault", "clear"):
         raise ScriptError(f'{where}: fault = {fault!r}; expected with action = "fault" or "clear" only')
-    if fault is not None and fault not in FAULTS[node]:
-        raise ScriptError(f'{where}: fault = {fault!r}; expected for node = "{node}": {_either(FAULTS[node])}')
+    if fault is not None and fault not in faults_of(node):
+        raise ScriptError(f'{where}: fault = {fault!r}; expected for node = "{node}": {_either(faults_of(node))}')
     return Entry(round(t_s * 1e9), node, action, given.get("after", "start"), fault)
 
 

@@ -10,9 +10,12 @@ from pathlib import Path
 import pytest
 
 from coulombus.lab.bringup import switch_on
-from coulombus.rigs.rig import load_rig
+from coulombus.lab.simulate import simulate
+from coulombus.rigs.rig import load_rig, load_rig_text
 from coulombus.sim_bus.network.script import FAULTS, Entry, ScriptError, read_script
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
+from eds_edit import SENSOR
+from node_bench import EDS
 
 MS = 1_000_000
 DOCS = Path(__file__).resolve().parent.parent.parent / "docs" / "devices.md"
@@ -205,6 +208,30 @@ def test_wrong_faults_are_refused_with_the_entry(tmp_path, change, message):
         read_script(path)
 
 
+def test_a_script_may_name_a_sensor_and_an_axis(tmp_path):
+    path = tmp_path / "s.toml"
+    path.write_text('[[at]]\nt_s = 0.2\nnode = "cell"\naction = "power_off"\nafter = "enabled"\n')
+    with pytest.raises(ScriptError, match=r"entry 1 .*node = 'cell'; expected \"motor\" or \"brake\"$"):
+        read_script(path)
+    entries = read_script(path, ["motor", "brake", "cell"])
+    bench = (EDS.parent / "rigs" / "bench.toml").read_text() + SENSOR
+    eds = {name: (EDS / name).read_text() for name in ("motor.eds", "mr_brake.eds")}
+    rig = load_rig_text(bench, "r.toml", {**eds, "cell.eds": eds["mr_brake.eds"]})
+    result = simulate(rig, "hybrid", 1.0, script=lambda world: world.plan(entries))
+    assert result.trip.startswith("TPDO_LOST: ")
+    path.write_text(path.read_text().replace('"cell"', '"right.motor"'))
+    entries = read_script(path, [node.name for node in load_rig("two_axes").nodes])
+    result = simulate("two_axes", "hybrid", 1.0, script=lambda world: world.plan(entries))
+    assert result.trip.startswith("axis right: ")
+
+
+def test_a_sensor_has_no_faults_of_its_own(tmp_path):
+    path = tmp_path / "s.toml"
+    path.write_text(SCRIPT.replace('"brake"', '"cell"'))
+    with pytest.raises(ScriptError, match=r'entry 1 .*the node "cell" has no faults of its own; expected "power_off"'):
+        read_script(path, ["cell"])
+
+
 @pytest.mark.parametrize("text", ["", "# nothing\n", "at = []\n"])
 def test_a_script_in_which_nothing_stands_is_refused(tmp_path, text):
     path = tmp_path / "s.toml"
@@ -214,8 +241,6 @@ def test_a_script_in_which_nothing_stands_is_refused(tmp_path, text):
 
 
 def test_the_same_script_gives_the_same_bytes_and_the_host_trips(tmp_path):
-    from coulombus.lab.simulate import simulate
-
     script = (Entry(500 * MS, "motor", "fault", "enabled", "encoder_lost"),)
     runs = []
     for name in ("a", "b"):
