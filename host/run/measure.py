@@ -196,7 +196,8 @@ def measure_rig(
             stack.callback(wire.close)
             devices = measure_devices(controllers, control, wire, rounds, report)
         except (can.CanError, BusFull) as error:
-            raise BusUnavailable(f"bus {address}: {error}") from None
+            text = str(error)
+            raise BusUnavailable(text if text.startswith("bus ") else f"bus {address}: {text}") from None
         times, rights = measure_compute(rig, _loudest(rig), cycles, cpu=cpu, progress=lambda done: report("host", done))
         if not times:
             raise SafetyTrip("the host's cycle gave no figure: its process did not cycle; see its messages above")

@@ -19,7 +19,7 @@ from coulombus.rigs.rig import load_rig, load_rig_text
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
 from coulombus.wire.address import BusUnavailable
 from coulombus.wire.bits import frame_bits
-from eds_edit import SENSOR
+from eds_edit import SENSOR, edit, fixed
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 BENCH = (ROOT / "rigs" / "bench.toml").read_text()
@@ -128,6 +128,27 @@ def test_a_sensor_of_its_own_is_measured_and_a_brake_without_tpdo_is_told():
     found = bench.measure()
     assert longest_us(found["cell"]) == pytest.approx(120, abs=1)
     assert (found["brake"].pdos, found["brake"].why) == ((), "it has no TPDO")
+
+
+def test_a_device_whose_tpdos_come_by_its_own_timer_has_no_response_to_sync():
+    motor = edit(edit(MOTOR, "1800sub2", AccessType="const", DefaultValue=255), "1800sub5", DefaultValue=1)
+    motor = fixed(motor, 0x1A00, 0x1A01, 0x1A02, 0x1A03)
+    found = Bench(load_rig_text(BENCH, "r.toml", {"motor.eds": motor, "mr_brake.eds": BRAKE})).measure()
+    assert (found["motor"].pdos, found["motor"].why) == ((), "no TPDO follows SYNC")
+    assert len(found["brake"].pdos) == 1
+
+
+def test_an_emergency_is_told_and_ends_nothing():
+    bench = Bench()
+
+    def break_down(name, done):
+        if (name, done) == ("brake", 3):
+            bench.world.inject(bench.world.rows["brake"], "supply_low", True)
+
+    found = bench.measure(progress=break_down)
+    assert found["motor"].emergencies == ()
+    assert found["brake"].emergencies == (0x3120,)
+    assert len(found["brake"].pdos[0].times_ns) == 20
 
 
 def test_a_node_that_falls_silent_is_told_with_what_to_look_at():
