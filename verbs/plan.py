@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 __all__ = ["as_dict", "message_rows", "plan_command", "role_rows"]
 
+WATCHES = "motor and brake: sync_timeout_s, setpoint_fault_s"
 WIDTH = 110
 """Of the table in a file or a pipe."""
 
@@ -192,6 +193,9 @@ def _print_changes(would: dict[str, Any]) -> None:
     if period is not None:
         click.echo(f"a period of {period['period_us']:g} us fits:")
         click.echo(f"  --set {' --set '.join(period['set'])}")
+    elif would["shortest_period_us"] is not None:
+        told = f"{would['shortest_period_us']:g} us fits only with longer watches of SYNC and PDOs"
+        click.echo(f"a period of {told} ({WATCHES})")
     if without is None:
         click.echo("without the optional roles, too, this period does not fit")
         return

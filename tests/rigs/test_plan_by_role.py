@@ -126,6 +126,8 @@ def test_the_verb_tells_the_roles_and_what_to_change():
     assert "this period fits without coil_temperature, torque:" in result.output
     assert "lost: the coil's temperature is not measured" in result.output
     assert "without the optional roles, too, this period does not fit" in call("--period-us", 500).output
+    slow = call("--bitrate", 50_000).output
+    assert "a period of 14792 us fits only with longer watches of SYNC and PDOs (motor and brake: sync_time" in slow
     document = json.loads(call("--period-us", 750, "--json").stdout)
     assert document["would_fit"]["period"]["set"] == ["bus.period_s=0.0008", "bus.tpdo_window_s=0.000592"]
     assert document["would_fit"]["without"]["roles"] == ["coil_temperature", "torque"]
