@@ -91,7 +91,11 @@ def measure(
             "backup": None,
         }
         if write:
-            document["backup"] = str(_write(rig, found, on_bus))
+            try:
+                document["backup"] = str(_write(rig, found, on_bus))
+            except Exception:  # what was measured is not lost
+                say("\n".join(_lines(document)))
+                raise
         with verdict(0 if fits else 1):
             if as_json:
                 print_json(document)
@@ -101,6 +105,7 @@ def measure(
 
 def _refuse_to_write(rig_name: str, rig: Rig, overrides: tuple[str, ...]) -> None:
     """Refuse --write where the file is not the user's, before anything is measured."""
+    from coulombus.recording.output_file import reason_against
     from coulombus.rigs.rig import known_rigs
 
     if rig_name in known_rigs():
@@ -108,6 +113,11 @@ def _refuse_to_write(rig_name: str, rig: Rig, overrides: tuple[str, ...]) -> Non
         raise click.BadParameter(text, param_hint="--write")
     if overrides:
         raise click.UsageError("--write changes the rig file, and --set does not stand in it: use one of them")
+    path = Path(rig.path).resolve()
+    for one in (path, path.with_name(f"{path.name}.bak")):
+        reason = reason_against(one, force=True)
+        if reason is not None:
+            raise click.BadParameter(reason, param_hint="--write")
 
 
 def _document(found: Measured, rig: Rig, bus: str) -> dict[str, Any]:
@@ -168,6 +178,11 @@ def _write(rig: Rig, found: Measured, on_bus: Rig) -> Path:
     return replace_file(Path(rig.path), rig.text, text)
 
 
+def _lines(document: dict[str, Any]) -> list[str]:
+    """Return the values as a rig file has them."""
+    return [f"{key} = {value!r}" for key, value in document["values"].items()]
+
+
 def _print(document: dict[str, Any], path: str) -> None:
     from rich.table import Table
 
@@ -199,7 +214,7 @@ def _print(document: dict[str, Any], path: str) -> None:
         if not right["granted"]:
             click.echo(f"{right['name']}: refused ({right['detail']}); to have it: {right['remedy']}")
     if document["backup"] is None:
-        click.echo("\n".join(f"{key} = {value!r}" for key, value in document["values"].items()))
+        click.echo("\n".join(_lines(document)))
     else:
         click.echo(f"written into {path}; the old file is {document['backup']}")
     if document["fits"]:

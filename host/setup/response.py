@@ -36,7 +36,7 @@ ROUND_NS = 250_000_000
 LATE_NS = 1_000_000_000
 """How long one that did not come is waited for still, so that it is not taken for the next SYNC's."""
 SILENT_ROUNDS = 4
-"""A TPDO that has not come in so many rounds from the first on does not come."""
+"""A TPDO that has not come in so many rounds, one after the other, does not come any more."""
 
 
 class Stamped(NamedTuple):
@@ -159,12 +159,13 @@ class _Device:
         self._command(NmtCommand.START)
         wait_operational([self.plan], self.plane)
         times: dict[int, list[int]] = {one.layout.cob_id: [] for one in self.pdos}
+        last = dict.fromkeys(times, 0)
         for done in range(1, rounds + 1):
             for can_id, time_ns in self._round(times).items():
                 times[can_id].append(time_ns)
+                last[can_id] = done
             progress(name, done)
-            if done == SILENT_ROUNDS:
-                self._refuse_silent(times)
+            self._refuse_silent({can_id for can_id, came in last.items() if done - came >= SILENT_ROUNDS})
         self._command(NmtCommand.ENTER_PRE_OPERATIONAL)
         found = (
             PdoTimes(
@@ -199,17 +200,15 @@ class _Device:
             if frame.can_id == CobId.EMCY + self.plan.node_id and len(frame.data) == 8 and code:
                 self.emergencies.add(code)
 
-    def _refuse_silent(self, times: dict[int, list[int]]) -> None:
+    def _refuse_silent(self, silent: Collection[int]) -> None:
+        if not silent:
+            return
         if self.awaited >= SILENT_ROUNDS:
             raise BusUnavailable("no SYNC gets through to the bus: look at bit rate, cable and termination")
-        silent = [f"{one.name} ({one.layout.cob_id:03X}h)" for one in self.pdos if not times[one.layout.cob_id]]
-        if silent:
-            told = (
-                f"; its EMCYs: {', '.join(f'{code:04X}h' for code in sorted(self.emergencies))}"
-                if self.emergencies
-                else ""
-            )
-            raise NodeMissing(
-                f"{self.plan.name} (node {self.plan.node_id}) is OPERATIONAL and sends no {', '.join(silent)} within "
-                f"{ROUND_NS / 1e6:g} ms of a SYNC{told}; see its transmission type and its faults"
-            )
+        names = ", ".join(f"{one.name} ({one.layout.cob_id:03X}h)" for one in self.pdos if one.layout.cob_id in silent)
+        codes = ", ".join(f"{code:04X}h" for code in sorted(self.emergencies))
+        raise NodeMissing(
+            f"{self.plan.name} (node {self.plan.node_id}) is OPERATIONAL and sends no {names} within {ROUND_NS / 1e6:g} ms of a SYNC"
+            + (f"; its EMCYs: {codes}" if codes else "")
+            + "; see its transmission type, its faults and its supply"
+        )

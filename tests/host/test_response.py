@@ -155,11 +155,13 @@ def test_a_node_that_falls_silent_is_told_with_what_to_look_at():
     bench = Bench()
 
     def unplug(name, done):
-        if name == "brake" and done == 0:
-            bench.world.at(bench.world.t_ns + 300_000_000, lambda world: world.power_off(world.rows["brake"]))
+        if (name, done) == ("brake", 8):
+            bench.world.power_off(bench.world.rows["brake"])
 
-    found = bench.measure(progress=unplug)  # it still answered 20 times before
-    assert found["brake"].pdos[0].missed == 0
+    begin_ns = bench.world.t_ns
+    with pytest.raises(NodeMissing, match=r"brake \(node 2\) is OPERATIONAL and sends no TPDO1 .*its supply"):
+        bench.measure(rounds=60, progress=unplug)
+    assert bench.world.t_ns - begin_ns < 30_000_000_000  # not for each of the rounds that are left
     bench = Bench()
     bench.world.power_off(bench.world.rows["brake"])
     with pytest.raises(NodeMissing, match=r"brake \(node 2\) does not answer SDO"):

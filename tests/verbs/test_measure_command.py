@@ -168,6 +168,28 @@ def test_overrides_are_not_written(figures, tmp_path):
     assert [one.name for one in tmp_path.iterdir()] == ["my.toml"]
 
 
+def test_what_was_measured_is_told_where_the_file_cannot_be_written(figures, tmp_path, monkeypatch):
+    mine = tmp_path / "my.toml"
+    text = (ROOT / "rigs" / "bench.toml").read_text()
+    mine.write_text(text)
+
+    def measure_rig(*arguments, **options):
+        mine.write_text(text + "# somebody's\n")  # while it was measured
+        return figures[0]
+
+    monkeypatch.setattr(measuring, "measure_rig", measure_rig)
+    result = call("--rig", mine, "--write")
+    assert result.exit_code == 3
+    assert "motor.response_us = 110.0" in result.stderr
+    assert "the file was changed meanwhile" in result.stderr
+    assert mine.read_text() == text + "# somebody's\n"
+    (tmp_path / "my.toml.bak").mkdir()
+    mine.write_text(text)
+    result = call("--rig", mine, "--write")
+    assert result.exit_code == 2
+    assert "my.toml.bak is a directory" in " ".join(result.output.replace("│", " ").split())
+
+
 def test_a_bus_with_a_host_is_refused(private_sockets):
     door = HostSocket(parse_address("coulombus:bench"))
     try:
