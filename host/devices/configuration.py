@@ -65,7 +65,7 @@ class Dump:
 
     Attributes
     ----------
-    aborted : objects that cannot be read, with the abort's text
+    aborted : objects that cannot be read, with the abort's text, or hold what a file cannot
     left_out : objects that act when they are written
     """
 
@@ -100,6 +100,11 @@ def dump(device: Device, show: Show = lambda done, total: None) -> Dump:
             aborted.append(f"{where(variable.index, variable.subindex)}: {len(data)} bytes are no {kind.name}")
         elif isinstance(value, str) and not _fits_a_line(value):
             aborted.append(f"{where(variable.index, variable.subindex)}: its text does not fit into a file of lines")
+        elif isinstance(value, int | float) and not variable.admits(value):
+            limits = f"{'no limit' if variable.low is None else variable.low} to {variable.largest}"
+            aborted.append(
+                f"{where(variable.index, variable.subindex)}: it holds {value}; the EDS file admits {limits}"
+            )
         else:
             values[variable.index, variable.subindex] = value
     mapped = _mapped(values)

@@ -189,22 +189,19 @@ class Device:
     def names(self) -> Mapping[str, Variable]:
         """Objects by name: "Heartbeat_time", "Identity.Vendor_ID"; blanks are underscores.
 
-        A name that stands twice has its number behind it: "Current_2003h".
+        A name that stands twice has its number behind it: "Current_2003h00".
         """
-        found: dict[str, list[Variable]] = {}
+        found: dict[str, list[tuple[str, Variable]]] = {}
         for variable in self.variables():
             assert self.description is not None
             entry = self.description.objects[variable.index]
             single = len(entry.variables) == 1 and variable.subindex == 0
             name = _word(entry.name if single else f"{entry.name}.{variable.name}")
-            found.setdefault(name, []).append(variable)
+            found.setdefault(name.lower(), []).append((name, variable))
         return {
-            name
-            if len(row) == 1
-            else f"{name}_{one.index:04X}h"
-            + (f"{one.subindex:02X}" if len({x.index for x in row}) < len(row) else ""): one
-            for name, row in found.items()
-            for one in row
+            name if len(row) == 1 else f"{name}_{one.index:04X}h{one.subindex:02X}": one
+            for row in found.values()
+            for name, one in row
         }
 
     def find(self, text: str) -> Variable:

@@ -46,6 +46,14 @@ def test_a_dump_is_a_dcf_that_holds_what_the_device_holds(name, node_id):
     assert found.aborted == ()
 
 
+def test_a_value_that_the_file_does_not_admit_is_told_and_left_out():
+    _, device = bench()
+    device = Device(device.client, parse_eds(edit(MOTOR.text, "1017", LowLimit="5").encode(), "strict.eds"))
+    found = dump(device)
+    assert (0x1017, 0) not in found.values
+    assert found.aborted == ("1017h:00: it holds 0; the EDS file admits 5 to 65535",)
+
+
 def test_what_acts_is_neither_dumped_nor_restored():
     _, device = bench()
     found = dump(device)

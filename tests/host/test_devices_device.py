@@ -8,7 +8,7 @@ import pytest
 
 from coulombus.eds.cia301 import DATA_TYPES
 from coulombus.eds.data import decode, encode
-from coulombus.eds.reader import Variable
+from coulombus.eds.reader import Variable, parse_eds
 from coulombus.eds.units import Unit, fixed_unit, told_unit
 from coulombus.host.devices.device import Device, ObjectUnknown, ValueRefused, describe
 from coulombus.host.devices.sdo import SdoClient
@@ -63,6 +63,17 @@ def test_every_name_leads_to_its_own_object(link):
         for name, variable in one.names.items():
             assert one.find(name) == variable
             assert " " not in name
+
+
+def test_names_that_stand_twice_have_their_numbers_behind_them(link):
+    rows = ((0x2000, "Digital inputs"), (0x2001, "Digital Inputs"), (0x2002, "Other"))
+    body = "\nObjectType=7\nDataType=5\nAccessType=rw\n"
+    text = "".join(f"[{index:04X}]\nParameterName={name}{body}" for index, name in rows)
+    one = Device(SdoClient(link, 1), parse_eds(text.encode(), "x.eds"))
+    assert list(one.names) == ["Digital_inputs_2000h00", "Digital_Inputs_2001h00", "Other"]
+    assert [one.find(name).index for name in one.names] == [0x2000, 0x2001, 0x2002]
+    with pytest.raises(ObjectUnknown, match=r"did you mean Digital_[iI]nputs_200"):
+        one.find("digital_inputs")
 
 
 def test_an_unknown_name_is_told_with_the_nearest(link):
