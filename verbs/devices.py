@@ -54,18 +54,19 @@ class LiveLine:
         from rich.console import Console
 
         self._console = Console(stderr=True)
-        self._last_s = 0.0
+        self._last_s, self._shown = 0.0, False
 
     def __enter__(self) -> LiveLine:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._write("")
+        if self._shown:
+            self._write("")
 
     def __call__(self, text: str) -> None:
         """Show a text, at most ten times a second."""
         if time.monotonic() - self._last_s > 0.1:
-            self._last_s = time.monotonic()
+            self._last_s, self._shown = time.monotonic(), True
             self._write(text)
 
     def _write(self, text: str) -> None:

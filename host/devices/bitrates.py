@@ -12,6 +12,7 @@ import json
 import subprocess
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from typing import NamedTuple
 
 from coulombus.eds.cia301 import CobId
 from coulombus.eds.sdo_frames import head
@@ -87,9 +88,9 @@ def choose(
             if len(quiet) == len(RATES):  # nobody talks: nobody can be disturbed
                 found = _asked(name, commands, link, show)
     finally:
-        if found is None and before:
+        if found is None:
             with suppress(BusUnavailable):
-                _set(name, before, commands)
+                _set_back(name, before, commands)
     if found is None:
         raise NodeMissing(
             f"nobody was heard on socketcan:{name} at any bit rate; is a device powered and the bus terminated?"
@@ -118,17 +119,39 @@ def _hears(link: FrameLink, seconds: float) -> bool:
     return link.receive(link.now_ns() + round(seconds * 1e9)) is not None
 
 
-def _before(name: str, commands: Commands) -> int:
-    """Return the bit rate that the interface has, 0 where none was set yet."""
+class _Before(NamedTuple):
+    """How the interface was: bit rate (0: none was set yet), reports of bus errors, up or down."""
+
+    rate: int
+    reports: bool
+    up: bool
+
+
+def _before(name: str, commands: Commands) -> _Before:
     try:
         told = json.loads(commands(("ip", "-details", "-json", "link", "show", name)))
-        info = told[0]["linkinfo"]
+        flags, info = told[0].get("flags", ()), told[0]["linkinfo"]
         kind, data = info["info_kind"], info.get("info_data", {})
-    except (ValueError, LookupError, TypeError):
+        rate = int(data.get("bittiming", {}).get("bitrate", 0))
+        before = _Before(rate, "BERR-REPORTING" in data.get("ctrlmode", ()), "UP" in flags)
+    except (ValueError, LookupError, TypeError, AttributeError):
         raise BusUnavailable(f"socketcan:{name} tells no bit rate (ip -details link show {name})") from None
     if kind != "can":
         raise BusUnavailable(f"socketcan:{name} is a {kind} interface, which has no bit rate")
-    return int(data.get("bittiming", {}).get("bitrate", 0))
+    return before
+
+
+def _set_back(name: str, before: _Before, commands: Commands) -> None:
+    """Leave the interface as it was; one that had no bit rate stays down."""
+    if before.rate:
+        _set(name, before.rate, commands)
+    if not (before.rate and before.reports and before.up):
+        commands(("ip", "link", "set", name, "down"))
+    if not before.reports:
+        with suppress(BusUnavailable):
+            commands(("ip", "link", "set", name, "type", "can", "berr-reporting", "off"))
+    if before.rate and before.up and not before.reports:
+        commands(("ip", "link", "set", name, "up"))
 
 
 def _set(name: str, rate: int, commands: Commands, *, listen: bool = False) -> None:

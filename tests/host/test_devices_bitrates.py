@@ -19,15 +19,20 @@ class Interface:
         self.right, self.talks, self.refuses = right, talks, refuses
         self.rate, self.listen, self.sent, self.history = before, False, [], []
         self.info = {"info_kind": kind, "info_data": {"bittiming": {"bitrate": before}} if before else {}}
+        self.flags, self.reports, self.up = ["UP"], False, True
 
     def commands(self, words):
         if words[1] == "-details":
-            return json.dumps([{"linkinfo": self.info}])
+            return json.dumps([{"flags": self.flags, "linkinfo": self.info}])
         if self.refuses and self.refuses in words:
             raise BusUnavailable(f"Operation not permitted; with the rights for it: sudo {' '.join(words)}")
         if "bitrate" in words:
             self.rate, self.listen = int(words[words.index("bitrate") + 1]), words[-1] == "on"
             self.history.append((self.rate, self.listen))
+        if "berr-reporting" in words:
+            assert not self.up  # a driver takes it from an interface that is down
+            self.reports = words[-1] == "on"
+        self.up = words[-1] == "up" if words[-1] in ("up", "down") else self.up
         return ""
 
     def link(self, address):
@@ -75,12 +80,17 @@ def test_a_quiet_bus_is_asked_at_each_rate():
     assert interface.sent.count(1_000_000) == 1  # the first error frame ends it there
 
 
+@pytest.mark.parametrize("up", [True, False])
+@pytest.mark.parametrize("reports", [True, False])
 @pytest.mark.parametrize("talks", [True, False])
-def test_an_interface_that_hears_nobody_is_as_it_was(talks):
+def test_an_interface_that_hears_nobody_is_as_it_was(talks, reports, up):
     interface = Interface(33_333, talks=talks, before=500_000)
+    interface.flags = ["UP"] if up else []
+    interface.info["info_data"]["ctrlmode"] = ["BERR-REPORTING"] if reports else []
     with pytest.raises(NodeMissing, match="nobody was heard on socketcan:can0 at any bit rate"):
         choose("can0", commands=interface.commands, link=interface.link)
     assert (interface.rate, interface.listen) == (500_000, False)
+    assert (interface.reports, interface.up) == (reports, up)
     assert bool(interface.sent) != talks
     assert {rate for rate, _ in interface.history} == set(RATES)
 

@@ -122,13 +122,17 @@ def test_error_frames_are_told_with_their_likely_cause(count, classes, anybody, 
     assert bool(told) == bool(text)
 
 
-@pytest.mark.parametrize(("can_id", "text"), [(0x80, "SYNC"), (0x601, "SDO"), (0x583, "SDO")])
-def test_a_host_at_work_is_noticed(private_sockets, can_id, text):
+AT_WORK = ((0x80, b"", "SYNC"), (0x601, bytes(8), "SDO"), (0x583, bytes(8), "SDO"), (0x77F, b"\5", "the heartbeat"))
+
+
+@pytest.mark.parametrize(("can_id", "data", "text"), AT_WORK)
+def test_a_host_at_work_is_noticed(private_sockets, can_id, data, text):
     link = DevicesLink()
-    link.put(can_id, b"" if can_id == 0x80 else bytes(8), after_ns=S // 4)
+    link.put(0x77F, b"\x7f")  # a device's
+    link.put(can_id, data, after_ns=S // 4)
     with pytest.raises(SafetyTrip, match=f"a host is on bus coulombus:nobody: {text}"):
         check_alone(link, NOBODY)
-    link.put(can_id, b"" if can_id == 0x80 else bytes(8), after_ns=S // 4)
+    link.put(can_id, data, after_ns=S // 4)
     assert text in check_alone(link, NOBODY, beside=True)
     assert check_alone(link, NOBODY) == ""
 
