@@ -70,8 +70,8 @@ def fixed_unit(index: int, subindex: int) -> Unit | None:
 
 
 def told_unit(code: int, digits: int) -> Unit | None:
-    """Return the unit that a block of CiA 404 tells: 10^-digits, with the prefix of the unit's code;
-    None where it is none that is known.
+    """Return the unit that a block of CiA 404 tells: 10^-digits, with the prefix of the unit's
+    code; None where it is none that is known.
 
     The code's four bytes are, from the highest: prefix (power of ten, INTEGER8), numerator,
     denominator, reserved.

@@ -52,7 +52,7 @@ def scan(
 ) -> None:
     """Find the devices on a bus: what they are, their state, which EDS file is theirs.
 
-    Every node id is asked for its type and identity by SDO, which takes less than 3 s. Nodes that
+    Every node id is asked for its type and identity by SDO, in about a second. Nodes that
     answer none are found by their heartbeat or boot-up (--listen), devices without a node id by LSS
     fastscan. Nothing is written. Ends with 5 when nobody was found.
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +10,6 @@ import click
 
 from coulombus.verbs.common import (
     EXIT_STATUS,
-    SECONDS,
     OutputFile,
     errors,
     force_option,
@@ -23,12 +20,19 @@ from coulombus.verbs.common import (
     table_console,
     verdict,
 )
-from coulombus.verbs.devices import LiveLine, beside_option, devices_bus_option, open_link
+from coulombus.verbs.devices import (
+    LiveLine,
+    beside_option,
+    device_options,
+    devices_bus_option,
+    open_device,
+    open_link,
+    timeout_option,
+)
 
 if TYPE_CHECKING:
     from coulombus.host.devices.configuration import Difference
     from coulombus.host.devices.device import Device
-    from coulombus.wire.bus_link import BusLink
 
 __all__ = ["sdo"]
 
@@ -37,25 +41,6 @@ CHECK_FAILED, ABORTED = 1, 6
 
 node_argument = click.argument("node_id", type=click.IntRange(1, 127), metavar="NODE")
 object_argument = click.argument("name", metavar="OBJECT")
-eds_option = click.option(
-    "--eds",
-    "eds",
-    type=click.Path(path_type=Path),
-    metavar="E",
-    help="Its EDS or DCF file; a folder, in which it is found by 1018h; or `device`: what the device keeps (1021h).",
-)
-rig_option = click.option(
-    "--rig", "rig_name", metavar="R", help="A rig file that has the node: its EDS file and its SI units."
-)
-timeout_option = click.option(
-    "--timeout",
-    "timeout_s",
-    type=SECONDS,
-    default=1.0,
-    show_default=True,
-    metavar="S",
-    help="How long an answer may take.",
-)
 type_option = click.option(
     "--type", "type_name", default="", metavar="T", help="Data type without an EDS file, as UNSIGNED16."
 )
@@ -66,56 +51,6 @@ part_option = click.option(
     show_default=True,
     help="1: all; 2: communication; 3: application.",
 )
-
-
-def device_options(function: Callable[..., None]) -> Callable[..., None]:
-    """Give a verb the options of who asks a device."""
-    for option in (beside_option, timeout_option, rig_option, eds_option, devices_bus_option):
-        function = option(function)
-    return function
-
-
-@contextmanager
-def open_device(
-    node_id: int, bus_name: str, eds: Path | None, rig_name: str | None, timeout_s: float, *, beside: bool
-) -> Iterator[tuple[BusLink, Device]]:
-    """Open a bus and a node on it, with its EDS file where there is one."""
-    from coulombus.host.devices.device import Device, describe
-    from coulombus.host.devices.sdo import SdoClient
-
-    if eds is not None and rig_name is not None:
-        raise click.UsageError("the EDS file is that of --eds, or that of --rig; give one of them")
-    with open_link(bus_name, beside=beside) as link:
-        client = SdoClient(link, node_id, timeout_s)
-        if rig_name is not None:
-            description, units = _of_rig(rig_name, node_id)
-            yield link, Device(client, description, units)
-            return
-        with LiveLine() as show:
-            source = "device" if eds is not None and str(eds) == "device" else eds
-            description = describe(client, source, lambda done, total: show(f"EDS file: {done} of {total} bytes"))
-        yield link, Device(client, description)
-
-
-def _of_rig(rig_name: str, node_id: int) -> tuple[Any, dict[tuple[int, int], Any]]:
-    """Return the EDS file of a node of a rig, and the units of what the host exchanges with it."""
-    from coulombus.eds.units import Unit
-    from coulombus.host.errors import DeviceMismatch
-    from coulombus.verbs.common import load
-
-    rig = load(rig_name, ())
-    units = {
-        (signal.index, signal.subindex): Unit(signal.scale, signal.unit, signal.offset)
-        for pdo in rig.pdos()
-        if pdo.node_id == node_id
-        for signal in pdo.signals
-        if signal.unit
-    }
-    for axis in rig.axes:
-        for name in axis.devices:
-            if axis.part(name).node_id == node_id:
-                return axis.description(name), units
-    raise DeviceMismatch(f"the rig {rig_name} has no node {node_id}")
 
 
 class SdoGroup(click.Group):

@@ -46,12 +46,15 @@ class Shell(cmd.Cmd):
     # commands
 
     def do_get(self, line: str) -> None:
-        """Get OBJECT: read an object by number (6041h, 1018h:01) or name."""
+        """Read an object by number (6041h, 1018h:01) or name: get OBJECT."""
         (name,) = self._words(line, 1)
         click.echo(printable(str(self.device.read(self.device.find(name)))))
 
     def do_set(self, line: str) -> None:
-        """Set OBJECT VALUE: write an object and read it back; "0.5 Nm" is converted, a number is raw."""
+        """Write an object and read it back: set OBJECT VALUE.
+
+        "0.5 Nm" is converted, a number alone is raw.
+        """
         name, value = self._words(line, 2)
         variable = self.device.find(name)
         data = self.device.parse(variable, value)
@@ -60,7 +63,7 @@ class Shell(cmd.Cmd):
         click.echo("written" if back is None else printable(str(back)))
 
     def do_ls(self, line: str) -> None:
-        """Ls [TEXT]: list the objects whose number or name has the text."""
+        """List the objects whose number or name has a text: ls [TEXT]."""
         wanted = line.strip().lower()
         rows = [(where(one.index, one.subindex), one.access, name) for name, one in self.device.names.items()]
         rows = [row for row in rows if wanted in f"{row[0]} {row[2]}".lower()]
@@ -71,13 +74,13 @@ class Shell(cmd.Cmd):
             click.echo(f"... and {len(rows) - len(shown)} more: ls TEXT lists those with the text")
 
     def do_store(self, line: str) -> None:
-        """store: let the device keep its parameters when it is switched off (1010h:01)."""
+        """Let the device keep its parameters when it is switched off (1010h:01): store."""
         self._alone()
         store_parameters(self._link, self.device.node_id)
         click.echo("stored")
 
     def do_nmt(self, line: str) -> None:
-        """Nmt start|stop|preop|reset|reset-communication: send the node an NMT command."""
+        """Send the node a command: nmt start|stop|preop|reset|reset-communication."""
         (word,) = self._words(line, 1)
         if word not in COMMANDS:
             raise click.UsageError(f"{word!r}: expected one of {', '.join(COMMANDS)}")
@@ -86,7 +89,7 @@ class Shell(cmd.Cmd):
             click.echo(str(one))
 
     def do_quit(self, line: str) -> bool:
-        """quit: end (Ctrl-D, too)."""
+        """End (Ctrl-D, too): quit."""
         return True
 
     def do_EOF(self, line: str) -> bool:

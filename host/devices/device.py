@@ -94,8 +94,8 @@ def _finite(value: float | str) -> float | str:
 
 
 def trimmed(variable: Variable, data: bytes) -> bytes:
-    """Return an upload's bytes without those behind its type: a server that does not tell the length
-    of an expedited one sends four.
+    """Return an upload's bytes without those behind its type: a server that does not tell the
+    length of an expedited one sends four.
     """
     size = (variable.bits + 7) // 8
     return data[:size] if size and size < len(data) <= 4 else data

@@ -19,7 +19,10 @@ FILTERS = (
     *((CobId.SYNC, 0x7FF), (CobId.SDO_TX, 0x780), (CobId.SDO_RX, 0x780)),
     *((CobId.HEARTBEAT, 0x780), (CobId.LSS_TX, 0x7FE)),
 )
-"""What a service for devices takes of a bus: SYNC, SDO, heartbeats, LSS. A flood of PDOs stays out."""
+"""What a service for devices takes of a bus: SYNC, SDO, heartbeats, LSS.
+
+A flood of PDOs stays out.
+"""
 
 
 def who_is_at_work(link: FrameLink, address: BusAddress, listen_s: float = LISTEN_S) -> str:

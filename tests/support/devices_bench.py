@@ -26,7 +26,7 @@ UNCONFIGURED = 255
 
 
 def eds(name="motor", **identity):
-    """Return one of our EDS files with another identity: `vendor`, `product`, `revision`, `serial`."""
+    """Return one of our EDS files with another `vendor`, `product`, `revision`, `serial`."""
     text = (EDS / f"{name}.eds").read_text(encoding="utf-8")
     for sub, part in enumerate(("vendor", "product", "revision", "serial"), 1):
         if part in identity:
