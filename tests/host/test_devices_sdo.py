@@ -4,11 +4,15 @@ do it wrong.
 
 from __future__ import annotations
 
+from contextlib import suppress
+from random import Random
+
 import canopen
 import pytest
 
 from coulombus.host.devices.sdo import SdoClient, load_defaults, store_parameters
 from coulombus.host.devices.transfers import Nonsense, Refused, SdoSilent
+from coulombus.host.errors import HostError
 from devices_bench import EDS, DevicesLink, Server, eds
 
 S = 1_000_000_000
@@ -232,3 +236,30 @@ def test_parameters_are_stored_and_defaults_come_back():
     load_defaults(link, 1)
     link.send(0x000, b"\x81\x01")
     assert client.upload(0x1017, 0) == b"\0\0"
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_whatever_a_server_answers_ends_in_a_value_or_an_error(seed):
+    random = Random(seed)
+    heads = (0x00, 0x01, 0x10, 0x20, 0x41, 0x43, 0x60, 0x80, 0xA0, 0xA2, 0xA4, 0xC1, 0xC4, 0xC6, 0xA1)
+    sizes = (b"\xff\xff\xff\xff", bytes(4), (900).to_bytes(4, "little"), (2000).to_bytes(4, "little"))
+
+    def answer(request):
+        rows = []
+        for _ in range(random.choice((0, 1, 1, 1, 2, 3))):
+            place = request[1:4] if random.random() < 0.7 else random.randbytes(3)
+            row = bytes((random.choice(heads),)) + place + random.choice(sizes)
+            rows.append(row[: random.choice((8, 8, 8, 8, 7, 0))])
+        return rows
+
+    link = DevicesLink()
+    Server(link, 5, answer)
+    client, ended = SdoClient(link, 5, 0.05), 0
+    for size in 40 * (0, 1, 5, 20, 900):
+        for act in (lambda: client.upload(*PLACE), lambda size=size: client.download(*PLACE, bytes(size))):
+            begin = link.t
+            with suppress(HostError):
+                act()
+            ended += 1
+            assert link.t - begin < 30 * S
+    assert ended == 400

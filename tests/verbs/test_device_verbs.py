@@ -153,6 +153,13 @@ def test_lss_lists_and_numbers_devices(desk):
     assert [device.node_id for device in desk.devices] == [1, 2, 9, 10]
 
 
+@pytest.mark.parametrize("node_id", [0, 128, 254, 256])
+def test_a_node_has_an_id_or_none_yet(node_id):
+    result = call("node", ROOT / "eds" / "motor.eds", "--node-id", node_id, "--bus", "coulombus:none")
+    assert result.exit_code == 2
+    assert str(node_id) in result.output
+
+
 def test_a_device_that_does_not_boot_ends_with_a_missing_node(desk):
     desk.add(eds("motor", vendor=0x77, serial=5), UNCONFIGURED)
     desk.tamper = lambda frame: [] if frame.can_id == 0x709 else [frame]
