@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import ctypes
 import errno
+import fcntl
 import json
 import os
 import queue
@@ -167,6 +168,8 @@ class SegmentedRecorder(Recorder):
         self._reserved, self._told_s = 0, time.monotonic()
         try:
             self._index = os.open(self.run / INDEX, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o666)
+            with suppress(OSError):  # a file system without locks: then nobody can tell that this run lives
+                fcntl.flock(self._index, fcntl.LOCK_EX | fcntl.LOCK_NB)
             super().__init__(self.run / "000001.pcapng", rig, mode, law=law, more=more, comment=comment)
         except OSError as error:
             if isinstance(error, RecordingError):
@@ -245,8 +248,7 @@ class SegmentedRecorder(Recorder):
         keep = self.rotation.keep_bytes
         if keep is None:
             return False
-        present = self._segment if self._writer.fileno() >= 0 else None
-        old = [one for run in runs(self.folder) for one in segments_of(run) if one != present]
+        old = [one for run in runs(self.folder) for one in segments_of(run) if one not in self._present(run)]
         sizes = [_size(one) for one in old]
         wanted = max(sum(sizes) + (self.rotation.most_bytes or max(sizes, default=0)) - keep, more)
         freed = 0
@@ -262,6 +264,12 @@ class SegmentedRecorder(Recorder):
                     one.parent.rmdir()
         return freed > 0
 
+    def _present(self, run: Path) -> list[Path]:
+        """Return the segment of a run that is written to now, by this host or by another one."""
+        if run == self.run:
+            return [self._segment] if self._writer.fileno() >= 0 else []
+        return segments_of(run)[-1:] if _lives(run) else []
+
     def close(self) -> None:
         """Write what is left, end the segment, bring it to the disk; may be called again."""
         if self._index < 0:
@@ -273,6 +281,18 @@ class SegmentedRecorder(Recorder):
             os.close(self._index)
             self._index = -1
             self._flusher.close()
+
+
+def _lives(run: Path) -> bool:
+    """Tell whether a process still records a run: it holds the lock of its index."""
+    try:
+        with (run / INDEX).open("rb") as index:
+            fcntl.flock(index, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    return False
 
 
 def _size(path: Path) -> int:

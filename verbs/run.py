@@ -135,7 +135,7 @@ def run_command(
             text = f"for simulated nodes only: on {real[0]} a motor could push unwatched for 50 ms; choose each limit by --set"
             raise click.BadParameter(text, param_hint="--shared-machine")
         check_mode(rig, rig_name, mode)
-        rotation, said = _rotation(record, rotate, keep), _said(meta)
+        rotation, said = _rotation(record, rotate, keep), _said(record, meta)
         if channel is not None:
             rig = rig.on(channel)
         if len(rig.channels) > 1:
@@ -213,8 +213,10 @@ def _rotation(record: Path | None, rotate: Rotation | None, keep: int | None) ->
     return found
 
 
-def _said(meta: tuple[str, ...]) -> dict[str, str]:
+def _said(record: Path | None, meta: tuple[str, ...]) -> dict[str, str]:
     """Return the pairs of --meta."""
+    if meta and record is None:
+        raise click.UsageError("--meta is of a recording: give --record, too")
     found: dict[str, str] = {}
     for text in meta:
         key, equals, value = text.partition("=")

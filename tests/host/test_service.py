@@ -15,6 +15,7 @@ from click.testing import CliRunner
 
 from coulombus.compiled.decorator import JIT_DISABLED
 from coulombus.host.service.units import Service, files, quoted
+from coulombus.rigs.rig import load_rig
 from coulombus.verbs.main import main
 from real_bench import children, host, result, simulation
 
@@ -121,11 +122,13 @@ def test_no_file_is_replaced_and_then_none_is_written(tmp_path):
 
 
 def test_a_rig_on_several_buses_is_refused(tmp_path):
-    sets = ["--set", "axis.left.bus.channel=a"]
+    """Its buses are coupled by the process that starts them, of which a unit knows nothing."""
     rig = tmp_path / "two.toml"
-    assert CliRunner().invoke(main, ["check", "--rig", "two_axes", *sets, "--json"]).exit_code in (0, 1, 3)
-    rig.write_text("")
-    assert CliRunner().invoke(main, ["systemd", "--rig", str(rig), "-o", str(tmp_path / "u")]).exit_code == 3
+    rig.write_text(load_rig("two_axes", ["axis.left.bus.channel=a", "axis.right.bus.channel=b"]).effective())
+    done = CliRunner().invoke(main, ["systemd", "--rig", str(rig), "-o", str(tmp_path / "u")])
+    assert done.exit_code == 2
+    assert "the buses a, b" in " ".join(done.output.replace("│", " ").split())
+    assert not list((tmp_path / "u").iterdir())
 
 
 def test_a_folder_that_cannot_be_made_is_a_usage_error():

@@ -126,6 +126,20 @@ def test_two_hosts_that_record_into_one_folder_have_a_run_each(tmp_path):
     assert [len(read(run).frames) for run in runs(tmp_path)] == [3, 4]
 
 
+def test_what_another_host_writes_to_is_not_removed(tmp_path):
+    with recorder(tmp_path, SMALL) as other:
+        for number in range(4):
+            other.write(batch(number))
+        present = Path(other._writer.path)
+        kept = record(tmp_path, Rotation(100_000, None, keep_bytes=200_000)).run
+        assert segments(other.run) == [present]
+        other.write(batch(4))
+    assert len(read(present).frames) >= BATCH
+    assert segments(kept)
+    record(tmp_path, Rotation(100_000, None, keep_bytes=200_000))
+    assert not other.run.exists()
+
+
 def test_a_process_that_is_killed_loses_no_frame_that_was_written(tmp_path):
     code = (
         "import sys, os, signal; sys.path[:0] = sys.argv[2:]; from pathlib import Path\n"
@@ -254,9 +268,10 @@ def test_what_is_no_rotation_is_refused(text):
         "--rotate 1h --record DIR/f.pcapng",
         "--record DIR/none",
         "--rotate 100MB --keep 150MB --record DIR",
-        "--meta subject",
-        "--meta =x",
-        "--meta a=1 --meta a=2",
+        "--meta subject=S01",
+        "--meta subject --record DIR",
+        "--meta =x --record DIR",
+        "--meta a=1 --meta a=2 --record DIR",
     ],
 )
 def test_wrong_words_of_a_recording_are_usage_errors(tmp_path, words, private_sockets):
