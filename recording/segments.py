@@ -166,18 +166,34 @@ class SegmentedRecorder(Recorder):
         self.run = _new_run(folder, started_ns)
         self._number, self._begun_ns, self._last_ns, self._frames = 1, -1, 0, 0
         self._reserved, self._told_s = 0, time.monotonic()
+        self._step = min(RESERVED, rotation.most_bytes or RESERVED)
+        self._index = -1
         try:
             self._index = os.open(self.run / INDEX, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o666)
             with suppress(OSError):  # a file system without locks: then nobody can tell that this run lives
                 fcntl.flock(self._index, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            room = os.statvfs(self.run)
+            if room.f_bavail * room.f_frsize < 2 * self._step:
+                self._prune(2 * self._step)
             super().__init__(self.run / "000001.pcapng", rig, mode, law=law, more=more, comment=comment)
         except OSError as error:
+            self._undo()
             if isinstance(error, RecordingError):
                 raise
             raise RecordingError(f"{self.run}: the recording cannot be created ({error.strerror})") from error
         self._flusher = _Flusher()
         self._note("begun", segment=self._segment.name)
         self._make_room()
+
+    def _undo(self) -> None:
+        """Remove the folder of a run that could not begin."""
+        if self._index >= 0:
+            os.close(self._index)
+        for one in (self.run / INDEX, *segments_of(self.run)):
+            with suppress(OSError):
+                one.unlink()
+        with suppress(OSError):
+            self.run.rmdir()
 
     @property
     def _segment(self) -> Path:
@@ -233,12 +249,12 @@ class SegmentedRecorder(Recorder):
         """Reserve the next room where the present one is nearly used; without any, remove old
         segments first.
         """
-        while self._writer.bytes + RESERVED // 2 > self._reserved:
+        while self._writer.bytes + self._step // 2 > self._reserved:
             try:
-                reserve(self._writer.fileno(), self._reserved, RESERVED)
-                self._reserved += RESERVED
+                reserve(self._writer.fileno(), self._reserved, self._step)
+                self._reserved += self._step
             except OSError:
-                if self.rotation.keep_bytes is None or not self._prune(RESERVED):
+                if not self._prune(self._step):
                     return  # what is left is still written; then the run ends as on any full disk
 
     def _prune(self, more: int) -> bool:

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -170,7 +171,7 @@ def test_a_segment_that_was_torn_is_read_to_its_last_whole_block(tmp_path):
 
 
 def test_a_disk_that_fills_up_makes_room_by_the_oldest_segments(tmp_path, monkeypatch):
-    record(tmp_path, SMALL)
+    first = record(tmp_path, SMALL).run
     refused = [True, False]
 
     def full(fd, offset, length):
@@ -180,8 +181,25 @@ def test_a_disk_that_fills_up_makes_room_by_the_oldest_segments(tmp_path, monkey
     monkeypatch.setattr(module, "reserve", full)
     with recorder(tmp_path, Rotation(150_000, None, keep_bytes=10**9)) as made:
         made.write(batch(0))
-    assert [run.name[:6] for run in runs(tmp_path)] == ["000002"]
+    assert segments(first)[0].name > "000001.pcapng"
     assert len(read(made.run).frames) == BATCH
+
+
+def test_a_run_that_begins_on_a_full_disk_removes_old_segments_first(tmp_path, monkeypatch):
+    first = record(tmp_path, SMALL).run
+    free = os.statvfs(tmp_path)
+    full = SimpleNamespace(f_bavail=0, f_frsize=free.f_frsize)
+    monkeypatch.setattr(os, "statvfs", lambda path: full)
+    made = record(tmp_path, Rotation(100_000, None, keep_bytes=10**9))
+    assert segments(first)[0].name == "000003.pcapng"
+    assert len(read(made.run).frames) == 12 * BATCH
+
+
+def test_a_run_that_cannot_begin_leaves_nothing(tmp_path, monkeypatch):
+    monkeypatch.setattr(module.Recorder, "__init__", lambda *given, **more: os.stat("/nonexistent/x"))
+    with pytest.raises(RecordingError):
+        recorder(tmp_path, SMALL)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_disk_that_is_full_ends_the_recording_and_keeps_what_is_there(tmp_path, monkeypatch):
