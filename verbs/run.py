@@ -85,7 +85,12 @@ GIVEN = f"{__name__}.given"
 @click.option(
     "--shared-machine", is_flag=True, help="Wider limits, for simulated nodes on a machine that does other work, too."
 )
-@click.option("--cpu", type=CPU, default=None, help="CPU for the cycle's process.  [default: the last isolated one, else the last]")
+@click.option(
+    "--cpu",
+    type=CPU,
+    default=None,
+    help="CPU for the cycle's process.  [default: the last isolated one, else the last]",
+)
 @json_option
 def run_command(
     rig_name: str,

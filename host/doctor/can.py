@@ -177,6 +177,8 @@ def txqueuelen(link: Link) -> Outcome:
     """What waits to be sent: too little room loses frames, too much keeps old set-points."""
     length = link.machine.number(f"/sys/class/net/{link.name}/tx_queue_len")
     fix = f"sudo ip link set {shlex.quote(link.name)} txqueuelen 64"
+    if link.virtual:
+        return Outcome(True, f"{length} frames; nothing waits there: it is virtual")
     if length < SHORTEST_QUEUE:
         return Outcome(False, f"{length} frames: an SDO beside the cycle may find no room", fix)
     if length > LONGEST_QUEUE:
@@ -240,6 +242,9 @@ def berr_reporting(link: Link) -> Outcome:
     """Each error on the bus comes as an error frame, is counted and recorded."""
     if "BERR-REPORTING" in link.modes:
         return Outcome(True, "on")
+    can = link.info().get("ctrlmode_supported")
+    if isinstance(can, list) and "BERR-REPORTING" not in can:
+        return Outcome(True, "off, and this card cannot: errors are seen by the counters only")
     return Outcome(False, "off: errors on the bus are not seen one by one", link.setup)
 
 

@@ -131,6 +131,8 @@ def machine(tmp_path):
                 path.write_bytes(text if isinstance(text, bytes) else text.encode())
         net = tmp_path / "sys/class/net/can0"
         if net.is_dir() and "sys/devices/pci0/usb1/1-2/1-2:1.0/x" in base:
+            (net / "device").unlink(missing_ok=True)
+            (tmp_path / "sys/devices/pci0/usb1/1-2/1-2:1.0/driver").unlink(missing_ok=True)
             (net / "device").symlink_to("../../../devices/pci0/usb1/1-2/1-2:1.0")
             (tmp_path / "sys/devices/pci0/usb1/1-2/1-2:1.0/driver").symlink_to("../../../../../drivers/gs_usb")
 
@@ -268,9 +270,16 @@ def test_what_is_no_can_interface_is_left_alone(examined):
 
 
 def test_a_virtual_interface_has_no_controller_to_mend(examined):
-    found = examined(link={"linkinfo": {"info_kind": "vcan"}})
+    found = examined({"sys/class/net/can0/tx_queue_len": "1000"}, link={"linkinfo": {"info_kind": "vcan"}})
     assert not [one for name, one in found.items() if name.startswith("can.") and not one.ok]
     assert "no controller" in found["can.bitrate"].found
+
+
+def test_what_a_card_cannot_do_is_not_to_mend(examined):
+    found = examined(link=link_with(ctrlmode=[], ctrlmode_supported=["LOOPBACK"]))["can.berr_reporting"]
+    assert found.ok
+    assert "cannot" in found.found
+    assert not examined(link=link_with(ctrlmode=[], ctrlmode_supported=["BERR-REPORTING"]))["can.berr_reporting"].ok
 
 
 def test_an_interface_that_is_missing_is_told_with_those_that_are_there(examined):
