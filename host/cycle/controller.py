@@ -86,7 +86,7 @@ TRIP_TEXT = {
     Trip.TRANSMIT: "the bus did not take a frame",
     Trip.RECORDING: "the recording could not be written",
     Trip.OTHER_AXIS: "another axis went to its safe state",
-    Trip.LAW: "the friction law returned no number (law.function)",
+    Trip.LAW: "the friction law {law} returned {returned}, which is no finite number (law.function)",
     Trip.BUS_LOST: "the bus is gone: its process ended, or its interface went down",
     Trip.SECOND_HOST: "another host sends SYNC or this host's heartbeat on the same bus",
     Trip.DEADMAN: "the dead man's switch was not held",
@@ -101,7 +101,7 @@ TRIP_TEXT = {
     Trip.SIGN_TRANSDUCER: "arming refused: the torque transducer's sign is wrong (mechanics.transducer_polarity)",
     Trip.SIGN_TRAVEL: "arming refused: the handle moved too far in the sign check",
 }
-"""Each trip in words, with the rig file's key that decides it; `{}` is a field of CONTROL."""
+"""Each trip in words, with the rig file's key that decides it; `Controller.trip` fills in the `{}`."""
 
 
 def _cycles(seconds: float, period_s: float) -> int:
@@ -373,7 +373,13 @@ class Controller:
         if trip is Trip.NONE:
             return None
         node = self.axis.devices[int(self.host["doubtful"][0])]
-        told = TRIP_TEXT[trip].format(missed_cycles=int(self.control["missed_cycles"][0]), node=node)
+        returned = f"{float(self.host['law_Nm'][0]):g} Nm{' for the brake' if self.host['law_brake'][0] else ''}"
+        told = TRIP_TEXT[trip].format(
+            missed_cycles=int(self.control["missed_cycles"][0]),
+            node=node,
+            law=self.axis.law.function,
+            returned=returned,
+        )
         text = f"{trip.name}: {told}"
         if trip is Trip.NOT_STILL and self._starved:
             text += (

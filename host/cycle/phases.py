@@ -10,6 +10,7 @@ follows when. `enter` does what the beginning of a phase needs.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from coulombus.compiled.decorator import kernel
@@ -228,7 +229,12 @@ def run(axis: Any, law_function: Any, t_ns: int) -> tuple[float, int]:
     motion.v_rad_s = h.v_counts * c.rad_count * 1e9 / c.period_ns
     motion.handle_Nm = h.handle_Nm
     psi_Nm = law_function(motion, axis.law, state)
-    if psi_Nm != psi_Nm or state.brake_Nm != state.brake_Nm:  # not a number
+    if not math.isfinite(psi_Nm):
+        h.law_Nm = psi_Nm
+        return _refuse(h, Trip.LAW)
+    if not math.isfinite(state.brake_Nm):
+        h.law_Nm = state.brake_Nm
+        h.law_brake = 1
         return _refuse(h, Trip.LAW)
     state.psi_Nm = psi_Nm
     torque_Nm = split_law(axis)

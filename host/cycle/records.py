@@ -209,6 +209,8 @@ HOST = np.dtype(
         ("heard_ns", np.int64, (MOST_DEVICES,)),  # of each node, its last heartbeat; -1 none
         ("nmt", np.int64, (MOST_DEVICES,)),
         ("doubtful", np.int64),  # the node whose EMCY or heartbeat tripped
+        ("law_Nm", np.float64),  # what the law returned that is not finite ...
+        ("law_brake", np.int64),  # ... 1: as the brake's set-point
         # measured
         ("image", np.int64, (IMAGE_SLOTS,)),
         ("raw_position", np.int64),  # 6064h as it came last

@@ -67,7 +67,7 @@ TRANSITIONS = (
         (Trip.SIGN_NO_MOTION, Trip.SIGN_ENCODER, Trip.SIGN_TRANSDUCER, Trip.SIGN_TRAVEL),
     ),
     Transition((Phase.SETTLE,), "not so in time", Phase.SAFE, (Trip.NOT_STILL,)),
-    Transition((Phase.RUN,), "the law returns no number", Phase.SAFE, (Trip.LAW,)),
+    Transition((Phase.RUN,), "the law returns no finite number", Phase.SAFE, (Trip.LAW,)),
     Transition(BEFORE_SAFE, "a watch doubts", Phase.SAFE, ANY_TIME),
     Transition((Phase.SIGN, Phase.SETTLE, Phase.RUN), "the drive is not enabled", Phase.SAFE, (Trip.DRIVE_STATE,)),
     Transition(BEFORE_SAFE[2:], "the switch is let go", Phase.SAFE, (Trip.DEADMAN,)),

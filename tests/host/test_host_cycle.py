@@ -578,8 +578,14 @@ def test_the_law_is_asked_in_the_phase_run_only(phase):
     assert bench.k.state[0].user[5] == (phase is Phase.RUN)
 
 
-@pytest.mark.parametrize(("psi", "brake"), [(math.nan, 1.0), (0.5, math.nan), (math.nan, math.nan)])
-def test_a_law_that_gives_no_number_trips_and_is_not_kept(psi, brake):
+NO_NUMBERS = (math.nan, math.inf, -math.inf)
+
+
+@pytest.mark.parametrize(
+    ("psi", "brake"),
+    [*((wrong, 1.0) for wrong in NO_NUMBERS), *((0.5, wrong) for wrong in NO_NUMBERS), (math.nan, math.nan)],
+)
+def test_a_law_that_gives_no_finite_number_trips_and_is_not_kept(psi, brake):
     bench = HostBench("active").enter(Phase.RUN, counts=40)
     bench.k.law_function = TOLD
     bench.k.law[0].user[0], bench.k.law[0].user[1] = psi, brake
@@ -589,6 +595,8 @@ def test_a_law_that_gives_no_number_trips_and_is_not_kept(psi, brake):
     assert bench.h.trip_ns == bench.t_ns
     assert bench.motor_pm == 0
     assert bench.k.state[0].psi_Nm == 0.25
+    value = f"{brake:g} Nm for the brake" if math.isfinite(psi) else f"{psi:g} Nm"
+    assert bench.k.trip == f"LAW: the friction law karnopp returned {value}, which is no finite number (law.function)"
 
 
 @pytest.mark.parametrize("state", PowerState)

@@ -9,8 +9,19 @@ import math
 import pytest
 
 from coulombus.eds.cia402 import INTERNAL_LIMIT, PowerState
-from coulombus.host.cycle.phases import count_still, enter, safe, sign_check, split_law, still, trip_to_safe
-from coulombus.host.cycle.records import Phase, SignResult, Trip
+from coulombus.host.cycle.phases import (
+    advance,
+    count_still,
+    disable,
+    enable,
+    enter,
+    safe,
+    sign_check,
+    split_law,
+    still,
+    trip_to_safe,
+)
+from coulombus.host.cycle.records import Image, Phase, SignResult, Trip
 from coulombus.host.laws.laws import compile_law
 from host_bench import MS, HostBench
 
@@ -44,6 +55,48 @@ def test_a_phase_begins_where_the_handle_stands():
     h.phase_cycle, h.still, h.reference_counts = 9, 9, 9
     enter(bench.axis, int(Phase.SIGN), T)
     assert (h.phase, h.phase_cycle, h.still, h.reference_counts) == (Phase.SIGN, 0, 0, 77)
+
+
+# a brake with power states of its own
+
+
+ENABLED, OFF = int(PowerState.OPERATION_ENABLED), int(PowerState.SWITCH_ON_DISABLED)
+READY, FAULT = int(PowerState.READY_TO_SWITCH_ON), int(PowerState.FAULT)
+
+
+@pytest.mark.parametrize("motor", [SWITCHED_ON, READY])
+@pytest.mark.parametrize("brake", [SWITCHED_ON, READY])
+def test_arming_waits_until_motor_and_brake_are_switched_on(motor, brake):
+    bench = standing(Phase.STILL, still_cycles=0)
+    h = bench.h
+    h.drive, h.brake_drive, h.reference_counts, h.deadman_ok, h.handle_Nm = motor, brake, h.counts, 1, 0.0
+    both = motor == brake == SWITCHED_ON
+    assert still(bench.c, h)[1] == (Phase.ENABLE if both else Phase.STILL)
+
+
+@pytest.mark.parametrize("motor", [SWITCHED_ON, ENABLED])
+@pytest.mark.parametrize("brake", [SWITCHED_ON, ENABLED])
+def test_the_sign_check_waits_until_motor_and_brake_are_enabled(motor, brake):
+    bench = standing(Phase.ENABLE)
+    bench.h.drive, bench.h.brake_drive = motor, brake
+    both = motor == brake == ENABLED
+    assert enable(bench.c, bench.h, T)[1] == (Phase.SIGN if both else Phase.ENABLE)
+
+
+@pytest.mark.parametrize("motor", [OFF, FAULT, ENABLED])
+@pytest.mark.parametrize("brake", [OFF, FAULT, ENABLED])
+def test_the_end_waits_until_motor_and_brake_are_disabled(motor, brake):
+    bench = standing(Phase.DISABLE)
+    bench.h.drive, bench.h.brake_drive = motor, brake
+    assert disable(bench.h)[1] == (Phase.DISABLE if ENABLED in (motor, brake) else Phase.DONE)
+
+
+def test_the_brake_has_the_controlword_of_its_own_state():
+    bench = standing(Phase.STILL)
+    h = bench.h
+    h.drive, h.brake_drive = OFF, READY
+    advance(bench.axis, bench.k.law_function, Trip.NONE, T)
+    assert (h.image[Image.CONTROLWORD], h.image[Image.BRAKE_CONTROLWORD]) == (6, 7)
 
 
 # the safe state
