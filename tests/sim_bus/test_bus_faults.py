@@ -404,3 +404,11 @@ lost_for = "host"
         result = simulate("bench", "hybrid", 0.1, faults=write(tmp_path, drop))
         assert armed
         assert result.trip is None
+
+
+@pytest.mark.parametrize("text", ["", "seed = 3\n", "fault = []\ncontroller = []\n"])
+def test_a_file_without_a_fault_is_refused(tmp_path, text):
+    file = tmp_path / "f.toml"
+    file.write_text(text)
+    with pytest.raises(FaultError, match=r"f.toml: there is no fault in it; expected \[\[fault\]\] or"):
+        read_faults(file)
