@@ -18,7 +18,17 @@ from coulombus.host.cycle import step
 from coulombus.host.cycle.records import Image, Phase, Trip
 from coulombus.wire.frame import push
 
-__all__ = ["ask_to_stop", "begin", "finish", "next_ns", "on_frame", "on_time", "phases", "safe_setpoints"]
+__all__ = [
+    "ask_to_stop",
+    "begin",
+    "finish",
+    "next_ns",
+    "on_frame",
+    "on_time",
+    "phases",
+    "ramps_a_brake",
+    "safe_setpoints",
+]
 
 
 @kernel
@@ -110,12 +120,24 @@ def on_time(axes: Any, law_function: Any, t_ns: int, out: Any) -> None:
 
 
 @kernel
+def ramps_a_brake(axes: Any) -> bool:
+    """Tell whether a brake still has torque that only the host ramps off: its driver would hold it,
+    or let go at once. Only our own driver ramps by itself.
+    """
+    for k in range(axes.shape[0]):
+        h = axes[k].host
+        if axes[k].control.brake_ramps == 0 and h.brake_Nm > 0.0 and Phase.OFF < h.phase < Phase.DISABLE:
+            return True
+    return False
+
+
+@kernel
 def safe_setpoints(axes: Any, t_ns: int, out: Any) -> None:
     """Send the last set-points: drive disabled and without torque, the brake no stronger than the
     safe state's, which its driver ramps off.
 
-    A brake that is a CiA 402 drive is disabled, too: nothing tells that it would ramp its current
-    off by itself.
+    A brake that is a CiA 402 drive is disabled, too. While the bus lives its torque has been ramped
+    off before (`ramps_a_brake`).
 
     A SYNC follows, since RPDOs may act on the next SYNC only.
     """

@@ -11,6 +11,7 @@ import numpy as np
 
 from coulombus.eds.cia301 import CobId, NmtState
 from coulombus.eds.codec import PDO
+from coulombus.eds.own_devices import is_own, told_identity
 from coulombus.eds.pdo import fill
 from coulombus.host.cycle.demand import brake_end_Nm, brake_limit_raw
 from coulombus.host.cycle.records import CONTROL, DRIVE_PDOS, HOST, Image, Phase, SignResult, Trip
@@ -308,6 +309,7 @@ class Controller:
         for k, (raw, Nm) in enumerate(brake.table):
             c["brake_raw_at"][k], c["brake_Nm_at"][k] = raw, Nm
         c["brake_is_drive"] = bound.get("brake_statusword") is not None
+        c["brake_ramps"] = is_own("brake", told_identity(self.axis.description("brake")))
 
     def drive_limit_pm(self) -> int:
         """Return the drive's own torque limit in per mille of the rated torque: of 6071h the host's

@@ -124,6 +124,7 @@ CONTROL = np.dtype(
         ("motor_active", np.int64),  # 1: the motor displays the law (mode active)
         ("brake_active", np.int64),  # 1: the brake displays the law (modes passive, hybrid)
         ("brake_is_drive", np.int64),  # 1: the brake has power states of its own
+        ("brake_ramps", np.int64),  # 1: its driver ramps it off by itself when set-points end
         # scales
         ("rad_count", np.float64),  # signed by the encoder's polarity
         ("motor_Nm_raw", np.float64),  # torque at the handle of one count of the set-point (6071h: per mille), signed

@@ -231,6 +231,13 @@ class DataPlane:
         """End the cycle, with set-points of zero torque last, and listen on."""
         self.shared.plane["command"] = Command.LISTEN
 
+    def await_end(self) -> None:
+        """Wait until the cycle that was ended has ramped off what it had to."""
+        deadline = time.monotonic() + 1.0 + self._controllers.ending_s
+        while self.alive and self.status is Status.CYCLING and time.monotonic() < deadline:
+            self.attend()
+            time.sleep(2e-3)
+
     def take(self) -> Records:
         """Return copies of the frames that were logged since the last time.
 
@@ -248,11 +255,13 @@ class DataPlane:
         return self._rows[:count].copy()
 
     def close(self, timeout_s: float = 2.0) -> None:
-        """End the process: as commanded if it obeys, else by force. May be called again."""
+        """End the process: as commanded if it obeys (within `timeout_s` more than the safe state
+        takes), else by force. May be called again.
+        """
         if self._process.stdout is None or self._process.stdout.closed:
             return
         self.shared.plane["command"] = Command.QUIT
-        deadline = time.monotonic() + timeout_s
+        deadline = time.monotonic() + timeout_s + self._controllers.ending_s
         while self.alive and time.monotonic() < deadline:
             time.sleep(2e-3)
         if self.alive:

@@ -45,7 +45,7 @@ from coulombus.compiled.libc import (
     store_release,
 )
 from coulombus.eds.cia301 import CobId
-from coulombus.host.cycle.axes import ask_to_stop, begin, finish, on_frame, safe_setpoints
+from coulombus.host.cycle.axes import ask_to_stop, begin, finish, on_frame, ramps_a_brake, safe_setpoints
 from coulombus.host.cycle.records import Phase, Trip
 from coulombus.host.cycle.step import SOURCE_HOST
 from coulombus.host.realtime.shared_memory import BINS, PLANE, Command, Status
@@ -387,8 +387,23 @@ def _collect(b: Any, law_function: Any, end_ns: int) -> int:
 
 
 @kernel
+def _goes_on(p: Any, axes: Any, command: int) -> bool:
+    """Tell whether another cycle begins: as commanded, or as a brake is to be ramped off before the
+    end, which the safe state does within its time.
+    """
+    if command == Command.CYCLE:
+        return True
+    if not ramps_a_brake(axes):
+        return False
+    _stop(p, axes, 1)
+    return True
+
+
+@kernel
 def _cycle(b: Any, law_function: Any) -> int:
-    """Cycle until the parent commands otherwise (returns 0) or the bus is lost (returns 1)."""
+    """Cycle until the parent commands otherwise, and brakes that only the host ramps are off
+    (returns 0), or the bus is lost (returns 1).
+    """
     p, axes, base = b.plane[0], b.axes, b.plane.ctypes.data
     c = axes[0].control  # of all axes alike are the cycle, the host's own identifiers and the dead man's key
     missed_cycles = c.missed_cycles
@@ -396,7 +411,7 @@ def _cycle(b: Any, law_function: Any) -> int:
         missed_cycles = min(missed_cycles, axes[k].control.missed_cycles)
     t = p.start_ns
     _trace(b.plane, b.trace, Moment.START, t, 0)
-    while load_acquire(base + AT_COMMAND) == Command.CYCLE:
+    while _goes_on(p, axes, load_acquire(base + AT_COMMAND)):
         slept = sleep_until(t)
         if slept == EINTR:
             p.interrupted += 1

@@ -387,6 +387,9 @@ class _RealRun(Course):
         An error of one of them keeps none of the others from it.
         """
         cycling = self.plane.status is Status.CYCLING and self.plane.alive
+        if cycling and not self.k.done:  # a brake that only the host ramps off is, before NMT ends the PDOs
+            self.plane.end_cycle()
+            self._attempt(self.plane.await_end)
         if cycling:  # first: a node that misses SYNC, or the heartbeat, would call it a fault
             self._attempt(lambda: release(self.k, self.control), BusUnavailable, can.CanError)  # the bus may be gone
             self.plane.end_cycle()

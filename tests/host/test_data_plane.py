@@ -21,7 +21,7 @@ import pytest
 
 from coulombus.compiled.decorator import CACHE_DIR, JIT_DISABLED, kernel
 from coulombus.host.cycle.controllers import Controllers
-from coulombus.host.cycle.records import Phase, Trip
+from coulombus.host.cycle.records import Image, Phase, Trip
 from coulombus.host.errors import SafetyTrip
 from coulombus.host.realtime.data_plane import DataPlane, Spread, rig_filters
 from coulombus.host.realtime.loop import run_plane, take_log
@@ -35,6 +35,7 @@ from coulombus.rigs.rig import RigError, load_rig, load_rig_text
 from coulombus.wire.address import parse_address
 from coulombus.wire.frame import frames
 from coulombus.wire.hello import Hello
+from foreign_rigs import brake, drive, written
 from host_bench import HostBench
 
 pytestmark = [pytest.mark.real_time, pytest.mark.usefixtures("private_sockets")]
@@ -164,6 +165,35 @@ def test_without_nodes_it_trips_and_its_last_set_points_are_zero():
         assert plane.plane["cycles"][0] >= 3
         assert plane.shared.wakeup_bins.sum() >= plane.plane["cycles"][0]
         assert plane.plane["cpu_ns"][0] > 0
+
+
+@pytest.mark.parametrize(("kind", "ramped"), [("402", True), ("401", True), ("own", False)])
+def test_a_brake_that_does_not_ramp_by_itself_is_ramped_off_before_the_loop_ends(tmp_path, kind, ramped):
+    file, overrides = written(tmp_path, drive("own"), brake(kind))
+    with running(*overrides, "limits.missed_tpdo_cycles=1000", "limits.safe_ramp_s=0.03", rig=str(file)) as plane:
+        h = plane.shared.axes["host"]
+        h["image"][:, [Image.STATUSWORD, Image.BRAKE_STATUSWORD]] = 0x27
+        plane.cycle()
+        plane.wait(lambda: plane.plane["cycles"][0] > 0)
+        h["brake_Nm"], h["phase"] = 1.0, Phase.RUN
+        plane.plane["command"] = Command.QUIT
+        plane.wait(lambda: not plane.thread.is_alive())
+        plane.read()
+    rpdo = next(pdo for pdo in plane.k.rig.pdos() if pdo.name == "RPDO1" and pdo.node == "brake")
+    at = next(k for k, one in enumerate(rpdo.signals) if one.name == "brake.setpoint_Nm")
+    starts = rpdo.layout.starts[at]
+    sent = [(word >> starts & 0xFFFF, word & 0xFFFF) for can_id, _, word in plane.sent if can_id == 0x202]
+    raw = [setpoint for setpoint, _ in sent]
+    first = next(k for k, setpoint in enumerate(raw) if setpoint)
+    if not ramped:  # its own driver does, from the safe state's torque
+        assert raw[-1] > 0
+        return
+    assert len(raw) - first >= 30
+    assert raw[first:] == sorted(raw[first:], reverse=True)
+    assert raw[-1] == 0
+    if kind == "402":  # enabled until it is off
+        assert {word for setpoint, word in sent if setpoint} == {0x0F}
+        assert sent[-1] == (0, 0)
 
 
 def test_a_parent_that_stands_still_is_a_reason_for_the_safe_state():

@@ -14,6 +14,7 @@ from coulombus.host.cycle.axes import (
     on_frame,
     on_time,
     phases,
+    ramps_a_brake,
     safe_setpoints,
 )
 from coulombus.host.cycle.controllers import Controllers
@@ -175,6 +176,17 @@ def test_the_last_setpoints_disable_the_drives_and_bound_the_brakes():
     assert k.host["torque_Nm"].tolist() == [0.0, 0.0]
     assert k.host["brake_Nm"].tolist() == [1.0, 0.2506]
     assert k.host["image"][:, Image.BRAKE_CONTROLWORD].tolist() == [0, 0]  # of a brake that is a drive
+
+
+@pytest.mark.parametrize("phase", Phase)
+@pytest.mark.parametrize(
+    ("own", "brake_Nm", "held"),
+    [((1, 1), (2.0, 1.0), False), ((1, 0), (0.0, 1e-6), True), ((0, 1), (0.0, 1.0), False), ((0, 1), (0.5, 0), True)],
+)
+def test_the_end_waits_for_a_brake_that_only_the_host_ramps_off(phase, own, brake_Nm, held):
+    k = Axes().k
+    k.control["brake_ramps"], k.host["brake_Nm"], k.host["phase"] = own, brake_Nm, phase
+    assert bool(ramps_a_brake(k.axes)) is (held and Phase.OFF < phase < Phase.DISABLE)
 
 
 @pytest.mark.parametrize(
