@@ -13,6 +13,8 @@ import pytest
 from coulombus.host.cycle.controller import SIGN_HAND_NM, Controller, _cycles
 from coulombus.host.cycle.records import Image, Phase, Trip
 from coulombus.rigs.rig import RigError, load_rig_text
+from foreign_rigs import brake, drive
+from foreign_rigs import rig_of as foreign_rig
 from host_bench import rig_of
 
 RAD_COUNT = 2 * math.pi / (8192 * 9.587)
@@ -260,3 +262,9 @@ def test_a_wish_to_stop_is_1_or_the_trip(trip):
     controller.stop(trip)
     assert controller.host[0]["stop"] == (int(trip) or 1)
     assert int(Trip.SPEED) == 1
+
+
+def test_only_our_own_brakes_driver_ramps_by_itself():
+    rigs = [foreign_rig(drive("own"), brake(kind)) for kind in ("own", "404", "401", "402")]
+    found = [int(Controller(rig.one_axis(), "hybrid").control["brake_ramps"][0]) for rig in rigs]
+    assert found == [1, 0, 0, 0]
