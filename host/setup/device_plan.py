@@ -165,7 +165,8 @@ class _Planner:
                 )
             elif setting.lost:
                 why = "is not described" if meant else "is the maker's own object: 1018h of the EDS file is not ours"
-                self.losses.append(f"{self.who}: {setting.index:04X}h is not written, it {why}; {setting.lost}")
+                place = _place(setting) if setting.subindex else f"{setting.index:04X}h"
+                self.losses.append(f"{self.who}: {place} is not written, it {why}; {setting.lost}")
         return there
 
     def _can_be_set(self, setting: Setting, final: Mapping[tuple[int, int], int]) -> bool:

@@ -267,7 +267,18 @@ def _motor_settings(axis: Axis, mode: str, limit_pm: int, ours: bool) -> Iterato
             )
         yield Setting(index, 0, value, f"mode.{mode}.motor_limit_Nm", why="the drive's own torque limit", told=told)
     zero_us = round(axis.motor.setpoint_zero_cycles * axis.bus.period_s * 1e6)
-    lost = "no set-point becomes 0 after motor.setpoint_zero_cycles; only the RPDO deadline 1400h:05 ends an old one"
+    ended = any(
+        pdo.node == axis.prefix + "motor"
+        and pdo.layout.direction == "rpdo"
+        and description.has(0x1400 + pdo.layout.number - 1, 5)
+        for pdo in axis.pdos()
+    )
+    by = (
+        "only the RPDO deadline 1400h:05 ends an old one"
+        if ended
+        else "an old one acts until the host's loss is noticed"
+    )
+    lost = f"no set-point becomes 0 after motor.setpoint_zero_cycles; {by}"
     yield Setting(
         *(0x2001, 0, zero_us, "motor.setpoint_zero_cycles"), optional=True, why="an old set-point is 0", lost=lost
     )

@@ -609,3 +609,16 @@ def test_no_vendors_file_ends_in_a_traceback(own, tmp_path):
             or "finds no place" in result.output
             or "; give [role." in result.output
         )
+
+
+@pytest.mark.parametrize("deadline", [True, False])
+def test_what_ends_an_old_set_point_is_told_of_the_device_that_is_there(deadline):
+    motor = identified(MOTOR) if deadline else gone(identified(MOTOR), "1400sub5")
+    (plan, _) = plans_of(Controllers(rig_of(motor, BRAKE, *IS_FOREIGN), "hybrid"))
+    (told,) = (text for text in plan.losses if "2001h is not written" in text)
+    assert told.endswith(
+        "only the RPDO deadline 1400h:05 ends an old one"
+        if deadline
+        else "an old one acts until the host's loss is noticed"
+    )
+    assert any("1400h:05 is not written" in text for text in plan.losses) is not deadline
