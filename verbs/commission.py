@@ -28,8 +28,6 @@ from coulombus.verbs.common import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from coulombus.host.commission.session import Done, Runner, Session
     from coulombus.host.commission.step import Exercise, Finding, Risk, Step
     from coulombus.host.run.result import RunResult
@@ -100,17 +98,22 @@ def commission(
     """
     with errors():
         from coulombus.host.commission.steps import STEPS
+        from coulombus.rigs.rig import known_rigs
 
         chosen = _chosen(STEPS, names)
         if listed:
             _print_list(chosen, rig_path, as_json)
         if rig_path is None:
             raise click.UsageError("give --rig MY.toml: what is found is written into it")
+        if not rig_path.is_file() and str(rig_path) in known_rigs():
+            raise click.UsageError(
+                f"{rig_path} is a rig of the package, which is not written: copy it, and give the copy"
+            )
         if truth is not None and not virtual:
             raise click.UsageError("--truth is for --virtual")
         if virtual and bus_name is not None:
             raise click.UsageError("--virtual has a bus of its own; leave out --bus")
-        if not yes and not sys.stdin.isatty():
+        if not yes and not _somebody():
             raise click.UsageError("nobody is there to be asked: give --yes")
         _commission(
             chosen,
@@ -174,18 +177,17 @@ def _commission(
 
     load(str(path.resolve()), overrides)
     done: list[Done] = []
-    with progress(not as_json) as bar:
-        run = _virtual(truth, seed, bar) if virtual else _real(bus_name, bar)
-        session = Session(path, run, Given(**given), _now, overrides)
-        for step in steps:
-            if step.name in session.state.steps and not again:
-                say(f"{step.name}: done at {session.state.steps[step.name]['at']} (--again: once more)")
-                continue
-            one = session.do(step, lambda step, risk: _agree(step, risk, yes))
-            done.append(one)
-            _tell(one)
-            if one.what == "done":
-                _report(session, report)
+    run = _virtual(truth, seed) if virtual else _real(bus_name, as_json)
+    session = Session(path, run, Given(**given), _now, overrides)
+    for step in steps:
+        if step.name in session.state.steps and not again:
+            say(f"{step.name}: done at {session.state.steps[step.name]['at']} (--again: once more)")
+            continue
+        one = session.do(step, lambda step, risk: _agree(step, risk, yes))
+        done.append(one)
+        _tell(one)
+        if one.what == "done":
+            _report(session, report)
     with verdict(0):
         if as_json:
             print_json(results(done))
@@ -197,14 +199,14 @@ def _now() -> str:
     return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
-def _virtual(truth: Path | None, seed: int, bar: Callable[[str, float, float], None]) -> Runner:
+def _virtual(truth: Path | None, seed: int) -> Runner:
     from coulombus.lab.rehearsal import rehearsed
 
     true = None if truth is None else load(str(truth.resolve()), ())
     return rehearsed(true, seed=seed)
 
 
-def _real(bus_name: str | None, bar: Callable[[str, float, float], None]) -> Runner:
+def _real(bus_name: str | None, as_json: bool) -> Runner:
     from coulombus.host.run.real_run import real_run
     from coulombus.wire.address import parse_address
     from coulombus.wire.stopping import Signals
@@ -212,7 +214,7 @@ def _real(bus_name: str | None, bar: Callable[[str, float, float], None]) -> Run
     address = None if bus_name is None else parse_address(bus_name)
 
     def run(one: Exercise, path: Path) -> RunResult:
-        with Signals() as signals:
+        with Signals() as signals, progress(not as_json) as bar:
             return real_run(
                 one.rig,
                 one.mode,
@@ -227,11 +229,21 @@ def _real(bus_name: str | None, bar: Callable[[str, float, float], None]) -> Run
     return run
 
 
+def _somebody() -> bool:
+    """Tell whether there is somebody who can be asked."""
+    return sys.stdin.isatty()
+
+
 def _agree(step: Step, risk: Risk, yes: bool) -> bool:
     say(f"\nstep {step.name}: {step.title}")
     for line in risk.lines():
         say(f"  {line}")
-    return yes or click.confirm("  begin?", default=True, err=True)
+    if yes:
+        return True
+    try:
+        return click.confirm("  begin?", default=True, err=True)
+    except click.Abort:  # Ctrl-C, or the terminal is gone
+        raise KeyboardInterrupt from None
 
 
 def _tell(one: Done) -> None:

@@ -55,6 +55,8 @@ RESPONSE_S, INTEGRAL_S = 0.02, 0.05
 SECONDS = 21.0
 SECTORS = 8
 LEAST_SECTOR = 12
+LEAST_CHANGE = 0.005
+"""From this share on a figure counts as another one: the model is no better."""
 UNEVEN = 0.1
 """From this share on the friction counts as different from sector to sector."""
 
@@ -172,7 +174,9 @@ class Friction(Step):
 
 def _finding(key: str, name: str, old: float, new: float, unit: str, estimate: Estimate, basis: str) -> Finding:
     reach = 0.5 * (estimate.high - estimate.low)
-    return Finding(key, name, old, new, unit, reach, basis, changed=abs(new - old) > min(reach, 0.01 * abs(new)))
+    return Finding(
+        key, name, old, new, unit, reach, basis, changed=abs(new - old) > max(reach, LEAST_CHANGE * abs(new))
+    )
 
 
 def _limit(axis: Axis, friction_Nm: float) -> list[Finding]:

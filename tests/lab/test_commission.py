@@ -17,6 +17,7 @@ from coulombus.lab.rehearsal import rehearsed
 from coulombus.lab.simulate import simulate
 from coulombus.recording.signals import read
 from coulombus.rigs.rig import load_rig, packaged_rig
+from coulombus.sim_bus.network.kernel import BRAKE
 
 BY_NAME = {step.name: step for step in STEPS}
 AT = "2026-11-22T14:03:05Z"
@@ -94,6 +95,22 @@ def test_a_stop_from_outside_ends_the_session_with_its_status(afternoon, tmp_pat
         afternoon("friction", run=lambda one, path: Stopped)
     assert ended.value.exit_status == 130
     assert (tmp_path / "my.toml").read_text() == packaged_rig("bench").read_text()
+
+
+def test_a_device_that_is_lost_trips_and_leaves_the_rig_file(afternoon, tmp_path):
+    def run(one, path):
+        def script(world):
+            world.at(3_000_000_000, lambda world: world.power_off(BRAKE))
+
+        return simulate(
+            one.rig, one.mode, one.seconds, record=path, script=script, simulated=one.rig.variant(*one.hand)
+        )
+
+    with pytest.raises(SafetyTrip, match=r"step friction: TPDO_LOST"):
+        afternoon("friction", run=run)
+    assert (tmp_path / "my.toml").read_text() == packaged_rig("bench").read_text()
+    end = read(tmp_path / "my.commission" / "friction.pcapng")
+    assert end["motor.target_torque_Nm"].values[-1] == 0.0
 
 
 def test_an_operator_who_does_not_agree_is_not_pushed(afternoon):
