@@ -23,6 +23,8 @@ __all__ = ["State", "folder_of"]
 
 VERSION = 1
 LARGEST = 1 << 24
+KEPT = ("at", "title", "findings", "remarks", "curves", "recordings")
+"""What is kept of a step."""
 
 
 def folder_of(rig_path: Path) -> Path:
@@ -67,9 +69,7 @@ class State:
             return state
         try:
             values = json.loads(raw)
-            if values["version"] != VERSION or not all(
-                isinstance(one["findings"], list) for one in values["steps"].values()
-            ):
+            if values["version"] != VERSION or not all(set(KEPT) <= one.keys() for one in values["steps"].values()):
                 raise ValueError
         except (ValueError, KeyError, TypeError, AttributeError):
             text = f"{state.path}: this is no state of a commissioning (version {VERSION}); take the folder away to begin anew"

@@ -9,9 +9,21 @@ from coulombus.host.commission.encoder import Encoder
 from coulombus.host.commission.friction import Friction
 from coulombus.host.commission.limits import Limits
 from coulombus.host.commission.motor import Motor
+from coulombus.host.commission.response import Response
 from coulombus.host.commission.step import Step
 from coulombus.host.commission.transducer import Weight, Zero
 
 __all__ = ["STEPS"]
 
-STEPS: tuple[Step, ...] = (Zero(), Weight(), Encoder(), Motor(), Friction(), Brake(), Delay(), Limits(), Display())
+STEPS: tuple[Step, ...] = (
+    Zero(),
+    Weight(),
+    Encoder(),
+    Motor(),
+    Friction(),
+    Brake(),
+    Response(),
+    Delay(),
+    Limits(),
+    Display(),
+)

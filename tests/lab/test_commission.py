@@ -225,6 +225,14 @@ def test_the_brakes_table_is_found_within_3_percent(afternoon):
     assert found(done, "inherent friction in the stroke, coil off").new == pytest.approx(0.145, abs=0.02)
 
 
+def test_the_brakes_answer_to_a_step_is_found(afternoon):
+    truth = ("plant.brake_coil_lag_s=4e-3", "plant.brake_fluid_lag_s=25e-3")
+    _, (done,) = afternoon("response", truth=truth)
+    assert found(done, "brake: slower lag (fluid)").new == pytest.approx(25, rel=0.1)
+    assert found(done, "brake: 63 % after").new == pytest.approx(31, abs=3)
+    assert found(done, "brake: 95 % after").new == pytest.approx(81, rel=0.1)
+
+
 # delays, limits, display
 
 
