@@ -29,7 +29,7 @@ LONGEST = 200
 
 @dataclass(frozen=True)
 class NewValue:
-    """A value for a key (None: the key is taken out), and the comment that stands above it."""
+    """A value for a key, and the comment that stands above it."""
 
     value: Any
     comment: str
@@ -54,7 +54,7 @@ def rewritten(text: str, values: Mapping[Key, NewValue], mark: str, path: str) -
         at = document.lines.get(key)
         if at is not None:
             _replace(lines, at - 1, new, mark)
-        elif new.value is not None:
+        else:
             _insert(lines, document.lines, key, new, mark)
         _check("\n".join(lines), key, new.value, path)
     return ending.join(lines)
@@ -68,11 +68,7 @@ def _replace(lines: list[str], at: int, new: NewValue, mark: str) -> None:
     indent = lines[at][: len(lines[at]) - len(lines[at].lstrip())]
     last = _last_line(lines, at)
     tail = _comment(lines[last] if last > at else found["rest"])
-    before = lines[at : last + 1]
-    if new.value is None:
-        lines[at : last + 1] = [f"{indent}# {line.strip()}" for line in before]
-    else:
-        lines[at : last + 1] = [f"{found['head']}{toml_value(new.value)}{tail}"]
+    lines[at : last + 1] = [f"{found['head']}{toml_value(new.value)}{tail}"]
     first = at
     while first > 0 and lines[first - 1].lstrip().startswith("#"):
         first -= 1

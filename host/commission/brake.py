@@ -26,6 +26,7 @@ from coulombus.host.commission.step import (
     Step,
     Taken,
     exercise,
+    move_s,
 )
 from coulombus.host.cycle.demand import brake_end_Nm
 from coulombus.recording.signals import Recording
@@ -34,7 +35,12 @@ from coulombus.rigs.rig import Rig
 
 __all__ = ["Brake"]
 
-STROKING_HAND = ("operator.stiffness_Nm_rad=40.0", "operator.damping_Nms_rad=1.0", "operator.tremor_Nm=0.0")
+STROKING_HAND = (
+    "operator.inertia_kg_m2=5e-4",
+    "operator.stiffness_Nm_rad=40.0",
+    "operator.damping_Nms_rad=1.0",
+    "operator.tremor_Nm=0.0",
+)
 STEPS, STAIR_S, LEAD_S = 5, 2.4, 3.0
 SPEED_RAD_S, MOVE_S, DWELL_S = 1.0, 1.0, 0.1
 FOLLOWED_S = 0.4
@@ -84,9 +90,10 @@ class Brake(Step):
             "The brake's torque climbs a stair and comes down again.",
             brake_Nm=self._top(axis),
             speed_rad_s=SPEED_RAD_S,
-            travel_rad=SPEED_RAD_S * MOVE_S,
+            travel_rad=SPEED_RAD_S * move_s(axis, SPEED_RAD_S, MOVE_S),
             seconds=LEAD_S + STAIR_S * (2 * STEPS + 1),
-            operator=f"Stroke the handle to and fro without a stop, about {SPEED_RAD_S:g} rad/s, {MOVE_S:g} s each way, "
+            operator=f"Stroke the handle to and fro without a stop, about {SPEED_RAD_S:g} rad/s, "
+            f"{move_s(axis, SPEED_RAD_S, MOVE_S):g} s each way, "
             "and keep to it against the brake.",
         )
 
@@ -94,9 +101,8 @@ class Brake(Step):
         """Return the stair."""
         axis = rig.one_axis()
         length = self.risk(axis, given).seconds
-        stroke = (
-            f'{{kind="stroke", duration_s={length}, speed_rad_s={SPEED_RAD_S}, move_s={MOVE_S}, dwell_s={DWELL_S}}}'
-        )
+        move = move_s(axis, SPEED_RAD_S, MOVE_S)
+        stroke = f'{{kind="stroke", duration_s={length}, speed_rad_s={SPEED_RAD_S}, move_s={move}, dwell_s={DWELL_S}}}'
         return (exercise(self.name, rig, "stair", [self._top(axis), STEPS, STAIR_S], [stroke], hand=STROKING_HAND),)
 
     def analyse(self, taken: Sequence[Taken], axis: Axis, given: Given) -> Outcome:

@@ -52,7 +52,8 @@ class _Answer(NamedTuple):
 
     delay_us: float
     reach_us: float
-    tau_ms: float
+    tau_ms: float | None
+    """None: it answers within a cycle."""
     t_ms: list[float]
     y: list[float]
 
@@ -115,9 +116,10 @@ class Delay(Step):
         for one, (name, asked, answered) in zip(taken, (row[:3] for row in rows if row[3]), strict=True):
             answer = _answer(one.recording, asked, answered)
             basis = f"steps of {asked}, answered by {answered}, at each SYNC"
+            tau = None if answer.tau_ms is None else round(answer.tau_ms, 3)
             findings += [
                 Finding("", f"SYNC to {name}", None, round(answer.delay_us, 1), "us", answer.reach_us, basis),
-                Finding("", f"time constant of the {name}", None, round(answer.tau_ms, 3), "ms", None, basis),
+                Finding("", f"time constant of the {name}", None, tau, "ms", None, basis),
             ]
             lines[name] = (answer.t_ms, answer.y, "o-")
         curve = Curve("Answer to a step", "time since the SYNC before it was sent [ms]", "share", lines)
@@ -130,7 +132,7 @@ def _answer(recording: Recording, asked: str, answered: str) -> _Answer:
     Raises
     ------
     CommissionError
-        there are hardly any steps, or it answers within a cycle
+        there are hardly any steps
     """
     frames = recording.frames
     sync = recording.t_s[(frames["can_id"] == CobId.SYNC) & (frames["length"] == 0)]
@@ -161,11 +163,10 @@ def _answer(recording: Recording, asked: str, answered: str) -> _Answer:
         raise CommissionError(f"{answered}: {len(shares)} steps were answered; expected at least {LEAST_EDGES}")
     mean, at = np.mean(shares, axis=0), np.mean(lags, axis=0)
     rising = (mean > SHARES[0]) & (mean < SHARES[1])
-    if np.count_nonzero(rising) < 2:
-        k = int(np.argmax(mean > 0.5))
-        raise CommissionError(
-            f"{answered} answers within one cycle, by {at[k] * 1e6:.0f} us: no line can be laid through it"
-        )
+    t_ms, y_mean = [round(float(v) * 1e3, 3) for v in at], [round(float(v), 4) for v in mean]
+    if np.count_nonzero(rising) < 2:  # within a cycle: no line can be laid through it
+        reached, cycle = float(at[int(np.argmax(mean > 0.5))]), float(at[1] - at[0])
+        return _Answer(1e6 * reached, 1e6 * cycle, None, t_ms, y_mean)
     slope, offset = np.polyfit(at[rising], np.log(1 - mean[rising]), 1)
     # the scatter of the delay: of each step with the common time constant
     for lag, share in zip(lags, shares, strict=True):
@@ -178,6 +179,6 @@ def _answer(recording: Recording, asked: str, answered: str) -> _Answer:
         delay_us=float(-offset / slope * 1e6),
         reach_us=float(f"{max(reach, rounding) * 1e6:.2g}"),
         tau_ms=float(-1e3 / slope),
-        t_ms=[round(float(v) * 1e3, 3) for v in at],
-        y=[round(float(v), 4) for v in mean],
+        t_ms=t_ms,
+        y=y_mean,
     )

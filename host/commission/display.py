@@ -39,8 +39,8 @@ class Display(Step):
             motor_Nm=max(axis.motor_limit_Nm(mode), axis.limits.sign_check_torque_Nm if mode == "active" else 0.0),
             brake_Nm=axis.limits.brake_torque_Nm if mode != "active" else 0.0,
             seconds=12.0,
-            operator="After 2 s push the handle, less than it bears, to and fro for 4 s; then stroke it, 1 s each way, with a stop of 1 s "
-            "between.",
+            operator="After 2 s push the handle, less than it bears, to and fro for 4 s; then stroke it, "
+            "1 s each way, with a stop of 1 s between.",
         )
 
     def exercises(self, rig: Rig, given: Given) -> tuple[Exercise, ...]:

@@ -27,7 +27,12 @@ from coulombus.rigs.rig import Rig
 
 __all__ = ["FIRM_HAND", "Encoder"]
 
-FIRM_HAND = ("operator.stiffness_Nm_rad=400.0", "operator.damping_Nms_rad=4.0", "operator.tremor_Nm=0.0")
+FIRM_HAND = (
+    "operator.inertia_kg_m2=5e-4",
+    "operator.stiffness_Nm_rad=400.0",
+    "operator.damping_Nms_rad=4.0",
+    "operator.tremor_Nm=0.0",
+)
 """The simulated hand looks where it goes."""
 
 REST_S, MOVE_S, STAY_S = 3.0, 5.0, 5.0
@@ -60,8 +65,8 @@ class Encoder(Step):
             speed_rad_s=(given.marks_rad or 0.0) / MOVE_S,
             travel_rad=given.marks_rad or 0.0,
             seconds=REST_S + MOVE_S + STAY_S,
-            operator=f"Set the handle to the first mark, and leave it for {REST_S:g} s; turn it within {MOVE_S:g} s to the second mark, "
-            f"in the positive sense, and leave it there for {STAY_S:g} s.",
+            operator=f"Set the handle to the first mark, and leave it for {REST_S:g} s; turn it within {MOVE_S:g} s "
+            f"to the second mark, in the positive sense, and leave it there for {STAY_S:g} s.",
         )
 
     def exercises(self, rig: Rig, given: Given) -> tuple[Exercise, ...]:
@@ -69,7 +74,8 @@ class Encoder(Step):
         speed = (given.marks_rad or 0.0) / MOVE_S
         phases = (
             f'{{kind="rest", duration_s={REST_S}}}',
-            f'{{kind="stroke", duration_s={MOVE_S + STAY_S}, speed_rad_s={speed!r}, move_s={MOVE_S}, dwell_s={STAY_S}}}',
+            f'{{kind="stroke", duration_s={MOVE_S + STAY_S}, speed_rad_s={speed!r}, '
+            f"move_s={MOVE_S}, dwell_s={STAY_S}}}",
         )
         return (exercise(self.name, rig, "hold", [0.0], phases, hand=FIRM_HAND),)
 

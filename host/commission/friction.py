@@ -21,6 +21,7 @@ import numpy as np
 
 from coulombus.host.commission.samples import thinned
 from coulombus.host.commission.step import (
+    TRAVEL_SHARE,
     CommissionError,
     Curve,
     Exercise,
@@ -48,7 +49,7 @@ FREE_HAND = (
 )
 """The simulated hand lets go of the handle."""
 
-HALF_TRAVEL_RAD, TRAVEL_SHARE = 0.6, 0.6
+HALF_TRAVEL_RAD = 0.6
 SPEEDS_RAD_S, SPEED_SHARE = (0.4, 1.0, 2.0), 0.2
 RESPONSE_S, INTEGRAL_S = 0.02, 0.05
 """Of the sweep's speed loop: time constant by the inertia that is believed, and of its integral."""
@@ -130,15 +131,15 @@ class Friction(Step):
         told = [one for one in sectors if math.isfinite(one)]
         if told and min(told) < (1 - UNEVEN) * value:
             remarks.append(
-                f"the friction is uneven, {min(told):.4f} to {max(told):.4f} Nm by angle; the smallest is taken, so that "
-                "the compensation nowhere pushes by itself"
+                f"the friction is uneven, {min(told):.4f} to {max(told):.4f} Nm by angle; the smallest is taken, "
+                "so that the compensation nowhere pushes by itself"
             )
             value = min(told)
-        if value <= 0:
+        if coulomb.high < 0:
             raise CommissionError(
-                f"Coulomb friction {value:.4f} Nm: the motor pushes less than nothing; check its signs"
+                f"Coulomb friction {coulomb} Nm: what brakes seems to push; do the steps zero, weight and motor first"
             )
-        friction = round(value, 4)
+        friction = round(max(value, 0.0), 4)
         mechanics = axis.mechanics
         findings = [
             _finding("mechanics.friction_Nm", "Coulomb friction", mechanics.friction_Nm, friction, "Nm", coulomb, basis)

@@ -59,9 +59,9 @@ def _findings(recording: Recording, axis: Axis) -> Iterator[Finding]:
     basis = f"{len(counts)} samples at rest"
     yield Finding("", "encoder's jitter at rest", None, jitter, "counts/cycle", None, basis)
     band = axis.law.velocity_band_counts
-    why = f"at rest the encoder moves by {jitter} counts a cycle; a band below that never sticks"
+    why = f"at rest the encoder moves by {jitter} counts a cycle; a band below that does not stick"
     yield Finding(
-        "law.velocity_band_counts", "velocity band", band, max(band, jitter + 1), "counts", None, why, band <= jitter
+        "law.velocity_band_counts", "velocity band", band, max(band, jitter), "counts", None, why, band < jitter
     )
     fastest = limits.speed_rad_s * period / count
     jump, wanted = limits.encoder_jump_counts, math.ceil(JUMP_MARGIN * fastest)

@@ -39,7 +39,8 @@ BLOCK = 4
 """Neighbours overlap by three quarters."""
 LEAST_SHARE = 0.3
 LEAST_CHANGE = 0.01
-MOST_REACH = 0.1
+MOST_REACH = 0.03
+"""A wider interval tells nothing: the motor's torque changed with the sense of motion alone, as friction does."""
 SIGN = "SIGN_ENCODER"
 
 
@@ -82,7 +83,8 @@ class Motor(Step):
         k, reach = -float(found.beta[0]), float(found.reach[0])
         if reach > MOST_REACH or k < LEAST_SHARE:
             raise CommissionError(
-                f"the motor's torque reads {k:.3f} +- {reach:.3f} of what is believed: hold the handle, so that it resists the motor"
+                f"the motor's torque reads {k:.3f} +- {reach:.3f} of what is believed: hold the handle, so that it "
+                "resists the motor, and give way slowly"
             )
         new = float(f"{rated * k:.4g}")
         basis = f"{len(rows.v)} windows, the hand's torque against the motor's; ratio {mechanics.ratio:g}"

@@ -31,6 +31,7 @@ from coulombus.host.commission.step import (
     Step,
     Taken,
     exercise,
+    move_s,
 )
 from coulombus.recording.signals import Recording
 from coulombus.rigs.axis import Axis
@@ -66,17 +67,16 @@ class Response(Step):
             "The brake is switched on and off five times in two seconds.",
             brake_Nm=self._brake(axis),
             speed_rad_s=SPEED_RAD_S,
-            travel_rad=SPEED_RAD_S * MOVE_S,
+            travel_rad=SPEED_RAD_S * move_s(axis, SPEED_RAD_S, MOVE_S),
             seconds=SECONDS,
-            operator=f"Stroke the handle to and fro, about {SPEED_RAD_S:g} rad/s, {MOVE_S:g} s each way, with a firm hand that does not "
-            "give way when the brake comes.",
+            operator=f"Stroke the handle to and fro, about {SPEED_RAD_S:g} rad/s, "
+            f"{move_s(axis, SPEED_RAD_S, MOVE_S):g} s each way, with a firm hand that does not give way to the brake.",
         )
 
     def exercises(self, rig: Rig, given: Given) -> tuple[Exercise, ...]:
         """Return the run with the steps."""
-        stroke = (
-            f'{{kind="stroke", duration_s={SECONDS}, speed_rad_s={SPEED_RAD_S}, move_s={MOVE_S}, dwell_s={DWELL_S}}}'
-        )
+        move = move_s(rig.one_axis(), SPEED_RAD_S, MOVE_S)
+        stroke = f'{{kind="stroke", duration_s={SECONDS}, speed_rad_s={SPEED_RAD_S}, move_s={move}, dwell_s={DWELL_S}}}'
         user = [0.0, HALF_S, self._brake(rig.one_axis())]
         return (exercise(self.name, rig, "square", user, [stroke], hand=STROKING_HAND),)
 

@@ -161,8 +161,6 @@ class Session:
 
 def _said(one: Finding) -> str:
     """Return a finding as the comment above its key."""
-    if one.new is None:
-        return f"taken out: {one.basis}"
     short = toml_value(one.old) if one.old is not None else "nothing"
     was = short if len(short) <= 40 else f"{short[:37]}..."
     reach = "" if one.uncertainty is None else f"; 95 %: +- {one.uncertainty:.2g} {one.unit}"

@@ -72,8 +72,8 @@ class State:
             if values["version"] != VERSION or not all(set(KEPT) <= one.keys() for one in values["steps"].values()):
                 raise ValueError
         except (ValueError, KeyError, TypeError, AttributeError):
-            text = f"{state.path}: this is no state of a commissioning (version {VERSION}); take the folder away to begin anew"
-            raise CommissionError(text) from None
+            wanted = f"this is no state of a commissioning (version {VERSION}); take the folder away to begin anew"
+            raise CommissionError(f"{state.path}: {wanted}") from None
         state.steps = values["steps"]
         return state
 

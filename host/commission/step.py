@@ -15,6 +15,7 @@ from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
 
 __all__ = [
+    "TRAVEL_SHARE",
     "CommissionError",
     "Curve",
     "Exercise",
@@ -26,6 +27,7 @@ __all__ = [
     "Taken",
     "Trip",
     "exercise",
+    "move_s",
 ]
 
 
@@ -97,7 +99,7 @@ class Finding:
     ----------
     key : of the rig file; "" where there is none, and the figure is for people
     name : in words
-    old, new : what the rig file says, and what was found; `new` None takes the key out
+    old, new : what the rig file says, and what was found
     uncertainty : half of the 95 % interval, in `unit`; None where there is none
     basis : what it rests on
     changed : whether the difference is more than can be told apart
@@ -183,6 +185,15 @@ class Step(ABC):
         CommissionError
             they do not carry it
         """
+
+
+TRAVEL_SHARE = 0.6
+"""A step keeps to this share of ``limits.travel_rad``."""
+
+
+def move_s(axis: Axis, speed_rad_s: float, wanted_s: float) -> float:
+    """Return how long a move of the hand at a speed is [s]: as wanted, or what the travel allows."""
+    return round(min(wanted_s, TRAVEL_SHARE * axis.limits.travel_limit_rad / speed_rad_s), 3)
 
 
 def exercise(

@@ -110,7 +110,8 @@ class Weight(Step):
             return "give --weight-Nm: the torque of a known weight at the handle, in its positive sense"
         if not 0 < given.weight_Nm <= axis.limits.brake_torque_Nm / HOLDS:
             most = axis.limits.brake_torque_Nm / HOLDS
-            return f"--weight-Nm {given.weight_Nm:g}: expected above 0, at most {most:.3g}, which the brake holds with a margin"
+            wanted = f"expected above 0, at most {most:.3g}, which the brake holds with a margin"
+            return f"--weight-Nm {given.weight_Nm:g}: {wanted}"
         return _lacks_transducer(axis)
 
     def _brake(self, axis: Axis, given: Given) -> float:
@@ -122,8 +123,8 @@ class Weight(Step):
             "The brake holds the handle while the weight hangs on it.",
             brake_Nm=self._brake(axis, given),
             seconds=REST_S + HANG_S + TAIL_S,
-            operator=f"Leave the handle free for {REST_S:g} s; then hang {given.weight_Nm or 0:g} Nm on it, in the positive sense, "
-            f"and let it hang still for {HANG_S:g} s; take it off.",
+            operator=f"Leave the handle free for {REST_S:g} s; then hang {given.weight_Nm or 0:g} Nm on it, "
+            f"in the positive sense, and let it hang still for {HANG_S:g} s; take it off.",
         )
 
     def exercises(self, rig: Rig, given: Given) -> tuple[Exercise, ...]:

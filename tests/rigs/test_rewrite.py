@@ -50,11 +50,6 @@ def test_a_key_that_is_missing_comes_below_its_header_or_with_a_section_at_the_e
     assert text.endswith("\n[role.handle_torque]\n# commission zero\noffset_Nm = -0.1\n")
 
 
-def test_a_key_that_is_taken_out_stays_as_a_comment():
-    text = rewritten(TEXT, {("mechanics", "ratio"): NewValue(None, "the table holds")}, "commission", "f")
-    assert "# commission the table holds\n# ratio = 9.587\n" in text
-
-
 def test_windows_line_ends_stay():
     text = rewritten(TEXT.replace("\n", "\r\n"), {("mechanics", "ratio"): NewValue(4.0, "x")}, "commission", "f")
     assert text.count("\r\n") == text.count("\n")
