@@ -123,6 +123,7 @@ def commission(
             truth=truth,
             given={"weight_Nm": weight_Nm, "marks_rad": marks_rad},
             again=again or bool(names),
+            named=bool(names),
             yes=yes,
             report=report,
             seed=seed,
@@ -166,6 +167,7 @@ def _commission(
     truth: Path | None,
     given: dict[str, float | None],
     again: bool,
+    named: bool,
     yes: bool,
     report: Path | None,
     seed: int,
@@ -188,10 +190,11 @@ def _commission(
         _tell(one)
         if one.what == "done":
             _report(session, report)
-    with verdict(0):
+    asked_for_what_lacks = named and any(one.what == "lacking" for one in done)
+    with verdict(1 if asked_for_what_lacks else 0):
         if as_json:
             print_json(results(done))
-        else:
+        elif any(one.outcome for one in done):
             _print_findings(done)
 
 

@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from coulombus.host.commission import steps
 from coulombus.host.commission.limits import Limits
-from coulombus.host.commission.transducer import Zero
+from coulombus.host.commission.transducer import Weight, Zero
 from coulombus.rigs.rig import packaged_rig
 from coulombus.verbs import commission as verb
 from coulombus.verbs.main import main
@@ -104,6 +104,14 @@ def test_a_full_disk_at_the_rig_file_is_status_2_and_leaves_it_whole(call, tmp_p
 )
 def test_what_cannot_be_commissioned_is_refused_with_the_remedy(call, private_sockets, words, status, text):
     assert text in call(words, status).stderr
+
+
+def test_a_step_that_is_asked_for_and_cannot_be_done_is_status_1(call, monkeypatch):
+    monkeypatch.setattr(steps, "STEPS", (Weight(),))
+    result = call("--rig my.toml --virtual --yes --step weight", 1)
+    assert "give --weight-Nm" in result.stderr
+    assert result.stdout == ""
+    call("--rig my.toml --virtual --yes", 0)
 
 
 def test_a_rig_of_several_axes_is_refused(call, tmp_path):
