@@ -102,7 +102,7 @@ class Friction(Step):
         """Return what the rig has not."""
         for role in ("torque", "handle_torque"):
             if axis.allocation.bound.get(role) is None:
-                return f"the rig has no role {role}; record strokes by hand and use 'coulombus identify'"
+                return f"the rig has no role {role}: motor and hand together tell the friction"
         return None
 
     def risk(self, axis: Axis, given: Given) -> Risk:

@@ -18,7 +18,10 @@ STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; color: #1a1a1a; max-width: 980px; margin: 2em auto; padding: 0 1em; }
 h1 { font-size: 1.5em; margin-bottom: 0; } h2 { font-size: 1.15em; margin: 1.6em 0 .3em; border-bottom: 1px solid #bbb; }
 p { margin: .3em 0; } .small { color: #555; font-size: .87em; }
-table { border-collapse: collapse; width: 100%; font-size: .92em; margin: .4em 0; }
+h2::first-letter { text-transform: uppercase; }
+table { border-collapse: collapse; width: 100%; font-size: .92em; margin: .4em 0; table-layout: fixed; }
+th:nth-child(1) { width: 34%; } th:nth-child(n+2):nth-child(-n+3) { width: 10%; } th:nth-child(4) { width: 8%; }
+th:nth-child(5) { width: 9%; } code { overflow-wrap: anywhere; }
 th { text-align: left; border-bottom: 1px solid #888; font-weight: 600; } td, th { padding: .18em .6em .18em 0; vertical-align: top; }
 td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
 tr.written td { font-weight: 600; } code { font-size: .93em; }

@@ -43,7 +43,7 @@ def test_a_table_over_several_lines_is_replaced_whole():
     assert text.endswith("# commission stair\ntable = [[0, 0.0], [90, 1.5]] # end\n")
 
 
-def test_a_key_that_is_missing_comes_below_its_header_or_with_a_section_at_the_end():
+def test_a_missing_key_comes_below_its_header_or_with_its_section_at_the_end():
     text = rewritten(TEXT, {("mechanics", "viscous"): NewValue(0.5, "new")}, "commission", "f")
     assert text.startswith("[mechanics]\n# commission new\nviscous = 0.5\n")
     text = rewritten(TEXT, {("role", "handle_torque", "offset_Nm"): NewValue(-0.1, "zero")}, "commission", "f")

@@ -34,7 +34,7 @@ def call(tmp_path, monkeypatch):
 OFF = "[role.handle_torque]\noffset_Nm = 0.1\n"
 
 
-def test_a_rehearsed_step_prints_one_json_document_and_writes_file_copy_and_report(call, tmp_path):
+def test_a_rehearsed_step_prints_one_document_and_writes_copy_and_report(call, tmp_path):
     (tmp_path / "truth.toml").write_text(packaged_rig("bench").read_text() + OFF)
     words = "--rig my.toml --virtual --truth truth.toml --yes --step zero --json --report r.html"
     (step,) = json.loads(call(words).stdout)["steps"]
