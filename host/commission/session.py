@@ -7,7 +7,7 @@ disk - leaves the rig file as it was, and the steps before it done.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -54,7 +54,15 @@ class Done:
         outcome = self.outcome
         findings = [asdict(one) for one in outcome.findings] if outcome else []
         remarks = list(outcome.remarks) if outcome else []
-        return asdict(replace(self, outcome=None)) | {"outcome": None, "findings": findings, "remarks": remarks}
+        return {
+            "step": self.step,
+            "title": self.title,
+            "what": self.what,
+            "why": self.why,
+            "written": list(self.written),
+            "findings": findings,
+            "remarks": remarks,
+        }
 
 
 class Session:
