@@ -76,6 +76,14 @@ def test_a_friction_that_is_too_large_in_the_belief_is_found_as_well(afternoon):
     assert found(done, "mechanics.friction_Nm").new == pytest.approx(0.06, rel=0.02)
 
 
+def test_where_the_friction_is_uneven_the_smallest_sector_is_written(afternoon, monkeypatch):
+    edges, sectors = np.linspace(-0.6, 0.6, 9), [0.20] * 4 + [0.17] + [0.22] * 3
+    monkeypatch.setattr("coulombus.host.commission.friction._by_sector", lambda *_: (edges, sectors))
+    _, (done,) = afternoon("friction", truth=TRUTH)
+    assert found(done, "mechanics.friction_Nm").new == 0.17
+    assert "uneven, 0.1700 to 0.2200 Nm by angle" in done.outcome.remarks[0]
+
+
 # what ends a step
 
 
