@@ -275,8 +275,8 @@ class _RealRun(Course):
         self.plane.attend()
         self.plane.start_cycle((time.monotonic_ns() + LEAD_NS) // period * period)
         self._seen = (0, time.monotonic())
-        self.notifier.tell(READY=1, STATUS=f"cycling on {self.address} in mode {self.k.mode}")
         try:
+            self.notifier.tell(READY=1, STATUS=f"cycling on {self.address} in mode {self.k.mode}")
             self.display(seconds)
         except Exception as error:
             self._fail(error)
@@ -309,7 +309,7 @@ class _RealRun(Course):
         The data plane goes there by itself: an error in here ends the looking on, not the waiting.
         """
         deadline, failures = 0, 0
-        self.notifier.tell(STOPPING=1, STATUS="ending safely")
+        self._attempt(lambda: self.notifier.tell(STOPPING=1, STATUS="ending safely"))
         while failures < FAILURES:
             try:
                 self.plane.stop()
