@@ -51,12 +51,16 @@ class Terminal(io.StringIO):
         return True
 
 
+HOLDERS = ("coulombus.host.devices.bitrates", "coulombus.host.devices.scan", "coulombus.verbs.sdo_shell")
+
+
 @pytest.fixture
 def desk(private_sockets, monkeypatch, tmp_path):
     link = DeskLink()
     link.add(eds("motor"), 1)
     link.add(eds("mr_brake"), 2)
-    monkeypatch.setattr("coulombus.wire.bus_link.BusLink", lambda address, filters=(): link)
+    for module in (*HOLDERS, "coulombus.wire.bus_link"):  # whoever imports it first, now, holds the right one later
+        monkeypatch.setattr(f"{module}.BusLink", lambda address, filters=(): link)
     monkeypatch.chdir(tmp_path)
     return link
 
