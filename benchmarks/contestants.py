@@ -203,7 +203,9 @@ def nodes_up(bus: Bus) -> Iterator[None]:
 
 
 def data_plane(bus: Bus, seconds: float, *, loaded: bool = False) -> Run:
-    """The project's loop, as `coulombus run` starts it; `loaded`: with busy threads in its process."""
+    """The project's loop, as `coulombus run` starts it; `loaded`: with busy threads in its
+    process.
+    """
     k = Controllers(bus.rig, MODE)
     plane = (LoadedPlane if loaded else DataPlane)(k, bus.address, priority=HOST_PRIORITY, cpu=HOST_CPU)
     try:

@@ -49,7 +49,9 @@ def disturbance_ns(file: Path) -> int:
 
 
 def faulty(seconds: float, rounds: int) -> None:
-    """Run it, in turns with cyclictest at the bus's priority, and with the same bus without faults."""
+    """Run it, in turns with cyclictest at the bus's priority, and with the same bus without
+    faults.
+    """
     what = "1 % of frames destroyed: delivery after end of frame, p99 against cyclictest's"
     with tempfile.TemporaryDirectory() as directory:
         program, file = compiled(Path(directory)), Path(directory) / "faults.toml"

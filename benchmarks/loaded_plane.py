@@ -18,7 +18,9 @@ from coulombus.host.realtime.shared_memory import SharedPlane, Status
 
 
 class LoadedPlane(DataPlane):
-    """A `DataPlane` whose process has a busy and a garbage-making Python thread besides the loop."""
+    """A `DataPlane` whose process has a busy and a garbage-making Python thread besides
+    the loop.
+    """
 
     MODULE = "benchmarks.loaded_plane"
 

@@ -32,7 +32,9 @@ def told_identity(description: Description) -> tuple[int, int]:
 
 
 def is_own(role: str, identity: tuple[int, int]) -> bool:
-    """Tell whether (1018h:01, 1018h:02) is that of our own device for `role`, "motor" or "brake"."""
+    """Tell whether (1018h:01, 1018h:02) is that of our own device for `role`, "motor" or
+    "brake".
+    """
     return identity == (VENDOR_ID, PRODUCTS.get(role))
 
 

@@ -182,7 +182,9 @@ class _Reader(FileReader):
     def check_subs(
         self, index: int, head: Section, subs: Mapping[int, Section], variables: Mapping[int, Variable], compact: int
     ) -> None:
-        """Hold SubNumber and the default of sub-index 0 against the sub-indices that are described."""
+        """Hold SubNumber and the default of sub-index 0 against the sub-indices that are
+        described.
+        """
         said = self.integer(head, "subnumber", 0)
         if subs and not compact and said != len(subs):
             number = f"SubNumber={said}" if head.get("subnumber") else "SubNumber is missing"

@@ -108,7 +108,9 @@ class Section:
         return f"[{self.name}] {cut(self.spelled.get(key, key))}"
 
     def numbered(self) -> dict[int, str]:
-        """Return the keys that are numbers, by these: sub-indices of [1003Name], entries of a list."""
+        """Return the keys that are numbers, by these: sub-indices of [1003Name], entries of
+        a list.
+        """
         return {int(key): key for key in reversed(self.entries) if key.isdecimal() and len(key) <= MOST_DIGITS}
 
     @property
@@ -235,7 +237,9 @@ class SectionReader:
                     section.spelled[key] = spelled
 
     def open_section(self, line: str, number: int) -> Section:
-        """Return the section that a head names; a second head of one name goes on with the first."""
+        """Return the section that a head names; a second head of one name goes on with the
+        first.
+        """
         name, bracket, rest = line[1:].partition("]")
         name = name.strip()
         if not bracket:
@@ -263,7 +267,9 @@ class SectionReader:
         return self.sections.setdefault(key, Section(cut(name), number, index=index, subindex=subindex))
 
     def enter_again(self, section: Section, key: str, spelled: str, value: str, number: int) -> None:
-        """Take a key that is there already: the first value counts, and a conflict is kept in mind."""
+        """Take a key that is there already: the first value counts, and a conflict is kept
+        in mind.
+        """
         first, line = section.entries[key]
         if _same(first, value):
             if not section.reopened:

@@ -81,7 +81,9 @@ class _VirtualRun(Course):
 
     @property
     def safe_ns(self) -> int | None:
-        """When the first axis entered its safe state, by the world's clock and not by the host's."""
+        """When the first axis entered its safe state, by the world's clock and not by the
+        host's.
+        """
         safe_ns = self.k.safe_ns
         return None if safe_ns is None else int(bus_ns(self.world.host_clock, safe_ns))
 
@@ -101,7 +103,9 @@ class _VirtualRun(Course):
         self.world.ask_to_stop(trip)
 
     def course(self, seconds: float) -> None:
-        """Power on, bring up, arm, display for `seconds` from Operation Enabled on, and end safely."""
+        """Power on, bring up, arm, display for `seconds` from Operation Enabled on, and end
+        safely.
+        """
         world, k = self.world, self.k
         self.losses = switch_on(world)
         self.mark(world.t_ns, f"run {k.mode}")

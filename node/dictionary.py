@@ -239,7 +239,9 @@ def encode(variable: Variable, value: Value) -> bytes:
 
 
 def decode(variable: Variable, data: bytes) -> Value:
-    """Return the value that `data` (of the right length) spells, within the EDS' limits, or abort."""
+    """Return the value that `data` (of the right length) spells, within the EDS' limits, or
+    abort.
+    """
     kind = data_type(variable)
     value: int | float
     if kind.kind == "text":

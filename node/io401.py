@@ -138,7 +138,9 @@ def _check(objects: Objects, index: int, subindex: int, value: int) -> None:
 def _rows(
     index: int, slot: int, count: int, absent: int = 0, *, acts: int = -1, changing: bool = False
 ) -> list[CoreObject]:
-    """Return the rows of sub-indices 1 to `count`; `acts`: number of the first one's bit, -1: none."""
+    """Return the rows of sub-indices 1 to `count`; `acts`: number of the first one's bit,
+    -1: none.
+    """
     return [
         CoreObject(index, k + 1, slot + k, absent, acts=1 << acts + k if acts >= 0 else 0, changing=changing)
         for k in range(count)

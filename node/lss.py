@@ -90,7 +90,9 @@ class Lss:
         self._scanned = 0
 
     def mute(self) -> None:
-        """Let the device hear LSS alone and send nothing else; a ramp to the safe output goes on."""
+        """Let the device hear LSS alone and send nothing else; a ramp to the safe output
+        goes on.
+        """
         record = self._record
         record["nmt"] = NmtState.INITIALISING
         record["route"][:] = core.ROUTE_NONE

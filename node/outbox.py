@@ -62,7 +62,9 @@ def forget(n: NodeRecord, channel: int) -> None:
 
 @kernel
 def drain(n: NodeRecord, t_ns: int, out: Queue) -> None:
-    """Move segments to the frame queue as far as there is room; a transfer that moves is not late."""
+    """Move segments to the frame queue as far as there is room; a transfer that moves is
+    not late.
+    """
     room = min(AHEAD - out.count - out.waiting, n.outbox_count)
     for _ in range(room):
         k = n.outbox_first

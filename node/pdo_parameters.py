@@ -53,7 +53,9 @@ class Pdos:
         self._changing = CHANGING | {row.index for row in profile.objects if row.changing}
 
     def locate(self, index: int) -> tuple[Direction, int, bool] | None:
-        """Return (direction, number from 0, whether it is a mapping) of a PDO parameter, else None."""
+        """Return (direction, number from 0, whether it is a mapping) of a PDO parameter,
+        else None.
+        """
         directions: tuple[Direction, ...] = ("rpdo", "tpdo")
         for direction in directions:
             for first, mapping in ((COMMUNICATION[direction], False), (MAPPING[direction], True)):

@@ -232,7 +232,9 @@ class Profile:
         return tuple(field[0] for field in self.fields if field[0].startswith("out_"))
 
     def fitted(self, *rows: CoreObject, without: Collection[Key] = ()) -> Profile:
-        """Return the kind as one device has it: with further objects, and with none of `without`."""
+        """Return the kind as one device has it: with further objects, and with none of
+        `without`.
+        """
         taken = {*without, *(row.key for row in rows)}
         return replace(self, objects=(*(row for row in self.objects if row.key not in taken), *rows))
 

@@ -1,4 +1,6 @@
-"""What all compiled parts of a node share: the type of its record, the room in it, and two times."""
+"""What all compiled parts of a node share: the type of its record, the room in it, and two
+times.
+"""
 
 from __future__ import annotations
 

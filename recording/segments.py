@@ -200,7 +200,9 @@ class SegmentedRecorder(Recorder):
         return Path(self._writer.path)
 
     def write(self, frames: Records) -> None:
-        """Append a batch of frames with rising stamps, in a new segment where it is time for one."""
+        """Append a batch of frames with rising stamps, in a new segment where it is time
+        for one.
+        """
         if len(frames):
             if self._begun_ns >= 0 and self._over(int(frames["t_ns"][0])):
                 self._rotate()

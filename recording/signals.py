@@ -10,8 +10,8 @@
 What the bits mean comes from the rig file and the EDS files attached to the recording; of a file
 without them (candump's, Wireshark's, or one that editcap has rewritten) from the rig that is given.
 
-A position is followed across the wraps of its counter (`recording.turns`), so that its angle goes on
-where a device's 16 bits begin anew; `frames` has what was on the wire.
+A position is followed across the wraps of its counter (`recording.turns`), so that its angle goes
+on where a device's 16 bits begin anew; `frames` has what was on the wire.
 
 `read` keeps everything: 40 bytes for each frame and about 8 for each of its signals. `blocks` goes
 through the file without keeping it, a `Recording` of some seconds at a time; figures and rows come
@@ -301,8 +301,8 @@ def read(path: str | Path, rig: Rig | str | None = None) -> Recording:
     Parameters
     ----------
     path
-        A pcapng file of SocketCAN frames, a folder of segments (the newest run in it), or a log that python-can reads (.log, .asc, .blf, .trc,
-        .csv), which has no rig.
+        A pcapng file of SocketCAN frames, a folder of segments (the newest run in it), or a log
+        that python-can reads (.log, .asc, .blf, .trc, .csv), which has no rig.
     rig
         Decode with this rig (a `Rig`, a packaged rig's name, or a rig file's path) and not with the
         attached one.

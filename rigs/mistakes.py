@@ -77,7 +77,9 @@ class Source:
         return _KEY.sub(lambda found: self.spelled(tuple(found[0].split("."))), text) if self.axis else text
 
     def where(self, key: Key) -> tuple[float, str]:
-        """Return the place of `key` for sorting, and as text: ``file:line`` or ``--set KEY=VALUE``."""
+        """Return the place of `key` for sorting, and as text: ``file:line`` or ``--set
+        KEY=VALUE``.
+        """
         key = self.full(key)
         for length in range(len(key), 0, -1):
             if key[:length] in self.overrides:

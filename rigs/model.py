@@ -48,7 +48,9 @@ def to_ns(seconds: float) -> int:
 
 
 def _grid(unit_s: float, name: str, why: str) -> Any:
-    """Return a validator that wants whole multiples of `unit_s`, because the device counts in them."""
+    """Return a validator that wants whole multiples of `unit_s`, because the device counts
+    in them.
+    """
 
     def whole(value: float) -> float:
         if abs(value / unit_s - round(value / unit_s)) > 1e-6:

@@ -82,7 +82,9 @@ def _comment(text: str) -> str:
 
 
 def _last_line(lines: list[str], at: int) -> int:
-    """Return the last line of the statement that begins in a line: the first with which it reads."""
+    """Return the last line of the statement that begins in a line: the first with which it
+    reads.
+    """
     for last in range(at, min(at + LONGEST, len(lines))):
         document = read_toml("\n".join(lines[at : last + 1]))
         if not document.problems:

@@ -32,7 +32,9 @@ Direction = Literal["rpdo", "tpdo"]
 
 @dataclass(frozen=True)
 class Signal:
-    """One object in a PDO: SI value = raw x `scale` + `offset`, in `unit` ("" for a word of bits)."""
+    """One object in a PDO: SI value = raw x `scale` + `offset`, in `unit` ("" for a word of
+    bits).
+    """
 
     name: str
     index: int

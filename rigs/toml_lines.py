@@ -228,7 +228,9 @@ def _short(text: str) -> str:
 
 
 def _statements(lines: list[str]) -> list[_Statement]:
-    """Find keys and headers; a value reaches to the line where its brackets and quotes are closed."""
+    """Find keys and headers; a value reaches to the line where its brackets and quotes are
+    closed.
+    """
     found: list[_Statement] = []
     section: Key = ()
     tables: dict[Key, int] = {}  # arrays of tables and the index of their last one

@@ -40,7 +40,9 @@ def anchors(text):
 
 
 def commands(text):
-    """Yield every command line of `coulombus` in a text: indented or fenced lines, and code spans."""
+    """Yield every command line of `coulombus` in a text: indented or fenced lines, and code
+    spans.
+    """
     lines = re.sub(r"\\\n\s*", "", text).splitlines()
     fenced = False
     for line in lines:

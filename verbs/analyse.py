@@ -120,7 +120,9 @@ def _tell_paths(paths: list[Path]) -> None:
 
 @contextmanager
 def _bar(title: str) -> Iterator[Callable[[float], None]]:
-    """Show a bar on stderr if it is a terminal: call what is yielded with the share that is done."""
+    """Show a bar on stderr if it is a terminal: call what is yielded with the share that
+    is done.
+    """
     from rich.console import Console
     from rich.progress import Progress
 

@@ -1,4 +1,6 @@
-"""The command line: a thin dispatcher to the verbs, which import what they need only when they run."""
+"""The command line: a thin dispatcher to the verbs, which import what they need only when
+they run.
+"""
 
 from __future__ import annotations
 

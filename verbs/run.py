@@ -233,8 +233,8 @@ def _said(record: Path | None, meta: tuple[str, ...]) -> dict[str, str]:
 
 
 def _say_what_to_do(trip: str | None, shared_machine: bool) -> None:
-    """After a trip: where its causes stand; for want of TPDOs on a machine of one's own, what else it
-    may be.
+    """After a trip: where its causes stand; for want of TPDOs on a machine of one's own, what else
+    it may be.
     """
     from coulombus.host.run.runbook import anchor
 

@@ -117,7 +117,9 @@ class CoulombusBus(can.BusABC):
         return self._client.lost
 
     def fileno(self) -> int:
-        """Return a descriptor for select() and asyncio: readable as long as `recv` has something."""
+        """Return a descriptor for select() and asyncio: readable as long as `recv` has
+        something.
+        """
         return -1 if self._readable.closed else self._readable.fileno()
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:

@@ -27,7 +27,9 @@ Received: TypeAlias = tuple[int, int, int, bytes]
 
 
 class Echo(tuple[int, int, int, bytes]):
-    """A `Received` that this client has sent itself, back from the wire (`wire.hello.Flags.OWN`)."""
+    """A `Received` that this client has sent itself, back from the wire
+    (`wire.hello.Flags.OWN`).
+    """
 
     __slots__ = ()
 

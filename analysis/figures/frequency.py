@@ -1,4 +1,6 @@
-"""Figures of the frequency domain: the paper's Figs. 2, 6 and 7 as corrected, and the certificates."""
+"""Figures of the frequency domain: the paper's Figs. 2, 6 and 7 as corrected, and the
+certificates.
+"""
 
 from __future__ import annotations
 
@@ -74,7 +76,9 @@ def _circle(center: complex, radius: float) -> tuple[Floats, Floats]:
 
 
 def draw_friction(axes: Axes, friction_N: float, slope_Ns_m: float | None) -> None:
-    """Draw the friction of Fig. 2: ideal (a set at v = 0), and the steepest one that is certified."""
+    """Draw the friction of Fig. 2: ideal (a set at v = 0), and the steepest one that is
+    certified.
+    """
     reach = 3 * friction_N / slope_Ns_m if slope_Ns_m else 1.0
     axes.plot(
         [-reach, 0, 0, reach],

@@ -1,4 +1,6 @@
-"""Figures of what goes through PDOs, Figs. 12 to 14 and the limit cycle on the bus; and the maps."""
+"""Figures of what goes through PDOs, Figs. 12 to 14 and the limit cycle on the bus; and
+the maps.
+"""
 
 from __future__ import annotations
 

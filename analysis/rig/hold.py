@@ -51,7 +51,8 @@ class Breakaway:
 
     ramp_s: float
     torque_Nm: float | None
-    """Hand's torque on the handle just before it slid; None: it never did, or nothing measures it."""
+    """Hand's torque on the handle just before it slid; None: it never did, or nothing measures it.
+    """
     share_of_F_s: float | None
     slid: bool
     crept_rad: float

@@ -50,7 +50,9 @@ CHUNK = 96  # runs for one task: some 20 ms
 
 @dataclass(frozen=True)
 class LoopParameters:
-    """One loop. Defaults are the bench rig's in mode active, with its hand and one cycle of delay."""
+    """One loop. Defaults are the bench rig's in mode active, with its hand and one cycle of
+    delay.
+    """
 
     inertia_kg_m2: float = 2.5e-3
     viscous_Nms_rad: float = 0.005

@@ -224,7 +224,9 @@ def clear(unit: Unit, index: int) -> None:
 
 @case("3.26")
 def too_long(unit: Unit) -> str:
-    """Map the widest object so often that 64 bits are exceeded: an entry or the count is refused."""
+    """Map the widest object so often that 64 bits are exceeded: an entry or the count is
+    refused.
+    """
     for direction in (TPDO, RPDO):
         if not remappable(unit, direction) or not mappable(unit, direction):
             continue

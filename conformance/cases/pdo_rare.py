@@ -44,7 +44,9 @@ DUMMY = 0x0005
 
 
 class Harmless:
-    """An RPDO that carries one object which moves nothing: `send` a value, `value` reads what acts."""
+    """An RPDO that carries one object which moves nothing: `send` a value, `value` reads
+    what acts.
+    """
 
     def __init__(
         self, unit: Unit, transmission: int, *, deadline_ms: int = 0, gap: Sequence[int] = (), k: int = -1

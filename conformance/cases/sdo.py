@@ -205,7 +205,9 @@ def segments_of_a_short_object(unit: Unit) -> str:
 
 
 def written_and_read(unit: Unit, index: int, value: int, write: Callable[[bytes], object]) -> None:
-    """Write an object of the communication profile with `write`, read it, and let it be restored."""
+    """Write an object of the communication profile with `write`, read it, and let it be
+    restored.
+    """
     variable = unit.need_writable(index)
     before = unit.read(index, 0)
     unit.undo_later(index, 0, before)
@@ -307,7 +309,9 @@ def further_servers(unit: Unit) -> str:
 
 @case("2.29")
 def further_servers_after_reset(unit: Unit) -> str:
-    """Change what can be changed in 1201h to 127Fh, reset the communication, and find it as it was."""
+    """Change what can be changed in 1201h to 127Fh, reset the communication, and find it as
+    it was.
+    """
     before = channels(unit, 0x1201, 0x127F)
     for index, _ in before:
         if unit.has(index, 1) and unit.variable(index, 1).access == "rw":

@@ -152,7 +152,9 @@ def no_counter(unit: Unit) -> str:
 
 @case("6.7")
 def counter(unit: Unit) -> str:
-    """Set 1019h, start the SYNC, and read the counter from its first value on, over two overflows."""
+    """Set 1019h, start the SYNC, and read the counter from its first value on, over two
+    overflows.
+    """
     unit.need_writable(0x1019)
     unit.flush()
     produce(unit, OVERFLOW)

@@ -81,7 +81,9 @@ def volatile(unit: Unit) -> tuple[int, int, int]:
 
 
 def long_objects(unit: Unit) -> list[tuple[Variable, bytes]]:
-    """Return the objects whose content has more than four bytes (and at most `LONGEST`), with it."""
+    """Return the objects whose content has more than four bytes (and at most `LONGEST`),
+    with it.
+    """
     found, aborted = [], []
     for variable in unit.variables():
         if variable.access == "wo" or 0 < variable.bits <= 32:

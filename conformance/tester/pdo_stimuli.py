@@ -57,7 +57,9 @@ class Stimulus(ABC):
         """Fail unless the TPDO behaves in OPERATIONAL, which has just been entered."""
 
     def control(self) -> bool:
-        """Tell whether the occasion makes the TPDO go in OPERATIONAL, which has just been entered."""
+        """Tell whether the occasion makes the TPDO go in OPERATIONAL, which has just been
+        entered.
+        """
         self.poke(OPERATIONAL)
         return self.unit.wait(self.can_id) is not None
 

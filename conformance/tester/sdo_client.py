@@ -299,7 +299,9 @@ class SdoClient:
         return bool(answer[0] & 0x04), answer[4]
 
     def block_acknowledged(self, index: int, subindex: int) -> tuple[int, int]:
-        """Return the server's acknowledge of a block: last good sequence number, next block size."""
+        """Return the server's acknowledge of a block: last good sequence number, next
+        block size.
+        """
         answer = self.response(index, subindex, "block download to")
         if answer[0] != 0xA2 or not 1 <= answer[2] <= BLOCK:
             raise CaseFailed(f"block download to {where(index, subindex)}: {answer.hex(' ')} acknowledges no block")

@@ -288,7 +288,9 @@ class Unit:
         return other
 
     def state(self) -> int | None:
-        """Return the NMT state as heartbeat or guarding tell it; None where the device has neither."""
+        """Return the NMT state as heartbeat or guarding tell it; None where the device has
+        neither.
+        """
         identifier = CobId.HEARTBEAT + self.node_id
         if self.has(0x1017):
             try:
@@ -346,7 +348,9 @@ class Unit:
 
     @cached_property
     def flags(self) -> dict[tuple[int, int], int]:
-        """ObjFlags of the EDS: bit 0 refuses a write on download, bit 1 a read on scan (CiA 306-1)."""
+        """ObjFlags of the EDS: bit 0 refuses a write on download, bit 1 a read on scan (CiA
+        306-1).
+        """
         found = {}
         for index, subindex, _, value in _OBJ_FLAGS.findall(self.description.text):
             try:

@@ -106,7 +106,9 @@ class Brake(Step):
         return (exercise(self.name, rig, "stair", [self._top(axis), STEPS, STAIR_S], [stroke], hand=STROKING_HAND),)
 
     def analyse(self, taken: Sequence[Taken], axis: Axis, given: Given) -> Outcome:
-        """Return the table, the hysteresis, and the share of the slip torque at which it lets go."""
+        """Return the table, the hysteresis, and the share of the slip torque at which it
+        lets go.
+        """
         stairs = _stairs(taken[0].recording, axis)
         zero = stairs[0].slip_Nm  # before the iron has anything to remember
         table: list[list[float]] = [[stairs[0].raw, 0.0]]

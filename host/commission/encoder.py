@@ -1,8 +1,8 @@
 """Encoder and transmission by hand: the operator turns the handle from one mark to another.
 
-The angle between the marks is known. The encoder's counts for it give its sign, and how many of them
-the handle's turn has. That is one figure: the counts of the motor's turn times the transmission's
-ratio. The data sheet's counts are believed, and the ratio is corrected.
+The angle between the marks is known. The encoder's counts for it give its sign, and how many of
+them the handle's turn has. That is one figure: the counts of the motor's turn times the
+transmission's ratio. The data sheet's counts are believed, and the ratio is corrected.
 """
 
 from __future__ import annotations

@@ -63,7 +63,9 @@ UNEVEN = 0.1
 
 
 def sweep_exercise(rig: Rig, name: str, hand: Sequence[str]) -> Exercise:
-    """Return a run in which the motor sweeps the handle to and fro, within the sign check's torque."""
+    """Return a run in which the motor sweeps the handle to and fro, within the sign check's
+    torque.
+    """
     axis = rig.one_axis()
     risk = sweep_risk(axis)
     gain = axis.mechanics.inertia_kg_m2 / RESPONSE_S
@@ -193,8 +195,8 @@ def _limit(axis: Axis, friction_Nm: float) -> list[Finding]:
 
 
 def _by_sector(slides: Sliding, viscous: Estimate | None, inertia: Estimate | None) -> tuple[Any, list[float]]:
-    """Return the edges of the angle's sectors, and the Coulomb friction in each; NaN where there are
-    hardly any samples.
+    """Return the edges of the angle's sectors, and the Coulomb friction in each; NaN where there
+    are hardly any samples.
     """
     rows = equations(slides.slides, slides.period_s, slides.count_rad)
     x = rows.smooth([one.x_rad - one.x_rad[0] for one in slides.slides])

@@ -40,7 +40,9 @@ BLOCK = 4
 LEAST_SHARE = 0.3
 LEAST_CHANGE = 0.01
 MOST_REACH = 0.03
-"""A wider interval tells nothing: the motor's torque changed with the sense of motion alone, as friction does."""
+"""A wider interval tells nothing: the motor's torque changed with the sense of motion alone, as
+friction does.
+"""
 SIGN = "SIGN_ENCODER"
 
 

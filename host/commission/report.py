@@ -1,4 +1,6 @@
-"""The report of a commissioning: one HTML page, with its pictures in it, that needs nothing else."""
+"""The report of a commissioning: one HTML page, with its pictures in it, that needs
+nothing else.
+"""
 
 from __future__ import annotations
 

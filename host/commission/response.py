@@ -5,9 +5,9 @@ torque and what the inertia takes; the mean over many steps answers like two lag
 
 .. math:: y(t) = 1 - \frac{\tau_f e^{-s/\tau_f} - \tau_c e^{-s/\tau_c}}{\tau_f - \tau_c}, \quad s = t - d > 0
 
-with the coil's time constant :math:`\tau_c`, the slower fluid's :math:`\tau_f` and the delay d since
-the SYNC before the set-point was sent. The two times at which 63 % and 95 % are reached need no
-model.
+with the coil's time constant :math:`\tau_c`, the slower fluid's :math:`\tau_f` and the delay d
+since the SYNC before the set-point was sent. The two times at which 63 % and 95 % are reached need
+no model.
 """
 
 from __future__ import annotations

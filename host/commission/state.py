@@ -1,5 +1,5 @@
-"""What an afternoon's commissioning has come to so far: a folder beside the rig file, so that it can
-be resumed.
+"""What an afternoon's commissioning has come to so far: a folder beside the rig file, so that it
+can be resumed.
 
     my.toml                         the rig file, with what was found
     my.commission/state.json        the outcome of each step that is done

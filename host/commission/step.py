@@ -192,7 +192,9 @@ TRAVEL_SHARE = 0.6
 
 
 def move_s(axis: Axis, speed_rad_s: float, wanted_s: float) -> float:
-    """Return how long a move of the hand at a speed is [s]: as wanted, or what the travel allows."""
+    """Return how long a move of the hand at a speed is [s]: as wanted, or what the travel
+    allows.
+    """
     return round(min(wanted_s, TRAVEL_SHARE * axis.limits.travel_limit_rad / speed_rad_s), 3)
 
 

@@ -1,5 +1,5 @@
-"""The torque transducer: its zero and noise with nobody at the handle, then its sign and scale with a
-known weight.
+"""The torque transducer: its zero and noise with nobody at the handle, then its sign and scale with
+a known weight.
 
 Its signal is raw counts times a scale plus an offset, both turned by the polarity. The zero is the
 offset's, the weight the scale's and the polarity's. Neither step gives the motor any torque. While

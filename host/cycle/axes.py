@@ -15,8 +15,8 @@ from typing import Any
 
 from coulombus.compiled.decorator import kernel
 from coulombus.host.cycle import step
-from coulombus.host.cycle.records import Image, Phase, Trip
-from coulombus.wire.frame import push
+from coulombus.host.cycle.records import AxisRecords, Image, LawFunction, Phase, Trip
+from coulombus.wire.frame import Queue, push
 
 __all__ = [
     "ask_to_stop",
@@ -32,7 +32,7 @@ __all__ = [
 
 
 @kernel
-def next_ns(axes: Any) -> int:
+def next_ns(axes: AxisRecords) -> int:
     """Return when `on_time` wants to be called."""
     first: int = axes[0].host.next_ns
     for k in range(1, axes.shape[0]):
@@ -41,7 +41,7 @@ def next_ns(axes: Any) -> int:
 
 
 @kernel
-def phases(axes: Any) -> int:
+def phases(axes: AxisRecords) -> int:
     """Return the phases of all axes as one number, four bits each."""
     found: int = axes[0].host.phase
     for k in range(1, axes.shape[0]):
@@ -50,7 +50,7 @@ def phases(axes: Any) -> int:
 
 
 @kernel
-def on_frame(axes: Any, owner: Any, t_ns: int, can_id: int, length: int, data: int) -> int:
+def on_frame(axes: AxisRecords, owner: Any, t_ns: int, can_id: int, length: int, data: int) -> int:
     """Take a frame; return 1 when it completes an axis' TPDOs of this cycle, 2 when the control
     plane wants it, else 0.
     """
@@ -59,14 +59,14 @@ def on_frame(axes: Any, owner: Any, t_ns: int, can_id: int, length: int, data: i
 
 
 @kernel
-def begin(axes: Any, t_ns: int, out: Any) -> None:
+def begin(axes: AxisRecords, t_ns: int, out: Queue) -> None:
     """Begin the cycle of all axes that is due at `t_ns`."""
     for k in range(axes.shape[0]):
         step.begin(axes[k], t_ns, out)
 
 
 @kernel
-def ask_to_stop(axes: Any, trip: int) -> None:
+def ask_to_stop(axes: AxisRecords, trip: int) -> None:
     """Ask all axes for the safe state for the reason `trip`, or without one (1).
 
     The first reason counts.
@@ -78,7 +78,7 @@ def ask_to_stop(axes: Any, trip: int) -> None:
 
 
 @kernel
-def _couple(axes: Any) -> None:
+def _couple(axes: AxisRecords) -> None:
     """Let all axes stop where one has tripped."""
     for k in range(axes.shape[0]):
         if axes[k].host.trip != Trip.NONE:
@@ -90,7 +90,7 @@ def _couple(axes: Any) -> None:
 
 
 @kernel
-def finish(axes: Any, law_function: Any, t_ns: int, window_over: int, out: Any) -> int:
+def finish(axes: AxisRecords, law_function: LawFunction, t_ns: int, window_over: int, out: Queue) -> int:
     """Finish the cycle of the axes whose TPDOs have all come.
 
     When the window for them is over, of all that still wait.
@@ -109,7 +109,7 @@ def finish(axes: Any, law_function: Any, t_ns: int, window_over: int, out: Any) 
 
 
 @kernel
-def on_time(axes: Any, law_function: Any, t_ns: int, out: Any) -> None:
+def on_time(axes: AxisRecords, law_function: LawFunction, t_ns: int, out: Queue) -> None:
     """Do what is due at `t_ns`: the end of the window for TPDOs, or the next cycle, whose SYNC the
     first axis sends.
     """
@@ -120,7 +120,7 @@ def on_time(axes: Any, law_function: Any, t_ns: int, out: Any) -> None:
 
 
 @kernel
-def ramps_a_brake(axes: Any) -> bool:
+def ramps_a_brake(axes: AxisRecords) -> bool:
     """Tell whether a brake still has torque that only the host ramps off: its driver would hold it,
     or let go at once. Only our own driver ramps by itself.
     """
@@ -132,7 +132,7 @@ def ramps_a_brake(axes: Any) -> bool:
 
 
 @kernel
-def safe_setpoints(axes: Any, t_ns: int, out: Any) -> None:
+def safe_setpoints(axes: AxisRecords, t_ns: int, out: Queue) -> None:
     """Send the last set-points: drive disabled and without torque, the brake no stronger than the
     safe state's, which its driver ramps off.
 

@@ -102,7 +102,8 @@ TRIP_TEXT = {
     Trip.SIGN_TRANSDUCER: "arming refused: the torque transducer's sign is wrong (mechanics.transducer_polarity)",
     Trip.SIGN_TRAVEL: "arming refused: the handle moved too far in the sign check",
 }
-"""Each trip in words, with the rig file's key that decides it; `Controller.trip` fills in the `{}`."""
+"""Each trip in words, with the rig file's key that decides it; `Controller.trip` fills in the `{}`.
+"""
 
 
 def _cycles(seconds: float, period_s: float) -> int:

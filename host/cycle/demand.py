@@ -70,7 +70,9 @@ def _motor(axis: Axis, mode: str) -> Iterator[RigError]:
 
 
 def _brake(axis: Axis, mode: str) -> Iterator[RigError]:
-    """Yield what the brake's limits cut off of the law in the modes in which the brake displays it."""
+    """Yield what the brake's limits cut off of the law in the modes in which the brake
+    displays it.
+    """
     if mode == "active":
         return
     scale, one = _scale(axis, "brake.setpoint_Nm"), axis.allocation.bound["brake_setpoint"]

@@ -11,11 +11,19 @@ follows when. `enter` does what the beginning of a phase needs.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 from coulombus.compiled.decorator import kernel
 from coulombus.eds.cia402 import INTERNAL_LIMIT, PowerState
-from coulombus.host.cycle.records import Image, Phase, SignResult, Trip
+from coulombus.host.cycle.records import (
+    AxisRecord,
+    ControlRecord,
+    HostRecord,
+    Image,
+    LawFunction,
+    Phase,
+    SignResult,
+    Trip,
+)
 from coulombus.host.cycle.transitions import CONTROLWORDS
 
 __all__ = [
@@ -40,7 +48,7 @@ DISABLE_CYCLES = 100  # how long a drive may take to say that it is disabled
 
 
 @kernel
-def _begin(h: Any, phase: int) -> None:
+def _begin(h: HostRecord, phase: int) -> None:
     h.phase = phase
     h.phase_cycle = 0
     h.reference_counts = h.counts
@@ -48,7 +56,7 @@ def _begin(h: Any, phase: int) -> None:
 
 
 @kernel
-def enter(axis: Any, phase: int, t_ns: int) -> None:
+def enter(axis: AxisRecord, phase: int, t_ns: int) -> None:
     """Begin a phase other than SAFE."""
     c, h, state = axis.control, axis.host, axis.state
     if phase == Phase.SIGN:
@@ -64,7 +72,7 @@ def enter(axis: Any, phase: int, t_ns: int) -> None:
 
 
 @kernel
-def trip_to_safe(c: Any, h: Any, trip: int, t_ns: int) -> None:
+def trip_to_safe(c: ControlRecord, h: HostRecord, trip: int, t_ns: int) -> None:
     """Go to the safe state; only the first reason counts."""
     if h.phase >= Phase.SAFE:
         return
@@ -77,14 +85,14 @@ def trip_to_safe(c: Any, h: Any, trip: int, t_ns: int) -> None:
 
 
 @kernel
-def _refuse(h: Any, trip: int) -> tuple[float, int]:
+def _refuse(h: HostRecord, trip: int) -> tuple[float, int]:
     """Leave a phase for the safe state, for the reason `trip`."""
     h.trip = trip
     return 0.0, Phase.SAFE
 
 
 @kernel
-def count_still(h: Any) -> None:
+def count_still(h: HostRecord) -> None:
     """Count the cycles for which the handle has been still."""
     if not h.fresh or abs(h.counts - h.reference_counts) > STILL_COUNTS:
         h.reference_counts = h.counts
@@ -94,7 +102,7 @@ def count_still(h: Any) -> None:
 
 
 @kernel
-def still(c: Any, h: Any) -> tuple[float, int]:
+def still(c: ControlRecord, h: HostRecord) -> tuple[float, int]:
     """STILL: wait, switched on and without torque, until the handle has been still and little
     loaded for long enough.
     """
@@ -120,7 +128,7 @@ def still(c: Any, h: Any) -> tuple[float, int]:
 
 
 @kernel
-def enable(c: Any, h: Any, t_ns: int) -> tuple[float, int]:
+def enable(c: ControlRecord, h: HostRecord, t_ns: int) -> tuple[float, int]:
     """ENABLE: wait until the drive says that it is enabled, and a brake with power states, too; a
     mode with a motor goes on with the sign check.
     """
@@ -134,7 +142,7 @@ def enable(c: Any, h: Any, t_ns: int) -> tuple[float, int]:
 
 
 @kernel
-def sign_check(c: Any, h: Any) -> tuple[float, int]:
+def sign_check(c: ControlRecord, h: HostRecord) -> tuple[float, int]:
     """SIGN: ramp a small motor torque until the handle moves: the encoder must count with it, the
     hand must resist.
 
@@ -181,7 +189,7 @@ def sign_check(c: Any, h: Any) -> tuple[float, int]:
 
 
 @kernel
-def settle(c: Any, h: Any) -> tuple[float, int]:
+def settle(c: ControlRecord, h: HostRecord) -> tuple[float, int]:
     """SETTLE: take the sign check's torque back, and wait until the handle is still."""
     count_still(h)
     torque_Nm = max(abs(h.torque_Nm) - SETTLE_STEPS * c.sign_step_Nm, 0.0) * h.sign_direction
@@ -193,7 +201,7 @@ def settle(c: Any, h: Any) -> tuple[float, int]:
 
 
 @kernel
-def split_law(axis: Any) -> float:
+def split_law(axis: AxisRecord) -> float:
     """Split the law by mode: the brake bears it, or the motor shows it.
 
     The motor compensates the inherent friction in slip.
@@ -221,7 +229,7 @@ def split_law(axis: Any) -> float:
 
 
 @kernel
-def run(axis: Any, law_function: Any, t_ns: int) -> tuple[float, int]:
+def run(axis: AxisRecord, law_function: LawFunction, t_ns: int) -> tuple[float, int]:
     """RUN: ask the law, and split what it returns between motor and brake."""
     c, h, motion, state = axis.control, axis.host, axis.motion, axis.state
     motion.x_rad = h.counts * c.rad_count
@@ -246,7 +254,7 @@ def run(axis: Any, law_function: Any, t_ns: int) -> tuple[float, int]:
 
 
 @kernel
-def safe(c: Any, h: Any) -> tuple[float, int]:
+def safe(c: ControlRecord, h: HostRecord) -> tuple[float, int]:
     """SAFE: no motor torque; hold the brake until the handle is still, then ramp it off."""
     if h.ramp_cycle == 0:
         h.brake_Nm = h.safe_from_Nm
@@ -261,7 +269,7 @@ def safe(c: Any, h: Any) -> tuple[float, int]:
 
 
 @kernel
-def disable(h: Any) -> tuple[float, int]:
+def disable(h: HostRecord) -> tuple[float, int]:
     """DISABLE: no torque; wait until the drive says that it is disabled, but not for ever."""
     h.brake_Nm = 0.0
     motor = h.drive == PowerState.SWITCH_ON_DISABLED or h.drive == PowerState.FAULT
@@ -271,7 +279,7 @@ def disable(h: Any) -> tuple[float, int]:
 
 
 @kernel
-def _act(axis: Any, law_function: Any, t_ns: int) -> tuple[float, int]:
+def _act(axis: AxisRecord, law_function: LawFunction, t_ns: int) -> tuple[float, int]:
     """Do what the present phase does in a cycle, its controlword included.
 
     Return the motor's torque [Nm] and the phase that follows.
@@ -298,7 +306,7 @@ def _act(axis: Any, law_function: Any, t_ns: int) -> tuple[float, int]:
 
 
 @kernel
-def advance(axis: Any, law_function: Any, doubt: int, t_ns: int) -> float:
+def advance(axis: AxisRecord, law_function: LawFunction, doubt: int, t_ns: int) -> float:
     """Bring the axis' phase on by a cycle; return the motor's torque [Nm] before the limits.
 
     A doubt (or the wish to stop) makes the axis safe in this very cycle, whether a watch has it or

@@ -7,7 +7,9 @@ motor's rated torque).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from enum import IntEnum
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -15,7 +17,31 @@ from coulombus.rigs.devices import TABLE_POINTS
 from coulombus.rigs.model import MOST_DEVICES, WORK_WINDOW_CYCLES
 from coulombus.rigs.pdo_maps import MOST_CONSTANTS, MOST_PDOS
 
-__all__ = ["CONTROL", "DRIVE_PDOS", "HOST", "Image", "Phase", "SignResult", "Trip"]
+__all__ = [
+    "CONTROL",
+    "DRIVE_PDOS",
+    "HOST",
+    "AxisRecord",
+    "AxisRecords",
+    "ControlRecord",
+    "HostRecord",
+    "Image",
+    "LawFunction",
+    "Phase",
+    "SignResult",
+    "Trip",
+]
+
+ControlRecord: TypeAlias = Any
+"""Limits and scales of an axis: a record of `CONTROL`; mypy knows none of its fields."""
+HostRecord: TypeAlias = Any
+"""What the cycle of an axis keeps: a record of `HOST`."""
+AxisRecord: TypeAlias = Any
+"""All of an axis: a record of `host.cycle.controller.AXIS`."""
+AxisRecords: TypeAlias = Any
+"""The axes of a bus, the one that sends SYNC first."""
+LawFunction: TypeAlias = Callable[[Any, Any, Any], float]
+"""A compiled law (`host.laws.laws`)."""
 
 
 class Phase(IntEnum):

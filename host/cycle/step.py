@@ -16,15 +16,13 @@ and transducer agree on the sign.
 
 from __future__ import annotations
 
-from typing import Any
-
 from coulombus.compiled.decorator import kernel
 from coulombus.eds.cia301 import CobId, NmtState
 from coulombus.eds.codec import pack, unpack
 from coulombus.host.cycle.phases import advance
-from coulombus.host.cycle.records import Image, Phase, Trip
+from coulombus.host.cycle.records import AxisRecord, ControlRecord, HostRecord, Image, LawFunction, Phase, Trip
 from coulombus.host.cycle.watch import measure, watch
-from coulombus.wire.frame import CAN_RTR_FLAG, push
+from coulombus.wire.frame import CAN_RTR_FLAG, Queue, push
 
 __all__ = ["SOURCE_HOST", "begin", "brake_raw", "finish", "limit_torque", "on_frame", "send"]
 
@@ -35,7 +33,7 @@ SPEED_TAPER = 0.8  # above this share of the speed limit the motor may only brak
 
 
 @kernel
-def limit_torque(c: Any, h: Any, torque_Nm: float) -> float:
+def limit_torque(c: ControlRecord, h: HostRecord, torque_Nm: float) -> float:
     """Return the motor torque [Nm] that may be sent: 0 outside the phases that show torque, when
     stale or not a number; then rate, speed and size.
     """
@@ -58,7 +56,7 @@ def limit_torque(c: Any, h: Any, torque_Nm: float) -> float:
 
 
 @kernel
-def brake_raw(c: Any, h: Any) -> int:
+def brake_raw(c: ControlRecord, h: HostRecord) -> int:
     """Return the brake's set-point in counts: without a wrap, from 0 Nm to what its object takes,
     or to the end of its table.
     """
@@ -73,7 +71,7 @@ def brake_raw(c: Any, h: Any) -> int:
 
 
 @kernel
-def _node(c: Any, node_id: int) -> int:
+def _node(c: ControlRecord, node_id: int) -> int:
     """Return which of the axis' nodes it is, -1 if none."""
     for k in range(c.nodes):
         if c.node_id[k] == node_id:
@@ -82,7 +80,7 @@ def _node(c: Any, node_id: int) -> int:
 
 
 @kernel
-def begin(axis: Any, t_ns: int, out: Any) -> None:
+def begin(axis: AxisRecord, t_ns: int, out: Queue) -> None:
     """Begin the cycle that is due at `t_ns`: count what the last one lost, send SYNC (the host's
     heartbeat and what guards nodes when due).
     """
@@ -107,7 +105,7 @@ def begin(axis: Any, t_ns: int, out: Any) -> None:
 
 
 @kernel
-def on_frame(axis: Any, t_ns: int, can_id: int, length: int, data: int) -> int:
+def on_frame(axis: AxisRecord, t_ns: int, can_id: int, length: int, data: int) -> int:
     """Take a frame from the bus.
 
     Return 1 when it completes this cycle's TPDOs, 2 when the control plane wants it, else 0.
@@ -151,7 +149,7 @@ def on_frame(axis: Any, t_ns: int, can_id: int, length: int, data: int) -> int:
 
 
 @kernel
-def _close(c: Any, h: Any, t_ns: int) -> None:
+def _close(c: ControlRecord, h: HostRecord, t_ns: int) -> None:
     """End the window for this cycle's TPDOs: count a cycle that is late or that lacks one."""
     h.waiting = 0
     h.next_ns = h.sync_ns + c.period_ns
@@ -167,7 +165,7 @@ def _close(c: Any, h: Any, t_ns: int) -> None:
 
 
 @kernel
-def send(axis: Any, t_ns: int, out: Any) -> None:
+def send(axis: AxisRecord, t_ns: int, out: Queue) -> None:
     """Send the RPDOs: torque and brake in raw counts, beside the controlword of the phase."""
     c, h = axis.control, axis.host
     h.image[Image.TARGET_TORQUE] = round(h.torque_Nm / c.motor_Nm_raw)
@@ -178,7 +176,7 @@ def send(axis: Any, t_ns: int, out: Any) -> None:
 
 
 @kernel
-def finish(axis: Any, law_function: Any, t_ns: int, out: Any) -> None:
+def finish(axis: AxisRecord, law_function: LawFunction, t_ns: int, out: Queue) -> None:
     """Finish the cycle at `t_ns`: measure, watch, advance the phase (which asks the law), limit,
     and send the RPDOs.
     """

@@ -6,12 +6,10 @@ Compiled and allocation-free. `c` is the CONTROL record of an axis, `h` its HOST
 
 from __future__ import annotations
 
-from typing import Any
-
 from coulombus.compiled.decorator import kernel
 from coulombus.eds.cia301 import NmtState
 from coulombus.eds.cia402 import STATE_OF_STATUSWORD, VOLTAGE_ENABLED, PowerState
-from coulombus.host.cycle.records import Image, Phase, Trip
+from coulombus.host.cycle.records import ControlRecord, HostRecord, Image, Phase, Trip
 
 __all__ = ["measure", "watch", "watch_devices", "watch_motion", "watch_switch"]
 
@@ -19,7 +17,7 @@ VOLTAGE_LOW_CYCLES = 2
 
 
 @kernel
-def measure(c: Any, h: Any) -> int:
+def measure(c: ControlRecord, h: HostRecord) -> int:
     """Turn the process image into position, velocity (backward difference) and handle torque.
 
     May trip on an encoder jump.
@@ -53,7 +51,7 @@ def measure(c: Any, h: Any) -> int:
 
 
 @kernel
-def watch_motion(c: Any, h: Any) -> int:
+def watch_motion(c: ControlRecord, h: HostRecord) -> int:
     """Watch speed, travel, the motor's net work, the handle torque and the coil's heat."""
     v = h.v_counts * c.rad_count * 1e9 / c.period_ns
     if abs(v) > c.speed_limit:
@@ -92,7 +90,7 @@ def watch_motion(c: Any, h: Any) -> int:
 
 
 @kernel
-def watch_devices(c: Any, h: Any, t_ns: int) -> int:
+def watch_devices(c: ControlRecord, h: HostRecord, t_ns: int) -> int:
     """Watch TPDOs, EMCY, heartbeats, NMT states and the drive's supply."""
     if h.emcy != Trip.NONE:
         return h.emcy
@@ -111,7 +109,7 @@ def watch_devices(c: Any, h: Any, t_ns: int) -> int:
 
 
 @kernel
-def watch_switch(c: Any, h: Any) -> None:
+def watch_switch(c: ControlRecord, h: HostRecord) -> None:
     """Look whether the dead man's switch is held, where it is an input of one of the devices."""
     if c.deadman_slot >= 0:
         switch = h.image[c.deadman_slot]
@@ -120,7 +118,7 @@ def watch_switch(c: Any, h: Any) -> None:
 
 
 @kernel
-def watch(c: Any, h: Any, jump: int, t_ns: int) -> int:
+def watch(c: ControlRecord, h: HostRecord, jump: int, t_ns: int) -> int:
     """Return the first doubt of this cycle: the encoder's (`jump`), the motion's, the devices', the
     drive's, the switch's, others'.
     """

@@ -28,8 +28,8 @@ A flood of PDOs stays out.
 def who_is_at_work(link: FrameLink, address: BusAddress, listen_s: float = LISTEN_S) -> str:
     """Return what tells of a host on the bus, "" where nothing does.
 
-    A host of this machine has its control socket. Another one sends SYNC in its cycle, its heartbeat
-    (OPERATIONAL, of `HOST_ID`), and SDO requests before it.
+    A host of this machine has its control socket. Another one sends SYNC in its cycle, its
+    heartbeat (OPERATIONAL, of `HOST_ID`), and SDO requests before it.
     """
     if host_runs(address):
         return "its control socket answers"

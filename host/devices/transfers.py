@@ -1,8 +1,8 @@
 """SDO transfers of a client as generators: they yield what is to be sent and are sent what came.
 
 A transfer knows no bus and no clock: `host.devices.sdo` drives it, for one node or for all nodes of
-a bus at a time. A `Step` has the messages to the server, eight bytes each. It gets the server's next
-message, or `SdoSilent` thrown in.
+a bus at a time. A `Step` has the messages to the server, eight bytes each. It gets the server's
+next message, or `SdoSilent` thrown in.
 
 The tester of `coulombus conformance` checks each bit of a server, and can do it wrong. This client
 takes what devices in the field do, as long as the data cannot be misunderstood.

@@ -55,7 +55,9 @@ def _distribution(machine: Machine) -> str:
 
 
 def clocksource(machine: Machine) -> Outcome:
-    """A clock that is a system call or a port's read away costs the cycle microseconds each time."""
+    """A clock that is a system call or a port's read away costs the cycle microseconds
+    each time.
+    """
     name = machine.text(f"{CLOCKS}/current_clocksource")
     if name in GOOD_CLOCKS:
         return Outcome(True, name)

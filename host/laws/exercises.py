@@ -8,18 +8,18 @@ in the order that each docstring names; none of them is in a rig file.
 
 from __future__ import annotations
 
-from typing import Any
+from coulombus.host.laws.laws import LawRecord, LawStateRecord, MotionRecord
 
 __all__ = ["hold", "square", "stair", "sweep"]
 
 
-def hold(motion: Any, law: Any, state: Any) -> float:
+def hold(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
     """Hold the brake at ``user[0]`` [Nm]; the motor gives nothing."""
     state.brake_Nm = law.user[0]
     return 0.0
 
 
-def sweep(motion: Any, law: Any, state: Any) -> float:
+def sweep(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
     r"""Turn the handle to and fro by :math:`\pm` ``user[1]`` [rad] about where it is, at the speeds
     ``user[4]``, ``user[5]``, ``user[6]`` [rad/s] in turn, each there and back, by the motor alone.
 
@@ -51,7 +51,7 @@ def sweep(motion: Any, law: Any, state: Any) -> float:
     return -torque
 
 
-def stair(motion: Any, law: Any, state: Any) -> float:
+def stair(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
     """Let the brake climb from 0 to ``user[0]`` [Nm] in ``user[1]`` steps, ``user[2]`` [s] on each
     of them, and down again; then it is 0.
     """
@@ -63,9 +63,9 @@ def stair(motion: Any, law: Any, state: Any) -> float:
     return 0.0
 
 
-def square(motion: Any, law: Any, state: Any) -> float:
-    """Let the motor's torque be ``user[0]`` and its opposite [Nm] in turn, and the brake ``user[2]``
-    [Nm] and off, ``user[1]`` [s] each.
+def square(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
+    """Let the motor's torque be ``user[0]`` and its opposite [Nm] in turn, and the brake
+    ``user[2]`` [Nm] and off, ``user[1]`` [s] each.
     """
     state.user[0] += motion.dt_s
     first = state.user[0] // law.user[1] % 2.0 == 0.0

@@ -36,7 +36,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -51,6 +51,13 @@ OLD_PLACE = "host.laws"
 
 EXERCISES = "coulombus.host.laws.exercises"
 """The module of the exercises of commissioning, which are the project's own, too."""
+
+MotionRecord: TypeAlias = Any
+"""What a law sees: a record of `MOTION`; mypy knows none of its fields."""
+LawRecord: TypeAlias = Any
+"""A law's parameters: a record of `LAW`."""
+LawStateRecord: TypeAlias = Any
+"""What a law keeps from cycle to cycle: a record of `LAW_STATE`."""
 
 MOTION = np.dtype(
     [
@@ -94,7 +101,7 @@ class LawError(Exception):
     exit_status = 3
 
 
-def karnopp(motion: Any, law: Any, state: Any) -> float:
+def karnopp(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
     r"""Karnopp's stick-slip friction, as corrected from the paper's eq. (20).
 
     .. math::
@@ -129,7 +136,7 @@ def karnopp(motion: Any, law: Any, state: Any) -> float:
     return force
 
 
-def coulomb(motion: Any, law: Any, state: Any) -> float:
+def coulomb(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
     r"""Coulomb friction, eq. (4): :math:`\psi(v) = c\,\mathrm{sgn}(v)` with :math:`c = F_d` and
     :math:`\mathrm{sgn}(0) = 0`.
 
@@ -191,7 +198,7 @@ def compile_law(function: Callable[..., Any], cache: bool = False) -> Any:
     not notice an edit of what a law imports.
     """
 
-    def guarded(motion: Any, law: Any, state: Any) -> float:
+    def guarded(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
         try:
             return inner(motion, law, state)
         except Exception:

@@ -46,7 +46,7 @@ from coulombus.compiled.libc import (
 )
 from coulombus.eds.cia301 import CobId
 from coulombus.host.cycle.axes import ask_to_stop, begin, finish, on_frame, ramps_a_brake, safe_setpoints
-from coulombus.host.cycle.records import Phase, Trip
+from coulombus.host.cycle.records import AxisRecords, LawFunction, Phase, Trip
 from coulombus.host.cycle.step import SOURCE_HOST
 from coulombus.host.realtime.shared_memory import BINS, PLANE, Command, Status
 from coulombus.recording.trace import Moment
@@ -73,7 +73,7 @@ class Buffers(NamedTuple):
     trace: Any
     wakeup_bins: Any
     latency_bins: Any
-    axes: Any
+    axes: AxisRecords
     owner: Any
     box: Any
     words: Any
@@ -175,7 +175,7 @@ def take_log(plane: Any, ring: Any, out: Any) -> int:
 
 
 @kernel
-def _stop(p: Any, axes: Any, trip: int) -> None:
+def _stop(p: Any, axes: AxisRecords, trip: int) -> None:
     """Ask all axes for the safe state for the reason `trip`, or without one (1).
 
     The first reason counts.
@@ -186,7 +186,7 @@ def _stop(p: Any, axes: Any, trip: int) -> None:
 
 
 @kernel
-def _skip(p: Any, axes: Any, periods: int) -> int:
+def _skip(p: Any, axes: AxisRecords, periods: int) -> int:
     """Skip so many periods that have passed, and count them: what every axis knows is as much
     older. Returns how many.
     """
@@ -199,7 +199,7 @@ def _skip(p: Any, axes: Any, periods: int) -> int:
 
 
 @kernel
-def _take(b: Any, live: int) -> int:
+def _take(b: Buffers, live: int) -> int:
     """Receive one message if there is one; `live`: the cycle wants its frames."""
     p, c, words = b.plane[0], b.axes[0].control, b.words
     n = receive(b.fd, b.box, MSG_DONTWAIT)
@@ -252,7 +252,7 @@ def _take(b: Any, live: int) -> int:
 
 
 @kernel
-def _transmit(b: Any, patience: int) -> int:
+def _transmit(b: Buffers, patience: int) -> int:
     """Send the queue's frames; return 0, or the error of a bus that is lost.
 
     A frame that is not taken is lost; with `patience` it is offered again, so often in all,
@@ -292,7 +292,7 @@ def _transmit(b: Any, patience: int) -> int:
 
 
 @kernel
-def _look_after_parent(p: Any, base: int, axes: Any) -> None:
+def _look_after_parent(p: Any, base: int, axes: AxisRecords) -> None:
     """Ask for the safe state when the parent has ended or stands still.
 
     When it has ended and all axes are done, there is nothing left to do.
@@ -326,7 +326,7 @@ def _count(bins: Any, t_ns: int) -> None:
 
 
 @kernel
-def _drain(b: Any) -> int:
+def _drain(b: Buffers) -> int:
     """Take what the bus carried since the last cycle; return 1 when it is lost."""
     found = TOOK
     messages = 0
@@ -339,7 +339,7 @@ def _drain(b: Any) -> int:
 
 
 @kernel
-def _obey(b: Any) -> None:
+def _obey(b: Buffers) -> None:
     """Do what the parent asks for: the safe state, the dead man's key; and look whether it is
     there.
     """
@@ -353,7 +353,7 @@ def _obey(b: Any) -> None:
 
 
 @kernel
-def _collect(b: Any, law_function: Any, end_ns: int) -> int:
+def _collect(b: Buffers, law_function: LawFunction, end_ns: int) -> int:
     """Receive until all axes have finished their cycle, or until the window for TPDOs is over.
 
     Return 1 when the bus is lost.
@@ -387,7 +387,7 @@ def _collect(b: Any, law_function: Any, end_ns: int) -> int:
 
 
 @kernel
-def _goes_on(p: Any, axes: Any, command: int) -> bool:
+def _goes_on(p: Any, axes: AxisRecords, command: int) -> bool:
     """Tell whether another cycle begins: as commanded, or as a brake is to be ramped off before the
     end, which the safe state does within its time.
     """
@@ -400,7 +400,7 @@ def _goes_on(p: Any, axes: Any, command: int) -> bool:
 
 
 @kernel
-def _cycle(b: Any, law_function: Any) -> int:
+def _cycle(b: Buffers, law_function: LawFunction) -> int:
     """Cycle until the parent commands otherwise, and brakes that only the host ramps are off
     (returns 0), or the bus is lost (returns 1).
     """
@@ -447,7 +447,7 @@ def _cycle(b: Any, law_function: Any) -> int:
 
 
 @kernel
-def run_plane(b: Buffers, law_function: Any) -> int:
+def run_plane(b: Buffers, law_function: LawFunction) -> int:
     """Do what the parent commands until it commands QUIT or the bus is lost.
 
     Return the `Status`.

@@ -107,7 +107,9 @@ def _sections(axes: int) -> tuple[tuple[str, np.dtype[Any], tuple[int, ...]], ..
 
 
 def _places(axes: int) -> tuple[dict[str, int], int]:
-    """Return where each section begins, each on a cache line of its own, and the size of the whole."""
+    """Return where each section begins, each on a cache line of its own, and the size of the
+    whole.
+    """
     places, end = {}, 0
     for name, dtype, shape in _sections(axes):
         places[name] = end

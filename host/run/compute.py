@@ -53,7 +53,8 @@ def measure_compute(
     cpu: int | None = None,
     progress: Callable[[int], None] = lambda done: None,
 ) -> tuple[tuple[int, ...], list[dict[str, Any]]]:
-    """Return the times of so many cycles [ns], those of each axis, and which real-time rights were granted.
+    """Return the times of so many cycles [ns], those of each axis, and which real-time rights were
+    granted.
 
     Parameters
     ----------

@@ -3,8 +3,8 @@ stop, ``coulombus status`` for its state, and by which a second host knows of it
 
 The asker sends ``stop``. The host answers ``accepted`` as soon as it has read it, and at its end
 what came of it, as JSON. Only after ``accepted`` is the end of the connection the end of the host;
-before, it may be anything, and the rig may be armed still. Who sends ``status`` gets one JSON object
-at once.
+before, it may be anything, and the rig may be armed still. Who sends ``status`` gets one JSON
+object at once.
 """
 
 from __future__ import annotations

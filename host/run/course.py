@@ -114,7 +114,9 @@ class Course(ABC):
             self.mark(*marker)
 
     def make_safe(self) -> None:
-        """Ask for the safe state, and wait until the brakes are ramped off and the drives disabled."""
+        """Ask for the safe state, and wait until the brakes are ramped off and the drives
+        disabled.
+        """
         self.stop()
         ends = self.now_ns + SAFE_TIMEOUT_NS + round(1e9 * self.k.ending_s)
         while not self.k.done and self.now_ns < ends:

@@ -74,7 +74,9 @@ class Measured:
     real_time: tuple[dict[str, Any], ...]
 
     def response_us(self, device: DeviceTimes) -> float | None:
-        """Return the value proposed for `response_us` of a device; None where nothing was measured."""
+        """Return the value proposed for `response_us` of a device; None where nothing was
+        measured.
+        """
         longest = max((max(pdo.times_ns) for pdo in device.pdos if pdo.times_ns), default=None)
         return None if longest is None else proposed_ns(longest) / 1e3
 
@@ -84,7 +86,9 @@ class Measured:
         return round(proposed_ns(self.host.max * 1e3) * 1e-9, 9)
 
     def numbers(self, rig: Rig) -> dict[Key, float]:
-        """Return the proposed values by the rig file's keys, those of named axes under their axis."""
+        """Return the proposed values by the rig file's keys, those of named axes under
+        their axis.
+        """
         found: dict[Key, float] = {("host", "compute_s"): self.compute_s}
         for device in self.devices:
             value = self.response_us(device)

@@ -57,7 +57,9 @@ class ControlPlane(Protocol):
         """Let `duration_ns` pass while frames are received."""
 
     def nmt_state(self, node_id: int) -> int | None:
-        """Return the NMT state that the node's last heartbeat told, None when it was never heard."""
+        """Return the NMT state that the node's last heartbeat told, None when it was never
+        heard.
+        """
 
 
 class _Device:

@@ -72,7 +72,9 @@ class DevicePlan:
 
 
 def device_plans(controller: Controller) -> tuple[DevicePlan, ...]:
-    """Return the plans of the devices of one axis in the controller's mode: drive, brake, sensors."""
+    """Return the plans of the devices of one axis in the controller's mode: drive, brake,
+    sensors.
+    """
     axis, limit_pm = controller.axis, controller.drive_limit_pm()
     plans = [_Planner(axis, node, controller.mode, limit_pm).plan() for node in axis.devices]
     of_roles = tuple(f"{axis.prefix}{text}" if axis.prefix else text for text in axis.allocation.losses)
@@ -236,7 +238,9 @@ class _Planner:
         return mode
 
     def _silent(self) -> None:
-        """Tell where the host notices a device's loss late: it has no TPDO that would be missing."""
+        """Tell where the host notices a device's loss late: it has no TPDO that would be
+        missing.
+        """
         if beats(self.description) and not any(
             pdo.node == self.name and pdo.layout.direction == "tpdo" for pdo in self.axis.pdos()
         ):

@@ -34,7 +34,8 @@ INTER_FRAME_BITS = 3
 ROUND_NS = 250_000_000
 """How long a TPDO is waited for; who needs longer has none for this SYNC."""
 LATE_NS = 1_000_000_000
-"""How long one that did not come is waited for still, so that it is not taken for the next SYNC's."""
+"""How long one that did not come is waited for still, so that it is not taken for the next SYNC's.
+"""
 SILENT_ROUNDS = 4
 """A TPDO that has not come in so many rounds, one after the other, does not come any more."""
 

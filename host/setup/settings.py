@@ -71,7 +71,9 @@ class Setting:
         return DATA_TYPES[CODE_OF_TYPE[self.type]].bits if self.type else 0
 
     def variable(self, description: Description) -> Variable:
-        """Return what the EDS file says of the object, or what the rig file does where it does not."""
+        """Return what the EDS file says of the object, or what the rig file does where it
+        does not.
+        """
         if description.has(self.index, self.subindex) or not self.type:
             return description.variable(self.index, self.subindex)
         return Variable(
@@ -150,7 +152,9 @@ def _pdo_settings(pdo: RigPdo, node: str, deadline_ms: int, ours: bool) -> Itera
 
 
 def _unused_pdos(description: Description, pdos: Sequence[RigPdo], node_id: int) -> Iterator[Setting]:
-    """Switch every PDO off that the rig does not use: a default PDO would load the bus unplanned."""
+    """Switch every PDO off that the rig does not use: a default PDO would load the bus
+    unplanned.
+    """
     used = {(pdo.layout.direction, pdo.layout.number) for pdo in pdos}
     for base, direction in ((0x1400, "rpdo"), (0x1800, "tpdo")):
         for number in range(1, 513):

@@ -1,4 +1,6 @@
-"""Pictures of runs: torque and velocity of recordings beside each other, like the paper's Fig. 14."""
+"""Pictures of runs: torque and velocity of recordings beside each other, like the paper's
+Fig. 14.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-r"""The regression of `recording.friction.identify`: coefficients, honest intervals, and whether the data
-bear Stribeck's term.
+r"""The regression of `recording.friction.identify`: coefficients, honest intervals, and whether the
+data bear Stribeck's term.
 
 The encoder's quantisation makes v and a wrong by a known variance, which would shrink their
 coefficients: it is taken off the normal equations (W. A. Fuller, Measurement Error Models, 1987,
@@ -141,7 +141,9 @@ def _clusters(slide: Integers) -> list[Integers]:
 
 
 def _errors(s: _Solution, clusters: list[Integers]) -> tuple[Floats, Floats]:
-    """Return standard errors (CR2) and degrees of freedom (Satterthwaite) of the coefficients of X."""
+    """Return standard errors (CR2) and degrees of freedom (Satterthwaite) of the
+    coefficients of X.
+    """
     Z, inverse = s.Z, s.inverse
     meat = np.zeros_like(inverse)
     spread = []  # of each cluster: what its corrected residuals are weighted with

@@ -10,8 +10,8 @@ plus whatever is displayed. With the motor's torque (6077h) added to the left it
 friction, compensated or not. Both are fitted.
 
 `recording.friction.sliding` takes the samples for which that is true and makes equations of them,
-`recording.friction.friction_fit` solves these. :math:`f_0` (the transducer's bias) is fitted when both
-directions are there. The intervals are 95 %; docs/theory.md has how often they hold the truth.
+`recording.friction.friction_fit` solves these. :math:`f_0` (the transducer's bias) is fitted when
+both directions are there. The intervals are 95 %; docs/theory.md has how often they hold the truth.
 
 Source: the paper, section 5 and Fig. 13.
 """

@@ -1,5 +1,5 @@
-r"""Which samples of a recording obey the regression of `recording.friction.identify`, and the equations
-that come of them.
+r"""Which samples of a recording obey the regression of `recording.friction.identify`, and the
+equations that come of them.
 
 The equation :math:`f = J\,\dot v + [c + b\,|v|]\,\mathrm{sgn}(v) + f_0` holds for what the hand
 feels only while the host displays one thing. So a sample is taken only

@@ -62,7 +62,9 @@ class Device:
         return "the device" if (index, subindex) in self.answers else "the EDS file"
 
     def entry(self, place: Place, direction: Direction) -> Entry | None:
-        """Return the entry that maps an object; None where no PDO of this direction can carry it."""
+        """Return the entry that maps an object; None where no PDO of this direction can
+        carry it.
+        """
         try:
             return checked_entry(self.description, *place, direction)
         except ValueError:

@@ -1,4 +1,6 @@
-"""What a drive can be in a rig: its mode, its set-point and its scales, each guess with its reason."""
+"""What a drive can be in a rig: its mode, its set-point and its scales, each guess with its
+reason.
+"""
 
 from __future__ import annotations
 

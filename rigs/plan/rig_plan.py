@@ -80,7 +80,9 @@ class Pdo:
 
 @dataclass(frozen=True)
 class DeviceTraffic:
-    """What a device puts on the bus and is sent, and the watches that trip when it comes too late."""
+    """What a device puts on the bus and is sent, and the watches that trip when it comes
+    too late.
+    """
 
     name: str
     axis: int
@@ -230,7 +232,9 @@ class Plan:
 
     @cached_property
     def cycle(self) -> Cycle:
-        """The worst cycle of ordinary operation: heartbeats and SDO interfere, EMCY and NMT do not."""
+        """The worst cycle of ordinary operation: heartbeats and SDO interfere, EMCY and NMT
+        do not.
+        """
         return self.cycle_under(lambda message: not message.emergency)
 
     def cycle_under(self, interferes: Callable[[Message], bool]) -> Cycle:

@@ -57,7 +57,9 @@ class Timing:
 
 @dataclass(frozen=True)
 class CycleFrame:
-    """One frame of the cycle: the latest instant at which it is through, and by when it has to be."""
+    """One frame of the cycle: the latest instant at which it is through, and by when it has
+    to be.
+    """
 
     message: Message
     end_ns: int

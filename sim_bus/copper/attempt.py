@@ -225,7 +225,9 @@ def _count_lost(bus: BusRecord, now_ns: int) -> None:
 
 @kernel
 def _contend(bus: BusRecord, now_ns: int) -> None:
-    """Let the other stations with a frame ready send it too, each its first one: the bits decide."""
+    """Let the other stations with a frame ready send it too, each its first one: the bits
+    decide.
+    """
     bus.stations[bus.source & STATION_MASK].contends_ns = now_ns
     while bus.senders < MAX_SENDERS:
         place = winner(bus, now_ns)

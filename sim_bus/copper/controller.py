@@ -117,7 +117,9 @@ CONTROLLER = np.dtype(
 
 @kernel
 def _follow(c: ControllerRecord) -> None:
-    """Let `state` follow the counters (rules i, j, k); `changed` is set until somebody has told it."""
+    """Let `state` follow the counters (rules i, j, k); `changed` is set until somebody has
+    told it.
+    """
     if c.state == CanState.BUS_OFF:
         return
     worst = max(c.tec, c.rec)

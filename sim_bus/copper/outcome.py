@@ -141,7 +141,9 @@ def _settle(bus: BusRecord) -> None:
 
 @kernel
 def _end_slow(bus: BusRecord) -> None:
-    """The wire is free again: what failed waits anew, unless its sender sends once only, or is off."""
+    """The wire is free again: what failed waits anew, unless its sender sends once only, or
+    is off.
+    """
     bus.free_ns = bus.end_ns
     bus.bits += bus.play.bit
     if bus.noise.hits > 0:

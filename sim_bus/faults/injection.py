@@ -114,7 +114,9 @@ class Injection:
             self._on_fault(t_ns, text)
 
     def act(self) -> None:
-        """Do what a frame has triggered and the bus cannot do itself: reset nodes, cut the cable."""
+        """Do what a frame has triggered and the bus cannot do itself: reset nodes, cut the
+        cable.
+        """
         calls, self._bus.fault_calls = int(self._bus.fault_calls), 0
         for row in range(len(self.plan.file.fault)):
             if calls >> row & 1:

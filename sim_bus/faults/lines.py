@@ -1,4 +1,6 @@
-"""What the faults of a fault file came to, and the CAN controllers with them, in lines for people."""
+"""What the faults of a fault file came to, and the CAN controllers with them, in lines for
+people.
+"""
 
 from __future__ import annotations
 

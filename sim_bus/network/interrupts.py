@@ -47,7 +47,9 @@ class InterruptsHeld:
         self._noted = number, frame
 
     def pass_on(self) -> None:
-        """Give a signal that was noted to the handler of before; KeyboardInterrupt is Python's own."""
+        """Give a signal that was noted to the handler of before; KeyboardInterrupt is
+        Python's own.
+        """
         if self._noted is not None:
             (number, frame), self._noted = self._noted, None
             self._before[number](number, frame)

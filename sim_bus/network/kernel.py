@@ -209,7 +209,9 @@ def _look(world: World, a: int, t_ns: int) -> None:
 
 @inlined
 def actuate(world: World, a: int, t_ns: int) -> None:
-    """Let the rig of axis `a` feel what its devices command from `t_ns` on, when that has changed."""
+    """Let the rig of axis `a` feel what its devices command from `t_ns` on, when that has
+    changed.
+    """
     axis, p = world.axes[a], world.plant[a]
     motor, brake = world.nodes[axis.motor], world.nodes[axis.brake]
     brake_Nm = brake.out_brake_Nm if axis.brake_output == BrakeOutput.TORQUE else brake_torque(axis, brake)

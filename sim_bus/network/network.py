@@ -197,7 +197,9 @@ class VirtualNetwork:
 
     @property
     def out(self) -> Queue:
-        """The frames that were asked for since the bus last looked: what `wire.frame.push` takes."""
+        """The frames that were asked for since the bus last looked: what `wire.frame.push`
+        takes.
+        """
         return self._out
 
     # what is on the bus
@@ -315,7 +317,9 @@ class VirtualNetwork:
     # the kernel's exits
 
     def answer(self, why: int) -> None:
-        """Do what the kernel needs Python for (`sim_bus.network.kernel.Exit`), at the present time."""
+        """Do what the kernel needs Python for (`sim_bus.network.kernel.Exit`), at the
+        present time.
+        """
         if why == Exit.SERVICE:
             self._serve()
         elif why == Exit.LOG:
@@ -328,7 +332,9 @@ class VirtualNetwork:
             action(self)
 
     def _serve(self) -> None:
-        """Give the last frame of the log to the devices' services and to the stations that want it."""
+        """Give the last frame of the log to the devices' services and to the stations that
+        want it.
+        """
         w = self._world[0]
         frame = self._log[int(w["log_count"]) - 1]
         t_ns, can_id = int(frame["t_ns"]), int(frame["can_id"])

@@ -167,7 +167,9 @@ class VirtualRig(VirtualNetwork):
     # the kernel's exits
 
     def answer(self, why: int) -> None:
-        """Do what the kernel needs Python for (`sim_bus.network.kernel.Exit`), at the present time."""
+        """Do what the kernel needs Python for (`sim_bus.network.kernel.Exit`), at the
+        present time.
+        """
         if why in (Exit.FORCE, Exit.ENABLED):
             self._new_force_block(int(self._world["axis"][0]))
             if why == Exit.ENABLED:

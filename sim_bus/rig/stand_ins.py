@@ -55,7 +55,9 @@ _BY_RATED, _BY_ENCODER, _BY_ROLE = "motor.rated_torque_Nm", "motor.encoder_count
 
 @dataclass(frozen=True)
 class StandIn:
-    """A device of an axis: what it is called, its file as it is served, and what lives behind it."""
+    """A device of an axis: what it is called, its file as it is served, and what lives
+    behind it.
+    """
 
     node: Node
     node_id: int

@@ -153,7 +153,9 @@ def _forgive(p: Any, slots: Any, planned_ns: int, t_ns: int) -> int:
 
 @kernel
 def _ask(world: World, jobs: Jobs, reason: int) -> bool:
-    """Let Python do beside the loop what the world's loop returned for, and tell whether it will."""
+    """Let Python do beside the loop what the world's loop returned for, and tell whether
+    it will.
+    """
     if reason == Exit.SERVICE and is_beside(world.state, world.log):
         ask_service(world, jobs)
         return True

@@ -477,7 +477,8 @@ def _warm_up(world: VirtualNetwork) -> None:
     world.power_on()
     for device in world.devices:
         rx = CobId.SDO_RX + device.node_id
-        # upload and download of 1017h, upload of 6041h, for which what is measured is brought up to date
+        # upload and download of 1017h, upload of 6041h, for which what is measured is brought up to
+        # date
         for word in (0x0000_0000_0010_1740, 0x0000_0064_0010_172B, 0x0000_0000_0060_4140):
             device.service(0, rx, 8, word, world._out)
     for row in range(len(world.devices)):

@@ -71,7 +71,9 @@ def test_regularised_slope_is_its_gain_at_small_amplitude():
 
 
 def test_the_papers_crossing():
-    """252.3 Hz, known from the project's notes; H* there is real, and the amplitude is 4 c |H|/pi."""
+    """252.3 Hz, known from the project's notes; H* there is real, and the amplitude is 4 c
+    |H|/pi.
+    """
     found = crossings(PAPER).found
     assert len(found) == 1
     assert found[0].frequency_Hz == pytest.approx(252.3, abs=0.05)

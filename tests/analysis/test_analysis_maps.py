@@ -53,7 +53,9 @@ SMALL = {
 
 
 def reference(p: LoopParameters, seconds: float) -> np.ndarray:
-    """Return x, v at the samples: scipy's integrator with events, one smooth piece after the other."""
+    """Return x, v at the samples: scipy's integrator with events, one smooth piece after the
+    other.
+    """
     m = p.inertia_kg_m2 + p.operator_inertia_kg_m2
     b = p.viscous_Nms_rad + p.operator_damping_Nms_rad
     k, F, lag, T = p.operator_stiffness_Nm_rad, p.coulomb_Nm, p.motor_lag_s, 1 / p.rate_Hz

@@ -538,7 +538,9 @@ def canopen_variables(dictionary):
 @pytest.mark.slow
 @corpus
 def test_real_files_agree_with_canopen_where_it_reads_them_right(caplog):
-    """canopen reads neither hexadecimal of signed types as two's complement nor a REAL's pattern."""
+    """canopen reads neither hexadecimal of signed types as two's complement nor a REAL's
+    pattern.
+    """
     import canopen
 
     caplog.set_level(logging.CRITICAL)

@@ -318,7 +318,9 @@ def test_the_longest_schedule_is_that_of_the_rig(axis):
 
 @pytest.mark.parametrize(("slow", "fast"), [("left", "right"), ("right", "left")])
 def test_a_run_waits_for_the_slowest_axis_and_marks_each_by_itself(tmp_path, slow, fast):
-    """The first axis' time-out once ended a run whose second axis still armed, as if all were well."""
+    """The first axis' time-out once ended a run whose second axis still armed, as if all
+    were well.
+    """
     overrides = (f"axis.{fast}.limits.still_timeout_s=0.4", f"axis.{slow}.limits.still_s=4")
     record = tmp_path / "run.pcapng"
     result = simulate("two_axes", "passive", 1.5, record=record, overrides=overrides)

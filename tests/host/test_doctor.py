@@ -121,7 +121,9 @@ def link_with(**info):
 
 @pytest.fixture
 def machine(tmp_path):
-    """Return a function that makes a machine: the good one, with some files otherwise or missing."""
+    """Return a function that makes a machine: the good one, with some files otherwise or
+    missing.
+    """
 
     def make(files=None, link=LINK, base=GOOD):
         for name, text in (base | (files or {})).items():

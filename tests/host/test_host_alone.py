@@ -1,4 +1,6 @@
-"""What stands on a rig's PC: the host without the virtual bus, the nodes, the lab and the analysis."""
+"""What stands on a rig's PC: the host without the virtual bus, the nodes, the lab and the
+analysis.
+"""
 
 from __future__ import annotations
 

@@ -367,7 +367,9 @@ def test_slot_0_may_hold_the_switch_and_minus_1_is_none():
 
 
 def test_the_first_doubt_of_a_cycle_is_the_one_that_is_told():
-    """Encoder, then motion, then devices, then the drive, then the switch, then the wish to stop."""
+    """Encoder, then motion, then devices, then the drive, then the switch, then the wish
+    to stop.
+    """
     wrong = [
         (Trip.ENCODER_JUMP, lambda b: setattr(b, "counts", b.counts + 600)),
         (Trip.SPEED, lambda b: setattr(b.c, "speed_limit", -1.0)),

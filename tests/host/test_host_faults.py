@@ -290,7 +290,9 @@ def test_whatever_call_of_the_parent_fails_the_rig_is_made_safe(bench, pytestcon
 
 
 def judge_refusal(found):
-    """Return what is wrong with the end of a run in which a call failed before anything was armed."""
+    """Return what is wrong with the end of a run in which a call failed before anything was
+    armed.
+    """
     wrong, plane = [], found.plane
     if found.refusal is None:  # who was absorbed
         return [] if found.result.exit_status == 0 else judge(found)

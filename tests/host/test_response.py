@@ -243,7 +243,9 @@ def test_a_bus_that_takes_no_frame_is_told_as_such():
 
 
 def frames(*rows, rate=1_000_000, start_us=1000.0):
-    """Frames on the wire: (identifier, data, idle time before it [us]), each with the stamp of its end."""
+    """Frames on the wire: (identifier, data, idle time before it [us]), each with the stamp of its
+    end.
+    """
     t, found = start_us, []
     for can_id, data, idle_us in rows:
         bits = frame_bits(can_id, data)

@@ -1,4 +1,6 @@
-"""Brakes of other makers, armed: in virtual time, and in real time as processes on the built-in bus."""
+"""Brakes of other makers, armed: in virtual time, and in real time as processes on the built-in
+bus.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""One axis whose roles lie on five nodes, at 1 kHz: it is armed where the wire has room, and refused
-with the numbers where it has not.
+"""One axis whose roles lie on five nodes, at 1 kHz: it is armed where the wire has room, and
+refused with the numbers where it has not.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Loss of the host, for each class of drive, kind of brake and way to notice it: what `check` prints
-is held against what the simulated rig does.
+"""Loss of the host, for each class of drive, kind of brake and way to notice it: what `check`
+prints is held against what the simulated rig does.
 """
 
 from __future__ import annotations

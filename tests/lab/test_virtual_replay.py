@@ -159,7 +159,9 @@ def test_a_session_in_real_time_comes_out_again_in_virtual_time(tmp_path, monkey
 
 
 def test_frames_are_recorded_by_their_age_too(tmp_path, monkeypatch):
-    """A bus on which nothing more happens than two boot-ups: they do not wait for further frames."""
+    """A bus on which nothing more happens than two boot-ups: they do not wait for further
+    frames.
+    """
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     path = tmp_path / "idle.pcapng"
     server = SimServer(load_rig("bench"), parse_address("coulombus:idle"), record=path)

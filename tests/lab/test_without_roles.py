@@ -1,5 +1,5 @@
-"""Rigs that lack a transducer, coil sensors or a measured torque, or have them on nodes of their own:
-every verb works on them, and says what is not there.
+"""Rigs that lack a transducer, coil sensors or a measured torque, or have them on nodes of their
+own: every verb works on them, and says what is not there.
 """
 
 from __future__ import annotations

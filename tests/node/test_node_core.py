@@ -1,4 +1,6 @@
-"""The compiled core: dispatch, heartbeat producer, SYNC producer, EMCY and 1003h, malformed frames."""
+"""The compiled core: dispatch, heartbeat producer, SYNC producer, EMCY and 1003h, malformed
+frames.
+"""
 
 from __future__ import annotations
 

@@ -221,7 +221,9 @@ def test_two_clients_at_once_do_not_disturb_each_other():
 
 @pytest.mark.parametrize("kind", [DRIVE402, BRAKE404])
 def test_the_core_leaves_alone_what_another_maker_defines(kind):
-    """2001h, 2002h and 2005h of another maker are no set-point age, no SYNC time-out and no ramp."""
+    """2001h, 2002h and 2005h of another maker are no set-point age, no SYNC time-out and
+    no ramp.
+    """
     text = section("1000", 7, "ro", DefaultValue=0) + section("1001", 5, "ro", DefaultValue=0)
     text += (
         section("2001", 6, DefaultValue=1) + section("2002", 5, DefaultValue=5) + section("2005", 9, DefaultValue="x")

@@ -122,7 +122,9 @@ def test_identified_friction_is_that_of_the_whole(tmp_path):
 
 
 def test_joined_captures_whose_stamps_go_back_are_not_fitted(recorded):
-    """Samples are sought by their times: in a file that is not sorted by them, any would be found."""
+    """Samples are sought by their times: in a file that is not sorted by them, any would be
+    found.
+    """
     whole = recorded.read_bytes()
     recorded.write_bytes(whole + whole)  # a second section, as `cat` joins them
     with pytest.raises(IdentifyError, match=r"long\.pcapng: its stamps go back.*reordercap"):

@@ -141,7 +141,9 @@ def test_tshark_reads_it_from_the_pipe(bus):
 
 
 def test_what_came_just_before_the_bus_went_is_kept(bus, tmp_path, monkeypatch):
-    """The frames and the end of the bus in one look: the frames are written, then the end is told."""
+    """The frames and the end of the bus in one look: the frames are written, then the end
+    is told.
+    """
     received = Client.receive
     came = []
 

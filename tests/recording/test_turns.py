@@ -1,5 +1,5 @@
-"""A position followed across the wraps of its counter: by hand, over lost frames, block by block, and
-in a rig whose 16 bits wrap within each stroke.
+"""A position followed across the wraps of its counter: by hand, over lost frames, block by block,
+and in a rig whose 16 bits wrap within each stroke.
 """
 
 from __future__ import annotations

@@ -30,7 +30,9 @@ PATIENCE_S = 20.0
 
 @contextmanager
 def joined(monkeypatch, **options):
-    """Two buses, a bridge in a thread, and a listener on each that also hears what it sends itself."""
+    """Two buses, a bridge in a thread, and a listener on each that also hears what it sends
+    itself.
+    """
     threads = []
 
     class Told:

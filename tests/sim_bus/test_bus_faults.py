@@ -302,7 +302,9 @@ def served(tmp_path, monkeypatch, text):
 
 
 def test_the_host_is_every_client_where_it_is_another_process(tmp_path, monkeypatch):
-    """As a sender, as the one that alone sees a wrong bit, and with the set-up of its controller."""
+    """As a sender, as the one that alone sees a wrong bit, and with the set-up of its
+    controller.
+    """
     text = """
 [[fault]]
 kind = "corrupt_crc"

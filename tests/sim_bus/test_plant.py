@@ -96,7 +96,9 @@ def test_stuck_is_exactly_still_until_the_load_exceeds_the_friction():
 
 
 def test_slip_agrees_with_an_independent_integrator():
-    """Constant push, Coulomb and viscous friction, the operator's spring: scipy with a stop event."""
+    """Constant push, Coulomb and viscous friction, the operator's spring: scipy with a stop
+    event.
+    """
     rig = load_rig("bench")
     axis = rig.one_axis()
     plant = axis.simulation.plant

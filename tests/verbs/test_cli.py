@@ -1,4 +1,6 @@
-"""The command line: every mistake has its text and its documented exit status, and nothing is lost."""
+"""The command line: every mistake has its text and its documented exit status, and nothing
+is lost.
+"""
 
 from __future__ import annotations
 

@@ -223,7 +223,9 @@ class VanishingLink(VirtualLink):
 
 
 def test_a_bus_that_goes_away_ends_the_run():
-    """Even where the run has something to set right at its end: the exit status is that of the bus."""
+    """Even where the run has something to set right at its end: the exit status is that of
+    the bus.
+    """
     unit = new_unit("motor", VanishingLink)
     unit.stored = True
     report = run(unit, select([]))

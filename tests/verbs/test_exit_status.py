@@ -437,7 +437,9 @@ def test_two_outputs_of_one_name_are_refused_before_anything_is_run(tmp_path, wo
 
 
 def test_a_file_that_cannot_be_read_is_named():
-    """Opening names a file, reading does not: "[Errno 5] Input/output error" was all that was said."""
+    """Opening names a file, reading does not: "[Errno 5] Input/output error" was all that
+    was said.
+    """
     if not Path("/proc/self/mem").exists():
         pytest.skip("no /proc/self/mem")
     result = CliRunner().invoke(main, ["decode", "/proc/self/mem", "--rig", "bench"])

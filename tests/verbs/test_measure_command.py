@@ -1,4 +1,6 @@
-"""``coulombus measure``: what it proposes, what it writes, what it refuses; and once on a live bus."""
+"""``coulombus measure``: what it proposes, what it writes, what it refuses; and once on a
+live bus.
+"""
 
 from __future__ import annotations
 
