@@ -18,6 +18,8 @@ from coulombus.recording.signals import Series, Source
 from coulombus.rigs.rig import load_rig
 from coulombus.verbs.main import main
 
+pytestmark = pytest.mark.slow
+
 PERIOD, COUNT = 1e-3, 8e-5
 ENABLED_WORD, SWITCHED_ON_WORD = 0x1637, 0x1633
 

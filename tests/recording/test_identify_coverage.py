@@ -11,6 +11,8 @@ from coulombus.lab.simulate import simulate
 from coulombus.recording.friction.identify import identify
 from coulombus.rigs.rig import load_rig
 
+pytestmark = pytest.mark.slow
+
 RIGS = 40
 STROKES = ", ".join(
     f"{{kind='stroke', duration_s={2 * (move + 0.1):g}, speed_rad_s={speed}, move_s={move}, dwell_s=0.1}}"

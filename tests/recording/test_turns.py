@@ -22,6 +22,8 @@ from coulombus.verbs.main import main
 from foreign_eds import I16, edited
 from foreign_rigs import Part, brake, drive, rig_of
 
+pytestmark = pytest.mark.slow
+
 MS = 1_000_000
 EVERY = 500 / MS  # counts a ns: the host lets 500 pass in a cycle
 BOTH = pytest.mark.parametrize("sign", [1, -1])
