@@ -106,7 +106,7 @@ def test_the_interface_goes_down_in_mid_run(sim, interface):
         finally:
             subprocess.run(["ip", "link", "set", interface, "up"], check=True)
     assert status == 7, err
-    assert data["trip"].split(":")[0] in ("TPDO_LOST", "BUS_LOST"), data["trip"]  # three cycles are over first
+    assert data["trip"].startswith("BUS_LOST")
 
 
 def test_it_runs_again_and_the_sim_is_killed(sim, interface):
