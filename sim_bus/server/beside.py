@@ -317,7 +317,7 @@ class Beside:
         self.world, self.apart, self._stop = world, apart, stop
         self.failure: BaseException | None = None
         """What the thread ended with."""
-        self._wake, self._ask = wake, os.eventfd(0, os.EFD_CLOEXEC) if apart else -1
+        self._wake, self._ask = wake, os.eventfd(0, os.EFD_CLOEXEC)
         self._nodes, self._out = world.nodes, world.out
         self._live_nodes, self._live_out = world.set_apart() if apart else (world.nodes, new_queue())
         shared = world.arguments[0]

@@ -5,20 +5,26 @@ Slowed down fifty times, as an emulated machine is.
 
 from __future__ import annotations
 
+import json
 import signal
+import struct
 import subprocess
 import threading
 import time
+from contextlib import contextmanager
 
 import pytest
 
 from coulombus.recording.signals import read
-from coulombus.wire.client import BusFull, BusUnavailable, pack_frame
-from vm_host import emergencies, enabled, observer, result, running, until
-from vm_interfaces import INTERFACES
+from coulombus.wire.address import parse_address
+from coulombus.wire.client import BusFull, BusUnavailable, Client, pack_frame
+from coulombus.wire.hello import Hello
+from vm_interfaces import INTERFACES, ROOT
+from warm_start import Warm
 
 pytestmark = pytest.mark.real_time
 
+PATIENCE_S = 300
 SLOW = (
     *(
         "bus.period_s=0.05",
@@ -41,8 +47,54 @@ def sim(start_sim):
     return start_sim("--mode", "passive", *SETS)
 
 
+@contextmanager
 def host(interface, *arguments, mode="passive", seconds=2.0):
-    return running(interface, *SETS, *arguments, mode=mode, seconds=seconds)
+    process = Warm(
+        [
+            *("run", "--bus", f"socketcan:{interface}", "--mode", mode, "--json"),
+            *("--seconds", str(seconds), *SETS, *map(str, arguments)),
+        ],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+def result(process):
+    out, err = process.communicate(timeout=PATIENCE_S)
+    return process.returncode, json.loads(out) if out.strip() else None, err
+
+
+@contextmanager
+def observer(interface):
+    with Client(parse_address(f"socketcan:{interface}"), Hello()) as client:
+        yield client
+
+
+def until(client, condition, run=None):
+    """Read until `condition(can_id, data)` holds for a frame; return its stamp [s].
+
+    A `run` that ends before says what came of it.
+    """
+    deadline = time.monotonic() + PATIENCE_S
+    while time.monotonic() < deadline:
+        assert run is None or run.poll() is None, result(run)
+        client.wait(0.1)
+        for stamp, can_id, length, data in client.receive():
+            if condition(can_id, data[:length]):
+                return stamp * 1e-9
+    raise AssertionError("it did not come")
+
+
+def enabled(can_id, data):
+    return can_id == 0x181 and data[0] & 0x6F == 0x27
 
 
 def test_a_run(sim, interface, tmp_path):
@@ -103,7 +155,14 @@ def test_the_host_is_killed_under_a_flood(sim, interface):
         assert run.poll() is None, result(run)
         run.send_signal(signal.SIGKILL)
         run.wait()
-        told = emergencies(client)
+        told = {}
+
+        def emergency(can_id, data):
+            if can_id in (0x81, 0x82) and struct.unpack_from("<H", data)[0]:
+                told[can_id] = struct.unpack_from("<H", data)[0]
+            return len(told) == 2
+
+        until(client, emergency)
         syncs = []
         end = time.monotonic() + 1
         while time.monotonic() < end:
