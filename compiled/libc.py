@@ -131,11 +131,11 @@ if JIT_DISABLED:
 
     def read(fd: int, address: int, size: int) -> int:
         """read(2)."""
-        return int(_c["read"](int(fd), ctypes.c_void_p(address), ctypes.c_size_t(size)))
+        return int(_c["read"](fd, ctypes.c_void_p(address), ctypes.c_size_t(size)))
 
     def write(fd: int, address: int, size: int) -> int:
         """write(2)."""
-        return int(_c["write"](int(fd), ctypes.c_void_p(address), ctypes.c_size_t(size)))
+        return int(_c["write"](fd, ctypes.c_void_p(address), ctypes.c_size_t(size)))
 
     def send(fd: int, address: int, size: int, flags: int) -> int:
         """send(2)."""

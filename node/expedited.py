@@ -40,8 +40,6 @@ def answer(n: NodeRecord, t_ns: int, can_id: int, length: int, data: int, out: Q
     """Answer the request if it is one of these; tell whether it was."""
     if can_id != n.sdo_rx_id or length != 8 or data & 0xFF != _UPLOAD or n.sdo_deadline_ns[0] != FAR_FUTURE_NS:
         return False
-    if n.busy:  # with an earlier request: each is answered in its turn
-        return False
     key = (data >> 8 & 0xFFFF) << 8 | data >> 24 & 0xFF
     place = _place(n, key)
     if place < 0:

@@ -120,7 +120,6 @@ NODE = np.dtype(
         ("sdo_deadline_ns", _I, (MAX_SDO_SERVERS,)),
         ("sdo_abort_id", _I, (MAX_SDO_SERVERS,)),
         ("sdo_abort_word", _I, (MAX_SDO_SERVERS,)),
-        ("busy", _I),  # requests that wait for Python, beside the loop: the core answers none by itself
         # segments of block downloads that the core collects; Python opens and closes a channel's
         # row
         ("segments_open", _I),  # how many rows are open

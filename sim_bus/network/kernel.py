@@ -52,7 +52,6 @@ __all__ = [
     "Exit",
     "Host",
     "World",
-    "actuate",
     "next_event",
     "refresh",
     "run",
@@ -208,10 +207,8 @@ def _look(world: World, a: int, t_ns: int) -> None:
 
 
 @inlined
-def actuate(world: World, a: int, t_ns: int) -> None:
-    """Let the rig of axis `a` feel what its devices command from `t_ns` on, when that has
-    changed.
-    """
+def _actuate(world: World, a: int, t_ns: int) -> None:
+    """Let the rig of axis `a` feel what its devices command from `t_ns` on, when that has changed."""
     axis, p = world.axes[a], world.plant[a]
     motor, brake = world.nodes[axis.motor], world.nodes[axis.brake]
     brake_Nm = brake.out_brake_Nm if axis.brake_output == BrakeOutput.TORQUE else brake_torque(axis, brake)
@@ -258,7 +255,7 @@ def _end_closely(world: World, b: Any) -> None:
             own_time.link_changed(nodes[i], t, link, world.out)
             keep_deadline(world.deadlines, i, nodes[i])
             if world.axis_of[i] >= 0:
-                actuate(world, world.axis_of[i], t)
+                _actuate(world, world.axis_of[i], t)
 
 
 @kernel
@@ -363,7 +360,7 @@ def run(world: World, host: Host, law_function: Any, closely: int | None) -> int
                 own_time.on_time(nodes[i], t, out)
             keep_deadline(deadlines, i, nodes[i])
             if a >= 0:
-                actuate(world, a, t)
+                _actuate(world, a, t)
         else:
             if closely is None:
                 end_frame(b, world.log, w.log_count)
@@ -389,7 +386,7 @@ def run(world: World, host: Host, law_function: Any, closely: int | None) -> int
                         w.services += 1
                     keep_deadline(deadlines, i, nodes[i])
                     if axis_of[i] >= 0:
-                        actuate(world, axis_of[i], t)
+                        _actuate(world, axis_of[i], t)
             if not w.host_elsewhere and receives(b, step.SOURCE_HOST):
                 w.had[w.log_count - 1] = 1
                 first, t_host = out.count, own_ns(w, t)

@@ -34,7 +34,7 @@ matters. A device whose EDS cannot be read right raises `eds.reader.EdsError`.
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, Self
@@ -339,40 +339,15 @@ class VirtualNetwork:
         frame = self._log[int(w["log_count"]) - 1]
         t_ns, can_id = int(frame["t_ns"]), int(frame["can_id"])
         length, data, source = int(frame["length"]), int(frame["word"]), int(frame["source"])
-        self.serve(w["service"][: int(w["services"])], t_ns, can_id, length, data)
+        for row in w["service"][: int(w["services"])]:
+            self._by_its_clock(row, self.devices[row].service, t_ns, can_id, length, data)
         if w["control_plane"]:
             self._control_plane(t_ns, can_id, data_bytes(data, length))
-        if w["heard"]:
-            self.hear(t_ns, can_id, length, data, source)
-
-    def serve(self, rows: Iterable[int], t_ns: int, can_id: int, length: int, data: int) -> None:
-        """Give a frame to the services of the devices in `rows`."""
-        for row in rows:
-            self._by_its_clock(row, self.devices[row].service, t_ns, can_id, length, data)
-
-    def hear(self, t_ns: int, can_id: int, length: int, data: int, source: int) -> None:
-        """Give a frame to the stations that want it; all are in the first half of a cut cable."""
-        if wire_of(self.bus, source).half:
-            return
-        heard = Heard(t_ns, can_id, length, data_bytes(data, length), source)
-        for station in self._stations:
-            if station.number != source and (station.can_ids is None or can_id in station.can_ids):
-                station.hear(heard)
-
-    def set_apart(self) -> tuple[Records, Queue]:
-        """Keep the device records and the queue for Python alone; return those that the kernel has
-        from now on, with the same content.
-        """
-        world, *others = self._arguments
-        nodes, out = self.nodes.copy(), new_queue()
-        self._arguments = (world._replace(nodes=nodes, out=out), *others)
-        return nodes, out
-
-    def force_beside(self, kind: int, axis: int, request: Any, step: int) -> Any:
-        """Return a block of the operator's force (`sim_bus.server.beside`); a network without axes
-        has none.
-        """
-        raise NotImplementedError
+        if w["heard"] and not wire_of(self.bus, source).half:  # Python's stations are in the first half of a cut cable
+            heard = Heard(t_ns, can_id, length, data_bytes(data, length), source)
+            for station in self._stations:
+                if station.number != source and (station.can_ids is None or can_id in station.can_ids):
+                    station.hear(heard)
 
     def _control_plane(self, t_ns: int, can_id: int, data: bytes) -> None:
         """Take a frame for the host's control plane; a network without a host has none."""

@@ -173,18 +173,14 @@ class VirtualRig(VirtualNetwork):
         if why in (Exit.FORCE, Exit.ENABLED):
             self._new_force_block(int(self._world["axis"][0]))
             if why == Exit.ENABLED:
-                self._enabled()
+                for entry in self._waiting:
+                    self.at(self.t_ns + entry.t_ns, entry.act)
+                self._waiting = []
+                if self.injection is not None:
+                    self.injection.enabled(self.t_ns)
         else:
             super().answer(why)
         self._actuate()
-
-    def _enabled(self) -> None:
-        """A drive has entered Operation Enabled: what waited for that is planned."""
-        for entry in self._waiting:
-            self.at(self.t_ns + entry.t_ns, entry.act)
-        self._waiting = []
-        if self.injection is not None:
-            self.injection.enabled(self.t_ns)
 
     def _actuate(self) -> None:
         """What a service or a script made of the devices' outputs acts from now on: the plants were
@@ -209,17 +205,12 @@ class VirtualRig(VirtualNetwork):
         axis["force_step"] = step
         axis["force_end_ns"] = (step + (len(f_h) - 1) * int(axis["steps_per_knot"])) * int(plant["step_ns"])
         self._truth_from[a] = step
-        f_h[:] = self._force(a, step, int(axis["operator_start_ns"]))
-
-    def _force(self, a: int, step: int, start_ns: int) -> Any:
-        """Return a block of the hand's force on axis `a` from a step of its plant on; its schedule
-        began at `start_ns` (-1: it has not).
-        """
-        knots = step + np.arange(self._f_h.shape[1]) * int(self._axes[a]["steps_per_knot"])
-        t = np.asarray(knots * float(self.plant[a]["h"]), np.float64)
-        if start_ns >= 0:
+        knots = step + np.arange(len(f_h)) * int(axis["steps_per_knot"])
+        t = np.asarray(knots * float(plant["h"]), np.float64)
+        start = int(axis["operator_start_ns"])
+        if start >= 0:
             self._left[a] = None
-        return self.operators[a].torque_Nm(t, *(self._left[a] or (None if start_ns < 0 else start_ns * 1e-9, None)))
+        f_h[:] = self.operators[a].torque_Nm(t, *(self._left[a] or (None if start < 0 else start * 1e-9, None)))
 
     # what a replay of the host needs to know besides the frames
 

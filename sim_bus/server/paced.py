@@ -38,7 +38,6 @@ from coulombus.compiled.libc import (
 from coulombus.eds.cia402 import PowerState
 from coulombus.sim_bus.copper.cut import choose
 from coulombus.sim_bus.network.kernel import Exit, Host, World, next_event, refresh, run
-from coulombus.sim_bus.server.beside import Jobs, Kind, ask_force, ask_service, exchange, has_room, is_beside
 from coulombus.sim_bus.server.clients import Clients, State, flush, hand_out, take
 
 __all__ = ["PACE", "Serve", "serve"]
@@ -62,7 +61,6 @@ class Serve(IntEnum):
     RESTED = 33  # the drive of an axis left Operation Enabled: the operator's schedule is over
     RECORD = 34  # `PACE.keep` frames wait in the log to be recorded, or the oldest for KEPT_NS
     FAILED = 35  # a system call that the loop cannot do without; `PACE.error`
-    BUSY = 36  # more waits for Python than it can note down
 
 
 PACE = np.dtype(
@@ -85,7 +83,6 @@ PACE = np.dtype(
         ("stalls", np.int64),
         ("stalled_ns", np.int64),
         ("latest_ns", np.int64),  # longest from an end of frame to its delivery
-        ("beside", np.int64),  # 1: Python works beside the loop (`sim_bus.server.beside`)
     ],
     align=True,
 )
@@ -152,31 +149,7 @@ def _forgive(p: Any, slots: Any, planned_ns: int, t_ns: int) -> int:
 
 
 @kernel
-def _ask(world: World, jobs: Jobs, reason: int) -> bool:
-    """Let Python do beside the loop what the world's loop returned for, and tell whether
-    it will.
-    """
-    if reason == Exit.SERVICE and is_beside(world.state, world.log):
-        ask_service(world, jobs)
-        return True
-    if reason == Exit.ENABLED:
-        ask_force(world, jobs, Kind.ENABLED, world.state.axis)
-        return True
-    return False
-
-
-@kernel
-def _look_ahead(world: World, jobs: Jobs) -> None:
-    """Ask for the next block of the operator's force where half of one is over."""
-    for a in range(world.axes.shape[0]):
-        axis = world.axes[a]
-        half = (world.f_h.shape[1] >> 1) * axis.steps_per_knot * world.plant[a].step_ns
-        if jobs.asked[a] == 0 and axis.force_end_ns - world.state.t_ns < half and has_room(jobs):
-            ask_force(world, jobs, Kind.FORCE, a)
-
-
-@kernel
-def serve(pace: Any, clients: Clients, jobs: Jobs, world: World, host: Host, law_function: Any) -> int:
+def serve(pace: Any, clients: Clients, world: World, host: Host, law_function: Any) -> int:
     """Serve until Python is needed; return an `Exit` or a `Serve` that says why.
 
     The world's loop is from the first the one that looks closely: nothing is compiled while clients
@@ -198,16 +171,12 @@ def serve(pace: Any, clients: Clients, jobs: Jobs, world: World, host: Host, law
             return taken
         # the world up to the present, event by event: each start of a frame makes room for its
         # sender's next
-        why = 0
         while True:
             b = cable
             if cable.cut != 0:
                 b = bus[choose(bus, out)]
             t_event, _ = next_event(w, b, out, world.deadlines, host.axes)
             if t_event > t_ns:
-                break
-            if p.beside != 0 and not has_room(jobs):
-                why = Serve.BUSY
                 break
             w.until_ns = max(t_event, w.t_ns)
             reason = run(world, host, law_function, 1)
@@ -216,8 +185,7 @@ def serve(pace: Any, clients: Clients, jobs: Jobs, world: World, host: Host, law
                 lost = hand_out(w, p, bus, world.log, clients)
                 if lost != 0:
                     return lost
-            if p.beside != 0 and _ask(world, jobs, reason):
-                reason = Exit.UNTIL
+            why = 0
             if reason not in (Exit.UNTIL, Exit.LOG):
                 why += reason
             else:
@@ -229,24 +197,19 @@ def serve(pace: Any, clients: Clients, jobs: Jobs, world: World, host: Host, law
                     axis = world.axes[a]
                     state = world.nodes[axis.motor].power_state
                     if axis.operator_start_ns >= 0 and state != PowerState.OPERATION_ENABLED:
-                        if p.beside != 0:
-                            ask_force(world, jobs, Kind.RESTED, a)
-                        else:
-                            w.axis = a
-                            why = Serve.RESTED
+                        w.axis = a
+                        why = Serve.RESTED
             if why != 0:
-                break
+                for i in range(slots.shape[0]):
+                    flush(slots[i], batches[i])
+                return why
             taken = take(w, p, bus, clients, out, offset_ns, t_ns)
             if taken != 0:
                 break
         for i in range(slots.shape[0]):
             flush(slots[i], batches[i])
-        if why + taken != 0:
-            return why + taken  # one of them
-        if p.beside != 0:
-            _look_ahead(world, jobs)
-            if exchange(world, jobs, False):
-                continue
+        if taken != 0:
+            return taken
         if p.keep != 0 and 0 < w.log_count <= p.handed_out and t_ns - world.log[0].t_ns >= KEPT_NS:
             return Serve.RECORD
         if load_acquire(flag) != 0:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from coulombus.eds.cia402 import PowerState
 from coulombus.host.cycle.step import SOURCE_HOST
@@ -16,7 +16,6 @@ from coulombus.sim_bus.copper.stations import detach
 from coulombus.sim_bus.faults.file import FaultError, FaultPlan
 from coulombus.sim_bus.faults.injection import Injection, controllers_of
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
-from coulombus.sim_bus.server.beside import Kind
 from coulombus.sim_bus.server.clients import STATION
 from coulombus.sim_bus.server.paced import Serve
 from coulombus.sim_bus.server.server import BusServer, SimResult
@@ -66,16 +65,6 @@ class PacedRig(VirtualRig):
         else:
             super().answer(why)
         self._actuate()
-
-    def force_beside(self, kind: int, axis: int, request: Any, step: int) -> Any:
-        """Return the block of the hand's force from `step` on, after what the request tells."""
-        start_ns = int(request["start_ns"])
-        if kind == Kind.RESTED:
-            self._left[axis] = start_ns * 1e-9, int(request["t_ns"]) * 1e-9
-            start_ns = -1
-        elif kind == Kind.ENABLED:
-            self._enabled()
-        return self._force(axis, step, start_ns)
 
 
 class SimServer(BusServer):

@@ -27,7 +27,6 @@ from coulombus.sim_bus.copper.controller import link
 from coulombus.sim_bus.copper.cut import wire_of
 from coulombus.sim_bus.copper.stations import attach, detach
 from coulombus.sim_bus.network.network import VirtualNetwork
-from coulombus.sim_bus.server.beside import Beside
 from coulombus.sim_bus.server.clients import BATCH, MESSAGE_FRAMES, SLOT, SLOTS, STATION, Clients, Need, State
 from coulombus.sim_bus.server.paced import PACE, Serve, serve
 from coulombus.wire.address import BusAddress, BusUnavailable, socket_path
@@ -151,15 +150,11 @@ class BusServer:
         self._path: Path | None = None
         self._inode = 0
         self._pace["wake"], self._pace["listener"], self._pace["end_ns"] = self._wake, -1, FOREVER_NS
-        self._beside = Beside(self.world, self._wake, self.stop, apart=False)
         self._load()
         try:
             if raw is not None:
                 self._open_interface(raw)
-                self._set_apart()
-            elif join and self._join(address):
-                self._set_apart()
-            else:
+            elif not (join and self._join(address)):
                 self._listen(address)
         except BaseException:
             self.close()
@@ -174,13 +169,7 @@ class BusServer:
         self._pace["stop"] = self._pace["wakeups"] = 0
 
     def _serve(self) -> int:
-        return int(self._run(self._pace, self._clients, self._beside.jobs, *self.world.arguments))
-
-    def _set_apart(self) -> None:
-        """Another bus carries the frames: it does not stand still while Python works here."""
-        self._beside.close()
-        self._beside = Beside(self.world, self._wake, self.stop, apart=True)
-        self._pace["beside"] = 1
+        return int(self._run(self._pace, self._clients, *self.world.arguments))
 
     @property
     def wakeups(self) -> int:
@@ -216,9 +205,7 @@ class BusServer:
         self._began(begin)
         if seconds is not None:
             pace["end_ns"] = round(seconds * 1e9)
-        self._beside.start(priority)
-        with self._beside.in_the_loop():
-            world.power_on()
+        world.power_on()
         while (why := self._serve()) not in (Serve.STOP, Serve.TIME, Need.GONE):
             if why == Serve.ACCEPT:
                 self._accept()
@@ -236,15 +223,9 @@ class BusServer:
                     f"bus {self.address}: waiting for its clients failed: {os.strerror(int(pace['error'][0]))}"
                 )
                 break
-            elif self._beside.failure is not None:
-                break
             else:
-                with self._beside.in_the_loop():
-                    world.answer(why)
+                world.answer(why)
         self._record()
-        self._beside.close()
-        if self._beside.failure is not None:
-            raise self._beside.failure
         if why == Need.GONE and not self.joined:
             number = int(pace["error"][0])
             lost = number not in (0, errno.ENODEV, errno.ENXIO)
@@ -284,7 +265,6 @@ class BusServer:
                 self._listener = None
             for slot in self._sockets:
                 left.callback(self._part, slot)
-            left.callback(self._beside.close)  # first of all: its thread wakes the loop
 
     def _unlink(self, path: Path) -> None:
         with _locked(path.parent), suppress(FileNotFoundError):
