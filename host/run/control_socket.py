@@ -56,16 +56,25 @@ def _new() -> socket.socket:
     return socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
 
 
-def host_runs(address: BusAddress) -> bool:
-    """Tell whether a host of this machine has the bus; nothing is asked of it."""
+def _heard_at(path: Path) -> bool | None:
+    """Tell who is at a host's door: True, a host; False, nobody, a killed one left it; None, there
+    is no door.
+    """
     with _new() as probe:
         try:
-            probe.connect(str(control_path(address)))
-        except BlockingIOError:  # so many wait at its door that there is no room: it lives
-            return True
-        except (FileNotFoundError, ConnectionRefusedError):  # refused: by what a killed host left behind
+            probe.connect(str(path))
+        except FileNotFoundError:
+            return None
+        except ConnectionRefusedError:
             return False
+        except BlockingIOError:  # so many wait that there is no room: it lives
+            return True
     return True
+
+
+def host_runs(address: BusAddress) -> bool:
+    """Tell whether a host of this machine has the bus; nothing is asked of it."""
+    return _heard_at(control_path(address)) is True
 
 
 class _Asker:
@@ -113,9 +122,11 @@ class HostSocket:
         self._path = control_path(address)
         self._askers: list[_Asker] = []
         self.status: Callable[[], bytes] = lambda: b"{}"
-        if host_runs(address):
+        heard = _heard_at(self._path)
+        if heard:
             raise SafetyTrip(_occupied(address))
-        self._path.unlink(missing_ok=True)  # left behind by a host that was killed
+        if heard is False:  # where there was no door, one that is there now is a host's that starts
+            self._path.unlink(missing_ok=True)
         self._listener = _new()
         try:
             self._listener.bind(str(self._path))
