@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
+import binascii
+
 __all__ = ["crc16", "head", "where"]
 
 
-def crc16(data: bytes) -> int:
-    """Return the block transfer's CRC: polynomial 1021h, start 0 (section 7.2.4.3.16)."""
-    crc = 0
-    for byte in data:
-        crc ^= byte << 8
-        for _ in range(8):
-            crc = (crc << 1 ^ 0x1021 if crc & 0x8000 else crc << 1) & 0xFFFF
-    return crc
+def crc16(data: bytes | bytearray) -> int:
+    """Return the CRC of section 7.2.4.3.16 (polynomial 1021h, start 0); of b"123456789" it is
+    31C3h.
+    """
+    return binascii.crc_hqx(data, 0)
 
 
 def head(command: int, index: int, subindex: int, data: bytes = b"") -> bytes:

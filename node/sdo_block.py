@@ -8,22 +8,17 @@ segment costs the rest of its block and no more. The CRC is CCITT's, polynomial 
 
 from __future__ import annotations
 
-import binascii
 from collections.abc import Sequence
 
 from coulombus.eds.cia301 import Abort
+from coulombus.eds.sdo_frames import crc16
 from coulombus.node.sdo_abort import SdoAbort
 from coulombus.node.sizes import BLOCK_SEGMENTS
 
-__all__ = ["BLOCK_SEGMENTS", "BlockDownload", "BlockUpload", "crc16"]
+__all__ = ["BLOCK_SEGMENTS", "BlockDownload", "BlockUpload"]
 
 _SEGMENT = 7
 _LAST, _NUMBER = 0x80, 0x7F
-
-
-def crc16(data: bytes | bytearray) -> int:
-    """Return the CRC of section 7.2.4.3.16; of b"123456789" it is 31C3h."""
-    return binascii.crc_hqx(data, 0)
 
 
 class BlockDownload:
