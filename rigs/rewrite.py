@@ -1,8 +1,9 @@
 """Change single values of a rig file as a person would: every other line, comment and blank stays.
 
-A value takes the old one's place, the comment at its line's end stays, and a line above it says
-what was found and when. A key that is not there yet is put below its section's header, with its
-section at the file's end where that is missing, too.
+A value takes the old one's place. The comment at its line's end stays, in its column where it can,
+and a line above it says where the value comes from. A key that is not there yet is put below the
+header of its section, and its section at the file's end where that is missing, too. A `# CHECK:`
+above a key is a guess that nobody has proved (`rigs.draft.text`): with a found value it is gone.
 """
 
 from __future__ import annotations
@@ -17,14 +18,18 @@ from pathlib import Path
 from typing import Any
 
 from coulombus.eds.regular_file import read_regular
+from coulombus.rigs.draft.text import CHECK
 from coulombus.rigs.mistakes import RigError, dotted, toml_value
-from coulombus.rigs.toml_lines import MOST_CHARACTERS, Key, read_toml
+from coulombus.rigs.toml_lines import MOST_CHARACTERS, Document, Key, read_toml
 
-__all__ = ["NewValue", "replace_file", "rewritten"]
+__all__ = ["NewValue", "replace_file", "rewritten", "write_whole"]
 
 _ASSIGNMENT = re.compile(r"(?P<head>\s*[^=#]*=\s*)(?P<rest>.*)")
 _TEXT_OR_COMMENT = re.compile(r""""(?:[^"\\]|\\.)*"|'[^']*'|(?P<comment>\s*\#.*)""")
+_GUESS = re.compile(rf"\s*#\s*{CHECK}:")
 LONGEST = 200
+"""Lines of a statement."""
+MOST_COPIES = 999
 
 
 @dataclass(frozen=True)
@@ -55,7 +60,7 @@ def rewritten(text: str, values: Mapping[Key, NewValue], mark: str, path: str) -
         if at is not None:
             _replace(lines, at - 1, new, mark)
         else:
-            _insert(lines, document.lines, key, new, mark)
+            _insert(lines, document, key, new, mark)
         _check("\n".join(lines), key, new.value, path)
     return ending.join(lines)
 
@@ -67,13 +72,26 @@ def _replace(lines: list[str], at: int, new: NewValue, mark: str) -> None:
         return  # `_check` tells
     indent = lines[at][: len(lines[at]) - len(lines[at].lstrip())]
     last = _last_line(lines, at)
-    tail = _comment(lines[last] if last > at else found["rest"])
-    lines[at : last + 1] = [f"{found['head']}{toml_value(new.value)}{tail}"]
+    old = found["rest"] if last == at else lines[last]
+    comment = _comment(old)
+    value = toml_value(new.value)
+    if comment and last == at:
+        comment = _in_its_column(comment, len(value) - (len(old) - len(comment)))
+    lines[at : last + 1] = [f"{found['head']}{value}{comment}"]
     first = at
     while first > 0 and lines[first - 1].lstrip().startswith("#"):
         first -= 1
-    kept = [line for line in lines[first:at] if not line.lstrip("# \t").startswith(mark)]
+    kept = [line for line in lines[first:at] if not line.lstrip("# \t").startswith(mark) and not _GUESS.match(line)]
     lines[first:at] = [*kept, f"{indent}# {mark} {new.comment}"]
+
+
+def _in_its_column(comment: str, longer: int) -> str:
+    """Return a comment behind a value that is so many characters longer: where it was, if two
+    blanks are left.
+    """
+    text = comment.lstrip()
+    blanks = len(comment) - len(text)
+    return " " * max(blanks - longer, min(blanks, 2)) + text
 
 
 def _comment(text: str) -> str:
@@ -92,17 +110,33 @@ def _last_line(lines: list[str], at: int) -> int:
     return at
 
 
-def _insert(lines: list[str], known: Mapping[Key, int], key: Key, new: NewValue, mark: str) -> None:
-    """Put a key below the header of its section, or a section at the end."""
+def _insert(lines: list[str], document: Document, key: Key, new: NewValue, mark: str) -> None:
+    """Put a key below the header of its section; before the first header where the section is
+    dotted keys only; and below a header of its own at the file's end where there is no section.
+    """
     headers = {n for n, line in enumerate(lines, 1) if line.lstrip().startswith("[")}
     own = [f"# {mark} {new.comment}", f"{key[-1]} = {toml_value(new.value)}"]
-    at = known.get(key[:-1])
-    if at in headers and at is not None:
+    at = document.lines.get(key[:-1])
+    if at is not None and at in headers:
         lines[at:at] = own
-        return
-    while lines and not lines[-1].strip():
-        lines.pop()
-    lines += ["", f"[{dotted(key[:-1])}]", *own, ""]
+    elif _has(document, key[:-1]):
+        length = max((n for n in range(1, len(key)) if document.lines.get(key[:n]) in headers), default=0)
+        at = document.lines[key[:length]] if length else 0
+        lines[at:at] = [own[0], f"{dotted(key[length:])} = {toml_value(new.value)}"]
+    else:
+        while lines and not lines[-1].strip():
+            lines.pop()
+        lines += ["", f"[{dotted(key[:-1])}]", *own, ""]
+
+
+def _has(document: Document, key: Key) -> bool:
+    """Tell whether the file has something of this name."""
+    here: Any = document.values
+    for part in key:
+        if not isinstance(here, Mapping) or part not in here:
+            return False
+        here = here[part]
+    return True
 
 
 def _check(text: str, key: Key, value: Any, path: str) -> None:
@@ -117,17 +151,19 @@ def _check(text: str, key: Key, value: Any, path: str) -> None:
         raise RigError([f"{path}: {name} cannot be changed alone as it stands; write it by hand: {name} = {value}"])
 
 
-def replace_file(path: Path, before: str, after: str, backup: Path) -> None:
-    """Replace a rig file as a whole; a copy of the old one is kept as `backup`.
+def replace_file(path: Path, before: str, after: str, copy: Path | None = None) -> Path:
+    """Replace a rig file as a whole, and return the copy of the old one that is kept.
 
     Parameters
     ----------
     before : what was read from it; when somebody has changed it meanwhile, it stays
+    copy : name of the copy, with a number behind it when there is one already; by default the
+        file's own with ``.bak``
 
     Raises
     ------
     RigError
-        the file is another one meanwhile
+        the file is another one meanwhile, or there are too many copies
     OSError
         as on a full disk; the file is as it was
     """
@@ -135,13 +171,32 @@ def replace_file(path: Path, before: str, after: str, backup: Path) -> None:
     raw = read_regular(path, MOST_CHARACTERS)
     bom = b"\xef\xbb\xbf" if raw.startswith(b"\xef\xbb\xbf") else b""
     if raw[len(bom) :] != before.encode():
-        raise RigError([f"{path}: the file was changed meanwhile; nothing is written, do the step again"])
-    _write(backup, raw, 0o644)
-    _write(path, bom + after.encode(), stat.S_IMODE(path.stat().st_mode))
+        raise RigError([f"{path}: the file was changed meanwhile; nothing is written, measure again"])
+    kept = _keep(copy or path.with_name(f"{path.name}.bak"), raw)
+    write_whole(path, bom + after.encode(), stat.S_IMODE(path.stat().st_mode))
+    return kept
 
 
-def _write(path: Path, content: bytes, mode: int) -> None:
-    """Write a file as a whole or not at all."""
+def _keep(path: Path, content: bytes) -> Path:
+    """Write a copy under a name that is free."""
+    for number in range(1, MOST_COPIES + 1):
+        copy = path.with_name(f"{path.name}{number if number > 1 else ''}")
+        with suppress(FileExistsError):
+            write_whole(copy, content, 0o644, new=True)
+            return copy
+    raise RigError([f"{path}: there are {MOST_COPIES} copies of this name already; take some away"])
+
+
+def write_whole(path: Path, content: bytes, mode: int = 0o644, *, new: bool = False) -> None:
+    """Write a file as a whole or not at all: it is on the disk before it has its name.
+
+    Raises
+    ------
+    FileExistsError
+        the file is to be `new` and is there
+    OSError
+        it cannot be written; an old one is as it was
+    """
     beside = path.with_name(f".{path.stem}-{os.getpid()}-{os.urandom(4).hex()}{path.suffix}")
     try:
         with beside.open("xb") as file:
@@ -149,6 +204,8 @@ def _write(path: Path, content: bytes, mode: int) -> None:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
+        if new:
+            path.open("xb").close()
         os.replace(beside, path)
     finally:
         with suppress(OSError):

@@ -262,11 +262,12 @@ def _report(session: Session, path: Path | None) -> None:
     """Write the report after each step: what was found is on paper, whatever comes next."""
     from coulombus.host.commission.report import report
     from coulombus.host.commission.steps import STEPS
+    from coulombus.rigs.rewrite import write_whole
 
     page = report(session.rig(), session.state, {step.name: step.title for step in STEPS}).encode()
-    session.state.write(session.state.folder / "report.html", page)
+    write_whole(session.state.folder / "report.html", page)
     if path is not None:
-        session.state.write(path, page)
+        write_whole(path, page)
 
 
 def _print_findings(done: list[Done]) -> None:

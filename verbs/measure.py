@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 __all__ = ["measure"]
 
 WIDTH = 80
+MARK = "measured by coulombus measure"
+"""How the comment above a written value begins."""
 
 
 @click.command(epilog=EXIT_STATUS)
@@ -157,13 +159,13 @@ def _spread(spread: Any) -> dict[str, Any]:
 def _write(rig: Rig, found: Measured, on_bus: Rig) -> Path:
     """Write the values into the rig file, each with where it comes from."""
     from coulombus.host.run.measure import Spread
-    from coulombus.rigs.edit import NewNumber, replace_file, with_numbers
+    from coulombus.rigs.rewrite import NewValue, replace_file, rewritten
     from coulombus.rigs.rig import load_rig_text
 
     today = datetime.datetime.now(tz=datetime.UTC).date().isoformat()
 
     def note(spread: Spread) -> str:
-        return f" {today}: p50 {spread.p50:.0f}, p99 {spread.p99:.0f}, max {spread.max:.0f} us of {spread.count}"
+        return f"{today}: p50 {spread.p50:.0f}, p99 {spread.p99:.0f}, max {spread.max:.0f} us of {spread.count}"
 
     times = {
         device.plan.name: [t for pdo in device.pdos for t in pdo.times_ns] for device in found.devices if device.pdos
@@ -172,8 +174,8 @@ def _write(rig: Rig, found: Measured, on_bus: Rig) -> Path:
     for key, value in found.numbers(on_bus).items():
         name = str(key[-2]) if key[0] != "axis" else f"{key[1]}.{key[-2]}"
         spread = found.host if key == ("host", "compute_s") else Spread.of(times[name])
-        numbers[key] = NewNumber(value, note(spread))
-    text = with_numbers(rig.text, numbers, rig.path)
+        numbers[key] = NewValue(value, note(spread))
+    text = rewritten(rig.text, numbers, MARK, rig.path)
     load_rig_text(text, rig.path)  # what is written is a rig
     return replace_file(Path(rig.path), rig.text, text)
 

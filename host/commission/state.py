@@ -11,13 +11,12 @@ can be resumed.
 from __future__ import annotations
 
 import json
-import os
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from coulombus.host.commission.step import CommissionError
+from coulombus.rigs.rewrite import write_whole
 
 __all__ = ["State", "folder_of"]
 
@@ -86,18 +85,5 @@ class State:
             it cannot be written; it is as it was
         """
         steps = {other: one for other, one in self.steps.items() if other != name} | {name: outcome}
-        self.write(self.path, json.dumps({"version": VERSION, "steps": steps}, indent=1).encode())
+        write_whole(self.path, json.dumps({"version": VERSION, "steps": steps}, indent=1).encode())
         self.steps = steps
-
-    def write(self, path: Path, content: bytes) -> None:
-        """Write a file of the folder as a whole or not at all."""
-        beside = path.with_name(f".{path.name}-{os.getpid()}")
-        try:
-            with beside.open("wb") as file:
-                file.write(content)
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(beside, path)
-        finally:
-            with suppress(OSError):
-                beside.unlink()

@@ -19,7 +19,7 @@ from coulombus.host.run.compute import compute_times_ns
 from coulombus.host.run.control_socket import HostSocket
 from coulombus.host.run.measure import Measured, Spread, proposed_ns, quiet_mode
 from coulombus.host.setup.response import DeviceTimes, PdoTimes
-from coulombus.rigs.edit import NewNumber, with_numbers
+from coulombus.rigs.rewrite import NewValue, rewritten
 from coulombus.rigs.rig import load_rig, load_rig_text
 from coulombus.verbs.main import main
 from coulombus.wire.address import parse_address
@@ -69,7 +69,7 @@ def test_a_sensors_value_is_in_its_section():
     rig = load_rig_text(bench + SENSOR, str(ROOT / "rigs" / "x.toml"), EDS)
     numbers = measured(device("cell", "cell", 7, node_id=3)).numbers(rig)
     assert numbers[("sensor", "cell", "response_us")] == 20.0
-    text = with_numbers(bench + SENSOR, {key: NewNumber(value, "") for key, value in numbers.items()}, "x.toml")
+    text = rewritten(bench + SENSOR, {key: NewValue(value, "") for key, value in numbers.items()}, "measured", "x.toml")
     assert load_rig_text(text, "x.toml", EDS).one_axis().sensor["cell"].response_us == 20.0
 
 
