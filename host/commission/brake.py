@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from coulombus.host.commission.samples import Floats, handle_torque, held
+from coulombus.host.commission.samples import Floats, handle_torque, held, motion
 from coulombus.host.commission.step import (
     CommissionError,
     Curve,
@@ -26,7 +26,9 @@ from coulombus.host.commission.step import (
     Step,
     Taken,
     exercise,
+    lacks_roles,
     move_s,
+    strokes,
 )
 from coulombus.host.cycle.demand import brake_end_Nm
 from coulombus.recording.signals import Recording
@@ -73,7 +75,7 @@ class Brake(Step):
 
     def lacks(self, axis: Axis, given: Given) -> str | None:
         """Return what the rig has not."""
-        return None if axis.allocation.bound.get("handle_torque") else "the rig has no role handle_torque"
+        return lacks_roles(axis, "handle_torque")
 
     def _top(self, axis: Axis) -> float:
         """Return the highest stair [Nm]: what limits, coil and set-point bear for long."""
@@ -102,7 +104,7 @@ class Brake(Step):
         axis = rig.one_axis()
         length = self.risk(axis, given).seconds
         move = move_s(axis, SPEED_RAD_S, MOVE_S)
-        stroke = f'{{kind="stroke", duration_s={length}, speed_rad_s={SPEED_RAD_S}, move_s={move}, dwell_s={DWELL_S}}}'
+        stroke = strokes(length, SPEED_RAD_S, move, DWELL_S)
         return (exercise(self.name, rig, "stair", [self._top(axis), STEPS, STAIR_S], [stroke], hand=STROKING_HAND),)
 
     def analyse(self, taken: Sequence[Taken], axis: Axis, given: Given) -> Outcome:
@@ -186,10 +188,7 @@ def _stairs(recording: Recording, axis: Axis) -> list[_Stair]:
     signal = recording.signal("brake.setpoint_Nm")
     t, period = angle.t_s, recording.rig.bus.period_s
     raw = np.rint((held(recording["brake.setpoint_Nm"], t) - signal.offset) / signal.scale).astype(int)
-    x = np.asarray(angle.values, np.float64)
-    window = np.ones(SMOOTH) / SMOOTH
-    v = np.convolve(np.gradient(x, period), window, "same")
-    a = np.convolve(np.gradient(v, period), window, "same")
+    v, a = motion(angle, period, SMOOTH)
     torque = np.interp(t, hand.t_s, hand.values) - axis.mechanics.inertia_kg_m2 * a
     sent = recording["brake.setpoint_Nm"].t_s
     begin = float(sent[0]) if len(sent) else 0.0

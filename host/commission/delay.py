@@ -15,9 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import t as student
 
-from coulombus.eds.cia301 import CobId
 from coulombus.host.commission.friction import FREE_HAND
-from coulombus.host.commission.samples import Floats
+from coulombus.host.commission.samples import Floats, sync_before
 from coulombus.host.commission.step import (
     CommissionError,
     Curve,
@@ -134,12 +133,10 @@ def _answer(recording: Recording, asked: str, answered: str) -> _Answer:
     CommissionError
         there are hardly any steps
     """
-    frames = recording.frames
-    sync = recording.t_s[(frames["can_id"] == CobId.SYNC) & (frames["length"] == 0)]
     target, value = recording[asked], recording[answered]
-    if not (len(sync) and len(target) and len(value)):
+    if not (len(target) and len(value)):
         raise CommissionError(f"{answered}: nothing was recorded of it")
-    sampled = sync[np.maximum(np.searchsorted(sync, value.t_s) - 1, 0)]
+    sampled, sent = sync_before(recording, value.t_s), sync_before(recording, target.t_s)
     y, command = np.asarray(value.values, np.float64), np.asarray(target.values, np.float64)
     size = 0.5 * (np.max(command) - np.min(command))
     edges = 1 + np.flatnonzero(np.abs(np.diff(command)) > size)
@@ -149,15 +146,14 @@ def _answer(recording: Recording, asked: str, answered: str) -> _Answer:
     for edge, following in itertools.pairwise(edges):
         if target.t_s[edge] < begin_s or target.t_s[following] - target.t_s[edge] < 0.9 * HALF_S:
             continue
-        asked_s = sync[max(int(np.searchsorted(sync, target.t_s[edge])) - 1, 0)]
-        first = int(np.searchsorted(sampled, asked_s))
+        first = int(np.searchsorted(sampled, sent[edge]))
         last = int(np.searchsorted(sampled, target.t_s[following])) - 1
         if first < SETTLED or last - first < AFTER:
             continue
         before, after = np.mean(y[first - SETTLED : first]), np.mean(y[last - SETTLED : last])
         if before != after:
             shares.append((y[first : first + AFTER] - before) / (after - before))
-            lags.append(sampled[first : first + AFTER] - asked_s)
+            lags.append(sampled[first : first + AFTER] - sent[edge])
             sizes.append(abs(after - before))
     if len(shares) < LEAST_EDGES:
         raise CommissionError(f"{answered}: {len(shares)} steps were answered; expected at least {LEAST_EDGES}")

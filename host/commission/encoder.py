@@ -21,6 +21,7 @@ from coulombus.host.commission.step import (
     Step,
     Taken,
     exercise,
+    strokes,
 )
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
@@ -74,8 +75,7 @@ class Encoder(Step):
         speed = (given.marks_rad or 0.0) / MOVE_S
         phases = (
             f'{{kind="rest", duration_s={REST_S}}}',
-            f'{{kind="stroke", duration_s={MOVE_S + STAY_S}, speed_rad_s={speed!r}, '
-            f"move_s={MOVE_S}, dwell_s={STAY_S}}}",
+            strokes(MOVE_S + STAY_S, speed, MOVE_S, STAY_S),
         )
         return (exercise(self.name, rig, "hold", [0.0], phases, hand=FIRM_HAND),)
 

@@ -32,6 +32,7 @@ from coulombus.host.commission.step import (
     Step,
     Taken,
     exercise,
+    lacks_roles,
 )
 from coulombus.recording.friction.friction_fit import Estimate
 from coulombus.recording.friction.identify import identify
@@ -102,10 +103,8 @@ class Friction(Step):
 
     def lacks(self, axis: Axis, given: Given) -> str | None:
         """Return what the rig has not."""
-        for role in ("torque", "handle_torque"):
-            if axis.allocation.bound.get(role) is None:
-                return f"the rig has no role {role}: motor and hand together tell the friction"
-        return None
+        lacks = lacks_roles(axis, "torque", "handle_torque")
+        return lacks and f"{lacks}: motor and hand together tell the friction"
 
     def risk(self, axis: Axis, given: Given) -> Risk:
         """Return what the sweep moves."""

@@ -26,6 +26,7 @@ from coulombus.host.commission.step import (
     Risk,
     Step,
     Taken,
+    lacks_roles,
 )
 from coulombus.recording.friction.sliding import IdentifyError, equations, sliding
 from coulombus.rigs.axis import Axis
@@ -54,10 +55,7 @@ class Motor(Step):
 
     def lacks(self, axis: Axis, given: Given) -> str | None:
         """Return what the rig has not."""
-        for role in ("torque", "handle_torque"):
-            if axis.allocation.bound.get(role) is None:
-                return f"the rig has no role {role}"
-        return None
+        return lacks_roles(axis, "torque", "handle_torque")
 
     def risk(self, axis: Axis, given: Given) -> Risk:
         """Return what the sweep moves."""

@@ -17,9 +17,8 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import least_squares
 
-from coulombus.eds.cia301 import CobId
 from coulombus.host.commission.brake import STROKING_HAND
-from coulombus.host.commission.samples import Floats, handle_torque
+from coulombus.host.commission.samples import Floats, handle_torque, motion, sync_before
 from coulombus.host.commission.step import (
     CommissionError,
     Curve,
@@ -31,7 +30,9 @@ from coulombus.host.commission.step import (
     Step,
     Taken,
     exercise,
+    lacks_roles,
     move_s,
+    strokes,
 )
 from coulombus.recording.signals import Recording
 from coulombus.rigs.axis import Axis
@@ -56,7 +57,7 @@ class Response(Step):
 
     def lacks(self, axis: Axis, given: Given) -> str | None:
         """Return what the rig has not."""
-        return None if axis.allocation.bound.get("handle_torque") else "the rig has no role handle_torque"
+        return lacks_roles(axis, "handle_torque")
 
     def _brake(self, axis: Axis) -> float:
         return min(BRAKE_NM, axis.limits.brake_torque_Nm)
@@ -76,7 +77,7 @@ class Response(Step):
     def exercises(self, rig: Rig, given: Given) -> tuple[Exercise, ...]:
         """Return the run with the steps."""
         move = move_s(rig.one_axis(), SPEED_RAD_S, MOVE_S)
-        stroke = f'{{kind="stroke", duration_s={SECONDS}, speed_rad_s={SPEED_RAD_S}, move_s={move}, dwell_s={DWELL_S}}}'
+        stroke = strokes(SECONDS, SPEED_RAD_S, move, DWELL_S)
         user = [0.0, HALF_S, self._brake(rig.one_axis())]
         return (exercise(self.name, rig, "square", user, [stroke], hand=STROKING_HAND),)
 
@@ -114,26 +115,22 @@ def _mean_answer(recording: Recording, axis: Axis) -> tuple[Floats, Floats, int]
         the handle slid through too few of them
     """
     period = recording.rig.bus.period_s
-    frames, angle, hand = recording.frames, recording["motor.position_rad"], handle_torque(recording)
-    sync = recording.t_s[(frames["can_id"] == CobId.SYNC) & (frames["length"] == 0)]
-    if not len(sync) or not len(angle):
-        raise CommissionError("the recording has no SYNC, or no position")
-    sampled = sync[np.maximum(np.searchsorted(sync, angle.t_s) - 1, 0)]
-    window = np.ones(SMOOTH) / SMOOTH
-    v = np.convolve(np.gradient(np.asarray(angle.values, np.float64), period), window, "same")
-    a = np.convolve(np.gradient(v, period), window, "same")
+    angle, hand, asked = recording["motor.position_rad"], handle_torque(recording), recording["brake.setpoint_Nm"]
+    if not len(angle):
+        raise CommissionError("the recording has no position")
+    sampled, sent = sync_before(recording, angle.t_s), sync_before(recording, asked.t_s)
+    v, a = motion(angle, period, SMOOTH)
     torque = (
         np.interp(angle.t_s, hand.t_s, hand.values)
         - axis.mechanics.inertia_kg_m2 * a
         - axis.mechanics.viscous_Nms_rad * v
     )
-    asked = recording["brake.setpoint_Nm"]
     jumps = np.diff(np.asarray(asked.values, np.float64))
     edges = 1 + np.flatnonzero(np.abs(jumps) > 0.5 * np.max(np.abs(jumps), initial=0.0) + 1e-9)
     before, after, end = (round(one / period) for one in (BEFORE_S, AFTER_S, END_S))
     found = []
     for edge in edges:
-        at = int(np.searchsorted(sampled, sync[max(int(np.searchsorted(sync, asked.t_s[edge])) - 1, 0)]))
+        at = int(np.searchsorted(sampled, sent[edge]))
         span = slice(at - before, at + after)
         if at < before or at + after > len(v) or np.min(np.abs(v[span])) < SLIP_SHARE * SPEED_RAD_S:
             continue

@@ -9,11 +9,24 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import t as student
 
+from coulombus.eds.cia301 import CobId
 from coulombus.host.commission.step import CommissionError
 from coulombus.recording.measures import PhaseSpan, phases
 from coulombus.recording.signals import Recording, Series
 
-__all__ = ["Fit", "Floats", "Mean", "fit", "handle_torque", "held", "mean_in", "span_of", "thinned"]
+__all__ = [
+    "Fit",
+    "Floats",
+    "Mean",
+    "fit",
+    "handle_torque",
+    "held",
+    "mean_in",
+    "motion",
+    "span_of",
+    "sync_before",
+    "thinned",
+]
 
 Floats: TypeAlias = npt.NDArray[np.float64]
 Flags: TypeAlias = npt.NDArray[np.bool_]
@@ -72,6 +85,31 @@ def handle_torque(recording: Recording) -> Series:
     if series is None or not len(series):
         raise CommissionError("the transducer sent nothing: is its TPDO on the bus ('coulombus watch')?")
     return series
+
+
+def motion(angle: Series, period_s: float, smooth: int) -> tuple[Floats, Floats]:
+    """Return the speed [rad/s] and the acceleration [rad/s^2] at each sample of an angle: central
+    differences, a mean over `smooth` samples after each.
+    """
+    window = np.ones(smooth) / smooth
+    v = np.convolve(np.gradient(np.asarray(angle.values, np.float64), period_s), window, "same")
+    return v, np.convolve(np.gradient(v, period_s), window, "same")
+
+
+def sync_before(recording: Recording, t_s: Floats) -> Floats:
+    """Return the time of the last SYNC before each time, of the first where there is none before.
+
+    Raises
+    ------
+    CommissionError
+        the recording has no SYNC
+    """
+    frames = recording.frames
+    sync = recording.t_s[(frames["can_id"] == CobId.SYNC) & (frames["length"] == 0)]
+    if not len(sync):
+        raise CommissionError("the recording has no SYNC: does the host send it on this bus?")
+    before: Floats = sync[np.maximum(np.searchsorted(sync, t_s) - 1, 0)]
+    return before
 
 
 def span_of(recording: Recording, kind: str, number: int = 0) -> PhaseSpan:

@@ -27,7 +27,9 @@ __all__ = [
     "Taken",
     "Trip",
     "exercise",
+    "lacks_roles",
     "move_s",
+    "strokes",
 ]
 
 
@@ -189,6 +191,18 @@ class Step(ABC):
 
 TRAVEL_SHARE = 0.6
 """A step keeps to this share of ``limits.travel_rad``."""
+
+
+def lacks_roles(axis: Axis, *roles: str) -> str | None:
+    """Return the first of the roles that the rig has not, in words."""
+    missing = next((role for role in roles if axis.allocation.bound.get(role) is None), None)
+    return None if missing is None else f"the rig has no role {missing}"
+
+
+def strokes(seconds: float, speed_rad_s: float, move_s: float, dwell_s: float) -> str:
+    """Return a phase of a schedule in which the handle is stroked to and fro."""
+    times = f"duration_s={seconds!r}, speed_rad_s={speed_rad_s!r}, move_s={move_s!r}, dwell_s={dwell_s!r}"
+    return f'{{kind="stroke", {times}}}'
 
 
 def move_s(axis: Axis, speed_rad_s: float, wanted_s: float) -> float:

@@ -23,6 +23,7 @@ from coulombus.host.commission.step import (
     Step,
     Taken,
     exercise,
+    lacks_roles,
 )
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
@@ -51,12 +52,6 @@ def _binding(axis: Axis) -> Binding:
     return one
 
 
-def _lacks_transducer(axis: Axis) -> str | None:
-    if axis.allocation.bound.get("handle_torque") is None:
-        return "the rig has no role handle_torque"
-    return None
-
-
 class Zero(Step):
     """Zero and noise of the transducer."""
 
@@ -65,7 +60,7 @@ class Zero(Step):
 
     def lacks(self, axis: Axis, given: Given) -> str | None:
         """Return what the rig has not."""
-        return _lacks_transducer(axis)
+        return lacks_roles(axis, "handle_torque")
 
     def risk(self, axis: Axis, given: Given) -> Risk:
         """Return that nothing moves."""
@@ -112,7 +107,7 @@ class Weight(Step):
             most = axis.limits.brake_torque_Nm / HOLDS
             wanted = f"expected above 0, at most {most:.3g}, which the brake holds with a margin"
             return f"--weight-Nm {given.weight_Nm:g}: {wanted}"
-        return _lacks_transducer(axis)
+        return lacks_roles(axis, "handle_torque")
 
     def _brake(self, axis: Axis, given: Given) -> float:
         return min(HOLDS * (given.weight_Nm or 0.0) + HOLDS_NM, axis.limits.brake_torque_Nm)
