@@ -19,6 +19,7 @@ __all__ = [
     "RealTime",
     "Right",
     "ask_for_real_time",
+    "bus_cpu",
     "cpu_list",
     "default_cpu",
     "die_with_parent",
@@ -164,6 +165,17 @@ def default_cpu(root: Path = Path("/")) -> int | None:
     usable = usable_cpus(root)
     isolated = usable & isolated_cpus(root)
     return max(isolated) if isolated else max(usable) if len(usable) > 1 else None
+
+
+def bus_cpu(root: Path = Path("/")) -> int | None:
+    """Return the CPU for nodes on Linux's own CAN: the first that is not isolated, so another one
+    than the cycle's; None when there is only one.
+
+    A virtual interface hands a frame on through a queue of the CPU that sends: frames that one
+    thread sends from two CPUs can overtake each other, and an SDO block is in order no more.
+    """
+    usable = usable_cpus(root)
+    return min(usable - isolated_cpus(root) or usable) if len(usable) > 1 else None
 
 
 def pin(cpu: int) -> Right:

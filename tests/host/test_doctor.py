@@ -33,7 +33,7 @@ from coulombus.host.doctor.wanted import Wanted
 from coulombus.rigs.rig import load_rig
 from coulombus.verbs.main import main
 from coulombus.wire.address import parse_address
-from coulombus.wire.realtime import cpu_list, default_cpu
+from coulombus.wire.realtime import bus_cpu, cpu_list, default_cpu
 
 CAN0 = {"": parse_address("socketcan:can0")}
 WANTED = Wanted.of(load_rig("bench"))
@@ -333,14 +333,17 @@ def test_the_cycle_takes_an_isolated_processor_where_it_may(tmp_path, monkeypatc
     (folder / "isolated").write_text("2-3,9")
     monkeypatch.setattr("os.sched_getaffinity", lambda pid: {0, 1})
     monkeypatch.setattr("os.sched_setaffinity", lambda pid, cpus: None)
-    assert default_cpu(tmp_path) == 3
+    assert (bus_cpu(tmp_path), default_cpu(tmp_path)) == (0, 3)
 
     def refused(pid, cpus):
         if cpus != {0, 1}:
             raise OSError(22, "Invalid argument")
 
     monkeypatch.setattr("os.sched_setaffinity", refused)
-    assert default_cpu(tmp_path) == 1
+    assert (bus_cpu(tmp_path), default_cpu(tmp_path)) == (0, 1)
+    monkeypatch.setattr("os.sched_getaffinity", lambda pid: {1})
+    assert bus_cpu(tmp_path) is default_cpu(tmp_path) is None
+    monkeypatch.setattr("os.sched_getaffinity", lambda pid: {0, 1})
     (folder / "isolated").write_text("rubbish")
     assert default_cpu(tmp_path) == 1
 

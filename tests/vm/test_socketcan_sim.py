@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import socket
 import struct
 import subprocess
@@ -72,6 +73,12 @@ def test_nodes_answer(sim, raw):
     assert sim.ready["bus"] == f"socketcan:{INTERFACES[-1]}"
     assert upload(raw, 1, 0x1000, 0) == struct.pack("<I", 0x00020192)
     assert upload(raw, 2, 0x1000, 0) == struct.pack("<I", 0x000A0194)
+
+
+def test_its_thread_keeps_to_one_cpu_so_that_its_frames_keep_their_order(sim):
+    granted = [right["name"] for right in sim.ready["real_time"] if right["granted"]]
+    cpus = [name for name in granted if name.removeprefix("CPU ").isdigit()]
+    assert len(cpus) == (len(os.sched_getaffinity(0)) > 1)
 
 
 def test_canopen_brings_a_node_to_operational_and_sync_makes_pdos(sim, raw, interface):
