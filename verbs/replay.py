@@ -153,6 +153,7 @@ def _play(file: Path, bus_name: str, rig_name: str | None, as_json: bool, **opti
     from coulombus.wire.client import Client
     from coulombus.wire.hello import Hello
     from coulombus.wire.realtime import ask_for_real_time
+    from coulombus.wire.socketcan import is_virtual
     from coulombus.wire.stopping import Stopped, StopSignals
 
     address = parse_address(bus_name)
@@ -160,7 +161,7 @@ def _play(file: Path, bus_name: str, rig_name: str | None, as_json: bool, **opti
     remark(tape.remarks)
     if not len(tape.frames):
         raise click.UsageError(f"{file}: no frame is left to be played")
-    if address.kind == "socketcan" and not options["to_rig"] and _moves(tape) and not _is_virtual(address.name):
+    if address.kind == "socketcan" and not options["to_rig"] and _moves(tape) and not is_virtual(address.name):
         raise NotToTheRig(
             f"{file} has frames of a host (NMT, SYNC, RPDOs): on {address} they would move a motor, and no host would watch it. "
             "Leave them out (--node N, --ids), or give --to-rig if that is what you want"
@@ -238,14 +239,6 @@ def _moves(tape: Tape) -> bool:
     from coulombus.recording.senders import HOST, rig_of, senders
 
     return bool(np.any(senders(tape.frames["can_id"], rig_of(tape.path, None)) == HOST))
-
-
-def _is_virtual(interface: str) -> bool:
-    """Tell whether an interface of Linux has no hardware behind it (vcan, vxcan; slcan is a serial
-    adapter and has).
-    """
-    place = Path("/sys/class/net", interface).resolve()
-    return "virtual" in place.parts and not interface.startswith("slcan")
 
 
 def _bar(total_s: float, as_json: bool) -> AbstractContextManager[Callable[[float], None]]:

@@ -168,8 +168,8 @@ def default_cpu(root: Path = Path("/")) -> int | None:
 
 
 def bus_cpu(root: Path = Path("/")) -> int | None:
-    """Return the CPU for nodes on Linux's own CAN: the first that is not isolated, so another one
-    than the cycle's; None when there is only one.
+    """Return the CPU for nodes on a virtual interface of Linux: the first that is not isolated, so
+    another one than the cycle's; None when there is only one.
 
     A virtual interface hands a frame on through a queue of the CPU that sends: frames that one
     thread sends from two CPUs can overtake each other, and an SDO block is in order no more.

@@ -5,10 +5,11 @@ from __future__ import annotations
 import fcntl
 import socket
 import struct
+from pathlib import Path
 
 from coulombus.wire.address import BusUnavailable
 
-__all__ = ["can_socket", "interface_is_up"]
+__all__ = ["can_socket", "interface_is_up", "is_virtual"]
 
 SIOCGIFFLAGS, IFF_UP = 0x8913, 1
 
@@ -57,3 +58,10 @@ def interface_is_up(target: socket.socket, name: str) -> bool:
     """
     answer = fcntl.ioctl(target, SIOCGIFFLAGS, struct.pack("16sH14x", name.encode(), 0))
     return bool(struct.unpack_from("H", answer, 16)[0] & IFF_UP)
+
+
+def is_virtual(name: str) -> bool:
+    """Tell whether an interface of Linux has no hardware behind it (vcan, vxcan; slcan is a serial
+    adapter and has).
+    """
+    return "virtual" in Path("/sys/class/net", name).resolve().parts and not name.startswith("slcan")

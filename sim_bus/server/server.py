@@ -34,7 +34,7 @@ from coulombus.wire.frame import new_records
 from coulombus.wire.hello import MAX_FILTERS, SEND_BUFFER, Answer, Flags, Hello, Status, greet
 from coulombus.wire.mailbox import MAILBOX, ask_for_stamps, set_up
 from coulombus.wire.realtime import RealTime, ask_for_real_time, bus_cpu
-from coulombus.wire.socketcan import can_socket
+from coulombus.wire.socketcan import can_socket, is_virtual
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -126,7 +126,7 @@ class BusServer:
         elif not join:
             _refuse_live(socket_path(address.name), address)
         self.bit_rate = bit_rate if raw is None else 0
-        self._on_socketcan = raw is not None
+        self._on_virtual = raw is not None and is_virtual(address.name)
         _warm_up(make_world(self.bit_rate, True))
         self.world = make_world(self.bit_rate, False)
         rows = SLOTS + 1  # the last is for a client that has to be told that there is no room
@@ -193,12 +193,12 @@ class BusServer:
         """Serve for `seconds` (None: until `stop`) and return what came of it.
 
         `priority` of SCHED_FIFO and `cpu` are asked for on behalf of the calling thread;
-        `real_time` tells what was granted. With a priority on SocketCAN the thread keeps to one CPU
-        (`bus_cpu`). `ready` is called just before the nodes are switched on;
+        `real_time` tells what was granted. With a priority on a virtual interface of Linux the
+        thread keeps to one CPU (`bus_cpu`). `ready` is called just before the nodes are switched on;
         clients may connect from the constructor's end on.
         """
         world, pace = self.world, self._pace
-        if cpu is None and priority is not None and self._on_socketcan:
+        if cpu is None and priority is not None and self._on_virtual:
             cpu = bus_cpu()
         self.real_time = ask_for_real_time(priority, cpu)
         self._plan()
