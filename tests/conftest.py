@@ -46,6 +46,14 @@ def bus(private_sockets):
         yield bus
 
 
+def pytest_ignore_collect(collection_path, config):
+    """To read all files takes a quarter of a minute: who asks for real-time tests alone need not
+    wait for the others'.
+    """
+    alone = config.option.markexpr == "real_time" and collection_path.suffix == ".py"
+    return True if alone and "real_time" not in collection_path.read_text() else None
+
+
 def pytest_collection_modifyitems(session, items):
     """A real-time test that fails while the machine stood still is no evidence: it is done again,
     up to three times.

@@ -15,6 +15,7 @@ import pytest
 from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.verbs.main import VERBS
 from coulombus.wire.frame import FRAME, new_records
+from warm_start import Warm
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 EDS = ROOT / "eds" / "motor.eds"
@@ -64,23 +65,24 @@ def call(tmp_path, private_sockets):
         writer.write(new_records(FRAME, 3))
     (tmp_path / "other").write_text("no EDS file\n")
 
-    def run(words, stdout):
+    def run(words, stdout, cold=False):
         words = words.replace("RECORDING", str(tmp_path / "recording.pcapng")).replace("OTHER", str(tmp_path / "other"))
+        options = {"cwd": ROOT, "stderr": subprocess.PIPE, "stdin": subprocess.DEVNULL, "text": True}
         command = [sys.executable, "-m", "coulombus", *words.split()]
-        if stdout == "closed":
-            command = ["sh", "-c", f"exec {shlex.join(command)} >&-"]
-        options = {"cwd": ROOT, "stderr": subprocess.PIPE, "stdin": subprocess.DEVNULL, "text": True, "timeout": 300}
-        if stdout == "closed":
-            done = subprocess.run(command, **options)
+        if stdout == "closed":  # what Python starts with
+            process = subprocess.Popen(["sh", "-c", f"exec {shlex.join(command)} >&-"], **options)
         else:
             end = _without_reader() if stdout == "reader gone" else os.open("/dev/full", os.O_WRONLY)
             try:
-                done = subprocess.run(command, stdout=end, **options)
+                process = (subprocess.Popen if cold else Warm)(
+                    command if cold else words.split(), stdout=end, **options
+                )
             finally:
                 os.close(end)
-        assert "Traceback" not in done.stderr, done.stderr
-        assert "Exception" not in done.stderr, done.stderr
-        return done.returncode, done.stderr
+        err = process.communicate(timeout=300)[1]
+        assert "Traceback" not in err, err
+        assert "Exception" not in err, err
+        return process.returncode, err
 
     return run
 
@@ -114,6 +116,6 @@ def test_a_full_disk_is_an_error_and_hides_none(call, name):
 
 @pytest.mark.parametrize("words", ["--help", "run --help", "--version"])
 def test_what_is_printed_in_front_of_a_verb_has_the_same_ends(call, words):
-    assert call(words, "reader gone")[0] == 0
+    assert call(words, "reader gone", cold=True)[0] == 0
     if Path("/dev/full").exists():
-        assert call(words, "full") == (2, "coulombus: [Errno 28] No space left on device\n")
+        assert call(words, "full", cold=True) == (2, "coulombus: [Errno 28] No space left on device\n")
