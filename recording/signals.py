@@ -40,7 +40,19 @@ from coulombus.rigs.rig import Rig, RigError, load_rig, load_rig_text
 from coulombus.rigs.signals import RigPdo, Signal
 from coulombus.wire.frame import Records
 
-__all__ = ["Blocks", "PdoTable", "Recording", "Series", "Source", "blocks", "decode_field", "read", "series"]
+__all__ = [
+    "Blocks",
+    "PdoTable",
+    "Recording",
+    "Series",
+    "Source",
+    "UnknownSignal",
+    "blocks",
+    "captures",
+    "decode_field",
+    "read",
+    "series",
+]
 
 Array: TypeAlias = npt.NDArray[Any]
 Floats: TypeAlias = npt.NDArray[np.float64]
@@ -49,6 +61,15 @@ Integers: TypeAlias = npt.NDArray[np.int64]
 RIG = "rig.toml"
 UNSURE = "unsure "  # begins the names of positions with gaps in which they may have wrapped unseen
 HOST = "host."  # begins the names of what only the host's replay reads: many, and no text
+
+
+class UnknownSignal(KeyError):
+    """A recording has no signal of this name; the text names the nearest ones."""
+
+    exit_status = 2
+
+    def __str__(self) -> str:
+        return str(self.args[0])
 
 
 @dataclass(frozen=True)
@@ -124,13 +145,13 @@ class Source:
         return any(signal.name == name for pdo in self.rig.pdos() for signal in pdo.signals)
 
     def signal(self, name: str) -> Signal:
-        """Return what the rig says of a signal: object, scale, offset, unit; KeyError names the
-        nearest ones.
+        """Return what the rig says of a signal: object, scale, offset, unit; `UnknownSignal` names
+        the nearest ones.
         """
         signals = {signal.name: signal for pdo in self.rig.pdos() for signal in pdo.signals}
         if name not in signals:
             near = difflib.get_close_matches(name, signals, 3, 0.4) or list(signals)
-            raise KeyError(f"no signal {name!r} in {self.path}; there is {', '.join(near)}")
+            raise UnknownSignal(f"no signal {name!r} in {self.path}; there is {', '.join(near)}")
         return signals[name]
 
     def scale(self, name: str) -> float:
@@ -249,7 +270,7 @@ class Blocks(Source):
 
     def __iter__(self) -> Iterator[Recording]:
         epoch_ns, left_out, warnings, turns = None, Counter[str](), list[str](), dict[str, Turns]()
-        for capture in _captures(self.path):
+        for capture in captures(self.path):
             if epoch_ns is None and len(capture.frames):
                 epoch_ns = _epoch_ns(capture.frames)
             block = decode(capture, self.rig, epoch_ns, turns)
@@ -314,7 +335,7 @@ def read(path: str | Path, rig: Rig | str | None = None) -> Recording:
     coulombus.recording.pcapng_blocks.PcapngError, coulombus.recording.log_files.LogError
         The file is damaged, or is of another kind.
     """
-    capture = next(_captures(path)) if is_log(path) else read_pcapng(path)
+    capture = next(captures(path)) if is_log(path) else read_pcapng(path)
     return decode(capture, _attached_rig((capture,)) if rig is None else _rig(rig))
 
 
@@ -328,10 +349,10 @@ def blocks(path: str | Path, rig: Rig | str | None = None) -> Blocks:
     """
     if Path(path).exists() and not Path(path).is_file() and not Path(path).is_dir():
         raise LogError(f"{path}: it is no file, and a recording is read more than once; save it to a file first")
-    return Blocks(str(path), _attached_rig(_captures(path)) if rig is None else _rig(rig))
+    return Blocks(str(path), _attached_rig(captures(path)) if rig is None else _rig(rig))
 
 
-def _captures(path: str | Path) -> Iterator[Capture]:
+def captures(path: str | Path) -> Iterator[Capture]:
     """Yield a pcapng file's stretches; a log of another tool is one."""
     if is_log(path):
         frames, remarks = read_log(path)

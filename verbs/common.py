@@ -52,6 +52,7 @@ __all__ = [
     "printed",
     "progress",
     "record_option",
+    "recording_argument",
     "remark",
     "rig_option",
     "say",
@@ -59,6 +60,7 @@ __all__ = [
     "seconds_option",
     "seed_option",
     "set_option",
+    "signals_option",
     "table_console",
     "verdict",
 ]
@@ -389,6 +391,15 @@ seconds_option = click.option(
 record_option = click.option(
     "--record", type=OutputFile(".pcapng"), metavar="F.pcapng", help="Record every frame there, in a new file."
 )
+recording_argument = click.argument("file", type=click.Path(exists=True, path_type=Path))
+signals_option = click.option(
+    "--signals",
+    "signals",
+    multiple=True,
+    callback=lambda ctx, param, texts: _listed(texts),
+    metavar="A,B",
+    help="Only these signals, by their names.  [default: all]",
+)
 force_option = click.option(
     "--force", "overwrite", is_flag=True, is_eager=True, help="Replace files that exist; else they are refused."
 )
@@ -446,6 +457,11 @@ def table_console(width: int) -> Console:
 
     console = Console()
     return console if console.is_terminal else Console(width=width)
+
+
+def _listed(texts: tuple[str, ...]) -> tuple[str, ...] | None:
+    """Return the names of one option or several, None where there is none."""
+    return tuple(name.strip() for text in texts for name in text.split(",") if name.strip()) or None
 
 
 @contextmanager

@@ -15,6 +15,7 @@ from coulombus.verbs.common import EXIT_STATUS, Verbs
 from coulombus.verbs.conformance import conformance
 from coulombus.verbs.doctor import doctor
 from coulombus.verbs.eds_verb import eds
+from coulombus.verbs.export import export_command
 from coulombus.verbs.init import init
 from coulombus.verbs.look import dbc, decode, watch
 from coulombus.verbs.lss import lss
@@ -35,6 +36,7 @@ __all__ = ["main"]
 VERBS = (
     *(demo, simulate_command, sim, node_command),
     *(run_command, status, stop, watch, decode, dbc, replay, bridge),
+    *(export_command,),
     *(scan, lss, sdo, nmt),
     *(init, doctor, systemd, check, measure, plan_command, commission),
     *(eds, conformance, analyse, identify_command),

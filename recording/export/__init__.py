@@ -1,0 +1,1 @@
+"""What other programs read, made of a recording: tables of its signals, logs of its frames."""

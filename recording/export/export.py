@@ -1,0 +1,180 @@
+"""``coulombus export``: a recording as other programs read it.
+
+A recording is gone through once, some seconds at a time, so the memory does not grow with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from coulombus.recording.clock import CLOCK, META, attached_object
+from coulombus.recording.export.arrow import ParquetWriter
+from coulombus.recording.export.hdf import Hdf5Writer
+from coulombus.recording.export.logs import AscWriter, BlfWriter, CandumpWriter
+from coulombus.recording.export.matlab import MatWriter
+from coulombus.recording.export.mcap import McapWriter
+from coulombus.recording.export.mdf import Mf4Writer
+from coulombus.recording.export.missing import ExportError
+from coulombus.recording.export.samples import groups_of, stretches
+from coulombus.recording.export.text_table import CsvWriter
+from coulombus.recording.output_file import new_file
+from coulombus.recording.signals import blocks, captures
+from coulombus.rigs.rig import Rig
+
+__all__ = ["FRAMES", "KINDS", "SIGNALS", "Exported", "export"]
+
+
+SIGNALS: Mapping[str, tuple[str, Any]] = MappingProxyType(
+    {
+        "csv": (".csv", CsvWriter),
+        "parquet": (".parquet", ParquetWriter),
+        "mf4": (".mf4", Mf4Writer),
+        "mcap": (".mcap", McapWriter),
+        "hdf5": (".h5", Hdf5Writer),
+        "mat": (".mat", MatWriter),
+    }
+)
+"""Kinds that hold signals -> the file's ending, the writer."""
+FRAMES: Mapping[str, tuple[str, Any]] = MappingProxyType(
+    {"candump": (".log", CandumpWriter), "asc": (".asc", AscWriter), "blf": (".blf", BlfWriter)}
+)
+"""Kinds that hold whole frames."""
+KINDS: Mapping[str, str] = MappingProxyType({kind: suffix for kind, (suffix, _) in {**SIGNALS, **FRAMES}.items()})
+"""All kinds -> the file's ending."""
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What came of an export."""
+
+    path: Path
+    kind: str
+    until_s: float
+    """Time of the last frame [s]."""
+    rows: int
+    """Of all groups; frames, where whole frames were written."""
+    signals: tuple[str, ...]
+    remarks: tuple[str, ...]
+    """Sentences on what was left out."""
+
+
+def export(
+    path: str | Path,
+    out: str | Path,
+    kind: str,
+    *,
+    signals: Sequence[str] | None = None,
+    grid_ns: int | None = None,
+    rig: Rig | str | None = None,
+    force: bool = False,
+    progress: Callable[[float], None] = lambda t_s: None,
+) -> Exported:
+    """Write a recording as `kind`, whole or not at all.
+
+    Parameters
+    ----------
+    path
+        The recording, as `coulombus.recording.signals.read` takes it.
+    out
+        The file to write.
+    kind
+        One of `KINDS`.
+    signals
+        Only these; None: all.
+    grid_ns
+        A row at each multiple of so many ns, with the last value that had come by then. None: a row
+        for each frame of a PDO, as it came.
+    rig
+        Decode with this rig and not with the attached one.
+    force
+        Replace `out` if it exists.
+    progress
+        Called with the time that is reached [s].
+
+    Raises
+    ------
+    ExportError
+        There is no frame, a library is not installed, or `kind` holds whole frames and `signals` or
+        a grid is given.
+    coulombus.recording.signals.UnknownSignal
+        A signal that the recording does not have.
+    OSError
+        The file cannot be written.
+    """
+    if kind not in KINDS:
+        raise ExportError(f"{kind!r}: expected one of {', '.join(KINDS)}")
+    if isinstance(signals, str):
+        raise ExportError(f"signals is {signals!r}: expected a list of names, as in signals=[{signals!r}]")
+    if kind in FRAMES:
+        if signals is not None or grid_ns is not None:
+            raise ExportError(f"{kind} holds whole frames: leave the signals and the grid out")
+        return _frames(Path(path), Path(out), kind, force=force, progress=progress)
+    source = blocks(path, rig)
+    groups = groups_of(source, signals, grid_ns)
+    about = _about(path)
+    if grid_ns is not None:
+        about["grid"] = f"{grid_ns / 1e9:g} s, values held"
+    until, rows = 0.0, 0
+    with new_file(Path(out), force=force) as place, _whole(SIGNALS[kind][1](place, groups, about)) as writer:
+        for stretch in stretches(source, groups, grid_ns):
+            writer.add(stretch)
+            rows += sum(len(part.order) for part in stretch.rows)
+            until = max(until, stretch.until_s)
+            progress(until)
+    names = tuple(column.name for group in groups for column in group.columns)
+    return Exported(Path(out), kind, until, rows, names, source.remarks)
+
+
+@contextmanager
+def _whole(writer: Any) -> Iterator[Any]:
+    """Close a writer at the end; abandon it on the way."""
+    try:
+        yield writer
+        writer.close()
+    except BaseException:
+        getattr(writer, "abandon", lambda: None)()
+        raise
+
+
+def _about(path: str | Path) -> dict[str, str]:
+    """Return what is said of the recording; `ExportError` where there is no frame in it."""
+    attachments: dict[str, bytes] = {}
+    for capture in captures(path):
+        attachments |= capture.attachments
+        if len(capture.frames):
+            break
+    else:
+        raise ExportError(f"{path}: there is no frame in it: nothing was recorded, and nothing can be exported")
+    about = {"recording": Path(path).name}
+    if "mode" in attachments:
+        about["mode"] = attachments["mode"].decode(errors="replace")
+    clock = attached_object(attachments.get(CLOCK))
+    about |= {key: str(clock[key]) for key in ("start_utc", "start_ns") if key in clock}
+    about |= {f"meta {key}": str(value) for key, value in attached_object(attachments.get(META)).items()}
+    return {key: " ".join(text.splitlines()) for key, text in about.items()}
+
+
+def _frames(path: Path, out: Path, kind: str, *, force: bool, progress: Callable[[float], None]) -> Exported:
+    """Write whole frames; stamps are the clock's, where the recording knows it."""
+    about = _about(path)
+    start_ns, count, until, first = int(about.get("start_ns", 0)), 0, 0.0, 0
+    torn = 0
+    warnings: list[str] = []
+    with new_file(out, force=force) as place, _whole(FRAMES[kind][1](place, start_ns)) as writer:
+        for capture in captures(path):
+            torn, warnings = torn + capture.torn, [*warnings, *capture.warnings]
+            if not len(capture.frames):
+                continue
+            first = first if count else int(capture.frames["t_ns"][0])
+            writer.add(capture.frames)
+            count += len(capture.frames)
+            until = (int(capture.frames["t_ns"][-1]) - first) / 1e9
+            progress(until)
+    if torn:
+        warnings.append(f"{path}: the last block is unfinished: {torn} bytes were left out")
+    return Exported(out, kind, until, count, (), tuple(warnings))

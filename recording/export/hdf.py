@@ -1,0 +1,110 @@
+"""HDF5: a group for each signal, with the datasets ``t_s`` and ``values``; ``values`` has the
+attribute ``unit``. Signals of one PDO share their ``t_s``. ``/markers`` has ``t_s`` and ``text``.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from coulombus.recording.export.missing import library
+from coulombus.recording.export.samples import GRID, Group, Stretch
+
+__all__ = ["Hdf5Writer"]
+
+CHUNK = 1 << 14
+
+
+class _Place(io.FileIO):
+    """A file that remembers why it could not be written, and tells HDF5 nothing of it: the library
+    does not outlive a disk that is full.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path, "w+")
+        self.failure: OSError | None = None
+
+    def write(self, data: Any) -> int:
+        """Write all of it."""
+        rest = memoryview(data)
+        try:
+            while self.failure is None and rest:
+                rest = rest[super().write(rest) :]
+        except OSError as error:
+            self.failure = error
+        return len(data)
+
+    def truncate(self, size: int | None = None) -> int:
+        """Change the file's length."""
+        try:
+            return super().truncate(size)
+        except OSError as error:
+            self.failure = self.failure or error
+            return size or 0
+
+    def check(self) -> None:
+        """Raise what went wrong."""
+        if self.failure is not None:
+            raise self.failure
+
+
+class Hdf5Writer:
+    """Writes the rows of `groups`."""
+
+    def __init__(self, path: Path, groups: tuple[Group, ...], about: Mapping[str, str]) -> None:
+        h5py = library("h5py", "hdf5")
+        self._h5py = h5py
+        self._place = _Place(path)
+        self._file = h5py.File(self._place, "w")
+        self._file.attrs.update(dict(about))
+        self._times, self._values = [], []
+        self._markers: list[tuple[float, str]] = []
+        for group in groups:
+            own = [self._file.create_group(column.name) for column in group.columns]
+            times = self._dataset(own[0], "t_s", "f8", "s")
+            for one in own[1:]:
+                one["t_s"] = times
+            word = "f8" if len(groups) == 1 and group.name == GRID else "i8"
+            self._times.append(times)
+            self._values.append(
+                [
+                    self._dataset(one, "values", word if column.word else "f8", column.unit)
+                    for one, column in zip(own, group.columns, strict=True)
+                ]
+            )
+
+    @staticmethod
+    def _dataset(group: Any, name: str, kind: str, unit: str) -> Any:
+        made = group.create_dataset(name, (0,), kind, maxshape=(None,), chunks=(CHUNK,), compression=1, shuffle=True)
+        made.attrs["unit"] = unit
+        return made
+
+    def add(self, stretch: Stretch) -> None:
+        """Append a stretch."""
+        self._markers += [(t_s, text) for _, t_s, text in stretch.markers]
+        for times, values, rows in zip(self._times, self._values, stretch.rows, strict=True):
+            for dataset, part in zip((times, *values), (rows.t_s, *rows.values), strict=True):
+                end = dataset.shape[0]
+                dataset.resize((end + len(part),))
+                dataset[end:] = part
+                self._place.check()
+
+    def close(self) -> None:
+        """Write the markers and the file's end."""
+        group = self._file.create_group("markers")
+        group["t_s"] = np.array([t_s for t_s, _ in self._markers], float)
+        group.create_dataset("text", data=[text for _, text in self._markers], dtype=self._h5py.string_dtype())
+        self._file.close()
+        self._place.close()
+        self._place.check()
+
+    def abandon(self) -> None:
+        """Let go of a file that will not be whole."""
+        with suppress(OSError, RuntimeError, ValueError):
+            self._file.close()
+        self._place.close()

@@ -1,0 +1,236 @@
+"""Logs of frames as other programs read them: candump's, Vector's .asc and .blf.
+
+Lines are made as columns of characters, of some thousand frames at a time.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from coulombus.recording.export.samples import Array, Integers
+from coulombus.recording.log_files import WALL_CLOCK_NS
+from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, Records
+
+__all__ = ["AscWriter", "BlfWriter", "CandumpWriter"]
+
+HEX = np.frombuffer(b"0123456789ABCDEF", np.uint8)
+STANDARD, EXTENDED = 0x7FF, 0x1FFF_FFFF
+CONTAINER = 128 << 10
+
+
+class _Lines:
+    """Characters of many lines, column by column; those that a line does not have are left out."""
+
+    def __init__(self, count: int) -> None:
+        self._count = count
+        self._columns: list[Array] = []
+        self._kept: list[Array] = []
+
+    def text(self, text: str, kept: Any = True) -> None:
+        """Add the same text to the lines that are `kept`."""
+        for character in text.encode():
+            self._one(np.full(self._count, character, np.uint8), kept)
+
+    def decimal(self, values: Integers, digits: int, least: int = 1) -> None:
+        """Add numbers, of `least` digits or more."""
+        for place in range(digits - 1, -1, -1):
+            rest = values // 10**place
+            self._one((rest % 10 + ord("0")).astype(np.uint8), (rest > 0) | (place < least))
+
+    def hexadecimal(self, values: Integers, digits: int, kept: Any = True) -> None:
+        """Add numbers of so many digits."""
+        for place in range(digits - 1, -1, -1):
+            self._one(HEX[values >> 4 * place & 15], kept)
+
+    def padded(self, values: Integers, width: int) -> None:
+        """Add hexadecimal numbers without leading zeros, one digit at least."""
+        for place in range(width - 1, -1, -1):
+            self._one(HEX[values >> 4 * place & 15], (values >> 4 * place > 0) | (place == 0))
+
+    def _one(self, column: Array, kept: Any) -> None:
+        self._columns.append(column)
+        self._kept.append(np.broadcast_to(np.asarray(kept, bool), self._count))
+
+    def bytes(self) -> bytes:
+        """Return the lines."""
+        kept: Array = np.stack(self._columns, 1)[np.stack(self._kept, 1)]
+        return kept.tobytes()
+
+
+def _byte(frames: Records, k: int) -> Integers:
+    found: Integers = frames["word"] >> 8 * k & 0xFF
+    return found
+
+
+class CandumpWriter:
+    """``candump -L``: ``(1436509052.249713) can0 123#DEADBEEF``.
+
+    Nothing stands behind the data, where some programs write a letter for the direction: tshark
+    would take it for data. Stamps are cut to microseconds.
+    """
+
+    def __init__(self, path: Path, start_ns: int) -> None:
+        self._file, self._start_ns = path.open("wb"), start_ns
+
+    def add(self, frames: Records) -> None:
+        """Write frames."""
+        can_id, length = frames["can_id"], frames["length"]
+        error, remote = can_id & CAN_ERR_FLAG != 0, can_id & CAN_RTR_FLAG != 0
+        long = (can_id & CAN_EFF_FLAG != 0) | error
+        t_us = (frames["t_ns"] + self._start_ns) // 1000
+        lines = _Lines(len(frames))
+        lines.text("(")
+        lines.decimal(t_us // 10**6, 12, 10)
+        lines.text(".")
+        lines.decimal(t_us % 10**6, 6, 6)
+        lines.text(") can")
+        lines.decimal(frames["source"].astype(np.int64), 5)
+        lines.text(" ")
+        shown = np.where(error, can_id & (EXTENDED | CAN_ERR_FLAG), can_id & EXTENDED)
+        lines.hexadecimal(shown, 8, long)
+        lines.hexadecimal(can_id & STANDARD, 3, ~long)
+        lines.text("#")
+        lines.text("R", remote)
+        lines.hexadecimal(length, 1, remote & (length > 0))
+        for k in range(8):
+            lines.hexadecimal(_byte(frames, k), 2, ~remote & (k < length))
+        lines.text("\n")
+        self._file.write(lines.bytes())
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
+class AscWriter:
+    """Vector's .asc: times from the first frame, in microseconds; identifiers in hexadecimal."""
+
+    def __init__(self, path: Path, start_ns: int) -> None:
+        self._file, self._start_ns = path.open("wb"), start_ns
+        self._first_ns: int | None = None
+
+    def add(self, frames: Records) -> None:
+        """Write frames."""
+        if self._first_ns is None:
+            self._first_ns = int(frames["t_ns"][0])
+            begin = datetime.fromtimestamp((self._start_ns + self._first_ns) // 10**6 / 1e3, UTC)
+            date = f"{begin:%a %b %d %H:%M:%S}.{begin.microsecond // 1000:03d} {begin:%Y}"
+            head = f"date {date}\nbase hex  timestamps absolute\ninternal events logged\n"
+            self._file.write(f"{head}Begin Triggerblock {date}\n   0.000000 Start of measurement\n".encode())
+        can_id, length = frames["can_id"], frames["length"]
+        error, remote = can_id & CAN_ERR_FLAG != 0, can_id & CAN_RTR_FLAG != 0
+        t_us = np.maximum(frames["t_ns"] - self._first_ns, 0) // 1000
+        extended = can_id & CAN_EFF_FLAG != 0
+        lines = _Lines(len(frames))
+        lines.text("   ")
+        lines.decimal(t_us // 10**6, 10)
+        lines.text(".")
+        lines.decimal(t_us % 10**6, 6, 6)
+        lines.text(" ")
+        lines.decimal(frames["source"] + 1, 5)
+        lines.text("  ErrorFrame", error)
+        lines.text("  ", ~error)
+        lines.hexadecimal(can_id & EXTENDED, 8, extended & ~error)
+        lines.hexadecimal(can_id & STANDARD, 3, ~extended & ~error)
+        lines.text("x", extended & ~error)
+        lines.text("             Rx   ", ~error)
+        lines.text("d ", ~remote & ~error)
+        lines.text("r ", remote & ~error)
+        lines.hexadecimal(length, 1, ~error)
+        for k in range(8):
+            there = ~remote & ~error & (k < length)
+            lines.text(" ", there)
+            lines.hexadecimal(_byte(frames, k), 2, there)
+        lines.text("\n")
+        self._file.write(lines.bytes())
+
+    def close(self) -> None:
+        """Write the file's end."""
+        self._file.write(b"End TriggerBlock\n")
+        self._file.close()
+
+
+_BASE = [("signature", "S4"), ("header", "<u2"), ("version", "<u2"), ("size", "<u4"), ("kind", "<u4")]
+_STAMP = [("unit", "<u4"), ("client", "<u2"), ("object", "<u2"), ("t_ns", "<u8")]
+MESSAGE = np.dtype(
+    [*_BASE, *_STAMP, ("channel", "<u2"), ("flags", "u1"), ("dlc", "u1"), ("can_id", "<u4"), ("data", "<i8")]
+)
+_ERROR = [("channel", "<u2"), ("length", "<u2"), ("flags", "<u4"), ("ecc", "u1"), ("position", "u1"), ("dlc", "<u2")]
+_ERROR += [("bits", "<u4"), ("can_id", "<u4"), ("more", "<u4"), ("data", "<i8")]
+ERROR = np.dtype([*_BASE, *_STAMP, *_ERROR])
+CAN_MESSAGE, LOG_CONTAINER, CAN_ERROR_EXT = 1, 10, 73
+FILE_HEADER = struct.Struct("<4sLBBBBBBBBQQLL8H8H72x")
+NANOSECONDS, ZLIB, REMOTE, EXTENDED_BLF = 2, 2, 0x80, 1 << 31
+
+
+class BlfWriter:
+    """Vector's .blf: objects of CAN messages in compressed containers, stamps in nanoseconds from
+    the file's start.
+    """
+
+    def __init__(self, path: Path, start_ns: int) -> None:
+        self._file, self._start_ns = path.open("wb"), start_ns
+        self._first_ns: int | None = None
+        self._last_ns = 0
+        self._objects, self._bytes = 0, FILE_HEADER.size
+        self._file.write(bytes(FILE_HEADER.size))
+
+    def add(self, frames: Records) -> None:
+        """Write frames."""
+        if self._first_ns is None:  # the header tells a clock's in whole milliseconds
+            first_ns = int(frames["t_ns"][0] + self._start_ns) // 10**6 * 10**6
+            self._first_ns = first_ns if first_ns >= WALL_CLOCK_NS else 0
+        self._last_ns = int(frames["t_ns"][-1] + self._start_ns)
+        error = frames["can_id"] & CAN_ERR_FLAG != 0
+        edges = [0, *(np.flatnonzero(np.diff(error)) + 1).tolist(), len(frames)]
+        content = b"".join(self._some(frames[a:b], self._first_ns, bool(error[a])) for a, b in pairwise(edges) if a < b)
+        for at in range(0, len(content), CONTAINER):
+            self._container(content[at : at + CONTAINER])
+        self._objects += len(frames)
+
+    def _some(self, frames: Records, first_ns: int, error: bool) -> bytes:
+        made = np.zeros(len(frames), ERROR if error else MESSAGE)
+        made["signature"], made["header"], made["version"] = b"LOBJ", 32, 1
+        made["size"], made["kind"] = made.itemsize, CAN_ERROR_EXT if error else CAN_MESSAGE
+        made["unit"] = NANOSECONDS
+        made["t_ns"] = np.maximum(frames["t_ns"] + self._start_ns - first_ns, 0)
+        made["channel"], made["dlc"], made["data"] = frames["source"] + 1, frames["length"], frames["word"]
+        can_id = frames["can_id"]
+        made["can_id"] = (can_id & EXTENDED) | np.where(can_id & CAN_EFF_FLAG, EXTENDED_BLF, 0)
+        if not error:
+            made["flags"] = np.where(can_id & CAN_RTR_FLAG, REMOTE, 0)
+        return made.tobytes()
+
+    def _container(self, content: bytes) -> None:
+        packed = zlib.compress(content, 1)
+        size = 32 + len(packed)
+        head = struct.pack("<4sHHLL", b"LOBJ", 16, 1, size, LOG_CONTAINER)
+        self._file.write(head + struct.pack("<H6xL4x", ZLIB, len(content)) + packed + bytes(size % 4))
+        self._bytes += 32 + len(content)
+
+    def close(self) -> None:
+        """Write the header, which tells the file's length."""
+        size = self._file.tell()
+        self._file.seek(0)
+        times = (*_system_time(self._first_ns or 0), *_system_time(self._last_ns))
+        told = (b"LOGG", FILE_HEADER.size, 5, 0, 0, 0, 2, 6, 8, 1, size, self._bytes, self._objects, 0)
+        self._file.write(FILE_HEADER.pack(*told, *times))
+        self._file.close()
+
+
+def _system_time(t_ns: int) -> Sequence[int]:
+    """Return Windows' SYSTEMTIME of a clock's stamp; zeros of one that counts from the run's
+    start.
+    """
+    if t_ns < WALL_CLOCK_NS:
+        return (0,) * 8
+    t = datetime.fromtimestamp(t_ns // 10**9, UTC)
+    return (t.year, t.month, t.isoweekday() % 7, t.day, t.hour, t.minute, t.second, t_ns // 10**6 % 1000)

@@ -1,0 +1,74 @@
+"""Comma-separated values: a row for each frame of a PDO, or for each instant of a grid.
+
+Comment lines begin with ``#``: what the recording is, the signals' units, and the markers, each
+before the row that it marks. Numbers have as many digits as tell them exactly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from coulombus.recording.export.samples import Array, Column, Group, Stretch
+
+__all__ = ["CsvWriter", "texts_of"]
+
+
+def texts_of(values: Array, word: bool, absent: str = "") -> list[str]:
+    """Return numbers as texts; NaN is `absent`.
+
+    A signal takes few values, so each is written once.
+    """
+    found, inverse = np.unique(values, return_inverse=True)
+    texts = [absent if v != v else str(int(v)) if word else repr(v) for v in found.tolist()]
+    return np.array(texts, object)[inverse].tolist()  # type: ignore[no-any-return]
+
+
+class CsvWriter:
+    """Writes the rows of `groups`; `about` is told in the comments."""
+
+    def __init__(self, path: Path, groups: tuple[Group, ...], about: Mapping[str, str]) -> None:
+        self._file = path.open("w", encoding="utf-8", newline="\n")
+        self._groups = groups
+        columns = [column for group in groups for column in group.columns]
+        self._templates = [_template(group, columns) for group in groups]
+        head = [f"# {key}: {text}" for key, text in about.items()]
+        head += [f"# unit of {column.name}: {column.unit or '1, a word of bits'}" for column in columns]
+        self._file.write("\n".join([*head, ",".join(["t_s", *(column.name for column in columns)])]) + "\n")
+
+    def add(self, stretch: Stretch) -> None:
+        """Write a stretch."""
+        lines: list[str] = []
+        places: list[Array] = []
+        for group, template, rows in zip(self._groups, self._templates, stretch.rows, strict=True):
+            texts = [texts_of(v, c.word) for c, v in zip(group.columns, rows.values, strict=True)]
+            lines += [template % row for row in zip(map(repr, rows.t_s.tolist()), *texts, strict=True)]
+            places.append(rows.order)
+        if stretch.markers:
+            lines += [f"# {t_s!r} {text}\n" for _, t_s, text in stretch.markers]
+            places.append(np.array([row for row, _, _ in stretch.markers]) - 0.5)
+        if lines:
+            order = np.argsort(np.concatenate(places), kind="stable")
+            self._file.write("".join([lines[k] for k in order.tolist()]))
+
+    def close(self) -> None:
+        """Close the file, whole."""
+        self._file.close()
+
+    def abandon(self) -> None:
+        """Let go of a file that will not be whole."""
+        _close_anyhow(self._file)
+
+
+def _close_anyhow(file: Any) -> None:
+    """Close a file whose last bytes may find no room."""
+    with suppress(OSError):
+        file.close()
+
+
+def _template(group: Group, columns: list[Column]) -> str:
+    return ",".join(["%s", *("%s" if column in group.columns else "" for column in columns)]) + "\n"

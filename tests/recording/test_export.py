@@ -1,0 +1,324 @@
+"""Exports, each read back with another library and held against `read`."""
+
+import json
+import resource
+import shutil
+import struct
+import subprocess
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+
+from coulombus.recording.export.export import FRAMES, KINDS, SIGNALS, export
+from coulombus.recording.export.missing import ExportError
+from coulombus.recording.pcapng_writer import PcapngWriter
+from coulombus.recording.signals import Recording, UnknownSignal, read
+from coulombus.rigs.rig import load_rig
+from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, FRAME, data_word
+
+MS = 1_000_000
+CYCLES = 400
+LIBRARIES = {"parquet": "pyarrow", "mf4": "asammdf", "mcap": "zstandard", "hdf5": "h5py"}
+STRANGE = [
+    (0x18FF_1234 | CAN_EFF_FLAG, 3, b"\x01\x02\x03"),
+    (0x123 | CAN_RTR_FLAG, 4, b""),
+    (0x7FF, 0, b""),
+    (0x004 | CAN_ERR_FLAG, 8, b"\x00\x04\x00\x00\x00\x00\x60\x00"),
+]
+
+
+def frames_of(cycles: int) -> tuple[np.ndarray, dict[int, str]]:
+    """Return cycles of the bench rig, with strange frames in their midst, and markers."""
+    rows: list[tuple[int, int, int, bytes]] = []
+    for k in range(cycles):
+        t = (k + 3) * MS
+        rows += [
+            (t, 0x080, 0, b""),
+            (t + 100_001, 0x201, 4, struct.pack("<Hh", 0x000F, k % 50 - 7)),
+            (t + 200_007, 0x202, 2, struct.pack("<h", 3 * k)),
+            (t + 300_000, 0x181, 8, struct.pack("<Hih", 0x0237 + k % 2, -100 * k, 77)),
+            (t + 400_000, 0x182, 6, struct.pack("<hhh", -k, 640, 221)),
+        ]
+        if k == cycles // 2:
+            rows += [(t + 500_000 + j, *strange) for j, strange in enumerate(STRANGE)]
+    frames = np.zeros(len(rows), FRAME)
+    for record, (t_ns, can_id, length, data) in zip(frames, rows, strict=True):
+        record["t_ns"], record["can_id"], record["length"], record["word"] = t_ns, can_id, length, data_word(data)
+    return frames, {3: "run hybrid", 11: "phase hold\nsaid by hand"}
+
+
+def record(path: Path, cycles: int = CYCLES, start_ns: int = 0) -> Path:
+    rig = load_rig("bench")
+    attachments = {"rig.toml": rig.effective().encode(), "mode": b"hybrid"}
+    attachments |= {name: text.encode() for name, text in rig.eds_texts.items()}
+    if start_ns:
+        clock = {"start_utc": "2026-11-22T20:04:12.000000Z", "start_ns": start_ns}
+        attachments |= {"clock.json": json.dumps(clock).encode(), "meta.json": b'{"subject": "S01"}'}
+    with PcapngWriter(path, attachments=attachments) as writer:
+        if cycles:
+            writer.write(*frames_of(cycles))
+    return path
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory) -> Path:
+    return record(tmp_path_factory.mktemp("export") / "run.pcapng")
+
+
+@pytest.fixture(scope="module")
+def recording(source: Path) -> Recording:
+    return read(source)
+
+
+def exported(source: Path, out: Path, kind: str, **options) -> Path:
+    if kind in LIBRARIES:
+        pytest.importorskip(LIBRARIES[kind], reason=f"{kind} needs the extra 'export'")
+    return export(source, out / f"run{KINDS[kind]}", kind, **options).path
+
+
+def held(recording: Recording, name: str, instants_s: np.ndarray) -> np.ndarray:
+    """Return the last value at each instant, worked out one by one."""
+    series = recording[name]
+    past = [np.flatnonzero(series.t_s <= t) for t in instants_s]
+    return np.array([series.values[rows[-1]] if len(rows) else np.nan for rows in past], float)
+
+
+def read_csv(path: Path):
+    pandas = pytest.importorskip("pandas", reason="read back with pandas")
+    table = pandas.read_csv(path, comment="#")
+    assert next(iter(table.columns)) == "t_s"
+    units = dict(
+        line[len("# unit of ") :].rsplit(": ", 1) for line in path.read_text().splitlines() if "# unit" in line
+    )
+    columns = {name: table[["t_s", name]].dropna() for name in table.columns[1:]}
+    return {n: (c["t_s"], c[n], units[n].replace("1, a word of bits", "")) for n, c in columns.items()}
+
+
+def read_parquet(path: Path):
+    table = pytest.importorskip("pyarrow.parquet").read_table(path)
+    found = {}
+    for field in list(table.schema)[1:]:
+        there = table.column(field.name).is_valid()
+        t_s, values = (table.column(name).filter(there).to_numpy() for name in ("t_s", field.name))
+        found[field.name] = t_s, values, field.metadata[b"unit"].decode()
+    return found
+
+
+def read_mf4(path: Path):
+    with pytest.importorskip("asammdf").MDF(path) as mdf:
+        names = {c.name for group in mdf.groups for c in group.channels} - {"t_s", "markers"}
+        assert all(group.channels[0].name == "t_s" for group in mdf.groups)
+        return {name: (mdf.get(name).timestamps, mdf.get(name).samples, mdf.get(name).unit) for name in names}
+
+
+def read_hdf5(path: Path):
+    with pytest.importorskip("h5py").File(path) as file:
+        names = set(file) - {"markers"}
+        return {n: (file[n]["t_s"][:], file[n]["values"][:], file[n]["values"].attrs["unit"]) for n in names}
+
+
+def read_mat(path: Path):
+    from scipy.io import loadmat
+
+    content = loadmat(path, squeeze_me=True, struct_as_record=False)
+    structs = {name: s for name, s in content.items() if hasattr(s, "values")}
+    return {n.replace("_", ".", 1): (s.t_s, s.values, s.unit if len(s.unit) else "") for n, s in structs.items()}
+
+
+def read_mcap(path: Path):
+    make_reader = pytest.importorskip("mcap.reader").make_reader
+    rows: dict[str, list[tuple[float, float]]] = {}
+    with path.open("rb") as file:
+        reader = make_reader(file)
+        summary = reader.get_summary()
+        units = {name: unit for channel in summary.channels.values() for name, unit in channel.metadata.items()}
+        for _, channel, message in reader.iter_messages():
+            if channel.topic == "/markers":
+                continue
+            for node, signals in json.loads(message.data).items():
+                for key, value in signals.items():
+                    rows.setdefault(f"{node}.{key}", []).append((message.log_time / 1e9, value))
+    assert summary.statistics.message_count == sum(summary.statistics.channel_message_counts.values())
+    return {
+        name: (*np.array([(t, v) for t, v in pairs if v is not None]).T, units[name]) for name, pairs in rows.items()
+    }
+
+
+READERS = {
+    "csv": read_csv,
+    "parquet": read_parquet,
+    "mf4": read_mf4,
+    "hdf5": read_hdf5,
+    "mat": read_mat,
+    "mcap": read_mcap,
+}
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the libraries' own
+@pytest.mark.parametrize("kind", SIGNALS)
+def test_what_another_library_reads_is_what_read_has(source, recording, tmp_path, kind):
+    found = READERS[kind](exported(source, tmp_path, kind))
+    assert set(found) == set(recording.signals)
+    for name, (t_s, values, unit) in found.items():
+        assert np.array_equal(t_s, recording[name].t_s), name
+        assert np.array_equal(values, recording[name].values), name
+        assert unit == recording[name].unit
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+@pytest.mark.parametrize("kind", SIGNALS)
+def test_on_a_grid_each_instant_has_the_last_value(source, recording, tmp_path, kind):
+    names = ["brake.setpoint_Nm", "motor.statusword"]
+    found = READERS[kind](exported(source, tmp_path, kind, signals=names, grid_ns=500_000))
+    assert set(found) == set(names)
+    instants = np.arange(6, 806) * 0.0005  # from the first frame at 3 ms to the last one at 402.4 ms
+    for name, (t_s, values, _) in found.items():
+        expected = held(recording, name, instants)
+        there = np.isfinite(np.asarray(values, float))
+        assert np.allclose(np.asarray(t_s)[there], instants[np.isfinite(expected)][: there.sum()], rtol=0, atol=1e-12)
+        assert np.array_equal(np.asarray(values, float)[there], expected[np.isfinite(expected)][: there.sum()])
+        assert there.sum() == np.isfinite(expected).sum() - 1  # 402.5 ms is behind the last frame
+
+
+def test_the_columns_of_csv_and_their_empty_cells(source, recording, tmp_path):
+    lines = exported(source, tmp_path, "csv").read_text().splitlines()
+    head = next(k for k, line in enumerate(lines) if not line.startswith("#"))
+    assert lines[head].split(",") == ["t_s", *recording.signals]
+    torque, actual = (float(recording[f"motor.{name}_Nm"].values[0]) for name in ("target_torque", "torque"))
+    assert lines[head + 1 : head + 5] == [
+        f"0.003100001,15,{torque!r},,,,,,,",
+        "0.003200007,,,,,,0.0,,,",
+        "# 0.0033 run hybrid",
+        f"0.0033,,,567,0.0,{actual!r},,,,",
+    ]
+    assert "# 0.005100001 phase hold" in lines
+    assert "# 0.005100001 said by hand" in lines
+
+
+def test_markers_are_in_every_kind_of_table(source, tmp_path):
+    texts = ["run hybrid", "phase hold", "said by hand"]
+    markers = [(0.0033, texts[0]), (0.005100001, texts[1]), (0.005100001, texts[2])]
+    path = exported(source, tmp_path, "parquet")
+    metadata = pytest.importorskip("pyarrow.parquet").read_metadata(path).metadata
+    assert [tuple(marker) for marker in json.loads(metadata[b"markers"])] == markers
+    with pytest.importorskip("h5py").File(exported(source, tmp_path, "hdf5")) as file:
+        assert [text.decode() for text in file["markers/text"][:]] == texts
+    with pytest.importorskip("asammdf").MDF(exported(source, tmp_path, "mf4")) as mdf:
+        assert [text.rstrip(b"\0").decode() for text in mdf.get("markers").samples] == texts
+    with exported(source, tmp_path, "mcap").open("rb") as file:
+        found = pytest.importorskip("mcap.reader").make_reader(file).iter_messages(topics=["/markers"])
+        assert [json.loads(message.data)["text"] for _, _, message in found] == texts
+
+
+@pytest.mark.parametrize("kind", FRAMES)
+def test_python_can_reads_the_frames_of_a_log(source, recording, tmp_path, kind):
+    with can.LogReader(exported(source, tmp_path, kind)) as reader:
+        messages = list(reader)
+    frames = recording.frames
+    assert len(messages) == len(frames)
+    for message, frame in zip(messages, frames, strict=True):
+        can_id, length = int(frame["can_id"]), int(frame["length"])
+        if kind != "candump":  # of which python-can takes one class of errors for errors
+            assert message.is_error_frame == bool(can_id & CAN_ERR_FLAG)
+        assert message.timestamp == pytest.approx((frame["t_ns"] - (3 * MS if kind == "asc" else 0)) / 1e9, abs=1.1e-6)
+        if can_id & CAN_ERR_FLAG:
+            continue
+        assert (message.arbitration_id, message.dlc) == (can_id & 0x1FFFFFFF, length)
+        assert message.is_extended_id == bool(can_id & CAN_EFF_FLAG)
+        assert message.is_remote_frame == bool(can_id & CAN_RTR_FLAG)
+        if not message.is_remote_frame:
+            assert bytes(message.data) == int(frame["word"]).to_bytes(8, "little", signed=True)[:length]
+
+
+def test_lines_of_candump(source, tmp_path):
+    lines = exported(source, tmp_path, "candump").read_text().splitlines()
+    assert lines[:4] == [
+        "(0000000000.003000) can0 080#",
+        "(0000000000.003100) can0 201#0F00F9FF",
+        "(0000000000.003200) can0 202#0000",
+        "(0000000000.003300) can0 181#3702000000004D00",
+    ]
+    strange = [line.split(" ", 2)[2] for line in lines if line.startswith("(0000000000.2035")]
+    assert strange == ["18FF1234#010203", "123#R4", "7FF#", "20000004#0004000000006000"]
+
+
+@pytest.mark.skipif(shutil.which("tshark") is None, reason="no tshark")
+def test_tshark_reads_candump_logs(source, recording, tmp_path):
+    path = exported(source, tmp_path, "candump")
+    words = ["tshark", "-r", str(path), "-T", "fields", "-e", "can.id", "-e", "can.len"]
+    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    found = [line.split("\t")[:2] for line in done.stdout.splitlines()]
+    frames = [f for f in recording.frames if not int(f["can_id"]) & CAN_ERR_FLAG]
+    expected = [[str(int(f["can_id"]) & 0x1FFFFFFF), str(int(f["length"]))] for f in frames]
+    assert [row for row in found if row[0]] == expected
+
+
+def test_stamps_are_the_wall_clocks_where_the_recording_knows_it(tmp_path):
+    start_ns = 1_795_377_852 * 10**9
+    source = record(tmp_path / "real.pcapng", 3, start_ns)
+    assert exported(source, tmp_path, "candump").read_text().startswith("(1795377852.003000) can0 080#\n")
+    with can.LogReader(exported(source, tmp_path, "blf")) as reader:
+        assert next(iter(reader)).timestamp == pytest.approx(1_795_377_852.003, abs=1e-6)
+    text = exported(source, tmp_path, "csv").read_text()
+    assert "# start_utc: 2026-11-22T20:04:12.000000Z\n" in text
+    assert "# meta subject: S01\n" in text
+
+
+def test_a_torn_recording_is_exported_to_its_end_and_that_is_said(source, tmp_path):
+    torn = tmp_path / "torn.pcapng"
+    torn.write_bytes(source.read_bytes()[:-20])
+    for kind in ("csv", "candump"):
+        found = export(torn, tmp_path / kind, kind)
+        assert "the last block is unfinished" in found.remarks[0]
+    assert len((tmp_path / "candump").read_text().splitlines()) == 5 * CYCLES + len(STRANGE) - 1
+
+
+@pytest.mark.parametrize("kind", ["csv", "blf"])
+def test_nothing_recorded_is_an_error_and_leaves_no_file(tmp_path, kind):
+    with pytest.raises(ExportError, match="there is no frame in it"):
+        export(record(tmp_path / "empty.pcapng", 0), tmp_path / "out", kind)
+    assert [path.name for path in tmp_path.iterdir()] == ["empty.pcapng"]
+
+
+def test_an_unknown_signal_is_told_with_the_nearest(source, tmp_path):
+    with pytest.raises(UnknownSignal, match=r"no signal 'motor.positon_rad' .* there is motor.position_rad") as error:
+        export(source, tmp_path / "out.csv", "csv", signals=["motor.positon_rad"])
+    assert error.value.exit_status == 2
+    assert not (tmp_path / "out.csv").exists()
+
+
+def test_a_text_where_names_are_meant_is_told(source, tmp_path):
+    with pytest.raises(ExportError, match=r"signals=\['motor.position_rad'\]"):
+        export(source, tmp_path / "out.csv", "csv", signals="motor.position_rad")
+
+
+def test_an_existing_file_stays(source, tmp_path):
+    (tmp_path / "run.csv").write_text("mine")
+    with pytest.raises(FileExistsError):
+        exported(source, tmp_path, "csv")
+    assert (tmp_path / "run.csv").read_text() == "mine"
+    assert exported(source, tmp_path, "csv", force=True).read_text().startswith("# recording")
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_full_disk_leaves_no_file(source, tmp_path, kind):
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    if kind in LIBRARIES:
+        pytest.importorskip(LIBRARIES[kind])
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2000, limits[1]))
+    try:
+        with pytest.raises((OSError, ExportError)):
+            exported(source, tmp_path, kind)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_library_that_is_absent_is_named_with_its_extra(source, tmp_path, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
+    with pytest.raises(ExportError, match=r"parquet needs pyarrow.*coulombus\[export\]"):
+        export(source, tmp_path / "run.parquet", "parquet")
+    assert list(tmp_path.iterdir()) == []
