@@ -22,11 +22,12 @@ from __future__ import annotations
 
 import difflib
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from html import escape
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Self, TypeAlias
+from typing import TYPE_CHECKING, Any, Self, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -39,6 +40,11 @@ from coulombus.recording.turns import POSITION, Turns, fastest, follow
 from coulombus.rigs.rig import Rig, RigError, load_rig, load_rig_text
 from coulombus.rigs.signals import RigPdo, Signal
 from coulombus.wire.frame import Records
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+    from matplotlib.figure import Figure
 
 __all__ = [
     "Blocks",
@@ -159,7 +165,7 @@ class Source:
         return self.signal(name).scale
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Recording(Source):
     """A recording, decoded; ``recording["motor.position_rad"]`` is a `Series`.
 
@@ -244,10 +250,86 @@ class Recording(Source):
         return _remarks(self.path, self.capture.warnings, _left_out(self))
 
     def __getitem__(self, name: str) -> Series:
-        """Return a signal; KeyError names the nearest ones."""
+        """Return a signal; `UnknownSignal`, a KeyError, names the nearest ones."""
         if name not in self.signals:
             self.signal(name)
         return self.signals[name]
+
+    def __repr__(self) -> str:
+        """Return it in one line."""
+        return f"<recording {self.path} of rig {self.rig.name}: {self._told()}>"
+
+    def _repr_html_(self) -> str:
+        """Return the signals as a table, for notebooks."""
+        head = f"<p>{escape(self.path)}: rig {escape(self.rig.name)}, {self._told()}</p>"
+        rows = "".join(
+            f"<tr><td>{escape(name)}</td><td>{escape(one.unit)}</td><td>{len(one)}</td>"
+            + "".join(f"<td>{value:.6g}</td>" for value in _range(one.values))
+            + "</tr>"
+            for name, one in self.signals.items()
+        )
+        columns = "".join(f"<th>{text}</th>" for text in ("signal", "unit", "samples", "least", "largest"))
+        return f"{head}<table><tr>{columns}</tr>{rows}</table>"
+
+    def _told(self) -> str:
+        """Say how long it is, and what is in it."""
+        seconds = float(np.ptp(self.t_s)) if len(self.frames) else 0.0
+        return f"{seconds:.3f} s, {len(self.frames)} frames, {len(self.signals)} signals, {len(self.markers)} markers"
+
+    def to_pandas(self, signals: Sequence[str] | None = None, *, grid_s: float | None = None) -> pandas.DataFrame:
+        """Return a DataFrame: a column for each signal, indexed by the time ``t_s`` [s].
+
+        Without a grid each frame of a PDO is a row, with NaN in the columns of the other PDOs:
+        ``table["motor.position_rad"].dropna()`` is that signal's `Series`, and ``table.ffill()``
+        holds the values. With `grid_s` there is a row for each of its multiples, with the last
+        values that had come by then. ``table.attrs["units"]`` has the units.
+
+        Raises
+        ------
+        UnknownSignal
+            A signal that the recording does not have.
+        coulombus.recording.samples.NotNames
+            `signals` is one text.
+        coulombus.recording.extras.MissingExtra
+            pandas is not installed.
+        """
+        from coulombus.recording.frames_table import to_pandas
+
+        return to_pandas(self, signals, grid_s)
+
+    def to_xarray(self, signals: Sequence[str] | None = None, *, grid_s: float | None = None) -> xarray.Dataset:
+        """Return a Dataset: a variable for each signal with the attribute ``units``.
+
+        Signals of one PDO share a dimension, as ``t_s.motor.TPDO1`` [s]; with `grid_s` all share
+        ``t_s``. Errors as `to_pandas`.
+        """
+        from coulombus.recording.frames_table import to_xarray
+
+        return to_xarray(self, signals, grid_s)
+
+    def plot(
+        self, signals: Sequence[str] | None = None, *, span: tuple[float | None, float | None] = (None, None)
+    ) -> Figure:
+        """Return a figure of the signals (None: all but words of bits) from `span`'s begin to its
+        end [s]; where samples are many, as the least and largest value.
+
+        Raises
+        ------
+        UnknownSignal
+            A signal that the recording does not have.
+        coulombus.recording.samples.NotNames
+            `signals` is one text.
+        coulombus.recording.span.SpanError
+            There is no frame in the span.
+        """
+        from coulombus.recording.pictures.plot import plot
+
+        return plot(self, signals, span)
+
+
+def _range(values: Array) -> tuple[float, float]:
+    """Return the least and the largest value, NaN where there is none."""
+    return (float(values.min()), float(values.max())) if len(values) else (float("nan"), float("nan"))
 
 
 @dataclass

@@ -22,6 +22,7 @@ from coulombus.verbs.lss import lss
 from coulombus.verbs.measure import measure
 from coulombus.verbs.nmt import nmt
 from coulombus.verbs.plan import plan_command
+from coulombus.verbs.plot import diff, plot_command
 from coulombus.verbs.replay import bridge, replay
 from coulombus.verbs.run import run_command, stop
 from coulombus.verbs.scan import scan
@@ -36,7 +37,7 @@ __all__ = ["main"]
 VERBS = (
     *(demo, simulate_command, sim, node_command),
     *(run_command, status, stop, watch, decode, dbc, replay, bridge),
-    *(export_command,),
+    *(export_command, plot_command, diff),
     *(scan, lss, sdo, nmt),
     *(init, doctor, systemd, check, measure, plan_command, commission),
     *(eds, conformance, analyse, identify_command),

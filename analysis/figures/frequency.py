@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from coulombus.analysis.figures.style import BLACK, BLUE, GREY, ORANGE, VERMILION, figure, label, save
 from coulombus.analysis.loop.absolute import AbsoluteStability
 from coulombus.analysis.loop.crossings import Crossings, frequency_grid
 from coulombus.analysis.loop.linear import Disk, frequency_response, passive_disk, plant
 from coulombus.analysis.loop.operators import Complexes, Floats
 from coulombus.analysis.loop.parameters import Parameters
 from coulombus.analysis.loop.zames_falb import multiplier_response
+from coulombus.recording.pictures.style import BLACK, BLUE, GREY, ORANGE, VERMILION, figure, label, save
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

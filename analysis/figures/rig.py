@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from coulombus.analysis.figures.style import BLACK, BLUE, COLOURS, DASHES, GREEN, GREY, VERMILION, figure, label, save
 from coulombus.analysis.loop.karnopp import KarnoppStudy, karnopp_study
 from coulombus.analysis.rig.friction_study import FrictionStudy
 from coulombus.analysis.rig.hold import HoldStudy
@@ -18,6 +17,7 @@ from coulombus.analysis.rig.maps import OscillationMap, at
 from coulombus.analysis.rig.through_bus import BusCycle
 from coulombus.lab.demo.traces import DETAIL_FROM_S, DETAIL_S, Traces
 from coulombus.recording.friction.identify import Identification
+from coulombus.recording.pictures.style import BLACK, BLUE, COLOURS, DASHES, GREEN, GREY, VERMILION, figure, label, save
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

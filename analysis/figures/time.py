@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from coulombus.analysis.figures.style import BLACK, BLUE, COLOURS, DASHES, VERMILION, figure, label, save
 from coulombus.analysis.loop.delay import DelayRow
 from coulombus.analysis.loop.fig10 import Fig10, Run
 from coulombus.analysis.loop.linear import sample
 from coulombus.analysis.loop.operators import Floats
 from coulombus.analysis.loop.orbits import Orbit, Orbits
 from coulombus.analysis.loop.parameters import Parameters
+from coulombus.recording.pictures.style import BLACK, BLUE, COLOURS, DASHES, VERMILION, figure, label, save
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

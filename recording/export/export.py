@@ -14,15 +14,15 @@ from typing import Any
 
 from coulombus.recording.clock import CLOCK, META, attached_object
 from coulombus.recording.export.arrow import ParquetWriter
+from coulombus.recording.export.errors import ExportError
 from coulombus.recording.export.hdf import Hdf5Writer
 from coulombus.recording.export.logs import AscWriter, BlfWriter, CandumpWriter
 from coulombus.recording.export.matlab import MatWriter
 from coulombus.recording.export.mcap import McapWriter
 from coulombus.recording.export.mdf import Mf4Writer
-from coulombus.recording.export.missing import ExportError
-from coulombus.recording.export.samples import groups_of, stretches
 from coulombus.recording.export.text_table import CsvWriter
 from coulombus.recording.output_file import new_file
+from coulombus.recording.samples import groups_of, stretches
 from coulombus.recording.signals import blocks, captures
 from coulombus.rigs.rig import Rig
 
@@ -108,8 +108,6 @@ def export(
     """
     if kind not in KINDS:
         raise ExportError(f"{kind!r}: expected one of {', '.join(KINDS)}")
-    if isinstance(signals, str):
-        raise ExportError(f"signals is {signals!r}: expected a list of names, as in signals=[{signals!r}]")
     if kind in FRAMES:
         if signals is not None or grid_ns is not None:
             raise ExportError(f"{kind} holds whole frames: leave the signals and the grid out")

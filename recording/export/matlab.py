@@ -15,8 +15,8 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from coulombus.recording.export.missing import ExportError
-from coulombus.recording.export.samples import Group, Stretch
+from coulombus.recording.export.errors import ExportError
+from coulombus.recording.samples import Group, Stretch
 
 __all__ = ["MatWriter"]
 

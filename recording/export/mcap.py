@@ -19,9 +19,9 @@ from typing import Any
 
 import numpy as np
 
-from coulombus.recording.export.missing import library
-from coulombus.recording.export.samples import Array, Column, Group, Stretch
 from coulombus.recording.export.text_table import texts_of
+from coulombus.recording.extras import library
+from coulombus.recording.samples import Array, Column, Group, Stretch
 
 __all__ = ["McapWriter"]
 

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from coulombus.recording.export.missing import library
-from coulombus.recording.export.samples import Group, Stretch
+from coulombus.recording.extras import library
+from coulombus.recording.samples import Group, Stretch
 
 __all__ = ["Mf4Writer"]
 

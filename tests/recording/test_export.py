@@ -3,7 +3,6 @@
 import json
 import resource
 import shutil
-import struct
 import subprocess
 from pathlib import Path
 
@@ -11,55 +10,15 @@ import can
 import numpy as np
 import pytest
 
+from bench_recording import CYCLES, MS, STRANGE, record
+from coulombus.recording.export.errors import ExportError
 from coulombus.recording.export.export import FRAMES, KINDS, SIGNALS, export
-from coulombus.recording.export.missing import ExportError
-from coulombus.recording.pcapng_writer import PcapngWriter
+from coulombus.recording.extras import MissingExtra
+from coulombus.recording.samples import NotNames
 from coulombus.recording.signals import Recording, UnknownSignal, read
-from coulombus.rigs.rig import load_rig
-from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, FRAME, data_word
+from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 
-MS = 1_000_000
-CYCLES = 400
 LIBRARIES = {"parquet": "pyarrow", "mf4": "asammdf", "mcap": "zstandard", "hdf5": "h5py"}
-STRANGE = [
-    (0x18FF_1234 | CAN_EFF_FLAG, 3, b"\x01\x02\x03"),
-    (0x123 | CAN_RTR_FLAG, 4, b""),
-    (0x7FF, 0, b""),
-    (0x004 | CAN_ERR_FLAG, 8, b"\x00\x04\x00\x00\x00\x00\x60\x00"),
-]
-
-
-def frames_of(cycles: int) -> tuple[np.ndarray, dict[int, str]]:
-    """Return cycles of the bench rig, with strange frames in their midst, and markers."""
-    rows: list[tuple[int, int, int, bytes]] = []
-    for k in range(cycles):
-        t = (k + 3) * MS
-        rows += [
-            (t, 0x080, 0, b""),
-            (t + 100_001, 0x201, 4, struct.pack("<Hh", 0x000F, k % 50 - 7)),
-            (t + 200_007, 0x202, 2, struct.pack("<h", 3 * k)),
-            (t + 300_000, 0x181, 8, struct.pack("<Hih", 0x0237 + k % 2, -100 * k, 77)),
-            (t + 400_000, 0x182, 6, struct.pack("<hhh", -k, 640, 221)),
-        ]
-        if k == cycles // 2:
-            rows += [(t + 500_000 + j, *strange) for j, strange in enumerate(STRANGE)]
-    frames = np.zeros(len(rows), FRAME)
-    for record, (t_ns, can_id, length, data) in zip(frames, rows, strict=True):
-        record["t_ns"], record["can_id"], record["length"], record["word"] = t_ns, can_id, length, data_word(data)
-    return frames, {3: "run hybrid", 11: "phase hold\nsaid by hand"}
-
-
-def record(path: Path, cycles: int = CYCLES, start_ns: int = 0) -> Path:
-    rig = load_rig("bench")
-    attachments = {"rig.toml": rig.effective().encode(), "mode": b"hybrid"}
-    attachments |= {name: text.encode() for name, text in rig.eds_texts.items()}
-    if start_ns:
-        clock = {"start_utc": "2026-11-22T20:04:12.000000Z", "start_ns": start_ns}
-        attachments |= {"clock.json": json.dumps(clock).encode(), "meta.json": b'{"subject": "S01"}'}
-    with PcapngWriter(path, attachments=attachments) as writer:
-        if cycles:
-            writer.write(*frames_of(cycles))
-    return path
 
 
 @pytest.fixture(scope="module")
@@ -290,7 +249,7 @@ def test_an_unknown_signal_is_told_with_the_nearest(source, tmp_path):
 
 
 def test_a_text_where_names_are_meant_is_told(source, tmp_path):
-    with pytest.raises(ExportError, match=r"signals=\['motor.position_rad'\]"):
+    with pytest.raises(NotNames, match=r"signals=\['motor.position_rad'\]"):
         export(source, tmp_path / "out.csv", "csv", signals="motor.position_rad")
 
 
@@ -319,6 +278,6 @@ def test_a_full_disk_leaves_no_file(source, tmp_path, kind):
 
 def test_a_library_that_is_absent_is_named_with_its_extra(source, tmp_path, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
-    with pytest.raises(ExportError, match=r"parquet needs pyarrow.*coulombus\[export\]"):
+    with pytest.raises(MissingExtra, match=r"parquet needs pyarrow.*coulombus\[export\]"):
         export(source, tmp_path / "run.parquet", "parquet")
     assert list(tmp_path.iterdir()) == []

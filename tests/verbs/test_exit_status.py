@@ -36,6 +36,8 @@ BASE = {
     "status": "status --bus coulombus:none",
     "watch": "watch --bus coulombus:none",
     "decode": "decode RECORDING",
+    "plot": "plot RECORDING -o DIR/out.png",
+    "diff": "diff RECORDING RECORDING",
     "export": "export RECORDING --to csv -o DIR/out.csv",
     "replay --host": "replay RECORDING --host",
     "replay --virtual": "replay RECORDING --virtual",
@@ -101,7 +103,7 @@ WITH_SET = (
     "analyse hold",
     "analyse map",
 )
-WITH_RECORDING = ("decode", "export", "replay --host", "replay --virtual", "replay --bus", "identify")
+WITH_RECORDING = ("decode", "export", "plot", "diff", "replay --host", "replay --virtual", "replay --bus", "identify")
 WITH_EDS = ("eds check", "init", "node", "conformance", "sdo restore")
 WITH_BUS = ("run", "stop", "status", "measure", "watch", "replay --bus", "bridge", "conformance", "scan", "lss", "nmt")
 WITH_BUS += ("sdo get", "sdo set", "sdo dump", "sdo restore", "sdo store", "sdo restore-defaults", "sdo shell")

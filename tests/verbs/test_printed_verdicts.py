@@ -50,6 +50,8 @@ ENDS = {
     "plan ok": ("plan --rig bench --json", 0),
     "decode": ("decode RECORDING --rig bench", 0),
     "dbc": ("dbc", 0),
+    "plot": ("plot RECORDING -o /dev/null/run.png", 2),
+    "diff": ("diff RECORDING RECORDING --rig bench", 0),
     "export": ("export RECORDING --to csv -o /dev/null/run.csv", 2),
     "identify": ("identify RECORDING --rig bench", 1),
     "analyse": ("analyse fig10 --window 0.1", 0),

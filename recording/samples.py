@@ -14,10 +14,10 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from coulombus.recording.signals import Recording, Source
+from coulombus.recording.readable import Block, Readable
 from coulombus.rigs.signals import Signal
 
-__all__ = ["GRID", "Column", "Group", "Rows", "Stretch", "groups_of", "stretches"]
+__all__ = ["GRID", "Column", "Group", "NotNames", "Rows", "Stretch", "groups_of", "stretches"]
 
 Array: TypeAlias = npt.NDArray[Any]
 Floats: TypeAlias = npt.NDArray[np.float64]
@@ -27,6 +27,12 @@ GRID = "signals"
 """The name of the one group that a grid has."""
 MOST_ROWS = 1 << 16
 """Of a grid at a time, however fine it is."""
+
+
+class NotNames(TypeError):
+    """A text stands where a list of names is expected; the text says how to call."""
+
+    exit_status = 2
 
 
 @dataclass(frozen=True)
@@ -73,7 +79,7 @@ class Stretch:
     until_s: float
 
 
-def groups_of(source: Source, names: Sequence[str] | None, grid_ns: int | None) -> tuple[Group, ...]:
+def groups_of(source: Readable, names: Sequence[str] | None, grid_ns: int | None) -> tuple[Group, ...]:
     """Return the groups of the signals `names` (None: all), in the order of the rig's PDOs; on a
     grid one, in the order of `names`.
 
@@ -81,7 +87,11 @@ def groups_of(source: Source, names: Sequence[str] | None, grid_ns: int | None) 
     ------
     coulombus.recording.signals.UnknownSignal
         The recording's rig has no such signal.
+    NotNames
+        `names` is one text.
     """
+    if isinstance(names, str):
+        raise NotNames(f"signals is {names!r}: expected a list of names, as in signals=[{names!r}]")
     for name in names or ():
         source.signal(name)
     chosen = {
@@ -98,7 +108,7 @@ def _column(signal: Signal) -> Column:
     return Column(signal.name, signal.unit, not signal.unit and (signal.scale, signal.offset) == (1.0, 0.0))
 
 
-def stretches(source: Source, groups: tuple[Group, ...], grid_ns: int | None) -> Iterator[Stretch]:
+def stretches(source: Readable, groups: tuple[Group, ...], grid_ns: int | None) -> Iterator[Stretch]:
     """Go through the recording once."""
     if grid_ns is None:
         for block in source:
@@ -107,7 +117,7 @@ def stretches(source: Source, groups: tuple[Group, ...], grid_ns: int | None) ->
         yield from _on_grid(source, groups[0], grid_ns)
 
 
-def _as_it_came(block: Recording, groups: tuple[Group, ...]) -> Stretch:
+def _as_it_came(block: Block, groups: tuple[Group, ...]) -> Stretch:
     tables = {table.name: table for table in block.tables}
     found = []
     for group in groups:
@@ -146,7 +156,7 @@ class _Held:
         return found
 
 
-def _on_grid(source: Source, group: Group, grid_ns: int) -> Iterator[Stretch]:
+def _on_grid(source: Readable, group: Group, grid_ns: int) -> Iterator[Stretch]:
     held = {column.name: _Held() for column in group.columns}
     following, seen, until = None, 0, 0
 

@@ -1,0 +1,208 @@
+"""Two recordings side by side: two runs, or a simulated run and the rig's.
+
+They are aligned by their phases: time counts from each phase's begin, and both are compared as
+long as both last. A value of the other recording at a sample's time is interpolated linearly; a
+word of bits is held. Without a tolerance everything must be equal: phases, numbers of samples, what
+comes before the first phase and after the last. With tolerances the phases alone are compared, and
+those signals alone are judged that have one.
+"""
+
+from __future__ import annotations
+
+import filecmp
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from coulombus.recording.difference import Comparison, Difference, Pair
+from coulombus.recording.signals import Recording, Series, UnknownSignal, read
+from coulombus.rigs.rig import Rig
+
+__all__ = ["compare"]
+
+Floats: TypeAlias = npt.NDArray[np.float64]
+NO_TOLERANCES: Mapping[str, float] = MappingProxyType({})
+ALL = ""
+"""The tolerance of every signal that has a unit."""
+
+
+@dataclass(frozen=True)
+class _Span:
+    """A stretch that both have: where it is 0 in each, and from when to when, counted from there."""
+
+    name: str
+    zero: tuple[float, float]
+    begin_s: float
+    end_s: float
+
+
+def compare(
+    a: str | Path, b: str | Path, *, tolerances: Mapping[str, float] = NO_TOLERANCES, rig: Rig | str | None = None
+) -> Comparison:
+    """Compare two recordings.
+
+    Parameters
+    ----------
+    a, b
+        Recordings, as `read` takes them.
+    tolerances
+        Signal's name or unit -> the largest difference that counts as equal; "": of every signal
+        that has a unit. Empty: everything must be equal.
+    rig
+        Decode with this rig and not with the attached ones.
+
+    Raises
+    ------
+    coulombus.recording.signals.UnknownSignal
+        A tolerance is for no signal of the recordings, and for no unit of theirs.
+    coulombus.rigs.rig.RigError, coulombus.recording.pcapng_blocks.PcapngError
+        See `read`.
+    """
+    first, second = read(a, rig), read(b, rig)
+    common = [name for name in first.signals if name in second.signals]
+    units = {name: first.signals[name].unit for name in common}
+    _check_tolerances(first, tolerances, units)
+    texts = (*first.remarks, *second.remarks)
+    same = not Path(a).is_dir() and not Path(b).is_dir() and filecmp.cmp(a, b, shallow=False)
+    spans, told, lengths = _spans(first, second, exact=not tolerances)
+    wanting = _only_in(first, second) + _only_in(second, first)
+    found, pairs = [], {}
+    for name in common:
+        pair, labels, whole = _pair(first.signals[name], second.signals[name], spans)
+        tolerance = _tolerance(name, units[name], tolerances)
+        pairs[name] = pair
+        if tolerances:  # runs that last differently long are compared as long as both do
+            whole = bool(len(pair.t_s)) or not len(first.signals[name]) + len(second.signals[name])
+        found.append(_difference(name, units[name], pair, labels, tolerance, whole))
+    equal = same or (all(one.equal for one in found) and not told and not wanting and not (lengths and not tolerances))
+    remarks = (*texts, *_different(first, second), *wanting, *told, *lengths)
+    return Comparison(str(a), str(b), same, equal, tuple(found), remarks, MappingProxyType(pairs))
+
+
+def _check_tolerances(recording: Recording, tolerances: Mapping[str, float], units: Mapping[str, str]) -> None:
+    for name in tolerances:
+        if name != ALL and name not in units and name not in units.values():
+            try:
+                recording.signal(name)
+            except UnknownSignal as error:
+                known = ", ".join(sorted({unit for unit in units.values() if unit}))
+                raise UnknownSignal(f"a tolerance for {name!r}: {error}; or a unit: {known}") from None
+
+
+def _tolerance(name: str, unit: str, tolerances: Mapping[str, float]) -> float | None:
+    if not tolerances:
+        return 0.0
+    keys = (name, unit, ALL) if unit else (name,)
+    return next((tolerances[key] for key in keys if key in tolerances), None)
+
+
+def _only_in(one: Recording, other: Recording) -> list[str]:
+    names = [name for name in one.signals if name not in other.signals]
+    return [f"only in {one.path}: {', '.join(names)}"] if names else []
+
+
+def _different(first: Recording, second: Recording) -> list[str]:
+    """Say in what else the recordings differ: rig, mode."""
+    found = []
+    if first.rig.name != second.rig.name:
+        found.append(f"recordings of different rigs: {first.rig.name} and {second.rig.name}")
+    elif first.rig.effective() != second.rig.effective():
+        found.append(f"the rig {first.rig.name} has other values in the second recording")
+    modes = [recording.capture.attachments.get("mode", b"").decode(errors="replace") for recording in (first, second)]
+    if modes[0] != modes[1] and all(modes):
+        found.append(f"recordings of different modes: {modes[0]} and {modes[1]}")
+    return found
+
+
+def _phases(recording: Recording) -> list[tuple[float, str]]:
+    """Return when phases begin, of all axes."""
+    return [
+        (t, text)
+        for t, text in recording.markers
+        if text.startswith("phase ") or ".phase " in text.partition(" ")[0] + " "
+    ]
+
+
+def _spans(first: Recording, second: Recording, *, exact: bool) -> tuple[list[_Span], list[str], list[str]]:
+    """Return the common stretches, sentences on phases that differ, and on lengths that do."""
+    marks = _phases(first), _phases(second)
+    ends = [float(r.t_s.max(initial=0.0)) + 1.5e-9 for r in (first, second)]
+    starts = [float(r.t_s.min(initial=np.inf)) for r in (first, second)]
+    if not all(map(len, ends_of := [r.frames for r in (first, second)])):
+        empty = [r.path for r, frames in zip((first, second), ends_of, strict=True) if not len(frames)]
+        return [], [f"{path}: there is no frame in it" for path in empty], []
+    if not marks[0] or not marks[1]:
+        lengths = [end - start for end, start in zip(ends, starts, strict=True)]
+        told = [] if marks[0] == marks[1] else ["only one of the recordings has phases"]
+        return [_Span("whole", (starts[0], starts[1]), 0.0, min(lengths))], told, []
+    names = [[text for _, text in one] for one in marks]
+    count = next((k for k, (x, y) in enumerate(zip(*names, strict=False)) if x != y), min(map(len, names)))
+    told = []
+    if names[0] != names[1]:
+        there = [one[count] if count < len(one) else "none" for one in names]
+        told = [
+            f"the phases differ from number {count + 1} on: {there[0]!r} and {there[1]!r}; nothing behind is compared"
+        ]
+    spans, lengths_told = [], []
+    if exact:
+        zeros = marks[0][0][0], marks[1][0][0]
+        spans.append(_Span("before", zeros, -min(z - s for z, s in zip(zeros, starts, strict=True)), 0.0))
+    for k in range(count):
+        zeros, name = (marks[0][k][0], marks[1][k][0]), marks[0][k][1].replace("phase ", "")
+        after = [one[k + 1][0] if k + 1 < len(one) else end for one, end in zip(marks, ends, strict=True)]
+        lengths = [end - zero for end, zero in zip(after, zeros, strict=True)]
+        if abs(lengths[0] - lengths[1]) > 0.5 * first.rig.bus.period_s:
+            lengths_told.append(f"phase {name}: {lengths[0]:.4f} s and {lengths[1]:.4f} s")
+        if exact or name != "end":
+            spans.append(_Span(name, zeros, 0.0, min(lengths)))
+    return spans, told, lengths_told
+
+
+def _pair(a: Series, b: Series, spans: list[_Span]) -> tuple[Pair, list[tuple[int, str]], bool]:
+    """Return both signals at the first one's times, where each span begins in them, and whether
+    both have as many samples in each.
+    """
+    parts, labels, whole, at = [], [], True, 0
+    for span in spans:
+        # in whole ns, so that the same sample has the same time in both
+        times = [np.rint((one.t_s - zero) * 1e9) for one, zero in zip((a, b), span.zero, strict=True)]
+        begin, end = np.rint((span.begin_s * 1e9, span.end_s * 1e9))
+        inside = [(t >= begin) & (t < end) for t in times]
+        whole = whole and int(inside[0].sum()) == int(inside[1].sum())
+        t_s, t_ns = a.t_s[inside[0]], times[0][inside[0]]
+        if not len(t_s) or not inside[1].any():
+            continue
+        values = b.values.astype(np.float64)
+        if b.unit:
+            other = np.interp(t_ns, times[1], values)
+        else:
+            other = values[np.maximum(np.searchsorted(times[1], t_ns, "right") - 1, 0)]
+        parts.append((t_s, a.values[inside[0]].astype(np.float64), other))
+        labels.append((at, span.name))
+        at += len(t_s)
+    t_s, mine, theirs = (
+        (np.concatenate([np.zeros(0), *columns]) for columns in zip(*parts, strict=True))
+        if parts
+        else (np.zeros(0),) * 3
+    )
+    return Pair(t_s, mine, theirs), labels, whole
+
+
+def _difference(
+    name: str, unit: str, pair: Pair, labels: list[tuple[int, str]], tolerance: float | None, whole: bool
+) -> Difference:
+    apart = np.abs(pair.difference)
+    if not len(apart):
+        return Difference(name, unit, 0, 0.0, 0.0, None, "", tolerance, tolerance is None or whole)
+    apart = np.where(np.isnan(apart), np.inf, apart)
+    at = int(np.argmax(apart))
+    largest, rms = float(apart[at]), float(np.sqrt(np.mean(apart**2)))
+    phase = next(label for begin, label in reversed(labels) if begin <= at)
+    equal = tolerance is None or (largest <= tolerance and whole)
+    when = float(pair.t_s[at]) if largest else None
+    return Difference(name, unit, len(apart), largest, rms, when, phase if largest else "", tolerance, equal)

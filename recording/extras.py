@@ -1,0 +1,33 @@
+"""Libraries that only some uses of a recording need: the extra ``export``."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+__all__ = ["EXTRA", "MissingExtra", "library"]
+
+EXTRA = "pip install 'coulombus[export]'"
+
+
+class MissingExtra(ImportError):
+    """A library is not installed; the text names the extra that installs it."""
+
+    exit_status = 2
+
+
+def library(name: str, what: str) -> Any:
+    """Return the module `name`, which `what` needs.
+
+    Raises
+    ------
+    MissingExtra
+        It is not installed.
+    """
+    package = name.partition(".")[0]
+    try:
+        return import_module(name)
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] != package:
+            raise
+        raise MissingExtra(f"{what} needs {package}, which is not installed: {EXTRA}") from None

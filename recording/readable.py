@@ -1,0 +1,88 @@
+"""What tables and pictures ask of a recording, so that a recording may make both of itself."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Protocol, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from coulombus.recording.pcapng_reader import Capture
+from coulombus.rigs.rig import Rig
+from coulombus.rigs.signals import RigPdo, Signal
+from coulombus.wire.frame import Records
+
+__all__ = ["Block", "Readable"]
+
+Array: TypeAlias = npt.NDArray[Any]
+Floats: TypeAlias = npt.NDArray[np.float64]
+Integers: TypeAlias = npt.NDArray[np.int64]
+
+
+class _Series(Protocol):
+    @property
+    def t_s(self) -> Floats: ...
+    @property
+    def values(self) -> Array: ...
+
+
+class _Table(Protocol):
+    @property
+    def pdo(self) -> RigPdo: ...
+    @property
+    def name(self) -> str: ...
+    @property
+    def rows(self) -> Integers: ...
+    @property
+    def columns(self) -> tuple[Array, ...]: ...
+
+
+class Block(Protocol):
+    """Some seconds of a recording (`recording.signals.Recording`)."""
+
+    @property
+    def capture(self) -> Capture:
+        """The file's content as it stands."""
+
+    @property
+    def frames(self) -> Records:
+        """All frames."""
+
+    @property
+    def epoch_ns(self) -> int:
+        """Time 0 of all `t_s`."""
+
+    @property
+    def t_s(self) -> Floats:
+        """Time of each frame [s]."""
+
+    @property
+    def tables(self) -> Sequence[_Table]:
+        """The frames of each PDO."""
+
+    @property
+    def markers(self) -> list[tuple[float, str]]:
+        """Time [s] and text of each."""
+
+    @property
+    def signals(self) -> Mapping[str, _Series]:
+        """By name."""
+
+
+class Readable(Protocol):
+    """A recording, of one block or of many (`recording.signals.Source`)."""
+
+    @property
+    def path(self) -> str:
+        """The file."""
+
+    @property
+    def rig(self) -> Rig:
+        """The rig whose PDOs these are."""
+
+    def __iter__(self) -> Iterator[Block]:
+        """Yield the blocks."""
+
+    def signal(self, name: str) -> Signal:
+        """Return what the rig says of a signal."""

@@ -1,0 +1,188 @@
+"""``coulombus plot`` and ``coulombus diff``: recordings as pictures, one or two of them."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from coulombus.verbs.common import (
+    EXIT_STATUS,
+    PICTURE,
+    errors,
+    force_option,
+    json_option,
+    print_json,
+    printable,
+    recording_argument,
+    remark,
+    say,
+    signals_option,
+    table_console,
+    verdict,
+)
+
+if TYPE_CHECKING:
+    from coulombus.recording.difference import Comparison, Difference
+
+__all__ = ["diff", "plot_command"]
+
+
+def _span(ctx: click.Context, param: click.Parameter, text: str | None) -> tuple[float | None, float | None]:
+    from coulombus.recording.span import parse_span
+
+    try:
+        return (None, None) if text is None else parse_span(text)
+    except ValueError as error:
+        raise click.BadParameter(str(error)) from None
+
+
+@click.command("plot", epilog=EXIT_STATUS)
+@recording_argument
+@signals_option
+@click.option("--span", callback=_span, metavar="A:B", help="From A to B, in s, as 3:5, 2.5: or :10.  [default: all]")
+@click.option("-o", "--out", type=PICTURE, metavar="F.png", help="A .png, .svg or .pdf.  [default: FILE, as .png]")
+@click.option("--rig", "rig_name", metavar="R", help="Decode with this rig instead of the attached one.")
+@force_option
+def plot_command(
+    file: Path,
+    signals: tuple[str, ...] | None,
+    span: tuple[float | None, float | None],
+    out: Path | None,
+    rig_name: str | None,
+    overwrite: bool,
+) -> None:
+    """Draw a recording's signals over time, a panel for each unit, with the markers.
+
+    Where there are more samples than room, the least and the largest value are drawn. Without
+    --signals words of bits are left out.
+
+    \b
+    Examples:
+      coulombus plot run.pcapng
+      coulombus plot run.pcapng --signals motor.position_rad,brake.handle_torque_Nm --span 3:5 -o hold.svg
+    """
+    with errors():
+        from coulombus.recording.output_file import new_file, reason_against
+        from coulombus.recording.pictures.plot import plot, save_picture
+        from coulombus.recording.signals import blocks
+
+        place = out or (Path(f"{file}.png") if file.is_dir() else file.with_suffix(".png"))
+        reason = reason_against(place, force=overwrite, remedy="choose another name by -o, or replace it with --force")
+        if reason is not None:
+            raise click.UsageError(reason)
+        source = blocks(file, rig_name)
+        made = plot(source, signals, span)
+        with new_file(place, force=overwrite) as path:
+            save_picture(made, path)
+        with verdict(0):
+            remark(source.remarks)
+            say(f"{place}: drawn")
+
+
+def _tolerances(ctx: click.Context, param: click.Parameter, texts: tuple[str, ...]) -> dict[str, float]:
+    found: dict[str, float] = {}
+    for text in texts:
+        name, _, number = text.rpartition("=")
+        try:
+            value = float(number)
+        except ValueError:
+            value = math.nan
+        if not 0 <= value < math.inf or name in found:
+            reason = "twice" if name in found else "expected V, SIGNAL=V or UNIT=V, as in Nm=0.05"
+            raise click.BadParameter(f"{text!r}: {reason}")
+        found[name] = value
+    return found
+
+
+@click.command("diff", epilog=EXIT_STATUS)
+@click.argument("a", type=click.Path(exists=True, path_type=Path))
+@click.argument("b", type=click.Path(exists=True, path_type=Path))
+@click.option(
+    "--tolerance",
+    "tolerances",
+    multiple=True,
+    callback=_tolerances,
+    metavar="[SIGNAL=|UNIT=]V",
+    help="The largest difference that is none; V alone: of every signal that has a unit.  [default: 0 of all]",
+)
+@click.option("-o", "--out", type=PICTURE, metavar="F.png", help="Draw both and their difference there.")
+@click.option("--rig", "rig_name", metavar="R", help="Decode with this rig instead of the attached ones.")
+@force_option
+@json_option
+def diff(
+    a: Path,
+    b: Path,
+    tolerances: dict[str, float],
+    out: Path | None,
+    rig_name: str | None,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Compare two recordings: two runs, or a simulated one and the rig's.
+
+    They are aligned by their phases. Ends with 0 when they are equal, with 1 when not. Without
+    --tolerance everything must be equal; with it the phases are compared, and those signals are
+    judged that have a tolerance.
+
+    \b
+    Examples:
+      coulombus diff monday.pcapng tuesday.pcapng
+      coulombus diff sim.pcapng rig.pcapng --tolerance Nm=0.1 --tolerance motor.position_rad=0.02 -o diff.png
+    """
+    with errors():
+        from coulombus.recording.comparison import compare
+        from coulombus.recording.output_file import new_file
+
+        found = compare(a, b, tolerances=tolerances, rig=rig_name)
+        if out is not None:
+            from coulombus.recording.pictures.differences import draw_differences
+            from coulombus.recording.pictures.plot import save_picture
+
+            with new_file(out, force=overwrite) as path:
+                save_picture(draw_differences(found), path)
+        with verdict(0 if found.equal else 1):
+            remark(found.remarks)
+            if as_json:
+                print_json(_plain(found.as_dict()))
+            else:
+                _tell(found)
+
+
+def _plain(value: Any) -> Any:
+    """Return a value in which what is no number is null."""
+    if isinstance(value, dict):
+        return {key: _plain(one) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_plain(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _tell(found: Comparison) -> None:
+    """Print the differences for people."""
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False)
+    table.add_column("signal", overflow="fold")
+    table.add_column("unit")
+    for name in ("max", "rms", "at [s]"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("in")
+    table.add_column("verdict", no_wrap=True)
+    for one in found.signals:
+        when = "" if one.at_s is None else f"{one.at_s:.3f}"
+        table.add_row(
+            printable(one.name), one.unit, f"{one.max:.4g}", f"{one.rms:.4g}", when, printable(one.phase), _verdict(one)
+        )
+    if found.signals:
+        console = table_console(80)
+        with console.capture() as text:  # rich would end the verb itself, where the reader has gone
+            console.print(table, markup=False)
+        click.echo(text.get(), nl=False)
+    click.echo("the same bytes" if found.same_bytes else "equal" if found.equal else "not equal")
+
+
+def _verdict(one: Difference) -> str:
+    return "not judged" if one.tolerance is None else "equal" if one.equal else "differs"
