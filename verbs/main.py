@@ -19,6 +19,7 @@ from coulombus.verbs.export import export_command
 from coulombus.verbs.init import init
 from coulombus.verbs.look import dbc, decode, watch
 from coulombus.verbs.lss import lss
+from coulombus.verbs.mark import mark
 from coulombus.verbs.measure import measure
 from coulombus.verbs.nmt import nmt
 from coulombus.verbs.plan import plan_command
@@ -36,7 +37,7 @@ __all__ = ["main"]
 
 VERBS = (
     *(demo, simulate_command, sim, node_command),
-    *(run_command, status, stop, watch, decode, dbc, replay, bridge),
+    *(run_command, status, stop, mark, watch, decode, dbc, replay, bridge),
     *(export_command, plot_command, diff),
     *(scan, lss, sdo, nmt),
     *(init, doctor, systemd, check, measure, plan_command, commission),

@@ -165,8 +165,7 @@ def _tell(found: Comparison) -> None:
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False)
-    table.add_column("signal", overflow="fold")
-    table.add_column("unit")
+    table.add_column("signal", no_wrap=True)  # whose name ends with its unit
     for name in ("max", "rms", "at [s]"):
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("in")
@@ -174,7 +173,7 @@ def _tell(found: Comparison) -> None:
     for one in found.signals:
         when = "" if one.at_s is None else f"{one.at_s:.3f}"
         table.add_row(
-            printable(one.name), one.unit, f"{one.max:.4g}", f"{one.rms:.4g}", when, printable(one.phase), _verdict(one)
+            printable(one.name), f"{one.max:.4g}", f"{one.rms:.4g}", when, printable(one.phase), _verdict(one)
         )
     if found.signals:
         console = table_console(80)

@@ -4,7 +4,7 @@ stop, ``coulombus status`` for its state, and by which a second host knows of it
 The asker sends ``stop``. The host answers ``accepted`` as soon as it has read it, and at its end
 what came of it, as JSON. Only after ``accepted`` is the end of the connection the end of the host;
 before, it may be anything, and the rig may be armed still. Who sends ``status`` gets one JSON
-object at once.
+object at once; so does who sends ``mark TEXT``, by which ``coulombus mark`` marks the recording.
 """
 
 from __future__ import annotations
@@ -21,11 +21,21 @@ from typing import Any
 from coulombus.host.errors import HostError, SafetyTrip
 from coulombus.wire.address import BusAddress, socket_path
 
-__all__ = ["HostSocket", "NoHost", "StopRequest", "ask_status", "control_path", "host_runs", "stop_host"]
+__all__ = [
+    "HostSocket",
+    "NoHost",
+    "NotMarked",
+    "StopRequest",
+    "ask_mark",
+    "ask_status",
+    "control_path",
+    "host_runs",
+    "stop_host",
+]
 
 STOP_TIMEOUT_S = 30.0
 MESSAGE_BYTES = 1 << 16
-STOP, ACCEPTED, STATUS = b"stop", b"accepted", b"status"
+STOP, ACCEPTED, STATUS, MARK = b"stop", b"accepted", b"status", b"mark "
 STATUS_TIMEOUT_S = 3.0
 ASKERS = 16
 """Who may be connected at a time.
@@ -44,6 +54,12 @@ class NoHost(HostError):
     """No host runs on the bus, or it did not take the request, or it did not end."""
 
     exit_status = 4
+
+
+class NotMarked(HostError):
+    """The host runs and marks nothing; the text says why."""
+
+    exit_status = 2
 
 
 def control_path(address: BusAddress) -> Path:
@@ -84,7 +100,7 @@ class _Asker:
         connection.setblocking(False)
         self.connection, self.since, self.accepted = connection, time.monotonic(), False
 
-    def asks(self, status: Callable[[], bytes]) -> bool | None:
+    def asks(self, status: Callable[[], bytes], mark: Callable[[str], bytes]) -> bool | None:
         """Tell whether a stop is asked for now; None: it has gone, has its answer, talks nonsense,
         or has said nothing for too long.
         """
@@ -96,6 +112,8 @@ class _Asker:
             return None
         if message == STATUS:
             self.tell(status())
+        if message.startswith(MARK):
+            self.tell(mark(message[len(MARK) :].decode(errors="replace")))
         if message != STOP:
             return None
         self.accepted = True
@@ -110,7 +128,8 @@ class _Asker:
 class HostSocket:
     """Claims the bus at `address` for this process.
 
-    `status` makes the answer to who asks for the state; it may be set later.
+    `status` makes the answer to who asks for the state, `mark` marks the recording with a text and
+    makes the answer to that; both may be set later.
 
     Raises
     ------
@@ -122,6 +141,7 @@ class HostSocket:
         self._path = control_path(address)
         self._askers: list[_Asker] = []
         self.status: Callable[[], bytes] = lambda: b"{}"
+        self.mark: Callable[[str], bytes] = lambda text: b"{}"
         heard = _heard_at(self._path)
         if heard:
             raise SafetyTrip(_occupied(address))
@@ -147,7 +167,7 @@ class HostSocket:
         self._let_in()
         wanted = False
         for asker in list(self._askers):
-            asks = asker.asks(self.status)
+            asks = asker.asks(self.status, self.mark)
             wanted = wanted or bool(asks)
             if asks is None:
                 self._let_go(asker)
@@ -300,10 +320,32 @@ def ask_status(address: BusAddress, timeout_s: float = STATUS_TIMEOUT_S) -> dict
     NoHost
         none runs there, or it gives no answer that is one
     """
+    return _ask(address, STATUS, timeout_s)
+
+
+def ask_mark(address: BusAddress, text: str, timeout_s: float = STATUS_TIMEOUT_S) -> dict[str, Any]:
+    """Ask the host on a bus to mark its recording, and return what it tells: ``marker``, the text
+    as it is recorded, and ``recording``, where.
+
+    Raises
+    ------
+    NoHost
+        none runs there, or it gives no answer that is one
+    NotMarked
+        it does not record, or refuses the text
+    """
+    found = _ask(address, MARK + text.encode(errors="replace"), timeout_s)
+    if "error" in found:
+        raise NotMarked(f"the host on bus {address}: {found['error']}")
+    return found
+
+
+def _ask(address: BusAddress, message: bytes, timeout_s: float) -> dict[str, Any]:
+    """Send a message to the host on a bus, and return its answer."""
     with _new() as asker:
         try:
             asker.connect(str(control_path(address)))
-            asker.send(STATUS)
+            asker.send(message)
             asker.settimeout(timeout_s)
             found = json.loads(asker.recv(MESSAGE_BYTES))
         except (FileNotFoundError, ConnectionRefusedError):

@@ -7,19 +7,12 @@ So one stroke counts for nothing; two within `RELEASE_S` count as held, until no
 
 from __future__ import annotations
 
-import os
-import select
 import sys
-import termios
-import threading
 import time
-import tty
 from collections.abc import Callable
-from contextlib import suppress
-from types import TracebackType
-from typing import Any
 
 from coulombus.host.errors import SafetyTrip
+from coulombus.host.run.keys import Keys
 from coulombus.rigs.rig import Rig
 from coulombus.wire.address import BusAddress
 
@@ -53,10 +46,11 @@ def deadman_of(rig: Rig, mode: str, address: BusAddress) -> str:
     return "none"
 
 
-class HeldKey:
-    """Watches the space bar of the terminal in a thread.
+class HeldKey(Keys):
+    """Watches the space bar of the terminal.
 
-    Calls ``hold(until_ns)`` (CLOCK_MONOTONIC) with every repeat.
+    Calls ``hold(until_ns)`` (CLOCK_MONOTONIC) with every repeat, and `other` with all other
+    strokes.
 
     Raises
     ------
@@ -64,52 +58,26 @@ class HeldKey:
         the standard input is no terminal
     """
 
-    def __init__(self, hold: Callable[[int], None]) -> None:
+    def __init__(self, hold: Callable[[int], None], other: Callable[[bytes], None] = lambda strokes: None) -> None:
         if not sys.stdin.isatty():
             raise SafetyTrip('host.deadman = "key" needs a terminal: the standard input is none')
-        self._fd = sys.stdin.fileno()
-        self._hold = hold
-        self._held_until = 0
-        self._end, self._wake = os.pipe()
-        self._thread = threading.Thread(target=self._watch, name="dead man's key", daemon=True)
-        self._mode: list[Any] = []
-
-    def __enter__(self) -> HeldKey:
-        self._mode = termios.tcgetattr(self._fd)
-        tty.setcbreak(self._fd)
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        os.close(self._wake)
-        self._thread.join()
-        os.close(self._end)
-        with suppress(termios.error):
-            termios.tcsetattr(self._fd, termios.TCSAFLUSH, self._mode)  # the repeats that wait are not for the shell
+        super().__init__(self._struck)
+        self._hold, self._other = hold, other
+        self._held_until, self._last = 0, 0
 
     @property
     def held(self) -> bool:
         """Whether the key counts as held now."""
         return time.monotonic_ns() < self._held_until
 
-    def _watch(self) -> None:
-        release_ns, last = round(RELEASE_S * 1e9), 0
-        while True:
-            ready, _, _ = select.select([self._fd, self._end], [], [])
-            if self._end in ready:
-                return
-            try:
-                strokes = os.read(self._fd, 64)
-            except OSError:
-                strokes = b""
-            if not strokes:  # the terminal is gone: nobody holds anything
-                return
-            if KEY not in strokes:
-                continue
-            now = time.monotonic_ns()
-            if now - last < release_ns:
-                self._held_until = now + release_ns
-                self._hold(self._held_until)
-            last = now
+    def _struck(self, strokes: bytes) -> None:
+        others = strokes.replace(KEY, b"")
+        if others:
+            self._other(others)
+        if KEY not in strokes:
+            return
+        now, release_ns = time.monotonic_ns(), round(RELEASE_S * 1e9)
+        if now - self._last < release_ns:
+            self._held_until = now + release_ns
+            self._hold(self._held_until)
+        self._last = now

@@ -11,7 +11,9 @@ from __future__ import annotations
 
 import signal
 import sys
+import termios
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -34,6 +36,7 @@ from coulombus.host.run.control_socket import HostSocket
 from coulombus.host.run.course import SAFE_TIMEOUT_NS, Course, Figures
 from coulombus.host.run.deadman import HeldKey, deadman_of
 from coulombus.host.run.histogram import Counts
+from coulombus.host.run.keys import Keys, in_foreground
 from coulombus.host.run.result import RunResult
 from coulombus.host.run.status_socket import StatusSocket, encoded
 from coulombus.host.setup.bringup import bring_up, check_plan, release, shut_down
@@ -60,6 +63,10 @@ LISTEN_S = 1.0  # for another host
 LEAD_NS = 20_000_000
 FAILURES = 1000  # of this process while the rig is made safe: the data plane does that by itself meanwhile
 KEY_TIMEOUT_S = 30.0
+SAID, MOST_SAID, KEYS = "mark", 200, "123456789"
+"""How markers of persons begin, which none of the run's own does; how long they are at most; the
+keys that set one.
+"""
 NO_META: Mapping[str, str] = MappingProxyType({})
 STUCK_S = 2.0  # a data plane that does not cycle for so long is dead
 
@@ -94,6 +101,7 @@ class _RealRun(Course):
         self.error: str | None = None  # of this process, while the rig was armed
         self.stopped_by: str | None = None
         self._waiting: Records | None = None
+        self._struck: deque[tuple[int, str]] = deque()  # markers of the keys, which a thread reads
         self._touched = False  # whether this host has sent anything
         self._seen = (0, time.monotonic())
         self._outcome: dict[str, Any] | None = None  # what is told to those who asked for a stop
@@ -103,7 +111,7 @@ class _RealRun(Course):
         try:
             self.door = HostSocket(address)
             self._stack.callback(lambda: self.door.close(self._outcome))
-            self.door.status = self._answer
+            self.door.status, self.door.mark = self._answer, self._mark_asked
             if status is not None:
                 self.teller = StatusSocket(status, self.status)
                 self._stack.callback(self.teller.close)
@@ -182,6 +190,30 @@ class _RealRun(Course):
         """Mark the recording, whose time begins with the run's."""
         super().mark(t_ns - self.zero_ns, text)
 
+    def _mark_asked(self, text: str) -> bytes:
+        """Mark the recording now with what somebody says; return the answer for who asks at the
+        door.
+        """
+        if self.recorder is None or self.failure is not None:
+            return encoded({"error": "it does not record; start it with --record"})
+        text = f"{SAID} {text.strip()}"
+        if not text.isprintable() or not len(SAID) + 1 < len(text) <= MOST_SAID:
+            return encoded({"error": f"expected a text of 1 to {MOST_SAID - len(SAID) - 1} printable characters"})
+        self.mark(self.now_ns, text)
+        return encoded({"marker": text, "recording": str(self.path)})
+
+    def _mark_keys(self, strokes: bytes) -> None:
+        """Keep the markers of the keys 1 to 9 for the next look; called by the keys' thread."""
+        for digit in strokes.decode("ascii", "replace"):
+            if digit in KEYS:
+                self._struck.append((self.now_ns, f"{SAID} {digit}"))
+
+    def _watch_keys(self) -> None:
+        """Let the keys 1 to 9 set markers, where a terminal is there and something is recorded."""
+        if self.recorder is not None and in_foreground():
+            with suppress(OSError, termios.error):
+                self._stack.enter_context(Keys(self._mark_keys))
+
     def drain(self, seen_ns: int | None = None) -> None:
         """Write what the data plane has logged, in the order of the stamps.
 
@@ -255,7 +287,7 @@ class _RealRun(Course):
     def _hold_key(self) -> None:
         """Wait until the dead man's key is held."""
         self.k.control["deadman_key"] = 1
-        key = self._stack.enter_context(HeldKey(self.plane.hold_deadman))
+        key = self._stack.enter_context(HeldKey(self.plane.hold_deadman, self._mark_keys))
         self.say("hold the space bar; releasing it stops the rig")
         deadline = time.monotonic() + KEY_TIMEOUT_S
         while not key.held:
@@ -267,6 +299,8 @@ class _RealRun(Course):
         """Run from arming to the safe end; `seconds` as `display`."""
         if self.deadman == "key":
             self._hold_key()
+        else:
+            self._watch_keys()
         self.signals.defer()
         self.signals.stop()
         if not self.plane.alive or self.plane.status in (Status.LOST, Status.ENDED):
@@ -352,6 +386,10 @@ class _RealRun(Course):
             self._seen = cycles, now
             self.notifier.alive(cycles)
         self.mark_course(self.now_ns + 1)
+        while self._struck:
+            t_ns, text = self._struck.popleft()
+            self.mark(t_ns, text)
+            self.say(text)
         enabled = self.enabled_ns
         if enabled is not None and self.progress is not None:
             with suppress(OSError):  # of a terminal that was closed

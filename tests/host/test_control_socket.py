@@ -272,3 +272,40 @@ def test_the_verb_ends_with_4_unless_every_host_has_ended(monkeypatch):
 def test_asking_is_one_call_for_a_script():
     with pytest.raises(NoHost):
         stop_host(BUS)
+
+
+def looked_after(door, asked):
+    """Let the host look at its door until `asked` has its answer; return that."""
+    found = []
+    asker = threading.Thread(target=lambda: found.append(asked()))
+    asker.start()
+    while asker.is_alive():
+        door.stop_wanted()
+    return found[0]
+
+
+def test_who_asks_for_a_marker_has_it_set():
+    marked = []
+    door = HostSocket(BUS)
+    door.mark = lambda text: marked.append(text) or json.dumps({"marker": f"mark {text}", "recording": "r"}).encode()
+    result = looked_after(door, lambda: CliRunner().invoke(main, ["mark", "héld: a=b", "--bus", str(BUS)]))
+    door.close()
+    assert (result.exit_code, result.output) == (0, "r: mark héld: a=b\n")
+    assert marked == ["héld: a=b"]
+
+
+def test_a_marker_that_is_refused_is_a_usage_error():
+    door = HostSocket(BUS)
+    door.mark = lambda text: b'{"error": "it does not record; start it with --record"}'
+    result = looked_after(door, lambda: CliRunner().invoke(main, ["mark", "x", "--bus", str(BUS)]))
+    door.close()
+    assert result.exit_code == 2
+    assert "start it with --record" in result.output
+
+
+def test_a_host_that_knows_no_markers_is_told():
+    door = HostSocket(BUS)
+    result = looked_after(door, lambda: CliRunner().invoke(main, ["mark", "x", "--bus", str(BUS)]))
+    door.close()
+    assert result.exit_code == 4
+    assert "gave no answer that is one" in result.output

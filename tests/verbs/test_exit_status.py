@@ -34,6 +34,7 @@ BASE = {
     "run": "run --bus coulombus:none",
     "stop": "stop --bus coulombus:none",
     "status": "status --bus coulombus:none",
+    "mark": "mark grasp --bus coulombus:none",
     "watch": "watch --bus coulombus:none",
     "decode": "decode RECORDING",
     "plot": "plot RECORDING -o DIR/out.png",
@@ -105,7 +106,20 @@ WITH_SET = (
 )
 WITH_RECORDING = ("decode", "export", "plot", "diff", "replay --host", "replay --virtual", "replay --bus", "identify")
 WITH_EDS = ("eds check", "init", "node", "conformance", "sdo restore")
-WITH_BUS = ("run", "stop", "status", "measure", "watch", "replay --bus", "bridge", "conformance", "scan", "lss", "nmt")
+WITH_BUS = (
+    "run",
+    "stop",
+    "status",
+    "mark",
+    "measure",
+    "watch",
+    "replay --bus",
+    "bridge",
+    "conformance",
+    "scan",
+    "lss",
+    "nmt",
+)
 WITH_BUS += ("sdo get", "sdo set", "sdo dump", "sdo restore", "sdo store", "sdo restore-defaults", "sdo shell")
 OUTPUTS = (
     ("simulate", "--record", ".pcapng"),

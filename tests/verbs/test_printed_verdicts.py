@@ -29,6 +29,7 @@ ENDS = {
     "stop": ("stop --bus coulombus:none", 4),
     "status": ("status --bus coulombus:none", 4),
     "watch": ("watch --bus coulombus:none", 4),
+    "mark": ("mark grasp --bus coulombus:none", 4),
     "replay": ("replay RECORDING --bus coulombus:none", 4),
     "bridge": ("bridge coulombus:none coulombus:other", 4),
     "conformance": (f"conformance --bus coulombus:none --node 1 --eds {EDS}", 4),

@@ -1,0 +1,70 @@
+"""The keys of the terminal while the host runs, each as it is struck."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import sys
+import termios
+import threading
+import tty
+from collections.abc import Callable
+from contextlib import suppress
+from types import TracebackType
+from typing import Any, Self
+
+__all__ = ["Keys", "in_foreground"]
+
+FROM_BEHIND = {signal.SIGTTIN, signal.SIGTTOU}
+"""They would stop a host that has been sent to the background, as soon as it reads a key."""
+
+
+def in_foreground() -> bool:
+    """Tell whether the standard input is a terminal whose keys are this process'."""
+    try:
+        return sys.stdin.isatty() and os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
+    except (OSError, ValueError):
+        return False
+
+
+class Keys:
+    """Watches the terminal in a thread, and calls ``struck(strokes)`` there."""
+
+    def __init__(self, struck: Callable[[bytes], None]) -> None:
+        self._fd = sys.stdin.fileno()
+        self._call = struck
+        self._end, self._wake = os.pipe()
+        self._thread = threading.Thread(target=self._watch, name="keys", daemon=True)
+        self._mode: list[Any] = []
+
+    def __enter__(self) -> Self:
+        self._mode = termios.tcgetattr(self._fd)
+        tty.setcbreak(self._fd)
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        os.close(self._wake)
+        self._thread.join()
+        os.close(self._end)
+        blocked = signal.pthread_sigmask(signal.SIG_BLOCK, FROM_BEHIND)
+        with suppress(termios.error):
+            termios.tcsetattr(self._fd, termios.TCSAFLUSH, self._mode)  # the repeats that wait are not for the shell
+        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+
+    def _watch(self) -> None:
+        signal.pthread_sigmask(signal.SIG_BLOCK, FROM_BEHIND)
+        while True:
+            ready, _, _ = select.select([self._fd, self._end], [], [])
+            if self._end in ready:
+                return
+            try:
+                strokes = os.read(self._fd, 64)
+            except OSError:
+                strokes = b""
+            if not strokes:  # the terminal is gone, or another's: nobody holds anything
+                return
+            self._call(strokes)
