@@ -30,6 +30,7 @@ __all__ = [
     "INTERFACE",
     "LINKTYPE_CAN_SOCKETCAN",
     "MAX_BLOCK",
+    "OWN_APPLICATION",
     "SECTION_HEADER",
     "PcapngError",
     "RecordingError",
@@ -60,6 +61,8 @@ SHB_APPLICATION = 4
 IF_NAME = 2
 IF_TSRESOL = 9
 IF_TSOFFSET = 14
+OWN_APPLICATION = "coulombus"
+"""In the section header of our recordings."""
 
 ATTACHMENT_HEAD = struct.Struct("<8s32sIII")  # see attachment_block
 ATTACHMENT_MAGIC = b"CoulAtt1"

@@ -30,6 +30,7 @@ from coulombus.recording.pcapng_blocks import (
     LINKTYPE_CAN_SOCKETCAN,
     MAX_BLOCK,
     OPT_COMMENT,
+    OWN_APPLICATION,
     PACKET,
     SHB_APPLICATION,
     SHB_HARDWARE,
@@ -97,6 +98,8 @@ class _Reader:
     base: int = 0
     """Where `data` begins in the file."""
     order: str = "<"
+    own: bool = False
+    """Whether the section is a recording of ours, whose times count from its own time 0."""
     interfaces: list[Interface] = field(default_factory=list)
     earlier: int = 0
     linktypes: set[int] = field(default_factory=set)
@@ -307,8 +310,11 @@ def _section(reader: _Reader, at: int) -> tuple[int, int]:
     if major != 1:
         where = f"{reader.path}: offset {reader.base + start}"
         raise PcapngError(f"{where}: pcapng version {major}, this reads version 1; convert it")
+    reader.own = False
     for code, value in iter_options(reader.data[start + 24 : start + length - 4], order):
-        reader.texts.setdefault(code, value.decode(errors="replace"))
+        text = value.decode(errors="replace")
+        reader.own |= code == SHB_APPLICATION and text == OWN_APPLICATION
+        reader.texts.setdefault(code, text)
     reader.earlier += len(reader.interfaces)
     reader.interfaces = []
     return at + int(length) // 4, FULL
@@ -375,7 +381,7 @@ def _interface(reader: _Reader, start: int, body: bytes) -> Interface:
         if code == IF_TSRESOL and len(value) == 1:
             resolution = value[0]
         elif code == IF_TSOFFSET and len(value) == 8:
-            offset_s = struct.unpack(reader.order + "q", value)[0]
+            offset_s = 0 if reader.own else struct.unpack(reader.order + "q", value)[0]
     reader.linktypes.add(linktype)
     return Interface(linktype, resolution, offset_s)
 

@@ -22,11 +22,13 @@ from coulombus.recording.pcapng_blocks import (
     BYTE_ORDER_MAGIC,
     ENHANCED_PACKET,
     IF_NAME,
+    IF_TSOFFSET,
     IF_TSRESOL,
     INTERFACE,
     LINKTYPE_CAN_SOCKETCAN,
     OPT_COMMENT,
     OPT_END,
+    OWN_APPLICATION,
     SECTION_HEADER,
     SHB_APPLICATION,
     SHB_HARDWARE,
@@ -74,6 +76,10 @@ class PcapngWriter:
         Comment of the whole recording.
     epoch_ns
         Added to each frame's `t_ns`: nanoseconds from 1970 to the frames' time 0.
+    started_ns
+        CLOCK_REALTIME at the frames' time 0, where that is known. The stamps stay what they are;
+        its whole seconds stand beside them (if_tsoffset), so that Wireshark shows the date. Of a
+        file of ours our reader leaves it out.
     force
         Replace a file that exists.
     application, hardware, operating_system, interface
@@ -92,8 +98,9 @@ class PcapngWriter:
         attachments: Mapping[str, bytes],
         comment: str = "",
         epoch_ns: int = 0,
+        started_ns: int = 0,
         force: bool = False,
-        application: str = "coulombus",
+        application: str = OWN_APPLICATION,
         hardware: str = "",
         operating_system: str = "Linux",
         interface: str = "can0",
@@ -104,7 +111,8 @@ class PcapngWriter:
         self.bytes = 0
         self._failure: str | None = None
         self._buffer = _template(0)
-        head = _head(comment, hardware, operating_system, application, interface)
+        head = _section(comment, hardware, operating_system, application)
+        head += _interface(interface, started_ns // 1_000_000_000)
         head += b"".join(attachment_block(name, content) for name, content in attachments.items())
         try:
             self._fd = open_new(Path(self.path), force=force)
@@ -225,14 +233,18 @@ def _template(count: int) -> Records:
     return blocks
 
 
-def _head(comment: str, hardware: str, operating_system: str, application: str, interface: str) -> bytes:
+def _section(comment: str, hardware: str, operating_system: str, application: str) -> bytes:
     texts = ((OPT_COMMENT, comment), (SHB_HARDWARE, hardware), (SHB_OS, operating_system))
     section = struct.pack("<IHHq", BYTE_ORDER_MAGIC, 1, 0, -1)
     section += b"".join(option(code, text.encode()) for code, text in (*texts, (SHB_APPLICATION, application)) if text)
+    return block(SECTION_HEADER, section + option(OPT_END, b""))
+
+
+def _interface(name: str, offset_s: int) -> bytes:
     one = struct.pack("<HHI", LINKTYPE_CAN_SOCKETCAN, 0, CAN_FRAME_BYTES)
-    one += (option(IF_NAME, interface.encode()) if interface else b"") + option(IF_TSRESOL, b"\x09")
-    end = option(OPT_END, b"")
-    return block(SECTION_HEADER, section + end) + block(INTERFACE, one + end)
+    one += (option(IF_NAME, name.encode()) if name else b"") + option(IF_TSRESOL, b"\x09")
+    one += option(IF_TSOFFSET, struct.pack("<q", offset_s)) if offset_s else b""
+    return block(INTERFACE, one + option(OPT_END, b""))
 
 
 def _commented(blocks: Records, comments: Mapping[int, str]) -> bytes:

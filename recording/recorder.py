@@ -41,7 +41,8 @@ def project_version() -> str:
 
 class Recorder:
     """Writes frames to a pcapng file, a new one unless `force` is given; a marker is the comment of
-    the first frame at or after its time. `more` are further attachments, `comment` the file's.
+    the first frame at or after its time. `more` are further attachments, `comment` the file's,
+    `started_ns` is CLOCK_REALTIME at time 0; 0: there is none, as in virtual time.
 
     Raises
     ------
@@ -61,6 +62,7 @@ class Recorder:
         bus: str = "",
         more: Mapping[str, bytes] = NO_LAW,
         comment: str = "",
+        started_ns: int = 0,
         force: bool = False,
     ) -> None:
         attachments = {
@@ -75,6 +77,7 @@ class Recorder:
         attachments |= {name: text.encode() for name, text in rig.eds_texts.items()}
         attachments |= law
         self._attachments, self._comment = {**attachments, **more}, comment
+        self._started_ns = started_ns
         self._open(path, force=force)
         self._markers: list[tuple[int, int, str]] = []
         self._marked = 0
@@ -85,7 +88,9 @@ class Recorder:
 
     def _open(self, path: Path, *, force: bool = False) -> None:
         """Begin a file: with everything attached, so that it can be read alone."""
-        self._writer = PcapngWriter(path, attachments=self._attachments, comment=self._comment, force=force)
+        self._writer = PcapngWriter(
+            path, attachments=self._attachments, comment=self._comment, started_ns=self._started_ns, force=force
+        )
 
     def attach(self, name: str, content: bytes) -> None:
         """Add an attachment that is known only now."""

@@ -162,7 +162,7 @@ class SegmentedRecorder(Recorder):
         more: Mapping[str, bytes],
         comment: str = "",
     ) -> None:
-        self.folder, self.rotation, self._started_ns = folder, rotation, started_ns
+        self.folder, self.rotation = folder, rotation
         self.run = _new_run(folder, started_ns)
         self._number, self._begun_ns, self._last_ns, self._frames = 1, -1, 0, 0
         self._reserved, self._told_s = 0, time.monotonic()
@@ -175,7 +175,9 @@ class SegmentedRecorder(Recorder):
             room = os.statvfs(self.run)
             if room.f_bavail * room.f_frsize < 2 * self._step:
                 self._prune(2 * self._step)
-            super().__init__(self.run / "000001.pcapng", rig, mode, law=law, more=more, comment=comment)
+            super().__init__(
+                self.run / "000001.pcapng", rig, mode, law=law, more=more, comment=comment, started_ns=started_ns
+            )
         except OSError as error:
             self._undo()
             if isinstance(error, RecordingError):

@@ -179,7 +179,9 @@ class _RealRun(Course):
         more |= meta_attachment(meta)
         law = law_attachments(self.rig)
         if rotation is None:
-            return Recorder(record, self.rig, mode, law=law, more=more, comment=comment, force=force)
+            return Recorder(
+                record, self.rig, mode, law=law, more=more, comment=comment, started_ns=started_ns, force=force
+            )
         recorder = SegmentedRecorder(
             record, self.rig, mode, rotation, started_ns=started_ns, law=law, more=more, comment=comment
         )

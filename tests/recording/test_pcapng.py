@@ -616,6 +616,31 @@ def test_tshark_reads_it_without_a_complaint(tmp_path: Path):
         assert text in information
 
 
+STARTED_NS = 1_795_351_385_123_456_789  # 2026-11-22T12:43:05Z and a fraction
+
+
+def test_the_start_stands_beside_the_stamps_which_stay_what_they_are(tmp_path: Path):
+    without = written(tmp_path / "a.pcapng", ROWS)
+    path = written(tmp_path / "b.pcapng", ROWS, started_ns=STARTED_NS)
+    assert as_rows(read_pcapng(path).frames) == ROWS
+    option = struct.pack("<HHq", 14, 8, STARTED_NS // 10**9)
+    assert option in path.read_bytes()
+    assert path.read_bytes().endswith(without.read_bytes()[-48 * len(ROWS) :])
+
+
+def test_another_program_s_offset_counts(tmp_path: Path):
+    path = written(tmp_path / "a.pcapng", ROWS[:2], started_ns=STARTED_NS, application="dumpcap")
+    begin_ns = STARTED_NS // 10**9 * 10**9
+    assert [t_ns for t_ns, _, _ in as_rows(read_pcapng(path).frames)] == [begin_ns, begin_ns + 1_000_000]
+
+
+@needs_tshark
+def test_wireshark_shows_the_date_of_a_recording_in_real_time(tmp_path: Path):
+    path = written(tmp_path / "a.pcapng", ROWS[:2], started_ns=STARTED_NS)
+    times = run_tool("tshark", "-r", str(path), "-t", "ud", "-T", "fields", "-e", "_ws.col.Time").splitlines()
+    assert times == ["2026-11-22 12:43:05.000000000", "2026-11-22 12:43:05.001000000"]
+
+
 @needs_tshark
 @pytest.mark.parametrize("command", [("editcap",), ("editcap", "-F", "pcapng"), ("mergecap", "-w")])
 def test_files_made_by_editcap_and_mergecap(tmp_path: Path, command: tuple[str, ...]):
