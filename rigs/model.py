@@ -38,7 +38,7 @@ WORK_WINDOW_CYCLES = 4096
 """Cycles that the host's net-work watch can look back."""
 CIA_301_BIT_RATES = (10_000, 20_000, 50_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
 CHANNEL = r"^[a-z0-9_]{0,16}$"
-DEADMAN = r"^(|none|key|object:[0-9A-Fa-f]{4}:[0-9A-Fa-f]{1,2}(:0x[0-9A-Fa-f]{1,16})?)$"
+DEADMAN = r"^(|none|key|object:[0-9A-Fa-f]{4}:[0-9A-Fa-f]{1,2}(:0x[0-9A-Fa-f]{1,16})?|gpio:gpiochip\d+:\d+(:low)?|socket:/.+)$"
 LAW = r"^\s*((([A-Za-z_]\w*)(\.[A-Za-z_]\w*)*|[^:]+\.py):)?[A-Za-z_]\w*\s*$"
 
 
@@ -136,7 +136,10 @@ class Host(Section):
         "",
         pattern=DEADMAN,
         description="the dead man's switch",
-        json_schema_extra={"expected": '"none", "key", "object:INDEX:SUB" or "object:INDEX:SUB:MASK"'},
+        json_schema_extra={
+            "expected": '"none", "key", "object:INDEX:SUB", "object:INDEX:SUB:MASK", "gpio:gpiochipN:LINE", '
+            '"gpio:gpiochipN:LINE:low" or "socket:/PATH"'
+        },
     )
     loss_limit: float = Field(0.05, ge=0, le=1, description="share of cycles with a missed deadline or a lost PDO")
     accept: tuple[str, ...] = Field(

@@ -1,30 +1,43 @@
-"""The dead man's switch: what the rig file asks for, and the key that is held in the terminal.
+"""The dead man's switch: what the rig file asks for, and who watches it where it is no object of a
+device.
 
-A held key reaches a program as repeats, which begin some tenths of a second after the first stroke.
-So one stroke counts for nothing; two within `RELEASE_S` count as held, until none has come for
-`RELEASE_S`.
+A watcher is a thread of the data plane's parent. Whenever it sees the switch held, it lets it count
+as held for a short time ahead (``hold(until_ns)``); the compiled loop compares that with its own
+clock in each cycle. So whatever befalls the watcher - it dies, it is stalled, its device or its
+client goes - the switch is released by itself.
+
+The key: a held one reaches a program as repeats, which begin some tenths of a second after the
+first stroke. So one stroke counts for nothing; two within `RELEASE_S` count as held, until none has
+come for `RELEASE_S`.
 """
 
 from __future__ import annotations
 
+import os
+import select
 import sys
+import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable
+from contextlib import suppress
+from types import TracebackType
+from typing import ClassVar, Self
 
 from coulombus.host.errors import SafetyTrip
 from coulombus.host.run.keys import Keys
 from coulombus.rigs.rig import Rig
 from coulombus.wire.address import BusAddress
 
-__all__ = ["RELEASE_S", "HeldKey", "deadman_of"]
+__all__ = ["RELEASE_S", "HeldKey", "Switch", "Watcher", "deadman_of"]
 
 RELEASE_S = 0.3
 KEY = b" "
 
 
 def deadman_of(rig: Rig, mode: str, address: BusAddress) -> str:
-    """Return the dead man's switch of a run: "none", "key", "object:INDEX:SUB" or
-    "object:INDEX:SUB:MASK".
+    """Return the dead man's switch of a run: "none", "key", "object:INDEX:SUB",
+    "object:INDEX:SUB:MASK", "gpio:gpiochipN:LINE", "gpio:gpiochipN:LINE:low" or "socket:/PATH".
 
     A virtual bus moves nobody, and needs none. On an interface of Linux a mode in which the motor
     of any axis has torque needs one, or the rig file says in so many words that there is none.
@@ -41,16 +54,93 @@ def deadman_of(rig: Rig, mode: str, address: BusAddress) -> str:
         which = "the motor" if pushing == ["motor"] else ", ".join(pushing)
         raise SafetyTrip(
             f"mode {mode} gives {which} torque on {address}, and {rig.path} names no dead man's switch: set host.deadman to "
-            '"key", "object:INDEX:SUB" or "object:INDEX:SUB:MASK", or to "none" if the rig needs none'
+            '"key", "object:INDEX:SUB:MASK", "gpio:gpiochipN:LINE" or "socket:/PATH", or to "none" if the rig needs none'
         )
     return "none"
 
 
-class HeldKey(Keys):
-    """Watches the space bar of the terminal.
+class Switch(ABC):
+    """A switch that somebody holds, watched as a context manager.
 
-    Calls ``hold(until_ns)`` (CLOCK_MONOTONIC) with every repeat, and `other` with all other
-    strokes.
+    Parameters
+    ----------
+    hold : called with the time [ns, CLOCK_MONOTONIC] until which the switch counts as held; with 0
+        when it is let go
+    """
+
+    invitation: ClassVar[str]
+    """What is said to the operator."""
+    name: ClassVar[str]
+
+    def __init__(self, hold: Callable[[int], None]) -> None:
+        self._tell, self._held_until = hold, 0
+
+    @abstractmethod
+    def __enter__(self) -> Self:
+        """Watch from now on."""
+
+    @abstractmethod
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Watch no more."""
+
+    @property
+    def held(self) -> bool:
+        """Whether the switch counts as held now."""
+        return time.monotonic_ns() < self._held_until
+
+    def _hold_for(self, seconds: float) -> None:
+        self._held_until = time.monotonic_ns() + round(seconds * 1e9)
+        self._tell(self._held_until)
+
+    def _let_go(self) -> None:
+        self._held_until = 0
+        self._tell(0)
+
+
+class Watcher(Switch):
+    """A switch that a thread of its own watches."""
+
+    def __init__(self, hold: Callable[[int], None]) -> None:
+        super().__init__(hold)
+        self._end, self._wake = os.pipe()
+        self._thread = threading.Thread(target=self._run, name="dead man's switch", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        os.close(self._wake)
+        self._thread.join()
+        os.close(self._end)
+
+    def _run(self) -> None:
+        """Watch; a watcher that ends, be it by an error, has let go."""
+        try:
+            with suppress(OSError):
+                self._watch()
+        finally:
+            self._let_go()
+
+    @abstractmethod
+    def _watch(self) -> None:
+        """Watch until `_ready` says that it is over.
+
+        OSError: the switch is gone.
+        """
+
+    def _ready(self, sources: list[int], timeout_s: float | None = None) -> list[int] | None:
+        """Wait until there is something to be read; None when the watching is over."""
+        found, _, _ = select.select([*sources, self._end], [], [], timeout_s)
+        return None if self._end in found else found
+
+
+class HeldKey(Switch):
+    """The space bar of the terminal; `other` is called with all other strokes.
 
     Raises
     ------
@@ -58,17 +148,23 @@ class HeldKey(Keys):
         the standard input is no terminal
     """
 
+    name = "the space bar"
+    invitation = "hold the space bar; releasing it stops the rig"
+
     def __init__(self, hold: Callable[[int], None], other: Callable[[bytes], None] = lambda strokes: None) -> None:
         if not sys.stdin.isatty():
             raise SafetyTrip('host.deadman = "key" needs a terminal: the standard input is none')
-        super().__init__(self._struck)
-        self._hold, self._other = hold, other
-        self._held_until, self._last = 0, 0
+        super().__init__(hold)
+        self._keys, self._other, self._last = Keys(self._struck, self._let_go), other, 0
 
-    @property
-    def held(self) -> bool:
-        """Whether the key counts as held now."""
-        return time.monotonic_ns() < self._held_until
+    def __enter__(self) -> Self:
+        self._keys.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._keys.__exit__(kind, error, trace)
 
     def _struck(self, strokes: bytes) -> None:
         others = strokes.replace(KEY, b"")
@@ -76,8 +172,7 @@ class HeldKey(Keys):
             self._other(others)
         if KEY not in strokes:
             return
-        now, release_ns = time.monotonic_ns(), round(RELEASE_S * 1e9)
-        if now - self._last < release_ns:
-            self._held_until = now + release_ns
-            self._hold(self._held_until)
+        now = time.monotonic_ns()
+        if now - self._last < round(RELEASE_S * 1e9):
+            self._hold_for(RELEASE_S)
         self._last = now

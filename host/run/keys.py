@@ -29,13 +29,15 @@ def in_foreground() -> bool:
 
 
 class Keys:
-    """Watches the terminal in a thread, and calls ``struck(strokes)`` there."""
+    """Watches the terminal in a thread, and calls ``struck(strokes)`` there; ``ended()`` when it
+    watches no more, be it by an error.
+    """
 
-    def __init__(self, struck: Callable[[bytes], None]) -> None:
+    def __init__(self, struck: Callable[[bytes], None], ended: Callable[[], None] = lambda: None) -> None:
         self._fd = sys.stdin.fileno()
-        self._call = struck
+        self._call, self._ended = struck, ended
         self._end, self._wake = os.pipe()
-        self._thread = threading.Thread(target=self._watch, name="keys", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="keys", daemon=True)
         self._mode: list[Any] = []
 
     def __enter__(self) -> Self:
@@ -54,6 +56,12 @@ class Keys:
         with suppress(termios.error):
             termios.tcsetattr(self._fd, termios.TCSAFLUSH, self._mode)  # the repeats that wait are not for the shell
         signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+
+    def _run(self) -> None:
+        try:
+            self._watch()
+        finally:
+            self._ended()
 
     def _watch(self) -> None:
         signal.pthread_sigmask(signal.SIG_BLOCK, FROM_BEHIND)

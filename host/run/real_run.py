@@ -34,7 +34,8 @@ from coulombus.host.realtime.shared_memory import Status
 from coulombus.host.run.axis_state import axis_state
 from coulombus.host.run.control_socket import HostSocket
 from coulombus.host.run.course import SAFE_TIMEOUT_NS, Course, Figures
-from coulombus.host.run.deadman import HeldKey, deadman_of
+from coulombus.host.run.deadman import Switch, deadman_of
+from coulombus.host.run.deadman_outside import switch_of
 from coulombus.host.run.histogram import Counts
 from coulombus.host.run.keys import Keys, in_foreground
 from coulombus.host.run.result import RunResult
@@ -62,7 +63,7 @@ HOLD_BACK_NS = 50_000_000  # frames come into the log a little out of order; you
 LISTEN_S = 1.0  # for another host
 LEAD_NS = 20_000_000
 FAILURES = 1000  # of this process while the rig is made safe: the data plane does that by itself meanwhile
-KEY_TIMEOUT_S = 30.0
+HAND_TIMEOUT_S = 30.0
 SAID, MOST_SAID, KEYS = "mark", 200, "123456789"
 """How markers of persons begin, which none of the run's own does; how long they are at most; the
 keys that set one.
@@ -286,23 +287,24 @@ class _RealRun(Course):
         self.mark(now, f"run {self.k.mode}")
         self.mark(now, f"deadman {self.deadman}")
 
-    def _hold_key(self) -> None:
-        """Wait until the dead man's key is held."""
+    def _await_hand(self, switch: Switch) -> None:
+        """Wait until a dead man's switch is held that is no object of a device."""
         self.k.control["deadman_key"] = 1
-        key = self._stack.enter_context(HeldKey(self.plane.hold_deadman, self._mark_keys))
-        self.say("hold the space bar; releasing it stops the rig")
-        deadline = time.monotonic() + KEY_TIMEOUT_S
-        while not key.held:
+        self._stack.enter_context(switch)
+        self.say(switch.invitation)
+        deadline = time.monotonic() + HAND_TIMEOUT_S
+        while not switch.held:
             if time.monotonic() > deadline:
-                raise SafetyTrip(f"arming refused: the space bar was not held within {KEY_TIMEOUT_S:g} s")
+                raise SafetyTrip(f"arming refused: {switch.name} was not held within {HAND_TIMEOUT_S:g} s")
             time.sleep(POLL_S)
 
     def course(self, seconds: float | None) -> None:
         """Run from arming to the safe end; `seconds` as `display`."""
-        if self.deadman == "key":
-            self._hold_key()
-        else:
+        switch = switch_of(self.deadman, self.plane.hold_deadman, self._mark_keys)
+        if self.deadman != "key":
             self._watch_keys()
+        if switch is not None:
+            self._await_hand(switch)
         self.signals.defer()
         self.signals.stop()
         if not self.plane.alive or self.plane.status in (Status.LOST, Status.ENDED):

@@ -183,6 +183,7 @@ def _host(service: Service) -> str:
         lines = lines.replace("OOMScoreAdjust=-900\n", "")  # only the system's manager may
     else:
         lines += "DeviceAllow=/dev/cpu_dma_latency rw\n"
+        lines += "# the dead man's switch, where host.deadman is a GPIO line\nDeviceAllow=char-gpiochip r\n"
     recorded = () if service.user else ("--record", "runs", "--rotate", "1h", "--keep", "20GB")
     command = service.command("run", "--rig", service.rig, "--bus", service.bus, "--mode", service.mode, *recorded)
     return _unit(

@@ -76,7 +76,7 @@ def test_what_the_data_plane_needs_is_not_taken_away():
     unit = files(service())["coulombus-host.service"]
     assert values(unit, "LimitRTPRIO") == ["95"]
     assert values(unit, "LimitMEMLOCK") == ["infinity"]
-    assert values(unit, "DeviceAllow") == ["/dev/cpu_dma_latency rw"]
+    assert values(unit, "DeviceAllow") == ["/dev/cpu_dma_latency rw", "char-gpiochip r"]
     assert "AF_CAN" in values(unit, "RestrictAddressFamilies")[0]
     for key in ("MemoryDenyWriteExecute", "RestrictRealtime", "PrivateDevices", "PrivateNetwork"):
         assert not values(unit, key)
