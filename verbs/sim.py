@@ -51,6 +51,7 @@ __all__ = ["node_command", "sim"]
 )
 @force_option
 @click.option("--unpaced", is_flag=True, help="Frames take no time: for measurements.")
+@click.option("--no-node-ids", is_flag=True, help="The devices have no node id yet: `coulombus lss` gives them theirs.")
 @click.option("--priority", type=click.IntRange(0, 99), default=79, show_default=True, help="SCHED_FIFO; 0: ordinary.")
 @click.option("--cpu", type=CPU, default=None, help="Keep the bus on this CPU.")
 @set_option
@@ -67,6 +68,7 @@ def sim(
     record: Path | None,
     overwrite: bool,
     unpaced: bool,
+    no_node_ids: bool,
     priority: int,
     cpu: int | None,
     overrides: tuple[str, ...],
@@ -114,6 +116,7 @@ def sim(
                 "--faults": faults,
             }
             words = ["sim", "--rig", rig_name, "--mode", chosen, *(["--unpaced"] if unpaced else [])]
+            words += ["--no-node-ids"] if no_node_ids else []
             words += [word for option, value in options.items() if value is not None for word in (option, str(value))]
             words += [word for text in overrides for word in ("--set", text)]
             sys.exit(_sim_buses([*words, "--json"] if as_json else words, addresses))
@@ -133,6 +136,7 @@ def sim(
                 record=record,
                 faults=plan,
                 force=overwrite,
+                numbered=not no_node_ids,
             )
 
         run_sim(make, seconds, priority=priority or None, cpu=cpu, as_json=as_json)

@@ -13,8 +13,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from coulombus.eds.cia305 import UNCONFIGURED
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.records import Trip
+from coulombus.node.device import Device
 from coulombus.node.emcy import DEVICE_FAULTS, FIRST_DEVICE_CAUSE
 from coulombus.recording.trace import EVENT, Event
 from coulombus.rigs.rig import Rig
@@ -64,6 +66,7 @@ class VirtualRig(VirtualNetwork):
     on_frames : called with each batch of frames (FRAME records, end-of-frame stamps) as the bus has
         carried them
     truth : keep the plant's true course (`truth()` returns it)
+    numbered : the devices have the rig's node ids; else none yet, and wait for an LSS master
     """
 
     def __init__(
@@ -75,6 +78,7 @@ class VirtualRig(VirtualNetwork):
         seed: int = 0,
         on_frames: Callable[[Records], None] | None = None,
         truth: bool = False,
+        numbered: bool = True,
     ) -> None:
         self.rig, self.mode = rig, mode
         host_rig = believed or rig
@@ -123,10 +127,11 @@ class VirtualRig(VirtualNetwork):
             ),
         )
         self.nodes["coil_A_Nm"][self._axes["brake"]] = [one.brake.coil_A_Nm for one in rig.axes]
+        rows: dict[int, tuple[int, Device]] = {}
         for device in (*(one for found in devices for one in found[:2]), *(one for _, one in sensors.values())):
-            self.add(device.served.description, device.node_id, device.profile)
+            added = self.add(device.served.description, device.node_id if numbered else UNCONFIGURED, device.profile)
+            rows[device.node_id] = (len(rows), added)
             self.opened = (*self.opened, *(text for text in device.served.remarks if text not in self.opened))
-        rows = {device.node_id: (row, device) for row, device in enumerate(self.devices)}
         for a, found in enumerate(devices):
             couple(rig.axes[a], self._axes[a], self.plant[a], {one.node: rows[one.node_id] for one in found})
         self.rows: dict[str, int] = {

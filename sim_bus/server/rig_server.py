@@ -32,9 +32,15 @@ class PacedRig(VirtualRig):
     """The rig of a process in which no host runs."""
 
     def __init__(
-        self, rig: Rig, mode: str, seed: int, bit_rate: int, on_frames: Callable[[Records], None] | None = None
+        self,
+        rig: Rig,
+        mode: str,
+        seed: int,
+        bit_rate: int,
+        on_frames: Callable[[Records], None] | None = None,
+        numbered: bool = True,
     ) -> None:
-        super().__init__(rig, mode, seed=seed, on_frames=on_frames)
+        super().__init__(rig, mode, seed=seed, on_frames=on_frames, numbered=numbered)
         self.bus["bit_rate"] = bit_rate
         self._world["host_elsewhere"] = 1
         detach(self.bus[0], SOURCE_HOST)
@@ -79,6 +85,7 @@ class SimServer(BusServer):
         power-on
     faults : what goes wrong on the bus, and when
     force : replace `record` where it exists
+    numbered : the devices have the rig's node ids; else none yet, and wait for an LSS master
 
     Raises
     ------
@@ -103,6 +110,7 @@ class SimServer(BusServer):
         record: Path | None = None,
         faults: FaultPlan | None = None,
         force: bool = False,
+        numbered: bool = True,
     ) -> None:
         if faults is not None and (unpaced or address.kind == "socketcan"):
             raise FaultError(f"{faults.path}: a bus without bit times has no faults; leave --unpaced and socketcan out")
@@ -114,7 +122,7 @@ class SimServer(BusServer):
                 self._recorder.write(frames)
 
         def make_world(bit_rate: int, trial: bool) -> PacedRig:
-            return PacedRig(rig, mode, seed, bit_rate, None if trial or record is None else keep)
+            return PacedRig(rig, mode, seed, bit_rate, None if trial or record is None else keep, trial or numbered)
 
         super().__init__(make_world, address, 0 if unpaced else rig.bus.bitrate_bit_s)
         if record is not None:  # a bus that is refused makes no file, and replaces none
