@@ -33,7 +33,7 @@ NODE_ID = click.IntRange(1, 127)
 @click.option(
     "--eds-folder",
     type=click.Path(path_type=Path, file_okay=False, exists=True),
-    help="Where the EDS files of devices that answer on the bus are.",
+    help="Where the EDS files of devices that answer on the bus are; our own devices' are known.",
 )
 @click.option("--rehearse", is_flag=True, help="With a simulated rig, for `coulombus simulate`; never for a real bus.")
 @click.option("-o", "--output", type=OutputFile(".toml"), metavar="MY.toml", help="A new file.  [default: stdout]")
@@ -100,13 +100,23 @@ def init(
 
 
 def _answered(bus_name: str) -> dict[int, dict[tuple[int, int], int]]:
-    """Ask who is on a bus; say it, and return what the objects of each node hold."""
+    """Ask who is on a bus; say it, and return what the objects of each node hold.
+
+    A node id that two devices have is refused: whose objects were read, nobody knows.
+    """
     from coulombus.host.devices.scan import survey
+    from coulombus.host.errors import DeviceMismatch
     from coulombus.wire.address import parse_address
 
     found = survey(parse_address(bus_name))
     for answers in found:
         say(f"coulombus: {answers}")
+        if answers.twice:
+            what_to_do = "take one off the bus, and give the other another id (coulombus lss)"
+            raise DeviceMismatch(f"{answers.remark}; {what_to_do}")
+    if not found:
+        look = f"coulombus scan --bus {bus_name} tells of devices without a node id, of silent ones and of the wire"
+        say(f"coulombus: nobody on {bus_name} answers SDO: {look}")
     return {answers.node_id: dict(answers.numbers) for answers in found}
 
 

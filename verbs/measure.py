@@ -102,7 +102,7 @@ def measure(
             if as_json:
                 print_json(document)
             else:
-                _print(document, rig.path)
+                _print(document, rig_name)
 
 
 def _refuse_to_write(rig_name: str, rig: Rig, overrides: tuple[str, ...]) -> None:
@@ -223,7 +223,7 @@ def _print(document: dict[str, Any], path: str) -> None:
         click.echo("ok: the plan fits with these times")
     else:
         words = " ".join(f"--set {key}={value!r}" for key, value in document["values"].items())
-        again = path if document["backup"] is not None else f"{document['rig']} {words}"
+        again = path if document["backup"] is not None else f"{path} {words}"
         click.echo(f"FAIL: the plan does not fit with these times: coulombus plan --rig {again}")
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -92,7 +91,7 @@ def scan(
                         remarks.append(str(error))
             told = trouble(link.error_frames, link.error_classes, bool(found))
         remarks += [told] if told else []
-        remarks += _remarks(found)
+        remarks += [one.remark for one in found if one.remark]
         rows = [_row(one, fitting(files, one.identity, one.numbers.get((0x1018, 3), 0))) for one in found]
         status = 0 if rows or without else MISSING
         if not rows and not without:
@@ -113,15 +112,6 @@ def _nobody(bus_name: str, listen_s: float) -> str:
     hint = "" if listen_s else "; nodes that only send heartbeats are found by --listen 10"
     rate = "; another bit rate: --bitrates" if bus_name.startswith("socketcan:") else ""
     return f"no node on {bus_name} answers: power, cable, termination, bit rate?{hint}{rate}"
-
-
-def _remarks(found: tuple[Answers, ...]) -> Iterator[str]:
-    for one in found:
-        if one.twice:
-            yield f"node {one.node_id} answered one request twice: two devices have this node id"
-        if not one.answers_sdo:
-            state = f"its heartbeat says {one.state.name}" if one.state is not None else "it was heard"
-            yield f"node {one.node_id} answers no SDO; {state}"
 
 
 def _path(description: Description | None) -> str | None:

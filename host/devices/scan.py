@@ -77,6 +77,16 @@ class Answers:
         """The device's name and its versions, "" where it tells none."""
         return " ".join(self.texts[place] for place in TOLD if place in self.texts)
 
+    @property
+    def remark(self) -> str:
+        """What is wrong with it, "" where nothing is."""
+        if self.twice:
+            return f"node {self.node_id} answered one request twice: two devices have this node id"
+        if not self.answers_sdo:
+            state = f"its heartbeat says {self.state.name}" if self.state is not None else "it was heard"
+            return f"node {self.node_id} answers no SDO; {state}"
+        return ""
+
     def __str__(self) -> str:
         vendor, product = self.identity
         return (

@@ -11,7 +11,7 @@ from importlib import resources
 from pathlib import Path
 
 from coulombus.eds.folder import fitting, read_folder
-from coulombus.eds.own_devices import told_identity
+from coulombus.eds.own_devices import packaged, told_identity
 from coulombus.eds.reader import Description, read_eds
 from coulombus.rigs.draft.device import Device, Place
 from coulombus.rigs.mistakes import RigError
@@ -95,14 +95,27 @@ class _Gathering:
         description = self.file_of(answers)
         if description is None:
             vendor, product = _identity(answers)
-            text = f"node {node_id} has 1018h {vendor:#010x} {product:#010x}, and none of {len(self.files)} EDS files in the folder has it"
-            raise RigError([f"{text}; put its maker's file there, or name it with --drive, --brake or --sensor"])
+            text = f"node {node_id} has 1018h {vendor:#010x} {product:#010x}, and"
+            if self.files:
+                text += f" none of {len(self.files)} EDS files in the folder has it; put its maker's file there"
+            else:
+                text += " there is no EDS file for it; put its maker's file into a folder, give it with --eds-folder"
+            raise RigError([f"{text}, or name it with --drive, --brake or --sensor"])
         self.taken.add(node_id)
-        return Device(node, description, self._name(Path(description.path)), node_id, answers)
+        return Device(node, description, self._name_of(description), node_id, answers)
+
+    def _name_of(self, description: Description) -> str:
+        """Return how the rig file names a description; those of the package have short names."""
+        path = Path(description.path)
+        beside = self.folder is not None and (self.folder / path.name).exists()  # it would be read instead
+        return path.name if description in packaged() and not beside else self._name(path)
 
     def file_of(self, answers: Mapping[Place, int]) -> Description | None:
-        """Return the EDS file of a live node, None where the folder has none."""
-        return fitting(self.files, _identity(answers), answers.get((0x1018, 3), 0))
+        """Return the EDS file of a live node, of the folder or of the package; None where neither
+        has one.
+        """
+        identity, revision = _identity(answers), answers.get((0x1018, 3), 0)
+        return fitting(self.files, identity, revision) or fitting(packaged(), identity, revision)
 
     def with_objects(self, indices: Sequence[int]) -> list[int]:
         """Return the live nodes of CiA 404 and 401 whose EDS file has one of these arrays."""

@@ -16,6 +16,7 @@ from click.testing import CliRunner
 
 from coulombus.eds.reader import read_eds
 from coulombus.host.run.control_socket import HostSocket
+from coulombus.rigs.rig import load_rig
 from coulombus.verbs import sdo_shell
 from coulombus.verbs.main import main
 from coulombus.wire.address import BusUnavailable, parse_address
@@ -119,6 +120,42 @@ def test_an_empty_bus_ends_with_a_missing_node(desk):
     assert "no node on coulombus:desk answers: power, cable, termination, bit rate?" in result.stderr
     assert "--listen 10" in result.stderr
     assert json.loads(call("scan", *BUS, "--json").stdout)["nodes"] == []
+
+
+def test_init_knows_our_own_devices_without_a_folder(desk, tmp_path):
+    result = call("init", *BUS, "-o", "my.toml")
+    assert result.exit_code == 0, result.output
+    axis = load_rig(str(tmp_path / "my.toml")).one_axis()
+    assert (axis.motor.eds, axis.motor.node_id, axis.brake.eds, axis.brake.node_id) == (
+        "motor.eds",
+        1,
+        "mr_brake.eds",
+        2,
+    )
+
+
+def test_init_names_what_to_do_for_a_device_without_a_file(desk, tmp_path):
+    desk.add(eds("motor", vendor=0x77), 3)
+    result = call("init", *BUS, "--drive-id", 3, "-o", "my.toml")
+    assert result.exit_code == 3
+    assert "there is no EDS file for it; put its maker's file into a folder, give it with --eds-folder" in result.stderr
+    assert not (tmp_path / "my.toml").exists()
+
+
+def test_init_refuses_two_devices_of_one_id(desk, tmp_path):
+    Server(desk, 5, lambda request: 2 * [b"\x43\x00\x10\x00\x92\x01\x02\x00"] if request[0] == 0x40 else [])
+    result = call("init", *BUS, "-o", "my.toml")
+    assert result.exit_code == 3
+    assert "two devices have this node id; take one off the bus, and give the other another id" in result.stderr
+    assert not (tmp_path / "my.toml").exists()
+
+
+def test_init_on_a_bus_where_nobody_answers_says_who_tells_more(desk):
+    desk.devices.clear()
+    desk._rows.clear()
+    result = call("init", *BUS)
+    assert result.exit_code == 3
+    assert "nobody on coulombus:desk answers SDO: coulombus scan --bus coulombus:desk" in result.stderr
 
 
 def test_error_frames_are_told(desk):
