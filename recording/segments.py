@@ -162,7 +162,7 @@ class SegmentedRecorder(Recorder):
         more: Mapping[str, bytes],
         comment: str = "",
     ) -> None:
-        self.folder, self.rotation = folder, rotation
+        self.folder, self.rotation, self._started_ns = folder, rotation, started_ns
         self.run = _new_run(folder, started_ns)
         self._number, self._begun_ns, self._last_ns, self._frames = 1, -1, 0, 0
         self._reserved, self._told_s = 0, time.monotonic()

@@ -287,6 +287,10 @@ class _RealRun(Course):
         self.mark(now, f"run {self.k.mode}")
         self.mark(now, f"deadman {self.deadman}")
 
+    def _hold(self, until_ns: int) -> None:
+        """Let the dead man's switch count as held until then."""
+        self.plane.hold_deadman(until_ns)
+
     def _await_hand(self, switch: Switch) -> None:
         """Wait until a dead man's switch is held that is no object of a device."""
         self.k.control["deadman_key"] = 1
@@ -300,7 +304,7 @@ class _RealRun(Course):
 
     def course(self, seconds: float | None) -> None:
         """Run from arming to the safe end; `seconds` as `display`."""
-        switch = switch_of(self.deadman, self.plane.hold_deadman, self._mark_keys)
+        switch = switch_of(self.deadman, self._hold, self._mark_keys)
         if self.deadman != "key":
             self._watch_keys()
         if switch is not None:
