@@ -13,6 +13,7 @@ from coulombus.verbs.common import (
     EXIT_STATUS,
     OutputFile,
     bus_option,
+    check_shared_machine,
     errors,
     force_option,
     json_option,
@@ -23,6 +24,7 @@ from coulombus.verbs.common import (
     say,
     seed_option,
     set_option,
+    shared_machine_option,
     table_console,
     verdict,
 )
@@ -45,6 +47,7 @@ __all__ = ["commission"]
 )
 @bus_option
 @click.option("--step", "names", multiple=True, metavar="NAME", help="Only this step; may be given several times.")
+@click.option("--axis", metavar="NAME", help="The axis, where the rig file names axes.")
 @click.option("--list", "listed", is_flag=True, help="Print the steps, and which are done; nothing moves.")
 @click.option("--again", is_flag=True, help="Do the steps that are done once more.")
 @click.option("--yes", is_flag=True, help="Ask nothing: for a rehearsal, or a rig that nobody touches.")
@@ -65,11 +68,13 @@ __all__ = ["commission"]
 @force_option
 @seed_option
 @set_option
+@shared_machine_option
 @json_option
 def commission(
     rig_path: Path | None,
     bus_name: str | None,
     names: tuple[str, ...],
+    axis: str | None,
     listed: bool,
     again: bool,
     yes: bool,
@@ -81,6 +86,7 @@ def commission(
     overwrite: bool,
     seed: int,
     overrides: tuple[str, ...],
+    shared_machine: bool,
     as_json: bool,
 ) -> None:
     """Measure the rig step by step, and write what is found into its rig file.
@@ -94,15 +100,18 @@ def commission(
       coulombus commission --list
       coulombus commission --rig my.toml --bus socketcan:can0
       coulombus commission --rig my.toml --bus socketcan:can0 --step friction
+      coulombus commission --rig two.toml --axis left --bus socketcan:can0
       coulombus commission --rig my.toml --virtual --truth truth.toml --yes --json
     """
     with errors():
         from coulombus.host.commission.steps import STEPS
+        from coulombus.rigs.overrides import SHARED_MACHINE
         from coulombus.rigs.rig import known_rigs
+        from coulombus.wire.address import parse_address
 
         chosen = _chosen(STEPS, names)
         if listed:
-            _print_list(chosen, rig_path, as_json)
+            _print_list(chosen, rig_path, axis, as_json)
         if rig_path is None:
             raise click.UsageError("give --rig MY.toml: what is found is written into it")
         if not rig_path.is_file() and str(rig_path) in known_rigs():
@@ -113,12 +122,16 @@ def commission(
             raise click.UsageError("--truth is for --virtual")
         if virtual and bus_name is not None:
             raise click.UsageError("--virtual has a bus of its own; leave out --bus")
+        if shared_machine:
+            check_shared_machine(() if bus_name is None else (parse_address(bus_name),))
+            overrides = (*SHARED_MACHINE, *overrides)
         if not yes and not _somebody():
             raise click.UsageError("nobody is there to be asked: give --yes")
         _commission(
             chosen,
             rig_path,
             bus_name,
+            axis,
             virtual=virtual,
             truth=truth,
             given={"weight_Nm": weight_Nm, "marks_rad": marks_rad},
@@ -144,11 +157,11 @@ def _chosen(steps: tuple[Step, ...], names: tuple[str, ...]) -> tuple[Step, ...]
     return tuple(step for step in steps if not names or step.name in names)
 
 
-def _print_list(steps: tuple[Step, ...], rig_path: Path | None, as_json: bool) -> None:
+def _print_list(steps: tuple[Step, ...], rig_path: Path | None, axis: str | None, as_json: bool) -> None:
     """Print the steps, and end."""
     from coulombus.host.commission.state import State, folder_of
 
-    done = State.load(folder_of(rig_path)).steps if rig_path is not None else {}
+    done = State.load(folder_of(rig_path, axis)).steps if rig_path is not None else {}
     rows = [{"step": step.name, "title": step.title, "done": done.get(step.name, {}).get("at")} for step in steps]
     with verdict(0):
         if as_json:
@@ -162,6 +175,7 @@ def _commission(
     steps: tuple[Step, ...],
     path: Path,
     bus_name: str | None,
+    axis: str | None,
     *,
     virtual: bool,
     truth: Path | None,
@@ -179,8 +193,8 @@ def _commission(
 
     load(str(path.resolve()), overrides)
     done: list[Done] = []
-    run = _virtual(truth, seed) if virtual else _real(bus_name, as_json)
-    session = Session(path, run, Given(**given), _now, overrides)
+    run = _virtual(truth, axis, seed) if virtual else _real(bus_name, as_json)
+    session = Session(path, run, Given(**given), _now, overrides, axis)
     for step in steps:
         if step.name in session.state.steps and not again:
             say(f"{step.name}: done at {session.state.steps[step.name]['at']} (--again: once more)")
@@ -202,10 +216,10 @@ def _now() -> str:
     return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
-def _virtual(truth: Path | None, seed: int) -> Runner:
+def _virtual(truth: Path | None, axis: str | None, seed: int) -> Runner:
     from coulombus.lab.rehearsal import rehearsed
 
-    true = None if truth is None else load(str(truth.resolve()), ())
+    true = None if truth is None else load(str(truth.resolve()), ()).alone(axis)
     return rehearsed(true, seed=seed)
 
 

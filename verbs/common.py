@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from coulombus.rigs.rig import Rig
+    from coulombus.wire.address import BusAddress
 
 __all__ = [
     "CPU",
@@ -40,6 +41,7 @@ __all__ = [
     "buses_option",
     "channel_option",
     "check_mode",
+    "check_shared_machine",
     "display_s",
     "errors",
     "faults_option",
@@ -60,6 +62,7 @@ __all__ = [
     "seconds_option",
     "seed_option",
     "set_option",
+    "shared_machine_option",
     "signals_option",
     "table_console",
     "verdict",
@@ -237,6 +240,16 @@ def load(rig_name: str, overrides: tuple[str, ...]) -> Rig:
     for warning in rig.warnings:
         say(f"warning: {warning}")
     return rig
+
+
+def check_shared_machine(addresses: Iterable[BusAddress]) -> None:
+    """Refuse --shared-machine on a bus that is not built in."""
+    real = [str(address) for address in addresses if address.kind != "coulombus"]
+    if real:
+        text = (
+            f"for simulated nodes only: on {real[0]} a motor could push unwatched for 50 ms; choose each limit by --set"
+        )
+        raise click.BadParameter(text, param_hint="--shared-machine")
 
 
 def check_mode(rig: Rig, rig_name: str, mode: str) -> None:
@@ -417,6 +430,9 @@ set_option = click.option(
     multiple=True,
     metavar="SECTION.KEY=V",
     help="Set any key of the rig file, as in --set plant.inertia_kg_m2=3e-3. May be given several times.",
+)
+shared_machine_option = click.option(
+    "--shared-machine", is_flag=True, help="Wider limits, for simulated nodes on a machine that does other work, too."
 )
 faults_option = click.option(
     "--faults",

@@ -17,6 +17,7 @@ from coulombus.verbs.common import (
     buses_option,
     channel_option,
     check_mode,
+    check_shared_machine,
     errors,
     force_option,
     json_option,
@@ -27,6 +28,7 @@ from coulombus.verbs.common import (
     rig_option,
     say,
     set_option,
+    shared_machine_option,
     verdict,
 )
 from coulombus.verbs.run_table import print_runs
@@ -82,9 +84,7 @@ GIVEN = f"{__name__}.given"
     help="Draw wake-up and SYNC-to-RPDO times there.",
 )
 @set_option
-@click.option(
-    "--shared-machine", is_flag=True, help="Wider limits, for simulated nodes on a machine that does other work, too."
-)
+@shared_machine_option
 @click.option(
     "--cpu",
     type=CPU,
@@ -135,10 +135,8 @@ def run_command(
 
         rig = load(rig_name, (*SHARED_MACHINE, *overrides) if shared_machine else overrides)
         addresses = bus_addresses(rig, bus_names, channel)
-        real = [str(address) for address in addresses.values() if address.kind != "coulombus"]
-        if shared_machine and real:
-            text = f"for simulated nodes only: on {real[0]} a motor could push unwatched for 50 ms; choose each limit by --set"
-            raise click.BadParameter(text, param_hint="--shared-machine")
+        if shared_machine:
+            check_shared_machine(addresses.values())
         check_mode(rig, rig_name, mode)
         rotation, said = _rotation(record, rotate, keep), _said(record, meta)
         if channel is not None:

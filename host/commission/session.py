@@ -16,9 +16,9 @@ from coulombus.host.commission.step import Exercise, Finding, Given, Outcome, Ri
 from coulombus.host.errors import SafetyTrip
 from coulombus.host.run.result import RunResult
 from coulombus.recording.signals import read
-from coulombus.rigs.mistakes import toml_value
+from coulombus.rigs.mistakes import dotted, toml_value
 from coulombus.rigs.rewrite import NewValue, replace_file, rewritten
-from coulombus.rigs.rig import Rig, load_rig, load_rig_text
+from coulombus.rigs.rig import Rig, RigError, load_rig, load_rig_text
 
 __all__ = ["MARK", "Done", "Ended", "Runner", "Session", "results"]
 
@@ -75,11 +75,12 @@ class Session:
     given : what the operator knows
     now : returns date and time as text, "2026-11-22T14:03:05Z"
     overrides : ``SECTION.KEY=VALUE``, for this session alone
+    axis : of a rig file with named axes; what is found is written below ``[axis.NAME]``
 
     Raises
     ------
     coulombus.rigs.rig.RigError
-        the rig file is wrong, or has several axes
+        the rig file is wrong, or it has axes and none of them is named here
     CommissionError
         the folder beside it holds something else
     """
@@ -91,15 +92,24 @@ class Session:
         given: Given,
         now: Callable[[], str],
         overrides: Sequence[str] = (),
+        axis: str | None = None,
     ) -> None:
         self.path, self.run, self.given, self.now = path, run, given, now
-        self.overrides = tuple(overrides)
-        self.rig().one_axis()
-        self.state = State.load(folder_of(path))
+        self.overrides, self.axis = tuple(overrides), axis
+        names = self._whole().axis_names
+        if names and axis is None:
+            has = f"the rig {path} has the axes {', '.join(names)}"
+            raise RigError([f"{has}; commissioning is of one axis at a time: give --axis {names[0]}"])
+        self.rig()
+        self.state = State.load(folder_of(path, axis))
+
+    def _whole(self) -> Rig:
+        """Return the rig with all its axes."""
+        return load_rig(str(self.path.resolve()), self.overrides)
 
     def rig(self) -> Rig:
-        """Return the rig as its file says now."""
-        return load_rig(str(self.path.resolve()), self.overrides)
+        """Return the rig, or its axis as a rig of its own, as the file says now."""
+        return self._whole().alone(self.axis)
 
     def do(self, step: Step, agree: Callable[[Step, Risk], bool]) -> Done:
         """Do one step: `agree` is asked before anything moves.
@@ -123,11 +133,11 @@ class Session:
                 return Done(step.name, step.title, "lacking", lack)
             if not agree(step, step.risk(axis, self.given)):
                 return Done(step.name, step.title, "skipped")
-            self.state.folder.mkdir(exist_ok=True)
+            self.state.folder.mkdir(parents=True, exist_ok=True)
             exercises = step.exercises(rig, self.given)
             taken = [self._take(step, one) for one in exercises]
             outcome = step.analyse(taken, axis, self.given)
-            written = self._write(step, rig, outcome)
+            written = self._write(step, outcome)
             if not outcome.again or last:
                 break
         kept = outcome.as_dict() | {
@@ -151,20 +161,20 @@ class Session:
                 raise SafetyTrip(f"step {step.name}: {result.trip}; nothing of it was written; the recording is {path}")
         return Taken(read(path), trip)
 
-    def _write(self, step: Step, rig: Rig, outcome: Outcome) -> tuple[str, ...]:
+    def _write(self, step: Step, outcome: Outcome) -> tuple[str, ...]:
         """Write what was found into the rig file; return the keys that were changed."""
         changed = [one for one in outcome.findings if one.key and one.changed]
         if not changed:
             return ()
-        at = self.now()
-        source = rig.origin.source()
-        values = {source.full(tuple(one.key.split("."))): NewValue(one.new, f"{at}: {_said(one)}") for one in changed}
+        at, rig = self.now(), self._whole()
+        above = () if self.axis is None else ("axis", self.axis)  # what all axes share is true of the others
+        values = {(*above, *one.key.split(".")): NewValue(one.new, f"{at}: {_said(one)}") for one in changed}
         text = rewritten(rig.text, values, MARK, str(self.path))
         load_rig_text(text, str(self.path.resolve()), overrides=self.overrides)  # what it refuses is not written
         stamp = at.replace(":", "").replace("-", "")
         backup = self.state.folder / f"{self.path.stem}.{stamp}.{step.name}.toml"
         replace_file(self.path, rig.text, text, backup)
-        return tuple(one.key for one in changed)
+        return tuple(dotted(key) for key in values)
 
 
 def _said(one: Finding) -> str:

@@ -6,6 +6,8 @@ can be resumed.
     my.commission/friction.pcapng   the recordings behind them
     my.commission/my.TIME.toml      the rig file as it was before each change
     my.commission/report.html       all of it on one page
+
+Of a rig file with named axes each axis has such a folder: ``my.commission/left``.
 """
 
 from __future__ import annotations
@@ -26,9 +28,10 @@ KEPT = ("at", "title", "findings", "remarks", "curves", "recordings")
 """What is kept of a step."""
 
 
-def folder_of(rig_path: Path) -> Path:
-    """Return the folder of a rig file's commissioning."""
-    return rig_path.with_name(f"{rig_path.stem}.commission")
+def folder_of(rig_path: Path, axis: str | None = None) -> Path:
+    """Return the folder of a rig file's commissioning; of an axis, the folder in it."""
+    folder = rig_path.with_name(f"{rig_path.stem}.commission")
+    return folder if axis is None else folder / axis
 
 
 @dataclass

@@ -79,7 +79,7 @@ class Zero(Step):
         series = handle_torque(taken[0].recording)
         found = mean_in(series, float(series.t_s[0]), float(series.t_s[-1]), "the transducer's zero")
         one, turned = _binding(axis), axis.mechanics.transducer_polarity
-        new = round((one.offset - found.value) * turned, 5)
+        new = round((one.offset - found.value) * turned, 5) + 0.0  # no -0
         reach = max(found.reach, abs(one.scale) / 2)
         basis = f"mean of {len(series)} samples with nobody at the handle"
         old = one.offset * turned

@@ -8,16 +8,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from coulombus.eds.cia402 import PowerState
 from coulombus.host.commission.session import Ended, Session
 from coulombus.host.commission.state import State
 from coulombus.host.commission.step import CommissionError, Given
 from coulombus.host.commission.steps import STEPS
+from coulombus.host.cycle.records import Trip
 from coulombus.host.errors import SafetyTrip
 from coulombus.lab.rehearsal import rehearsed
 from coulombus.lab.simulate import simulate
+from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.recording.signals import read
 from coulombus.rigs.rig import load_rig, packaged_rig
-from coulombus.sim_bus.network.kernel import BRAKE
+from coulombus.sim_bus.network.kernel import BRAKE, MOTOR
 
 BY_NAME = {step.name: step for step in STEPS}
 AT = "2026-11-22T14:03:05Z"
@@ -103,6 +106,64 @@ def test_a_stop_from_outside_ends_the_session_with_its_status(afternoon, tmp_pat
         afternoon("friction", run=lambda one, path: Stopped)
     assert ended.value.exit_status == 130
     assert (tmp_path / "my.toml").read_text() == packaged_rig("bench").read_text()
+
+
+@pytest.mark.parametrize("after_s", [0.6, 4.0], ids=["arming", "moving"])
+@pytest.mark.parametrize("step", STEPS, ids=lambda step: step.name)
+def test_ctrl_c_leaves_nothing_energised_and_the_file_whole(afternoon, tmp_path, step, after_s):
+    """Ctrl-C asks the data plane for the safe state, as the script does here."""
+    worlds = []
+
+    def run(one, path):
+        def script(world):
+            worlds.append(world)
+            world.at(round(after_s * 1e9), lambda world: world.ask_to_stop(Trip.NONE))
+
+        simulated = one.rig.variant(*one.hand)
+        ended = simulate(one.rig, one.mode, one.seconds, record=path, script=script, simulated=simulated)
+        return replace(ended, stopped_by="SIGINT", exit_status=130)
+
+    with pytest.raises(Ended, match="ended by SIGINT; nothing of this step was written") as ended:
+        afternoon(step.name, given=Given(weight_Nm=1.0, marks_rad=1.5), run=run)
+    assert ended.value.exit_status == 130
+    (world,) = worlds
+    assert not world.nodes["out_torque_pm"].any()
+    assert not world.nodes["out_brake_Nm"].any()
+    assert world.nodes["power_state"][MOTOR] == PowerState.SWITCH_ON_DISABLED
+    assert (tmp_path / "my.toml").read_text() == packaged_rig("bench").read_text()
+    assert State.load(tmp_path / "my.commission").steps == {}
+    (recording,) = (tmp_path / "my.commission").iterdir()
+    assert recording.name.startswith(step.name)
+
+
+@pytest.mark.parametrize("step", ["friction", "brake"])
+def test_a_disk_that_fills_up_in_a_step_ends_it_safely(afternoon, tmp_path, monkeypatch, step):
+    write = PcapngWriter._write
+
+    def full(writer, data):
+        if writer.bytes > 500_000:
+            raise writer._fail(OSError(28, "No space left on device"))
+        write(writer, data)
+
+    monkeypatch.setattr(PcapngWriter, "_write", full)
+    with pytest.raises(SafetyTrip, match=rf"step {step}: RECORDING.*No space left on device") as tripped:
+        afternoon(step)
+    assert tripped.value.exit_status == 7
+    assert (tmp_path / "my.toml").read_text() == packaged_rig("bench").read_text()
+    assert State.load(tmp_path / "my.commission").steps == {}
+    end = read(tmp_path / "my.commission" / f"{step}.pcapng")  # what was written stays readable
+    assert end["motor.position_rad"].values.size > 1000
+
+
+def test_a_disk_that_is_full_at_the_state_leaves_a_rig_file_that_loads(afternoon, monkeypatch, tmp_path):
+    def full(path, content):
+        raise OSError(28, "No space left on device", str(path))
+
+    monkeypatch.setattr("coulombus.host.commission.state.write_whole", full)
+    with pytest.raises(OSError, match="No space left on device"):
+        afternoon("friction", truth=TRUTH)
+    assert load_rig(str(tmp_path / "my.toml")).one_axis().mechanics.friction_Nm == pytest.approx(0.2, rel=0.01)
+    assert len(list((tmp_path / "my.commission").glob("my.*.toml"))) == 1
 
 
 def test_a_device_that_is_lost_trips_and_leaves_the_rig_file(afternoon, tmp_path):

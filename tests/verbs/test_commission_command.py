@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from coulombus.host.commission import steps
 from coulombus.host.commission.limits import Limits
 from coulombus.host.commission.transducer import Weight, Zero
-from coulombus.rigs.rig import packaged_rig
+from coulombus.rigs.rig import load_rig, packaged_rig
 from coulombus.verbs import commission as verb
 from coulombus.verbs.main import main
 
@@ -114,6 +114,30 @@ def test_a_step_that_is_asked_for_and_cannot_be_done_is_status_1(call, monkeypat
     call("--rig my.toml --virtual --yes", 0)
 
 
-def test_a_rig_of_several_axes_is_refused(call, tmp_path):
+def test_a_rig_of_several_axes_needs_the_name_of_one(call, tmp_path):
     (tmp_path / "two.toml").write_text(packaged_rig("two_axes").read_text())
-    assert "one axis at a time" in call("--rig two.toml --virtual --yes", 3).stderr
+    refused = call("--rig two.toml --virtual --yes", 3).stderr
+    assert "one axis at a time: give --axis left" in " ".join(refused.split())
+    assert "--axis middle" in call("--rig two.toml --virtual --yes --axis middle", 3).stderr
+    assert "one axis, without a name" in call("--rig my.toml --virtual --yes --axis left", 3).stderr
+
+
+def test_what_is_found_of_an_axis_is_written_below_it_and_leaves_the_other(call, tmp_path):
+    text = packaged_rig("two_axes").read_text()
+    (tmp_path / "two.toml").write_text(text)
+    (tmp_path / "truth.toml").write_text(f"{text}\n[axis.right.role.handle_torque]\noffset_Nm = 0.1\n")
+    words = "--rig two.toml --virtual --truth truth.toml --yes --step zero --json --axis"
+    (right,) = json.loads(call(f"{words} right").stdout)["steps"]
+    (left,) = json.loads(call(f"{words} left").stdout)["steps"]
+    assert (right["written"], left["written"]) == (["axis.right.role.handle_torque.offset_Nm"], [])
+    rig = load_rig(str(tmp_path / "two.toml"))
+    roles = {axis.name: axis.role.handle_torque for axis in rig.axes}
+    offsets = {name: role.offset_Nm if role else 0 for name, role in roles.items()}
+    assert offsets == {"left": 0, "right": pytest.approx(0.1, abs=0.003)}
+    assert sorted(path.name for path in (tmp_path / "two.commission").iterdir()) == ["left", "right"]
+    assert "done at" in call("--rig two.toml --virtual --yes --axis right").stderr
+
+
+def test_wider_limits_are_for_a_virtual_bus_alone(call):
+    refused = call("--rig my.toml --bus socketcan:can0 --yes --shared-machine", 2).stderr
+    assert "a motor could push unwatched" in " ".join(refused.split())
