@@ -8,6 +8,7 @@ import json
 import os
 import pty
 import signal
+import socket
 import subprocess
 import threading
 import time
@@ -222,6 +223,37 @@ def test_the_space_bar_as_dead_mans_switch():
     assert status == 7, err
     assert data["trip"].startswith("DEADMAN")
     assert "hold the space bar" in err
+
+
+def test_a_socket_as_dead_mans_switch(tmp_path):
+    """Armed while its client speaks; the client is gone, and the rig stops."""
+    over = threading.Event()
+    with (
+        simulation(BUS, mode="passive"),
+        Observer(BUS) as observer,
+        host(BUS, mode="passive", overrides=(f"host.deadman=socket:{tmp_path}/hand",)) as run,
+    ):
+        observer.until(run, lambda can_id, data: can_id == 0x000 and data[0] == 1)
+        observer.watch(0.5)
+        assert 0x080 not in {can_id for _, can_id, _ in observer.log}  # not held: no cycle
+
+        def hold():
+            with socket.socket(socket.AF_UNIX) as hand:
+                hand.connect(f"{tmp_path}/hand")
+                while not over.wait(0.01):
+                    hand.send(b"x")
+
+        thread = threading.Thread(target=hold)
+        thread.start()
+        observer.until_enabled(run)
+        observer.watch(0.5)
+        over.set()
+        thread.join()
+        status, data, err = result(run)
+    assert status == 7, err
+    assert data["trip"].startswith("DEADMAN")
+    assert "keep the socket of host.deadman alive" in err
+    assert not (tmp_path / "hand").exists()
 
 
 def test_no_switch_no_torque_on_a_real_interface():
