@@ -1,7 +1,7 @@
 """`make bench`: the project's figures of speed, each with what it is measured against.
 
-``python -m benchmarks [virtual|first|bus|nodes|network|bits|loss|realtime|lost|disturbed|faulty]``;
-real time is `benchmarks.realtime`.
+``python -m benchmarks
+[virtual|first|bus|nodes|eds|exports|network|bits|loss|realtime|lost|disturbed|faulty]``; real time is `benchmarks.realtime`.
 
 This machine's clock is not yours: every figure is a ratio (simulated to real time, or to a
 reference that ran in between in the same process). Each is the median of several rounds; the
@@ -196,6 +196,7 @@ def main() -> None:
             "bus",
             "nodes",
             "eds",
+            "exports",
             "network",
             "bits",
             "loss",
@@ -231,6 +232,10 @@ def main() -> None:
         from benchmarks.eds_files import eds_files
 
         eds_files(show)
+    if options.what in ("all", "exports"):
+        from benchmarks.exports import exports
+
+        exports(show)
     if options.what == "bits":
         million_frames()
     if options.what == "loss":
