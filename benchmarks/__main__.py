@@ -1,7 +1,8 @@
 """`make bench`: the project's figures of speed, each with what it is measured against.
 
-``python -m benchmarks
-[virtual|first|bus|nodes|eds|exports|network|bits|loss|realtime|lost|disturbed|faulty]``; real time is `benchmarks.realtime`.
+``python -m benchmarks WHAT`` with one of `virtual`, `first`, `bus`, `nodes`, `eds`, `exports`,
+`network`, `bits`, `loss`, `realtime`, `lost`, `disturbed`, `faulty`; real time is
+`benchmarks.realtime`.
 
 This machine's clock is not yours: every figure is a ratio (simulated to real time, or to a
 reference that ran in between in the same process). Each is the median of several rounds; the
