@@ -12,7 +12,9 @@ a drive does by itself; every array, and the diagram of docs/devices.md, is made
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from enum import IntEnum
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +24,7 @@ __all__ = [
     "AUTOMATIC",
     "COMMAND_OF_CONTROLWORD",
     "CONTROLWORD",
+    "CONTROLWORD_FIELDS",
     "CONTROLWORD_TO_ENABLE",
     "INTERNAL_LIMIT",
     "NEXT_STATE",
@@ -32,12 +35,15 @@ __all__ = [
     "STATES",
     "STATE_OF_STATUSWORD",
     "STATUSWORD",
+    "STATUSWORD_FIELDS",
     "TRANSITIONS",
     "VOLTAGE_ENABLED",
     "Command",
     "PowerState",
     "State",
+    "WordField",
     "diagram",
+    "word_fields",
 ]
 
 
@@ -149,6 +155,67 @@ def _command_of_controlword() -> npt.NDArray[np.int64]:
 
 
 COMMAND_OF_CONTROLWORD = _command_of_controlword()
+
+
+class WordField(NamedTuple):
+    """Some bits of a statusword or controlword; `values` names what they say, and is empty where a
+    bit is set or not.
+    """
+
+    name: str
+    start: int
+    bits: int = 1
+    values: Mapping[int, str] = MappingProxyType({})
+
+    @property
+    def mask(self) -> int:
+        """The field's bits in the word."""
+        return ((1 << self.bits) - 1) << self.start
+
+
+def _named(table: npt.NDArray[np.int64], names: type[IntEnum]) -> Mapping[int, str]:
+    return MappingProxyType(
+        {word: names(code).name.lower().replace("_", " ") for word, code in enumerate(table.tolist()) if code >= 0}
+    )
+
+
+STATUSWORD_FIELDS = (
+    WordField("state", 0, 7, _named(STATE_OF_STATUSWORD, PowerState)),
+    WordField("warning", 7),
+    WordField("manufacturer_8", 8),
+    WordField("remote", 9),
+    WordField("target_reached", 10),
+    WordField("internal_limit", 11),
+    WordField("mode_12", 12),
+    WordField("mode_13", 13),
+    WordField("manufacturer_14", 14),
+    WordField("manufacturer_15", 15),
+)
+"""The statusword without overlap (CiA 402 table 29). The state is bits 0 to 6, voltage enabled
+among them; bits 12 and 13 depend on the mode of operation.
+"""
+
+CONTROLWORD_FIELDS = (
+    WordField("command", 0, 4, _named(COMMAND_OF_CONTROLWORD, Command)),
+    WordField("mode_4", 4, 3),
+    WordField("fault_reset", 7),
+    WordField("halt", 8),
+    WordField("mode_9", 9),
+    WordField("manufacturer_11", 11, 5),
+)
+"""The controlword (CiA 402 table 23); bits 4 to 6 and 9 depend on the mode of operation."""
+
+AXIS_OBJECTS = 0x800
+
+
+def word_fields(index: int) -> tuple[WordField, ...]:
+    """Return the fields of a statusword 6041h or controlword 6040h, also of a drive's further axes
+    (6841h ...); nothing for another object.
+    """
+    if not 0x6000 <= index < 0xA000:
+        return ()
+    return {0x41: STATUSWORD_FIELDS, 0x40: CONTROLWORD_FIELDS}.get((index - 0x6000) % AXIS_OBJECTS, ())
+
 
 TRANSITIONS: tuple[tuple[int, PowerState, Command, PowerState], ...] = (
     (2, _S.SWITCH_ON_DISABLED, _C.SHUTDOWN, _S.READY_TO_SWITCH_ON),

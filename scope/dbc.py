@@ -9,6 +9,9 @@ CANdevStudio.
 The five PDOs are messages ``motor_TPDO1``, ..., with the signals' names, scales and units of the
 rig. SYNC, NMT, heartbeats and emergencies are in it too, so that nothing cyclic on the bus is left
 undecoded. SDO is no message of fixed layout, and is not.
+
+A status- or controlword is one signal, as `coulombus.read` has it, or, with `bits`, a signal for
+its state and one for each bit: signals of a DBC may not overlap.
 """
 
 from __future__ import annotations
@@ -20,10 +23,12 @@ from cantools.database.can import Database, Message, Node, Signal
 from cantools.database.conversion import BaseConversion
 
 from coulombus.eds.cia301 import EMCY_TEXT, CobId, NmtCommand
+from coulombus.eds.cia402 import WordField, word_fields
 from coulombus.eds.pdo import Entry
 from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo
 from coulombus.rigs.signals import Signal as RigSignal
+from coulombus.scope.names import fields, identifier
 from coulombus.scope.services import STATES
 
 __all__ = ["database", "dbc_text"]
@@ -33,16 +38,21 @@ Choices: TypeAlias = Mapping[int, str]
 HOST = "host"
 
 
-def dbc_text(rig: Rig) -> str:
-    """Return the DBC file of `rig`."""
-    return database(rig).as_dbc_string().replace("\r\n", "\n")
+def dbc_text(rig: Rig, *, bits: bool = False) -> str:
+    """Return the DBC file of `rig`; `bits` as for `database`."""
+    return database(rig, bits=bits).as_dbc_string().replace("\r\n", "\n")
 
 
-def database(rig: Rig) -> Database:
-    """Return the rig's messages as cantools' database."""
+def database(rig: Rig, *, bits: bool = False) -> Database:
+    """Return the rig's messages as cantools' database.
+
+    Parameters
+    ----------
+    bits : a status- or controlword is its state and its bits, and no signal of its own
+    """
     ids = {HOST: rig.host.node_id} | {_word(node.name): node.node_id for node in rig.nodes}
     period_ms = round(rig.bus.period_s * 1e3)
-    messages = [_pdo(pdo, period_ms) for pdo in rig.pdos()]
+    messages = [_pdo(pdo, period_ms, bits) for pdo in rig.pdos()]
     messages += _services(ids, rig, period_ms)
     nodes = [Node(name, f"node {number}") for name, number in ids.items()]
     return Database(sorted(messages, key=lambda message: message.frame_id), nodes=nodes, version=rig.name)
@@ -53,35 +63,58 @@ def _word(name: str) -> str:
     return name.replace(".", "_")
 
 
-def _pdo(pdo: RigPdo, period_ms: int) -> Message:
+def _pdo(pdo: RigPdo, period_ms: int, bits: bool) -> Message:
     layout, node = pdo.layout, _word(pdo.node)
     sender, receiver = (HOST, node) if layout.direction == "rpdo" else (node, HOST)
-    fields = zip(pdo.signals, layout.entries, layout.starts, strict=True)
     return Message(
         frame_id=layout.cob_id,
         name=f"{node}_{pdo.name}",
         length=layout.length,
-        signals=[_signal(signal, entry, start, receiver) for signal, entry, start in fields if not entry.dummy],
+        signals=[
+            one
+            for signal, entry, start in fields(pdo)
+            for one in _signals(signal, entry, start, receiver, word_fields(entry.index) if bits else ())
+        ],
         senders=[sender],
         cycle_time=period_ms or None,
         comment=f"{layout.direction.upper()} {layout.number} of the {pdo.node}",
     )
 
 
-def _signal(signal: RigSignal, entry: Entry, start: int, receiver: str) -> Signal:
-    conversion = BaseConversion.factory(
-        scale=_whole(signal.scale), offset=_whole(signal.offset), is_float=entry.kind == "real"
-    )
-    return Signal(
-        name=signal.name.rpartition(".")[2],
+def _signals(
+    signal: RigSignal, entry: Entry, start: int, receiver: str, parts: tuple[WordField, ...]
+) -> Iterator[Signal]:
+    name = identifier(signal)
+    comment = f"{entry.index:04X}h:{entry.subindex} {entry.name}"
+    for field in parts:
+        one = _field(f"{name}_{field.name}", start + field.start, field.bits, [receiver], field.values or None)
+        one.comment = f"{comment}, bits {field.start} to {field.start + field.bits - 1}"
+        yield one
+    if parts:
+        return
+    scale, offset = _whole(signal.scale), _whole(signal.offset)
+    least, most = _range(entry, scale, offset)
+    yield Signal(
+        name=name,
         start=start,
         length=entry.bits,
         is_signed=entry.signed,
-        conversion=conversion,
+        conversion=BaseConversion.factory(scale=scale, offset=offset, is_float=entry.kind == "real"),
+        minimum=least,
+        maximum=most,
         unit=signal.unit or None,
         receivers=[receiver],
-        comment=f"{entry.index:04X}h:{entry.subindex} {entry.name}",
+        comment=comment,
     )
+
+
+def _range(entry: Entry, scale: float, offset: float) -> tuple[float | None, float | None]:
+    """Return what the entry can carry in SI units; None of a REAL, which has no bounds."""
+    if entry.kind == "real":
+        return None, None
+    lowest = -(1 << entry.bits - 1) if entry.signed else 0
+    ends = [raw * scale + offset for raw in (lowest, lowest + (1 << entry.bits) - 1)]
+    return min(ends), max(ends)
 
 
 def _whole(number: float) -> float:

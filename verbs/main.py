@@ -32,12 +32,13 @@ from coulombus.verbs.sim import node_command, sim
 from coulombus.verbs.simulate import demo, simulate_command
 from coulombus.verbs.status import status
 from coulombus.verbs.systemd import systemd
+from coulombus.verbs.tools import tools
 
 __all__ = ["main"]
 
 VERBS = (
     *(demo, simulate_command, sim, node_command),
-    *(run_command, status, stop, mark, watch, decode, dbc, replay, bridge),
+    *(run_command, status, stop, mark, watch, decode, dbc, tools, replay, bridge),
     *(export_command, plot_command, diff),
     *(scan, lss, sdo, nmt),
     *(init, doctor, systemd, check, measure, plan_command, commission),

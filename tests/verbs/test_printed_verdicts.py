@@ -54,6 +54,7 @@ ENDS = {
     "plot": ("plot RECORDING -o /dev/null/run.png", 2),
     "diff": ("diff RECORDING RECORDING --rig bench", 0),
     "export": ("export RECORDING --to csv -o /dev/null/run.csv", 2),
+    "tools": ("tools /dev/null/tools", 2),
     "identify": ("identify RECORDING --rig bench", 1),
     "analyse": ("analyse fig10 --window 0.1", 0),
 }

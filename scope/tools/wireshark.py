@@ -1,0 +1,144 @@
+"""A dissector in Lua and a profile for Wireshark and tshark.
+
+The dissector is `dissector.lua` with the rig's tables in front of it. Fields are named as
+``coulombus.motor.position`` [rad]: SI units, and a value is bit for bit what `coulombus.read` has,
+but for the turns of a position that wraps around its counter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from coulombus.eds.cia301 import EMCY_TEXT, CobId, NmtCommand
+from coulombus.eds.cia402 import word_fields
+from coulombus.rigs.rig import Rig
+from coulombus.rigs.signals import RigPdo
+from coulombus.scope.names import fields, plain, signals
+from coulombus.scope.services import STATES
+
+__all__ = ["dissector", "profile"]
+
+COLOURS = (
+    ("Coulombus: emergency", "coulombus.emcy.code != 0", "65535,65535,65535", "42000,0,0"),
+    ("Coulombus: wrong length", "coulombus.length.expert", "0,0,0", "65535,58000,30000"),
+    ("Coulombus: NMT", "coulombus.nmt.command", "0,0,0", "65535,64000,47000"),
+    ("Coulombus: SYNC", 'coulombus.service == "sync"', "30000,30000,30000", "62000,62000,62000"),
+    ("Coulombus: heartbeat", "coulombus.heartbeat.state", "20000,20000,20000", "65535,60000,64000"),
+    ("Coulombus: from the host", 'coulombus.pdo contains "RPDO"', "0,0,0", "57000,61000,65535"),
+    ("Coulombus: to the host", 'coulombus.pdo contains "TPDO"', "0,0,0", "58000,65535,58000"),
+)
+"""Name, filter, text and background; the first that fits counts."""
+LINES = ("#1f77b4", "#d62728", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf", "#8c564b", "#e377c2")
+BUTTONS = (
+    ("Emergencies", "coulombus.emcy.code != 0"),
+    ("No SYNC, no heartbeats", '!(coulombus.service == "sync") && !coulombus.heartbeat.state'),
+    ("NMT", "coulombus.nmt.command"),
+)
+
+
+def dissector(rig: Rig) -> str:
+    """Return the dissector's source: load it by ``-X lua_script:F.lua``, or from the plug-in
+    folder.
+    """
+    nodes = {rig.host.node_id: "host"} | {node.node_id: node.name for node in rig.nodes}
+    services = {int(CobId.NMT): ("nmt", ""), int(CobId.SYNC): ("sync", "")}
+    services |= {CobId.HEARTBEAT + number: ("heartbeat", name) for number, name in nodes.items()}
+    services |= {CobId.EMCY + number: ("emcy", name) for number, name in nodes.items() if number != rig.host.node_id}
+    rows = (
+        f"    [{can_id:#05x}] = {{name = {_quoted(name)}{', node = ' + _quoted(node) if node else ''}}},"
+        for can_id, (name, node) in sorted(services.items())
+    )
+    lines = (
+        f"local RIG = {_quoted(rig.name)}",
+        f"local NODES = {_table(nodes)}",
+        f"local EMCY = {_table({int(code): text for code, text in EMCY_TEXT.items()})}",
+        f"local STATES = {_table(STATES)}",
+        f"local COMMANDS = {_table({one.value: one.name.lower().replace('_', ' ') for one in NmtCommand})}",
+        "local SERVICES = {",
+        *rows,
+        "}",
+        "local PDOS = {",
+        *map(_pdo, rig.pdos()),
+        "}",
+        "",
+        Path(__file__).with_name("dissector.lua").read_text(encoding="utf-8"),
+    )
+    return "\n".join(lines)
+
+
+def _pdo(pdo: RigPdo) -> str:
+    head = f"node = {_quoted(pdo.node)}, pdo = {_quoted(pdo.name)}, length = {pdo.layout.length}"
+    rows = []
+    for signal, entry, start in fields(pdo):
+        words = {
+            "key": _quoted(plain(signal)),
+            "label": _quoted(plain(signal).rpartition(".")[2]),
+            "unit": _quoted(signal.unit),
+            "object": _quoted(f"{entry.index:04X}h:{entry.subindex}"),
+            "start": str(start),
+            "bits": str(entry.bits),
+            "signed": str(entry.signed).lower(),
+            "real": str(entry.kind == "real").lower(),
+            "scale": repr(float(signal.scale)),
+            "offset": repr(float(signal.offset)),
+        }
+        parts = word_fields(entry.index)
+        if parts and entry.bits == 16:
+            shown = (
+                f"{{key = {_quoted(part.name)}, mask = {part.mask:#x}, flag = {str(part.bits == 1).lower()}"
+                + (f", values = {_table(part.values)}" if part.values else "")
+                + "}"
+                for part in parts
+            )
+            words["parts"] = "{\n            " + ",\n            ".join(shown) + "}"
+        rows.append("        {" + ", ".join(f"{key} = {value}" for key, value in words.items()) + "},")
+    return "\n".join((f"    [{pdo.layout.cob_id:#05x}] = {{{head}, fields = {{", *rows, "    }},"))
+
+
+def _table(values: Mapping[int, str]) -> str:
+    return "{" + ", ".join(f"[{key}] = {_quoted(text)}" for key, text in values.items()) + "}"
+
+
+def _quoted(text: str) -> str:
+    r"""Return a Lua string; what is no plain character is written as ``\ddd``."""
+    plain_bytes = (chr(b) if 32 <= b < 127 and b not in b'"\\' else f"\\{b:03d}" for b in text.encode())
+    return '"' + "".join(plain_bytes) + '"'
+
+
+def profile(rig: Rig) -> dict[str, str]:
+    """Return the files of a Wireshark profile by name: colours, columns, buttons, and an I/O graph
+    of every signal.
+    """
+    columns = (
+        ("No.", "%m"),
+        ("Time", "%t"),
+        ("ID", "%Cus:can.id:0:R"),
+        ("Protocol", "%p"),
+        ("Length", "%Cus:can.len:0:R"),
+        ("Info", "%i"),
+    )
+    shown = ",\n\t".join(f'"{title}", "{what}"' for title, what in columns)
+    graphs = [
+        _row("Disabled" if number else "Enabled", name, "", LINES[number % len(LINES)], "Line", "AVG(Y Field)", field)
+        for number, (name, field) in enumerate(_graphs(rig))
+    ]
+    return {
+        "preferences": f"gui.column.format:\n\t{shown}\n",
+        "colorfilters": "".join(f"@{name}@{rule}@[{back}][{text}]\n" for name, rule, text, back in COLOURS),
+        "dfilter_buttons": "".join(f'"TRUE","{name}","{_doubled(rule)}",""\n' for name, rule in BUTTONS),
+        "io_graphs": "".join(graphs),
+    }
+
+
+def _graphs(rig: Rig) -> list[tuple[str, str]]:
+    found = [(s.name, f"coulombus.{plain(s)}") for _, s in signals(rig) if not word_fields(s.index)]
+    return [*found, ("time since SYNC [s]", "coulombus.sync_delay")]
+
+
+def _doubled(text: str) -> str:
+    return text.replace('"', "\\x22")
+
+
+def _row(enabled: str, *cells: str) -> str:
+    return ",".join(f'"{cell}"' for cell in (enabled, *cells, "None", "1")) + "\n"
