@@ -93,8 +93,9 @@ class PdoLayout:
         """First bit of each entry."""
         return tuple(sum(entry.bits for entry in self.entries[:i]) for i in range(len(self.entries)))
 
-    def diagram(self) -> str:
-        """Draw the bits, the last byte on the left, as the codec counts them.
+    def diagram(self, columns: int = DIAGRAM_COLUMNS) -> str:
+        """Draw the bits, the last byte on the left, as the codec counts them; in blocks below each
+        other where they do not find room in so many columns.
 
         ::
 
@@ -104,7 +105,7 @@ class PdoLayout:
                 | torque         | position actual value          | statusword     |
                 +----------------+--------------------------------+----------------+
         """
-        return _diagram(self)
+        return _diagram(self, columns)
 
 
 def layouts(description: Description, node_id: int) -> tuple[PdoLayout, ...]:
@@ -273,7 +274,7 @@ def _check_width(description: Description, place: Variable, what: str, code: int
         raise _refuse(description, place.line, text, "expected the same width in the map and in the object")
 
 
-def _diagram(pdo: PdoLayout) -> str:
+def _diagram(pdo: PdoLayout, columns: int) -> str:
     if not pdo.entries:
         return "(nothing is mapped)"
     blocks: list[list[str]] = []
@@ -282,7 +283,7 @@ def _diagram(pdo: PdoLayout) -> str:
         last, first = str(start + entry.bits - 1), str(start) if entry.bits > 1 else ""
         name = entry.name[:NAME_COLUMNS]
         width = max(min(entry.bits, 32), len(label) + 2, len(last) + len(first) + 1, len(name) + 2)
-        if not blocks or len(blocks[-1][0]) + width > DIAGRAM_COLUMNS:
+        if not blocks or len(blocks[-1][0]) + width >= columns - 1:
             blocks.append(["bit  ", "    ", "    ", "    "])
         block = blocks[-1]
         block[0] += last + first.rjust(width - len(last)) + " "

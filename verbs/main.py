@@ -16,6 +16,7 @@ from coulombus.verbs.conformance import conformance
 from coulombus.verbs.doctor import doctor
 from coulombus.verbs.eds_verb import eds
 from coulombus.verbs.export import export_command
+from coulombus.verbs.hz import hz, pdo
 from coulombus.verbs.init import init
 from coulombus.verbs.look import dbc, decode, watch
 from coulombus.verbs.lss import lss
@@ -38,7 +39,7 @@ __all__ = ["main"]
 
 VERBS = (
     *(demo, simulate_command, sim, node_command),
-    *(run_command, status, stop, mark, watch, decode, dbc, tools, replay, bridge),
+    *(run_command, status, stop, mark, watch, hz, pdo, decode, dbc, tools, replay, bridge),
     *(export_command, plot_command, diff),
     *(scan, lss, sdo, nmt),
     *(init, doctor, systemd, check, measure, plan_command, commission),

@@ -44,6 +44,9 @@ BASE = {
     "replay --virtual": "replay RECORDING --virtual",
     "replay --bus": "replay RECORDING --bus coulombus:none",
     "bridge": "bridge coulombus:none coulombus:other",
+    "hz": "hz --bus coulombus:none",
+    "hz FILE": "hz RECORDING",
+    "pdo": "pdo",
     "dbc": "dbc",
     "tools": "tools DIR/tools",
     "check": "check",
@@ -82,6 +85,9 @@ WITH_RIG = (
     "decode",
     "replay --host",
     "replay --virtual",
+    "hz",
+    "hz FILE",
+    "pdo",
     "dbc",
     "tools",
     "check",
@@ -97,6 +103,9 @@ WITH_SET = (
     "sim",
     "run",
     "watch",
+    "hz",
+    "hz FILE",
+    "pdo",
     "dbc",
     "tools",
     "check",
@@ -107,7 +116,7 @@ WITH_SET = (
     "analyse hold",
     "analyse map",
 )
-WITH_RECORDING = ("decode", "export", "plot", "diff", "replay --host", "replay --virtual", "replay --bus", "identify")
+WITH_RECORDING = ("decode", "hz FILE", "export", "plot", "diff", "replay --host", "replay --virtual", "replay --bus", "identify")
 WITH_EDS = ("eds check", "init", "node", "conformance", "sdo restore")
 WITH_BUS = (
     "run",
@@ -116,6 +125,7 @@ WITH_BUS = (
     "mark",
     "measure",
     "watch",
+    "hz",
     "replay --bus",
     "bridge",
     "conformance",

@@ -50,6 +50,8 @@ ENDS = {
     "plan": ("plan --rig bench --bitrate 125000", 1),
     "plan ok": ("plan --rig bench --json", 0),
     "decode": ("decode RECORDING --rig bench", 0),
+    "hz": ("hz RECORDING --rig bench", 0),
+    "pdo": ("pdo", 0),
     "dbc": ("dbc", 0),
     "plot": ("plot RECORDING -o /dev/null/run.png", 2),
     "diff": ("diff RECORDING RECORDING --rig bench", 0),

@@ -1,0 +1,114 @@
+"""``coulombus hz`` and ``pdo``: when frames come, and what is in them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+from click.core import ParameterSource
+
+from coulombus.verbs.common import (
+    EXIT_STATUS,
+    SECONDS,
+    bus_option,
+    errors,
+    json_option,
+    load,
+    print_json,
+    printed,
+    remark,
+    rig_option,
+    set_option,
+)
+
+__all__ = ["hz", "pdo"]
+
+STAMPS = {
+    "coulombus": "SO_TIMESTAMPNS: when the virtual bus sent the message",
+    "socketcan": "SO_TIMESTAMPNS: when the kernel took the frame",
+}
+one_channel_option = click.option("--channel", metavar="C", help="Which bus of a rig that has several.")
+
+
+@click.command(epilog=EXIT_STATUS)
+@click.argument("file", required=False, type=click.Path(exists=True, path_type=Path))
+@rig_option
+@set_option
+@bus_option
+@one_channel_option
+@click.option("--seconds", type=SECONDS, default=5.0, show_default=True, help="How long to listen to a bus.")
+@json_option
+def hz(
+    file: Path | None,
+    rig_name: str,
+    overrides: tuple[str, ...],
+    bus_name: str | None,
+    channel: str | None,
+    seconds: float,
+    as_json: bool,
+) -> None:
+    """Measure rate and jitter of each identifier, and how long after SYNC the PDOs come.
+
+    Of a bus, to which nothing is sent, or of a recording FILE. Jitter is how far the time between
+    two frames is from its median.
+
+    \b
+    Examples:
+      coulombus hz --bus socketcan:can0 --seconds 10
+      coulombus hz run.pcapng
+      coulombus hz candump.log --rig bench --json
+    """
+    with errors():
+        from coulombus.scope.timing import as_dict, as_lines, listen, recorded, timing
+
+        if file is not None:
+            if bus_name is not None:
+                raise click.UsageError("a file and --bus: give one of them")
+            from coulombus.recording.signals import blocks
+
+            given = click.get_current_context().get_parameter_source("rig_name") is not ParameterSource.DEFAULT
+            recording = blocks(file, rig=load(rig_name, overrides) if given or overrides else None)
+            rig, stamps, lost = recording.rig, recorded(recording), None
+            where, source = str(file), "the recording's"
+            remark(recording.remarks)
+        else:
+            from coulombus.rigs.buses import one_bus
+
+            rig, address = one_bus(load(rig_name, overrides), bus_name, channel)
+            stamps, lost = listen(address, seconds)
+            where, source = str(address), STAMPS[address.kind]
+        rows = timing(rig, stamps)
+        if as_json:
+            print_json({"of": where, "stamps": source, "lost": lost, "identifiers": [as_dict(row) for row in rows]})
+            return
+        with printed():
+            click.echo(f"{where}\nstamps: {source}" + ("" if lost is None else f"\nlost {lost}"))
+            for line in as_lines(rows):
+                click.echo(line)
+
+
+@click.command(epilog=EXIT_STATUS)
+@rig_option
+@set_option
+@one_channel_option
+@json_option
+def pdo(rig_name: str, overrides: tuple[str, ...], channel: str | None, as_json: bool) -> None:
+    """Print what the rig's PDOs carry: a diagram of the bits, and a table of objects and signals.
+
+    \b
+    Examples:
+      coulombus pdo
+      coulombus pdo --rig my-rig.toml --json
+    """
+    with errors():
+        from coulombus.rigs.buses import one_bus
+        from coulombus.scope.pdo_table import as_dict, as_lines
+
+        rig, _ = one_bus(load(rig_name, overrides), None, channel)
+        if as_json:
+            print_json([as_dict(one) for one in rig.pdos()])
+            return
+        with printed():
+            for one in rig.pdos():
+                for line in as_lines(one):
+                    click.echo(line)
