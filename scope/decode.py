@@ -20,7 +20,7 @@ from coulombus.eds.reader import Description
 from coulombus.recording.signals import PdoTable, Recording, Source
 from coulombus.rigs.rig import Rig
 from coulombus.scope.error_frames import error_frame
-from coulombus.scope.services import Row, Sdo, emcy, heartbeat, nmt, sync
+from coulombus.scope.services import Row, Sdo, emcy, heartbeat, lss, nmt, sync
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, data_bytes
 
 __all__ = ["Row", "as_json", "as_text", "rows"]
@@ -117,7 +117,7 @@ class _Services:
         elif can_id == CobId.TIME:
             row["service"] = "time"
         elif can_id in (CobId.LSS_TX, CobId.LSS_RX):
-            row["service"] = "lss"
+            row["service"], decoder = "lss", lambda content: lss(content, can_id == CobId.LSS_TX)
         elif node_id:
             row["node"] = self._name(node_id)
             if function == CobId.EMCY:

@@ -21,19 +21,25 @@ from coulombus.recording.signals import decode_field
 from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo
 from coulombus.scope.error_frames import error_frame
-from coulombus.scope.services import STATES, emcy, nmt
+from coulombus.scope.services import STATES, emcy, lss, nmt
 from coulombus.wire.can_id import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 
 __all__ = ["Event", "Live", "NodeRow", "PdoRow", "Snapshot", "Value"]
 
 WINDOW_NS = 1_000_000_000
 SYNC_SILENT_NS = 100_000_000
+NEVER_NS = 1 << 62
 STATUSWORD = 0x6041
 CAN_ERR_BUSOFF = 0x40
 CALLS = (CobId.HEARTBEAT, CobId.EMCY, CobId.SDO_TX)
 """What makes a node known that the rig does not have."""
-SENT_BY_NODES = (*CALLS, CobId.TPDO1, CobId.TPDO2, CobId.TPDO3, CobId.TPDO4)
+TPDOS = (CobId.TPDO1, CobId.TPDO2, CobId.TPDO3, CobId.TPDO4)
+SENT_BY_NODES = (*CALLS, *TPDOS)
 """With the four TPDOs of the predefined connection set (CiA 301, section 7.3.5)."""
+BITS = tuple(34 + 8 * n + 13 + (33 + 8 * n) // 4 for n in range(9))
+"""Bits of a frame of so many bytes with the worst stuffing, as `wire.bits.worst_case_bits`, which
+needs numba's start.
+"""
 
 
 @dataclass(frozen=True)
@@ -65,6 +71,9 @@ class PdoRow:
     age_s: float | None
     malformed: int
     values: tuple[Value, ...]
+    least_s: float | None = None
+    most_s: float | None = None
+    """Shortest and longest time between two of them since the last snapshot [s]; None of fewer."""
 
 
 @dataclass(frozen=True)
@@ -98,6 +107,8 @@ class Snapshot:
     sync_per_s: float
     error_frames: int
     unknown: int
+    bits_per_s: float
+    """Bits on the wire [1/s], at most: with the worst stuffing, error frames not counted."""
     pdos: tuple[PdoRow, ...]
     nodes: tuple[NodeRow, ...]
     events: tuple[Event, ...]
@@ -113,6 +124,8 @@ class _Line:
     malformed: int = 0
     t_ns: int = 0
     data: bytes = b""
+    least_ns: int = NEVER_NS
+    most_ns: int = -1
 
 
 @dataclass
@@ -154,10 +167,11 @@ class Live:
             if entry.index == STATUSWORD
         }
         self._events: list[Event] = []
-        self._history: deque[tuple[int, dict[int, int], dict[int, int], int]] = deque()
+        self._history: deque[tuple[int, dict[int, int], dict[int, int], int, int]] = deque()
         self._sync_silent = False
         self._error_class = 0
-        self.frames = self.error_frames = self.unknown = 0
+        self.frames = self.bits = self.error_frames = self.unknown = 0
+        self._foreign: set[int] = set()
 
     def take(self, received: Iterable[tuple[int, int, int, bytes]]) -> None:
         """Take frames: (stamp, identifier with flags, length, eight data bytes) each.
@@ -167,13 +181,24 @@ class Live:
         lines = self._lines
         for t_ns, can_id, length, data in received:
             self.frames += 1
+            self.bits += BITS[length] if not can_id & CAN_ERR_FLAG else 0
             line = lines.get(can_id)
             if line is None:
                 self._other(t_ns, can_id, data[:length])
                 continue
             if line.length not in (-1, length):
+                if not line.malformed:
+                    self.tell(
+                        t_ns, f"{can_id:03X}h has {length} bytes, the rig's has {line.length}: another rig?", True
+                    )
                 line.malformed += 1
                 continue
+            if line.count:
+                gap_ns = t_ns - line.t_ns
+                if gap_ns < line.least_ns:
+                    line.least_ns = gap_ns
+                if gap_ns > line.most_ns:
+                    line.most_ns = gap_ns
             line.count += 1
             line.t_ns = t_ns
             if can_id in self._statuswords and data != line.data:
@@ -205,7 +230,16 @@ class Live:
             if "command" in row:
                 self.tell(t_ns, f"NMT: {row['command']}, to {row['node']}")
             return
+        if can_id in (CobId.LSS_TX, CobId.LSS_RX):
+            row = lss(data, can_id == CobId.LSS_TX)
+            if "command" in row and row["command"] != "fastscan":
+                said = ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in row.items() if key != "command")
+                self.tell(t_ns, f"LSS: {row['command']}" + (f", {said}" if said else ""))
+            return
         function, node = can_id & 0x780, self._by_id.get(can_id & 0x7F)
+        if function in TPDOS and node is not None and node.known and can_id not in self._foreign:
+            self._foreign.add(can_id)
+            self.tell(t_ns, f"{node.name}: {can_id:03X}h comes, which the rig does not have", grave=True)
         if node is None and function in CALLS and can_id & 0x7F:
             node = self._stranger(can_id & 0x7F)
         if node is not None and function in SENT_BY_NODES:
@@ -260,10 +294,10 @@ class Live:
         self._watch(t_ns)
         counts = {can_id: line.count for can_id, line in self._lines.items()}
         sent = {n.node_id: n.services + sum(counts[can_id] for can_id in self._sends[n.node_id]) for n in self._nodes}
-        self._history.append((t_ns, counts, sent, self.frames))
+        self._history.append((t_ns, counts, sent, self.frames, self.bits))
         while len(self._history) > 2 and self._history[1][0] <= t_ns - WINDOW_NS:
             self._history.popleft()
-        before_ns, before, sent_before, frames = self._history[0]
+        before_ns, before, sent_before, frames, bits = self._history[0]
         seconds = (t_ns - before_ns) / 1e9
 
         def rate(now: int, then: int) -> float:
@@ -277,6 +311,7 @@ class Live:
             sync_per_s=rate(self._sync.count, before[CobId.SYNC]),
             error_frames=self.error_frames,
             unknown=self.unknown,
+            bits_per_s=rate(self.bits, bits),
             pdos=tuple(
                 self._pdo_row(pdo, t_ns, rate(counts[pdo.layout.cob_id], before[pdo.layout.cob_id]))
                 for pdo in self._pdos
@@ -304,6 +339,8 @@ class Live:
         layout = pdo.layout
         line = self._lines[layout.cob_id]
         values = []
+        least_ns, most_ns = line.least_ns, line.most_ns
+        line.least_ns, line.most_ns = NEVER_NS, -1
         word = np.frombuffer(line.data, "<i8").astype(np.int64) if line.count else None
         for signal, entry, start in zip(pdo.signals, layout.entries, layout.starts, strict=True):
             value = None
@@ -321,6 +358,8 @@ class Live:
             age_s=max(0.0, (t_ns - line.t_ns) / 1e9) if line.count else None,
             malformed=line.malformed,
             values=tuple(values),
+            least_s=None if most_ns < 0 else least_ns / 1e9,
+            most_s=None if most_ns < 0 else most_ns / 1e9,
         )
 
 

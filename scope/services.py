@@ -12,9 +12,10 @@ from collections.abc import Callable
 from typing import Any, TypeAlias
 
 from coulombus.eds.cia301 import DATA_TYPES, NmtCommand, NmtState, abort_text, emcy_text
+from coulombus.eds.cia305 import BIT_RATES, LssService, LssState
 from coulombus.eds.reader import Description
 
-__all__ = ["Row", "Sdo", "emcy", "heartbeat", "nmt", "sync"]
+__all__ = ["Row", "Sdo", "emcy", "heartbeat", "lss", "nmt", "sync"]
 
 Row: TypeAlias = dict[str, Any]
 
@@ -51,6 +52,53 @@ def emcy(data: bytes) -> Row:
         return {"malformed": f"{len(data)} bytes, expected 8"}
     code, register = struct.unpack_from("<HB", data)
     return {"code": code, "text": emcy_text(code), "register": register, "manufacturer": data[3:].hex()}
+
+
+LSS_RESULTS = {
+    LssService.CONFIGURE_NODE_ID: {1: "node id out of range"},
+    LssService.CONFIGURE_BIT_TIMING: {1: "bit rate not supported"},
+    LssService.STORE_CONFIGURATION: {1: "storing not supported", 2: "storage medium: access error"},
+}
+LSS_WORDS = (
+    *(LssService.SWITCH_VENDOR, LssService.SWITCH_PRODUCT, LssService.SWITCH_REVISION, LssService.SWITCH_SERIAL),
+    *(LssService.IDENTIFY_VENDOR, LssService.IDENTIFY_PRODUCT, LssService.IDENTIFY_REVISION_LOW),
+    *(LssService.IDENTIFY_REVISION_HIGH, LssService.IDENTIFY_SERIAL_LOW, LssService.IDENTIFY_SERIAL_HIGH),
+)
+LSS_ANSWERED_WORDS = (
+    *(LssService.INQUIRE_VENDOR, LssService.INQUIRE_PRODUCT, LssService.INQUIRE_REVISION, LssService.INQUIRE_SERIAL),
+)
+
+
+def lss(data: bytes, from_device: bool) -> Row:
+    """LSS (CiA 305): the service and what it carries; of an answer, how it ended in words."""
+    if len(data) != 8:
+        return {"malformed": f"{len(data)} bytes, expected 8"}
+    try:
+        service = LssService(data[0])
+    except ValueError:
+        return {"command": f"unknown service {data[0]:#04x}"}
+    row: Row = {"command": service.name.lower().replace("_", " ")}
+    (word,) = struct.unpack_from("<I", data, 1)
+    if from_device:
+        if service in LSS_RESULTS:
+            why = LSS_RESULTS[service].get(data[1], f"error {data[1]}, specific {data[2]}")
+            return row | {"result": "ok" if data[1] == 0 else why}
+        if service in LSS_ANSWERED_WORDS:
+            return row | {"value": word}
+        return row | ({"node_id": data[1]} if service == LssService.INQUIRE_NODE_ID else {})
+    if service == LssService.SWITCH_STATE_GLOBAL:
+        states = {state.value: state.name.lower() for state in LssState}
+        return row | {"state": states.get(data[1], f"unknown state {data[1]}")}
+    if service == LssService.CONFIGURE_NODE_ID:
+        return row | {"node_id": data[1]}
+    if service == LssService.CONFIGURE_BIT_TIMING:
+        known = BIT_RATES.get(data[2]) if data[1] == 0 else None
+        return row | ({"table": data[1], "entry": data[2]} if known is None else {"bitrate_bit_s": known})
+    if service == LssService.ACTIVATE_BIT_TIMING:
+        return row | {"delay_ms": struct.unpack_from("<H", data, 1)[0]}
+    if service == LssService.FASTSCAN:
+        return row | {"value": word, "bit": data[5], "sub": data[6], "next": data[7]}
+    return row | ({"value": word} if service in LSS_WORDS else {})
 
 
 class Sdo:

@@ -20,7 +20,14 @@ from rich.console import Console, ConsoleOptions, RenderResult
 from rich.live import Live as Display
 from rich.text import Text
 
-from coulombus.eds.cia402 import COMMAND_OF_CONTROLWORD, STATE_OF_STATUSWORD, Command, PowerState
+from coulombus.eds.cia402 import (
+    COMMAND_OF_CONTROLWORD,
+    CONTROLWORD_FIELDS,
+    STATE_OF_STATUSWORD,
+    STATUSWORD_FIELDS,
+    Command,
+    PowerState,
+)
 from coulombus.rigs.rig import Rig
 from coulombus.scope.live import Event, Live, NodeRow, PdoRow, Snapshot, Value
 from coulombus.wire.address import BusAddress
@@ -168,6 +175,7 @@ def as_dict(snapshot: Snapshot, facts: dict[str, Any], begin_ns: int) -> dict[st
         "frames": snapshot.frames,
         "frames_per_s": snapshot.frames_per_s,
         "sync_per_s": snapshot.sync_per_s,
+        "load": snapshot.bits_per_s / facts["bitrate_bit_s"] if facts["bitrate_bit_s"] else None,
         "error_frames": snapshot.error_frames,
         "unknown": snapshot.unknown,
         "signals": {value.name: value.value for row in snapshot.pdos for value in row.values},
@@ -178,6 +186,8 @@ def as_dict(snapshot: Snapshot, facts: dict[str, Any], begin_ns: int) -> dict[st
                 "rate_per_s": row.rate_per_s,
                 "age_s": row.age_s,
                 "malformed": row.malformed,
+                "least_period_s": row.least_s,
+                "most_period_s": row.most_s,
             }
             for row in snapshot.pdos
         },
@@ -218,7 +228,9 @@ def as_lines(snapshot: Snapshot, facts: dict[str, Any], begin_ns: int, all_nodes
 
 def _head(snapshot: Snapshot, facts: dict[str, Any]) -> str:
     text = (
-        f"{facts['bus']}  {snapshot.frames_per_s:.0f} frames/s  SYNC {snapshot.sync_per_s:.1f}/s  lost {facts['lost']}"
+        f"{facts['bus']}  {snapshot.frames_per_s:.0f} frames/s  SYNC {snapshot.sync_per_s:.1f}/s"
+        + (f"  load {100 * snapshot.bits_per_s / facts['bitrate_bit_s']:.0f} %" if facts["bitrate_bit_s"] else "")
+        + f"  lost {facts['lost']}"
     )
     for name, count in (
         ("error frames", snapshot.error_frames),
@@ -300,6 +312,7 @@ class _Column:
 PDO_COLUMNS = (
     _Column("PDO", 0, order=1), _Column("COB-ID", 1, right=True, order=4), _Column("signal", 2), _Column("value", 3, 10, right=True),
     _Column("", 4, 20, order=5), _Column("rate", 5, 9, right=True, order=2), _Column("age", 6, 7, right=True, order=3),
+    _Column("period [ms]", 7, 13, right=True, order=6), _Column("bits", 8, 20, order=7),
 )  # fmt: skip
 NODE_COLUMNS = (
     _Column("node", 0), _Column("id", 1, 3, right=True), _Column("NMT state", 2, 15), _Column("rate", 3, 9, right=True, order=3),
@@ -341,10 +354,11 @@ def _node_row(node: NodeRow) -> tuple[tuple[str, ...], str]:
 
 def _pdo_rows(row: PdoRow) -> Iterator[tuple[tuple[str, ...], str]]:
     style = "dim" if row.age_s is None else "yellow" if row.age_s > STALE_S else ""
-    head, tail = (row.name, f"{row.can_id:03X}h"), (f"{row.rate_per_s:.1f} /s", _age(row.age_s))
+    period = "" if row.least_s is None or row.most_s is None else f"{1e3 * row.least_s:.2f}-{1e3 * row.most_s:.2f}"
+    head, tail = (row.name, f"{row.can_id:03X}h"), (f"{row.rate_per_s:.1f} /s", _age(row.age_s), period)
     for value in row.values:
-        yield (*head, _short(value), _number(value), value.unit or _meaning(value), *tail), style
-        head, tail = ("", ""), ("", "")
+        yield (*head, _short(value), _number(value), value.unit or _meaning(value), *tail, _set_bits(value)), style
+        head, tail = ("", ""), ("", "", "")
 
 
 def _short(value: Value) -> str:
@@ -370,6 +384,13 @@ def _meaning(value: Value) -> str:
         command = Command.FAULT_RESET if word & 0x80 else Command(COMMAND_OF_CONTROLWORD[word & 0x0F])
         return command.name.lower().replace("_", " ")
     return ""
+
+
+def _set_bits(value: Value) -> str:
+    """Return the names of the bits that are set beside the state or command."""
+    fields = {"statusword": STATUSWORD_FIELDS, "controlword": CONTROLWORD_FIELDS}.get(_short(value), ())
+    word = 0 if value.value is None else int(value.value)
+    return ", ".join(field.name.replace("_", " ") for field in fields[1:] if word & field.mask)
 
 
 def _unit(value: Value) -> str:

@@ -13,7 +13,7 @@ from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.recording.signals import read
 from coulombus.rigs.rig import Rig, load_rig
 from coulombus.scope.decode import as_json, as_text, rows
-from coulombus.scope.services import Sdo
+from coulombus.scope.services import Sdo, lss
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, FRAME, data_word
 
 
@@ -103,7 +103,7 @@ def test_every_row_is_json_and_has_the_four_keys(decoded):
              "manufacturer": "0102030405"},
         ),
         (0x081, "00", {"node": "motor", "service": "emcy", "malformed": "1 bytes, expected 8"}),
-        (0x7E5, "0400000000000000", {"node": None, "service": "lss"}),
+        (0x7E5, "0400000000000000", {"node": None, "service": "lss", "command": "switch state global", "state": "waiting"}),
         (0x700, "00", {"node": None, "service": "unknown"}),
         (0x123, "00", {"node": None, "service": "unknown"}),
         (0x385, "0102", {"node": "5", "pdo": "TPDO3", "service": "pdo"}),  # a node that the rig does not know
@@ -302,3 +302,23 @@ def test_a_number_that_is_none_is_text_in_json():
     row = {"t_s": 0.5, "a": float("nan"), "b": float("-inf"), "c": 3, "d": None, "e": "x"}
     assert json.loads(as_json(row), parse_constant=pytest.fail) == row | {"a": "nan", "b": "-inf"}
     assert as_json({"t_s": 0.5}) == '{"t_s": 0.5}'
+
+
+@pytest.mark.parametrize(
+    ("can_id", "data", "expected"),
+    [
+        (0x7E5, "1107000000000000", {"command": "configure node id", "node_id": 7}),
+        (0x7E4, "1101000000000000", {"command": "configure node id", "result": "node id out of range"}),
+        (0x7E4, "1700000000000000", {"command": "store configuration", "result": "ok"}),
+        (0x7E4, "17FF050000000000", {"command": "store configuration", "result": "error 255, specific 5"}),
+        (0x7E5, "1300020000000000", {"command": "configure bit timing", "bitrate_bit_s": 500_000}),
+        (0x7E5, "1501000000000000", {"command": "activate bit timing", "delay_ms": 1}),
+        (0x7E5, "4078563412000000", {"command": "switch vendor", "value": 0x12345678}),
+        (0x7E4, "5E05000000000000", {"command": "inquire node id", "node_id": 5}),
+        (0x7E5, "5112340000801F01", {"command": "fastscan", "value": 0x3412, "bit": 0x80, "sub": 0x1F, "next": 1}),
+        (0x7E5, "FF00000000000000", {"command": "unknown service 0xff"}),
+        (0x7E5, "04", {"malformed": "1 bytes, expected 8"}),
+    ],
+)
+def test_lss_in_words(can_id: int, data: str, expected: dict[str, Any]):
+    assert lss(bytes.fromhex(data), from_device=can_id == 0x7E4) == expected

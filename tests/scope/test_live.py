@@ -6,8 +6,9 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from coulombus.rigs.rig import load_rig
-from coulombus.scope.live import Live
+from coulombus.scope.live import BITS, Live
 from coulombus.scope.watch import Screen, as_dict, as_lines
+from coulombus.wire.bits import worst_case_bits
 from host_bench import VELOCITY
 
 S = 1_000_000_000
@@ -211,14 +212,15 @@ def test_the_table_fits_into_the_terminal(rig, width, height):
 
 def test_columns_go_by_their_importance(rig):
     titles = {}
-    for width in (40, 60, 80, 120):
+    for width in (40, 60, 80, 120, 160):
         (line,) = (line for line in shown(busy(rig), width, 40) if "signal" in line)
         titles[width] = line.split()
     assert titles == {
         40: ["signal", "value"],
         60: ["PDO", "signal", "value", "rate"],
         80: ["PDO", "COB-ID", "signal", "value", "rate", "age"],
-        120: ["PDO", "COB-ID", "signal", "value", "rate", "age"],
+        120: ["PDO", "COB-ID", "signal", "value", "rate", "age", "period", "[ms]"],
+        160: ["PDO", "COB-ID", "signal", "value", "rate", "age", "period", "[ms]", "bits"],
     }
 
 
@@ -234,3 +236,46 @@ def test_without_a_rig_given_only_what_was_heard_is_shown(rig):
     (line,) = as_lines(snapshot, FACTS, T0, all_nodes=False)
     assert line.endswith("lost 0  5 operational")
     assert "motor" in "\n".join(shown(snapshot, 80, 24))
+
+
+def test_periods_load_and_bits_of_words(rig):
+    live = Live(rig)
+    live.snapshot(T0)
+    for t_s in (0.0, 0.001, 0.0035, 0.0040):
+        live.take([tpdo1(t_s, 0x1237)])
+    snapshot = live.snapshot(T0 + S // 100)
+    (row,) = (row for row in snapshot.pdos if row.name == "motor.TPDO1")
+    assert (row.least_s, row.most_s) == (pytest.approx(0.0005), pytest.approx(0.0025))
+    assert as_dict(snapshot, FACTS, T0)["load"] == pytest.approx(4 * worst_case_bits(8) / 10_000)
+    whole = "\n".join(shown(snapshot, 160, 40))
+    assert "0.50-2.50" in whole
+    assert "remote, mode 12" in whole
+    assert "load 5 %" in whole
+    (row,) = (row for row in live.snapshot(T0 + S).pdos if row.name == "motor.TPDO1")
+    assert (row.least_s, row.most_s) == (None, None)  # none came since
+
+
+def test_bits_of_a_frame_are_those_of_the_worst_stuffing():
+    assert [worst_case_bits(n) for n in range(9)] == list(BITS)
+
+
+def test_a_rig_that_does_not_match_the_bus_is_told_once(rig):
+    live = Live(rig)
+    for t_s in (0.1, 0.2):
+        live.take([frame(t_s, 0x181, b"\1\2"), frame(t_s, 0x381, bytes(8))])
+    events = live.snapshot(T0 + S).events
+    assert [event.text for event in events if event.grave] == [
+        "181h has 2 bytes, the rig's has 8: another rig?",
+        "motor: 381h comes, which the rig does not have",
+    ]
+
+
+def test_lss_in_words(rig):
+    live = Live(rig)
+    live.take(
+        [frame(0.1, 0x7E5, bytes.fromhex("1107000000000000")), frame(0.2, 0x7E4, bytes.fromhex("1101000000000000"))]
+    )
+    assert texts(live.snapshot(T0 + S)) == [
+        "LSS: configure node id, node id 7",
+        "LSS: configure node id, result node id out of range",
+    ]
