@@ -247,6 +247,7 @@ BRAKE404 = Profile(
     "brake",
     objects=slots404.OBJECTS,
     fields=slots404.FIELDS,
+    terminals=slots404.TERMINALS,
     behaviour=Behaviour(
         sample=sample,
         step=_step,

@@ -79,7 +79,8 @@ def _judge_temperature(n: NodeRecord) -> None:
     if n.derated:
         way = (min(temperature, n.hot_degC) - n.warm_degC) / max(n.hot_degC - n.warm_degC, 0.1)
         share = 1.0 - (1.0 - n.share_left) * way
-    n.limit_Nm = share * n.max_A / n.coil_A_Nm if n.coil_A_Nm > 0.0 else math.inf
+    limit_Nm = share * n.max_A / n.coil_A_Nm if n.coil_A_Nm > 0.0 else math.inf
+    n.limit_Nm = min(limit_Nm, n.board_Nm) if n.board_Nm > 0.0 else limit_Nm
 
 
 @kernel

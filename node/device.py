@@ -8,7 +8,7 @@ Nothing here knows a socket, a thread or a clock.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from datetime import datetime
 
 import numpy as np
@@ -84,11 +84,15 @@ class Device:
         self.communication = Communication(self.dictionary, record, profile)
         self.store = Store() if store is None else store
         self.parameters = Parameters(self.dictionary, self.store, profile.acts)
-        access = Access(self.dictionary, self.communication, self.parameters, profile, self._changed)
+        access = Access(self.dictionary, self.communication, self.parameters, profile, self._downloaded)
         self._tabulate()
         self._sdo = SdoService(access, self.communication, record)
         self.lss = Lss(self.dictionary, record, node_id, self.store, self._reset_communication)
         self._now = 0
+        self.boots = 0
+        """How often it has booted: after power-on, and after each reset."""
+        self.on_download: Callable[[int, int], None] | None = None
+        """Called when an SDO client has written an object (index, sub-index)."""
         self._load(0x0000, 0)
 
     @property
@@ -175,6 +179,11 @@ class Device:
         else:
             self.profile.changed(self.record, self.dictionary, index, subindex)
 
+    def _downloaded(self, index: int, subindex: int) -> None:
+        self._changed(index, subindex)
+        if self.on_download is not None:
+            self.on_download(index, subindex)
+
     # services
 
     def service(self, t_ns: int, can_id: int, length: int, data: int, out: Queue) -> None:
@@ -235,6 +244,7 @@ class Device:
         if self.node_id == UNCONFIGURED:
             self.lss.mute()
             return
+        self.boots += 1
         ready_ns = t_ns + int(self.record["processing_ns"])
         push(out, self.record["station"], ready_ns, CobId.HEARTBEAT + self.node_id, 1, int(NmtState.INITIALISING))
         guarding.restart(self.record)

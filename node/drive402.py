@@ -155,6 +155,7 @@ DRIVE402 = Profile(
     "drive",
     objects=slots402.OBJECTS,
     fields=slots402.FIELDS,
+    terminals=slots402.TERMINALS,
     behaviour=Behaviour(
         sample=states402.sample,
         step=states402.step,

@@ -49,7 +49,7 @@ class Cause(NamedTuple):
 
 RPDO_SHORT, RPDO_LONG, SYNC_LENGTH, HEARTBEAT, RPDO_DEADLINE, SYNC_LOST, SUPPLY, CONNECTION = range(8)
 FIRST_DEVICE_CAUSE, DEVICE_CAUSES_END = 8, 16
-OVER_CURRENT, OVER_TEMPERATURE, ENCODER, COIL_OPEN, COIL_SHORT, SUPPLY_LOW = range(8, 14)
+OVER_CURRENT, OVER_TEMPERATURE, ENCODER, COIL_OPEN, COIL_SHORT, SUPPLY_LOW, HARDWARE = range(8, 15)
 LIFE_GUARDING, ERROR_PASSIVE, BUS_OFF = 16, 17, 18
 
 _CURRENT, _VOLTAGE, _TEMPERATURE, _COMMUNICATION, _PROFILE = 0x02, 0x04, 0x08, 0x10, 0x20
@@ -69,7 +69,7 @@ CAUSES: tuple[Cause, ...] = (
     Cause("coil open", 0x5410, _PROFILE, True),
     Cause("coil short circuit", 0x2320, _CURRENT, True),
     Cause("supply low", 0x3120, _VOLTAGE, True),
-    Cause("", 0xFF00, 0, False),
+    Cause("input or output hardware failed", 0x5000, 0, True),
     Cause("", 0xFF00, 0, False),
     Cause("life guarding: no remote frame", 0x8130, _COMMUNICATION, True),
     Cause("CAN in error passive mode", 0x8120, _COMMUNICATION, False),

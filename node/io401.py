@@ -29,7 +29,7 @@ import numpy as np
 from coulombus.compiled.decorator import kernel
 from coulombus.eds.cia301 import Abort, NmtState
 from coulombus.node import emcy
-from coulombus.node.profile import BY_COMMAND, BY_RESET, Behaviour, CoreObject, Objects, Profile
+from coulombus.node.profile import BY_COMMAND, BY_RESET, Behaviour, CoreObject, Objects, Profile, Terminal
 from coulombus.node.sdo_abort import SdoAbort
 from coulombus.node.sizes import NodeRecord
 from coulombus.node.slots import FIRST_OF_KIND, REGISTER
@@ -61,6 +61,14 @@ def _within(n: NodeRecord, value: int) -> int:
 
 
 @kernel
+def _allowed(n: NodeRecord, k: int, value: int) -> int:
+    """Return `value`, or the nearest that the hardware of the analogue output may put out."""
+    if n.board_high[k] > n.board_low[k]:
+        return int(min(max(value, n.board_low[k]), n.board_high[k]))
+    return value
+
+
+@kernel
 def _sample(n: NodeRecord) -> None:
     values = n.values
     for k in range(PORTS):
@@ -78,7 +86,7 @@ def _step(n: NodeRecord, t_ns: int) -> None:
             n.out_digital[k] = (values[DIGITAL_OUT + k] ^ values[DIGITAL_OUT_POLARITY + k]) & 0xFF
     for k in range(OUTPUTS):
         if n.failed >> (_ACTS_ANALOGUE + k) & 1 == 0:
-            n.out_analogue[k] = values[ANALOGUE_OUT + k]
+            n.out_analogue[k] = _allowed(n, k, values[ANALOGUE_OUT + k])
 
 
 @kernel
@@ -94,7 +102,7 @@ def _fail(n: NodeRecord) -> None:
             n.out_digital[k] = (chosen ^ values[DIGITAL_OUT_POLARITY + k]) & 0xFF
     for k in range(OUTPUTS):
         if n.failed >> (_ACTS_ANALOGUE + k) & 1 == 0 and values[ANALOGUE_ERROR_MODE + k] == 1:
-            n.out_analogue[k] = _within(n, values[ANALOGUE_ERROR_VALUE + k])
+            n.out_analogue[k] = _allowed(n, k, _within(n, values[ANALOGUE_ERROR_VALUE + k]))
     n.failed = _ALL
 
 
@@ -147,6 +155,11 @@ def _rows(
     ]
 
 
+def _wires(index: int, field: str, count: int) -> list[Terminal]:
+    limits = ("board_low", "board_high") if field == "out_analogue" else ("", "")
+    return [Terminal(index, k + 1, field, k, *limits) for k in range(count)]
+
+
 IO401 = Profile(
     "io",
     objects=(
@@ -167,9 +180,17 @@ IO401 = Profile(
         ("in_analogue", np.int64, (INPUTS,)),  # raw, as 6401h
         ("out_digital", np.int64, (PORTS,)),
         ("out_analogue", np.int64, (OUTPUTS,)),  # raw, as 6411h
+        ("board_low", np.int64, (OUTPUTS,)),  # what the hardware may put out, raw; both alike: it sets no limit
+        ("board_high", np.int64, (OUTPUTS,)),
         ("analogue_most", np.int64),  # largest count of an analogue channel
         ("failed", np.int64),  # bits of the outputs, as in `carries`, that wait for a new value
     ],
+    terminals=(
+        *_wires(0x6000, "in_digital", PORTS),
+        *_wires(0x6200, "out_digital", PORTS),
+        *_wires(0x6401, "in_analogue", INPUTS),
+        *_wires(0x6411, "out_analogue", OUTPUTS),
+    ),
     behaviour=Behaviour(sample=_sample, step=_step, apply=_apply, connection_lost=_connection_lost, react=_react),
     started=_started,
     check=_check,
@@ -187,6 +208,12 @@ IO404 = Profile(
         *_rows(0x6340, ANALOGUE_ERROR_MODE, OUTPUTS, 1),
         *_rows(0x7341, ANALOGUE_ERROR_VALUE, OUTPUTS),
         *_rows(0x9341, ANALOGUE_ERROR_VALUE, OUTPUTS),
+    ),
+    terminals=(
+        *_wires(0x7130, "in_analogue", INPUTS),
+        *_wires(0x9130, "in_analogue", INPUTS),
+        *_wires(0x7300, "out_analogue", OUTPUTS),
+        *_wires(0x9300, "out_analogue", OUTPUTS),
     ),
     behaviour=IO401.behaviour,
     started=_started,

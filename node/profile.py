@@ -32,6 +32,7 @@ __all__ = [
     "Key",
     "Objects",
     "Profile",
+    "Terminal",
 ]
 
 Key: TypeAlias = tuple[int, int]
@@ -81,6 +82,37 @@ class CoreObject:
     def key(self) -> Key:
         """The object's index and sub-index."""
         return self.index, self.subindex
+
+
+@dataclass(frozen=True)
+class Terminal:
+    """Where a physical value enters or leaves a kind's core: what a simulated rig or hardware is
+    wired to.
+
+    Attributes
+    ----------
+    index, subindex : the object that stands for it on the bus
+    field : of the record; one that begins with ``out_`` is an output
+    k : its place in the field; -1: the field is one number
+    low, high : fields that bound an output to what its hardware may put out, "": none
+    """
+
+    index: int
+    subindex: int
+    field: str
+    k: int = -1
+    low: str = ""
+    high: str = ""
+
+    @property
+    def key(self) -> Key:
+        """The object's index and sub-index."""
+        return self.index, self.subindex
+
+    @property
+    def is_output(self) -> bool:
+        """Whether the core writes the field."""
+        return self.field.startswith("out_")
 
 
 class Objects(Protocol):
@@ -198,6 +230,7 @@ class Profile:
     behaviour : its kernels
     fields : what its kernels keep in the record, beside what every node has. Inputs
         begin with ``in_``, outputs, which are 0 while the device is off, with ``out_``
+    terminals : where physical values enter and leave
     product : 1018h:02 of this project's own device of that kind
     held : causes of `node.emcy` (bits) that stay told until the kind's own fault reset
     started : (record, objects, t_ns) begin with the values that now
@@ -212,6 +245,7 @@ class Profile:
     objects: tuple[CoreObject, ...] = ()
     behaviour: Behaviour = _NO_BEHAVIOUR
     fields: Fields | tuple[()] = ()
+    terminals: tuple[Terminal, ...] = ()
     product: int | None = None
     held: int = 0
     started: Callable[[NodeRecord, Objects, int], None] = _not_started

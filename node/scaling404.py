@@ -68,8 +68,9 @@ def scale(record: NodeRecord, objects: Objects) -> None:
     warm, hot = own(0x2011, 1, 900) / 10, own(0x2011, 2, 1100) / 10
     record["warm_degC"], record["hot_degC"] = min(warm, hot), hot
     record["cooled_degC"], record["share_left"] = hot - own(0x2011, 3, 100) / 10, own(0x2011, 4, 50) / 100
-    coil_A_Nm = float(record["coil_A_Nm"])
-    record["limit_Nm"] = record["max_A"] / coil_A_Nm if coil_A_Nm > 0 else math.inf
+    coil_A_Nm, board_Nm = float(record["coil_A_Nm"]), float(record["board_Nm"])
+    limit_Nm = record["max_A"] / coil_A_Nm if coil_A_Nm > 0 else math.inf
+    record["limit_Nm"] = min(limit_Nm, board_Nm) if board_Nm > 0 else limit_Nm
     record["derated"] = 1  # computed anew with the present temperature
     record["demag_A"], record["demag_ns"] = own(0x2012, 1, 0) / 1000, own(0x2012, 2, 5000) * 1000
     record["demag_delay_ns"] = own(0x2012, 3, 20_000) * 1000

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from coulombus.node.profile import CoreObject, Fields
+from coulombus.node.profile import CoreObject, Fields, Terminal
 from coulombus.node.slots import COMMON, ERROR_CODE
 
 ACTS_CONTROLWORD, ACTS_TORQUE, ACTS_SPEED = 1, 2, 4
@@ -128,3 +128,11 @@ FIELDS: Fields = [
     ("supply_mV", np.int64),  # what 6079h shows while the supply is there
 ]
 """What the drive keeps in its record."""
+
+TERMINALS: tuple[Terminal, ...] = (
+    Terminal(0x6064, 0, "in_position_counts"),
+    Terminal(0x606C, 0, "in_velocity_counts_s"),
+    Terminal(0x6077, 0, "in_torque_pm"),
+    Terminal(0x6071, 0, "out_torque_pm"),
+)
+"""What the drive measures, and the torque that its power stage is to give."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from coulombus.node.profile import CoreObject, Fields
+from coulombus.node.profile import CoreObject, Fields, Terminal
 from coulombus.node.slots import COMMON
 
 ACTS_SETPOINT = 2
@@ -62,7 +62,8 @@ FIELDS: Fields = [
     ("cooled_degC", np.float64),  # below it the over-temperature is over
     ("share_left", np.float64),  # of max_A, at hot_degC
     ("derated", np.int64),
-    ("limit_Nm", np.float64),  # what max_A allows now
+    ("limit_Nm", np.float64),  # what max_A and the board allow now
+    ("board_Nm", np.float64),  # most that the hardware may put out (an I/O file); 0: it sets no limit
     ("demag_A", np.float64),  # 2012h
     ("demag_ns", np.int64),
     ("demag_delay_ns", np.int64),
@@ -74,3 +75,11 @@ FIELDS: Fields = [
     ("ramp_start_ns", np.int64),
 ]
 """What the brake keeps in its record."""
+
+TERMINALS: tuple[Terminal, ...] = (
+    Terminal(0x7300, 1, "out_brake_Nm", high="board_Nm"),
+    Terminal(0x7130, 1, "in_handle_Nm"),
+    Terminal(0x7130, 2, "in_coil_A"),
+    Terminal(0x7130, 3, "in_coil_degC"),
+)
+"""The torque that the coil is to give, and what the driver measures."""
