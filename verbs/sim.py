@@ -235,8 +235,17 @@ class Kind(click.ParamType):  # type: ignore[type-arg]  # generic to some versio
     default=None,
     help="Bit/s of the bus, where this command serves it.  [default: Baudrate of a DCF, else 1000000]",
 )
+@click.option(
+    "--io",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="Put real hardware behind the one node: which object is which channel of a DAC, ADC, PWM or counter, or of a Python class "
+    "(docs/own-device.md).",
+)
 @click.option("--seconds", type=SECONDS, default=None, help="End after so long.  [default: never]")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object a line to stdout: ready, duplicate, end.")
+@click.option(
+    "--json", "as_json", is_flag=True, help="One JSON object a line to stdout: ready, duplicate, hardware, end."
+)
 def node_command(
     eds: tuple[Path, ...],
     node_ids: tuple[int, ...],
@@ -245,6 +254,7 @@ def node_command(
     store: Path | None,
     processing_us: float,
     bitrate: int | None,
+    io: Path | None,
     seconds: float | None,
     as_json: bool,
 ) -> None:
@@ -254,13 +264,15 @@ def node_command(
     All objects with their defaults, PDOs, SDO, NMT, heartbeat, EMCY and LSS; a DCF's with the
     values that it configures. On coulombus:NAME it joins the bus that another process serves; where
     nobody does, it serves the bus itself, and others may join. Ends with 0 on Ctrl-C, SIGTERM,
-    SIGHUP and SIGQUIT, with 4 when the bus goes away.
+    SIGHUP and SIGQUIT, with 4 when the bus goes away. With --io the outputs take their safe values
+    at the end, after every fault, and when this process stands still or is killed.
 
     \b
     Examples:
       coulombus node vendor.eds --node-id 5 --bus coulombus:desk --kind auto
       coulombus node drive.eds brake.eds --node-id 1 --node-id 2 --bus socketcan:vcan0 --json
       coulombus node configured.dcf --bus coulombus:desk
+      coulombus node eds/mr_brake.eds --node-id 2 --bus socketcan:can0 --io brake-io.toml
     """
     with errors():
         from coulombus.sim_bus.server.live_nodes import LiveNodes, NodeError, run_nodes
@@ -270,5 +282,5 @@ def node_command(
             raise NodeError(f"{len(eds)} EDS files and {len(node_ids)} --node-id; give one --node-id for each file")
         address = parse_address(bus)
         ids = node_ids or (None,) * len(eds)
-        nodes = LiveNodes(tuple(zip(eds, ids, strict=True)), kind, store, processing_us, as_json, bitrate or 0)
+        nodes = LiveNodes(tuple(zip(eds, ids, strict=True)), kind, store, processing_us, as_json, bitrate or 0, io)
         run_nodes(nodes, address, seconds)

@@ -20,13 +20,16 @@ from coulombus.eds.cia305 import UNCONFIGURED
 from coulombus.eds.own_devices import told_identity
 from coulombus.eds.reader import Description, read_eds
 from coulombus.node.device import Device
+from coulombus.node.hardware.guard import Guard
+from coulombus.node.hardware.io_file import read_io_file
+from coulombus.node.hardware.pump import Pump
 from coulombus.node.kinds import of_description, of_identity
 from coulombus.node.opened import Opened, opened
 from coulombus.node.profile import Profile
 from coulombus.node.store import FileStore, Store
 from coulombus.sim_bus.network.network import Heard, VirtualNetwork
 from coulombus.sim_bus.server.server import BusServer
-from coulombus.sim_bus.server.serving import run_sim
+from coulombus.sim_bus.server.serving import PRIORITY, run_sim
 from coulombus.wire.address import BusAddress
 from coulombus.wire.verdict import printed, say
 
@@ -50,6 +53,8 @@ class LiveNodes:
     eds : sequence of (path, node id); None: the node id of the file, a DCF
     kind : what lives behind the objects of all; None: behind our own devices' files what they are,
         behind others nothing; "auto": as each file allows
+    io : the I/O file of the converters behind the one node; None: a rig is simulated, or nothing
+    on_begin : called with the server when it is made, before the nodes are switched on
     opened : what the nodes have otherwise than their files, by file
     bit_rate : [bit/s] that the bus should have; 0: that of the DCFs, else 1 Mbit/s where it is
         served here
@@ -62,12 +67,15 @@ class LiveNodes:
     processing_us: float = 20.0
     as_json: bool = False
     bit_rate: int = 0
+    io: Path | None = None
     descriptions: list[Description] = field(default_factory=list)
     told: set[tuple[str, int]] = field(default_factory=set)
     server: BusServer | None = None
     node_ids: list[int] = field(default_factory=list)
     opened: list[tuple[str, ...]] = field(default_factory=list)
     kinds: list[Profile] = field(default_factory=list)
+    pump: Pump | None = None
+    on_begin: Callable[[BusServer], None] | None = None
 
     def __post_init__(self) -> None:
         self.descriptions = [read_eds(path) for path, _ in self.eds]
@@ -87,7 +95,12 @@ class LiveNodes:
                 found = f"{number} diagnos{'i' if number == 1 else 'e'}s"
                 text = f"{found}, read tolerantly; see `coulombus eds check {path}`"
                 say(f"coulombus: {path}: {text}")
+        if self.io is not None and len(ids) > 1:
+            raise NodeError(f"--io {self.io}: one file is for one node; start a `coulombus node` for each")
         self._open()
+        if self.io is not None:
+            plan = read_io_file(self.io, self.descriptions[0], self.kinds[0])
+            self.pump = Pump(plan, Guard, self._tell_hardware)
         kept = Store if self.store is None else partial(FileStore, self.store)
         for device in self._devices(
             VirtualNetwork(capacity=len(ids)), kept, tell=False
@@ -164,6 +177,35 @@ class LiveNodes:
                 say(f"coulombus: {kept.diagnosis}")
         return devices
 
+    def begin(self, server: BusServer) -> None:
+        """Let the server's loop carry the nodes, and their converters."""
+        self.server = server
+        if self.pump is not None:
+            self.pump.attach(server.world.devices[0])
+            server.world.at(0, self._pump)
+        if self.on_begin is not None:
+            self.on_begin(server)
+
+    def _pump(self, network: VirtualNetwork) -> None:
+        """Read and write the converters, and come again a period later; periods that are over then
+        are left out.
+        """
+        pump, server = self.pump, self.server
+        assert pump is not None
+        assert server is not None
+        pump.period(network.t_ns)
+        late = max(server.now_ns() - network.t_ns, 0) // pump.period_ns
+        pump.skipped += late
+        network.at(network.t_ns + (late + 1) * pump.period_ns, self._pump)
+
+    def _tell_hardware(self, text: str) -> None:
+        if self.as_json:
+            assert self.pump is not None
+            line = {"event": "hardware", "ok": not self.pump.failure, "text": text}
+            with printed():
+                print(json.dumps(line), flush=True)
+        say(f"coulombus: {text}")
+
     def _heard(self, device: Device, row: int, frame: Heard) -> None:
         """Tell of the first boot-up of a node, and of another node that has its id."""
         if frame.source == row:
@@ -215,10 +257,12 @@ def run_nodes(nodes: LiveNodes, address: BusAddress, seconds: float | None) -> N
 
     def make() -> BusServer:
         server = BusServer(nodes.make_world, address, nodes.bit_rate or BIT_RATE, join=True)
-        nodes.server = server
+        nodes.begin(server)
         return server
 
     def tell_bus(server: BusServer, as_json: bool) -> None:
+        for right in server.real_time.refused:
+            say(f"coulombus: {right}")
         for (path, _), node_id in zip(nodes.eds, nodes.node_ids, strict=True):
             if node_id == UNCONFIGURED:
                 say(f"coulombus: {path} waits on bus {address} for an LSS master to give it a node id")
@@ -231,4 +275,12 @@ def run_nodes(nodes: LiveNodes, address: BusAddress, seconds: float | None) -> N
             return
         say(f"coulombus: {text}")
 
-    run_sim(make, seconds, priority=None, cpu=None, as_json=nodes.as_json, tell_ready=tell_bus)
+    pump = nodes.pump
+    try:
+        if pump is not None:
+            pump.open()
+        priority = None if pump is None else PRIORITY
+        run_sim(make, seconds, priority=priority, cpu=None, as_json=nodes.as_json, tell_ready=tell_bus)
+    finally:
+        if pump is not None:
+            pump.close()

@@ -177,6 +177,10 @@ class BusServer:
         """How often the loop has woken: a bus that stands still has as many as before."""
         return int(self._pace["wakeups"][0])
 
+    def now_ns(self) -> int:
+        """Return the present in the world's time: how late what now happens there is."""
+        return time.monotonic_ns() - int(self._pace["start_ns"][0])
+
     def stop(self) -> None:
         """End `run` soon; may be called from another thread or a signal handler."""
         self._pace["stop"] = 1

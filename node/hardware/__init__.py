@@ -1,0 +1,3 @@
+"""The converters behind a node's objects: Linux IIO, PWM, counters, a Python class
+(``coulombus node --io``).
+"""

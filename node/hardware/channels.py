@@ -1,0 +1,172 @@
+"""What the converters behind a node have in common: numbers in files of sysfs, and a claim on them.
+
+Every access opens its file anew: a converter that was unplugged is noticed at once, and one that is
+back is found again. What a channel says is a number in its own unit, `raw`.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import math
+import os
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+__all__ = ["Claim", "HardwareError", "Input", "Order", "Output", "SysfsFile", "finite", "put"]
+
+MOST_BYTES = 64
+_INTEGER = re.compile(r"[+-]?\d{1,20}")
+
+
+class HardwareError(Exception):
+    """A converter is not there, refuses, or says what cannot be; the text names it."""
+
+    exit_status = 3
+
+
+class Order(NamedTuple):
+    """A write that makes an output safe, for a process that knows nothing else of it."""
+
+    path: str
+    """A file of sysfs, or ``board.py:Class`` of a Python class."""
+    text: str
+    """What is written to it; for a Python class a mapping as JSON."""
+
+
+class Input(Protocol):
+    """A channel that is read once a period."""
+
+    def read(self) -> float:
+        """Return the present value; HardwareError where there is none."""
+
+
+class Output(Protocol):
+    """A channel that is written once a period."""
+
+    def write(self, raw: float) -> None:
+        """Put the value out."""
+
+    def read_back(self) -> float:
+        """Return what is put out."""
+
+    def spelled(self, raw: float) -> float:
+        """Return the value that `read_back` should give after `write` of this one."""
+
+    def orders(self, raw: float) -> Sequence[Order]:
+        """Return the writes that put the value out."""
+
+
+@contextmanager
+def _told(path: str) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise HardwareError(f"{path}: {error.strerror or error}") from None
+
+
+def finite(value: object, where: str) -> float:
+    """Return a number that somebody else's program gave.
+
+    Raises
+    ------
+    HardwareError
+        It is none, or not finite.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise HardwareError(f"{where}: got {str(value)[:MOST_BYTES]!r}, expected a finite number")
+    return float(value)
+
+
+def put(path: str, text: str) -> None:
+    """Write a text to a file that is there, in one call.
+
+    Raises
+    ------
+    HardwareError
+        The file is not there, or refuses.
+    """
+    with _told(path):
+        descriptor = os.open(path, os.O_WRONLY | os.O_TRUNC | os.O_CLOEXEC | os.O_NONBLOCK)
+        try:
+            os.write(descriptor, text.encode())
+        finally:
+            os.close(descriptor)
+
+
+@dataclass(frozen=True)
+class SysfsFile:
+    """A number in a file of sysfs: value = (count + offset) * scale, both 1:1 by default."""
+
+    path: str
+    scale: float = 1.0
+    offset: float = 0.0
+
+    def count(self) -> float:
+        """Return the number in the file."""
+        with _told(self.path):
+            descriptor = os.open(self.path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
+            try:
+                data = os.read(descriptor, MOST_BYTES + 1)
+            finally:
+                os.close(descriptor)
+        text = data.decode("ascii", "replace").strip()
+        if _INTEGER.fullmatch(text):
+            return int(text)
+        try:
+            number = float(text) if len(data) <= MOST_BYTES else math.nan
+        except ValueError:
+            number = math.nan
+        if not math.isfinite(number):
+            raise HardwareError(f"{self.path}: got {text[:MOST_BYTES]!r}, expected a number")
+        return number
+
+    def _counts(self, raw: float) -> int:
+        return round(raw / self.scale - self.offset)
+
+    def read(self) -> float:
+        """Return the value."""
+        return (self.count() + self.offset) * self.scale
+
+    def write(self, raw: float) -> None:
+        """Write the whole count that is nearest to the value."""
+        put(self.path, f"{self._counts(raw)}\n")
+
+    def read_back(self) -> float:
+        """Return the value that stands in the file."""
+        return self.read()
+
+    def spelled(self, raw: float) -> float:
+        """Return the value of the nearest whole count."""
+        return (self._counts(raw) + self.offset) * self.scale
+
+    def orders(self, raw: float) -> Sequence[Order]:
+        """Return the one write that puts the value out."""
+        return (Order(self.path, f"{self._counts(raw)}\n"),)
+
+
+class Claim:
+    """A lock on the file of an output: only one process drives it.
+
+    It is held by the open description, so also by a process that inherits the descriptor, and the
+    kernel gives it back when the last of them ends.
+    """
+
+    def __init__(self, path: str) -> None:
+        with _told(path):
+            self.descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
+        try:
+            fcntl.flock(self.descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            os.close(self.descriptor)
+            if isinstance(error, BlockingIOError):
+                raise HardwareError(f"{path}: another process drives it already; end that one first") from None
+            raise HardwareError(f"{path}: {error.strerror}") from None
+
+    def close(self) -> None:
+        """Let go of it."""
+        if self.descriptor >= 0:
+            os.close(self.descriptor)
+            self.descriptor = -1

@@ -1,0 +1,82 @@
+"""The node's end of the watchdog (`node.hardware.watchdog`)."""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import subprocess
+import sys
+from collections.abc import Collection, Sequence
+from contextlib import suppress
+
+from coulombus.node.hardware.channels import HardwareError, Order
+from coulombus.node.hardware.watchdog import READY, TRIPPED
+
+__all__ = ["Guard"]
+
+START_S, END_S = 20.0, 5.0
+
+
+class Guard:
+    """A watchdog process that knows how to make the outputs safe.
+
+    Parameters
+    ----------
+    watchdog_s : how long it waits for `feed`
+    orders : what makes the outputs safe
+    claims : descriptors of the outputs' locks: it keeps them until its work is done
+
+    Raises
+    ------
+    HardwareError
+        it did not come up
+    """
+
+    def __init__(self, watchdog_s: float, orders: Sequence[Order], claims: Collection[int] = ()) -> None:
+        self._watchdog_s = watchdog_s
+        words = [sys.executable, "-m", "coulombus.node.hardware.watchdog", str(watchdog_s), json.dumps(orders)]
+        self._process = subprocess.Popen(
+            words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True, pass_fds=tuple(claims)
+        )
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self.pid = self._process.pid
+        self._feed, self._answers = self._process.stdin.fileno(), self._process.stdout.fileno()
+        ready, _, _ = select.select([self._answers], [], [], START_S)
+        if not ready or os.read(self._answers, 1) != READY:
+            self.close()
+            raise HardwareError("the watchdog process did not start")
+        os.set_blocking(self._feed, False)
+        os.set_blocking(self._answers, False)
+
+    def feed(self) -> None:
+        """Tell the watchdog that the node goes on.
+
+        Raises
+        ------
+        HardwareError
+            the watchdog is gone, or it has made the outputs safe because the node stood still
+        """
+        try:
+            os.write(self._feed, b".")
+        except BlockingIOError:
+            raise HardwareError("the watchdog process does not read any more") from None
+        except OSError:
+            raise HardwareError("the watchdog process is gone") from None
+        with suppress(BlockingIOError):
+            told = os.read(self._answers, 64)
+            if TRIPPED in told:
+                raise HardwareError(f"the node stood still for {self._watchdog_s:g} s, and its watchdog acted")
+            if not told:
+                raise HardwareError("the watchdog process is gone")
+
+    def close(self) -> None:
+        """Let the watchdog make the outputs safe a last time, and wait for its end."""
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        with suppress(OSError):
+            self._process.stdin.close()
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(END_S)
+        self._process.stdout.close()

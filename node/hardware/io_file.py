@@ -1,0 +1,289 @@
+"""The I/O file of ``coulombus node --io``: which object is which converter's channel.
+
+The models are the schema; docs/own-device.md is held against them by a test. `read_io_file` reports
+every mistake at once, each with file:line.
+
+    raw = raw_at_zero + raw_per_unit * value
+
+`value` is what the object stands for: Nm, A and degrees C at the brake's objects, the object's own
+number at all others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal, TypeAlias
+
+from pydantic import Field, ValidationError
+
+from coulombus.eds.description import Description
+from coulombus.eds.object_name import object_key
+from coulombus.eds.regular_file import NoRegularFile, read_regular
+from coulombus.node.profile import Key, Profile, Terminal
+from coulombus.rigs.mistakes import RigError, Source
+from coulombus.rigs.model import Section
+from coulombus.rigs.toml_lines import read_toml
+from coulombus.rigs.words import explain
+
+__all__ = [
+    "CounterInput",
+    "IioInput",
+    "IioOutput",
+    "IoFile",
+    "Line",
+    "Plan",
+    "PwmOutput",
+    "PythonInput",
+    "PythonOutput",
+    "read_io_file",
+]
+
+LEAST_PERIODS = 3
+"""Periods that fit into the watchdog's time at least."""
+_COMMUNICATION = range(0x2000)
+
+
+class Loop(Section):
+    """[loop]: when the converters are read and written."""
+
+    period_s: float = Field(0.001, ge=1e-4, le=0.1, description="from one reading and writing to the next")
+    watchdog_s: float = Field(
+        0.05, ge=0.001, le=1.0, description="a node that stands still for so long has its outputs made safe"
+    )
+
+
+class Brake(Section):
+    """[brake]: what the brake's driver has to know of the coil that it drives."""
+
+    coil_A_Nm: float = Field(
+        0.0, ge=0, le=1e3, description="current for 1 Nm; with it an open and a short coil are found; 0: unknown"
+    )
+
+
+class Python(Section):
+    """[python]: the class behind the channels of kind "python"."""
+
+    board: str = Field(min_length=3, description='"FILE.py:Class" beside this file, or "module:Class"')
+
+
+class _Wired(Section):
+    object: str = Field(min_length=1, description='"7300:01", or the name of the object in the EDS')
+    raw_at_zero: float = Field(0.0, description="what the channel says, or is told, at the value 0")
+    raw_per_unit: float = Field(1.0, description="by how much that grows for one unit of the value")
+
+
+class _Output(_Wired):
+    low: float = Field(description="least value that is put out")
+    high: float = Field(description="largest value that is put out")
+    safe: float = Field(description="value at start, after a fault, and at the end")
+
+
+class _Input(_Wired):
+    low: float = Field(-1e30, description="a reading below it is a fault")
+    high: float = Field(1e30, description="a reading above it is a fault")
+
+
+_SCALED = Field(
+    False,
+    description="count by IIO's unit (mV, mA ...), with the files CHANNEL_scale and CHANNEL_offset",
+    json_schema_extra={"expected": "true or false"},
+)
+_DEVICE = Field(min_length=1, description='folder, its name as "iio:device0", or what its file `name` says')
+
+
+class IioOutput(_Output):
+    """[[output]] of kind "iio": a DAC."""
+
+    kind: Literal["iio"]
+    device: str = _DEVICE
+    channel: str = Field(pattern=r"^out_\w+$", description='as "out_voltage0"')
+    scaled: bool = _SCALED
+
+
+class PwmOutput(_Output):
+    """[[output]] of kind "pwm": `raw` is the time in ns that it is on in each period."""
+
+    kind: Literal["pwm"]
+    device: str = Field(min_length=1, description='folder, or its name as "pwmchip0"')
+    channel: int = Field(0, ge=0, le=63, description="number of the chip's channel")
+    pwm_period_s: float = Field(ge=1e-7, le=1.0, description="period of the pulses")
+
+
+class PythonOutput(_Output):
+    """[[output]] of kind "python"."""
+
+    kind: Literal["python"]
+    channel: str = Field(min_length=1, description="its name in what write() gets and read() returns")
+
+
+class IioInput(_Input):
+    """[[input]] of kind "iio": an ADC, or a quadrature counter (in_count0)."""
+
+    kind: Literal["iio"]
+    device: str = _DEVICE
+    channel: str = Field(pattern=r"^in_\w+$", description='as "in_voltage0"')
+    scaled: bool = _SCALED
+
+
+class CounterInput(_Input):
+    """[[input]] of kind "counter"."""
+
+    kind: Literal["counter"]
+    device: str = Field(min_length=1, description='folder, or its name as "counter0"')
+    channel: str = Field("count0", pattern=r"^count\d+$", description='as "count0"')
+
+
+class PythonInput(_Input):
+    """[[input]] of kind "python"."""
+
+    kind: Literal["python"]
+    channel: str = Field(min_length=1, description="its name in what read() returns")
+
+
+Output: TypeAlias = Annotated[IioOutput | PwmOutput | PythonOutput, Field(discriminator="kind")]
+Input: TypeAlias = Annotated[IioInput | CounterInput | PythonInput, Field(discriminator="kind")]
+
+
+class IoFile(Section):
+    """The whole file."""
+
+    loop: Loop = Field(Loop.model_validate({}), description="when the converters are read and written")
+    brake: Brake = Field(Brake.model_validate({}), description="the coil behind a node of kind brake")
+    python: Python | None = Field(None, description='the class behind the channels of kind "python"')
+    outputs: tuple[Output, ...] = Field(
+        (),
+        alias="output",
+        strict=False,
+        description="what is put out",
+        json_schema_extra={"expected": "[[output]] in double brackets, once for each channel"},
+    )
+    inputs: tuple[Input, ...] = Field(
+        (),
+        alias="input",
+        strict=False,
+        description="what is read",
+        json_schema_extra={"expected": "[[input]] in double brackets, once for each channel"},
+    )
+
+
+Channel: TypeAlias = IioOutput | PwmOutput | PythonOutput | IioInput | CounterInput | PythonInput
+
+
+@dataclass(frozen=True)
+class Line:
+    """One channel and the object that it stands behind; `where` is its place in the file."""
+
+    channel: Channel
+    key: Key
+    terminal: Terminal | None
+    """None: no kind acts on the object; its value is what is put out, or read."""
+    where: str
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A file that fits its device."""
+
+    path: str
+    file: IoFile
+    outputs: tuple[Line, ...]
+    inputs: tuple[Line, ...]
+
+    @property
+    def folder(self) -> Path:
+        """Where the file stands."""
+        return Path(self.path).parent
+
+
+def read_io_file(path: str | Path, description: Description, profile: Profile) -> Plan:
+    """Read an I/O file for a device.
+
+    Raises
+    ------
+    coulombus.rigs.mistakes.RigError
+        with every mistake of it, each with file:line
+    """
+    try:
+        text = read_regular(path).decode("utf-8-sig")
+    except (NoRegularFile, OSError, UnicodeDecodeError) as error:
+        why = getattr(error, "strerror", None) or "it is no text in UTF-8"
+        raise RigError((f"{path}: {why}; expected an I/O file (docs/own-device.md)",)) from None
+    document = read_toml(text)
+    source = Source(str(path), document)
+    source.found += [(line, f"{path}:{line}: {told}") for line, told in document.problems]
+    try:
+        file = IoFile.model_validate(document.values)
+    except ValidationError as error:
+        explain(error, document.values, IoFile, source)
+        source.raise_all()
+        raise
+    outputs = tuple(_lines("output", file.outputs, source, description, profile))
+    inputs = tuple(_lines("input", file.inputs, source, description, profile))
+    _check(file, source, profile)
+    source.raise_all()
+    return Plan(str(path), file, outputs, inputs)
+
+
+def _check(file: IoFile, source: Source, profile: Profile) -> None:
+    if not file.outputs and not file.inputs:
+        source.found.append((1, f"{source.path}:1: got no channel; expected [[output]] or [[input]]"))
+    if file.loop.watchdog_s < LEAST_PERIODS * file.loop.period_s:
+        wanted = f"at least {LEAST_PERIODS} times loop.period_s, {LEAST_PERIODS * file.loop.period_s:g} s"
+        source.stands(("loop", "watchdog_s"), file.loop.watchdog_s, wanted)
+    if file.brake.coil_A_Nm and profile.name != "brake":
+        source.say(("brake",), f"the node is of kind {profile.name}; expected no such section")
+    if file.python is None:
+        for name, channels in (("output", file.outputs), ("input", file.inputs)):
+            for i, one in enumerate(channels):
+                if one.kind == "python":
+                    source.say((name, i, "kind"), "got 'python', but there is no class; expected [python] with `board`")
+
+
+def _lines(
+    name: str, channels: tuple[Channel, ...], source: Source, description: Description, profile: Profile
+) -> Iterator[Line]:
+    terminals = {one.key: one for one in profile.terminals if one.is_output == (name == "output")}
+    other = {one.key for one in profile.terminals if one.is_output != (name == "output")}
+    taken: dict[object, int] = {}
+    for i, one in enumerate(channels):
+        here = (name, i)
+        if one.raw_per_unit == 0:
+            source.stands((*here, "raw_per_unit"), 0, "a number other than 0")
+        if one.low >= one.high:
+            source.stands((*here, "low"), one.low, f"less than `high`, {one.high:g}")
+        elif isinstance(one, _Output) and not one.low <= one.safe <= one.high:
+            source.stands((*here, "safe"), one.safe, f"{one.low:g} to {one.high:g}, the limits")
+        if isinstance(one, PwmOutput):
+            _check_pwm(one, here, source)
+        key = object_key(one.object, description)
+        if isinstance(key, str):
+            source.stands((*here, "object"), one.object, key)
+            continue
+        if key[0] in _COMMUNICATION:
+            source.stands((*here, "object"), one.object, "an object from 2000h on")
+        elif key in other:
+            source.stands((*here, "object"), one.object, f"no [[{name}]], as it is the device's other direction")
+        elif key not in terminals and description.variable(*key).whole is None and _is_text(description, key):
+            source.stands((*here, "object"), one.object, "an object that is a number")
+        device = getattr(one, "device", "")
+        for what, told in ((key, "object"), ((one.kind, device, one.channel), "channel")):
+            if what in taken:
+                source.say((*here, told), f"stands in [[{name}]] number {taken[what] + 1} already; expected it once")
+            taken[what] = i
+        _, where = source.where(here)
+        yield Line(one, key, terminals.get(key), where)
+
+
+def _check_pwm(one: PwmOutput, here: tuple[str, int], source: Source) -> None:
+    period_ns = one.pwm_period_s * 1e9
+    for end in ("low", "high"):
+        duty_ns = one.raw_at_zero + one.raw_per_unit * getattr(one, end)
+        if not -0.5 <= duty_ns <= period_ns + 0.5:
+            wanted = f"a value whose raw is 0 to {period_ns:g} ns, the period; here it is {duty_ns:g}"
+            source.stands((*here, end), getattr(one, end), wanted)
+
+
+def _is_text(description: Description, key: Key) -> bool:
+    return description.variable(*key).data_type not in (0x0008, 0x0011)  # REAL32, REAL64

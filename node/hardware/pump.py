@@ -1,0 +1,302 @@
+"""The loop between a node's core and its converters: one call a period, in the bus' own thread.
+
+Read all inputs into the core, put out what the core computes. Whatever fails, all outputs take
+their safe values, the node tells EMCY 5000h and reacts as to a fault of the device itself (1029h:02
+decides of its NMT state), and nothing else is put out until "reset node" or "reset communication".
+Then, and at the start, the safe values have to be written and read back, and all inputs have to be
+read, before anything else is put out.
+
+The time is an argument, as everywhere: the tests run it in virtual time.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from coulombus.eds.cia301 import DATA_TYPES, NmtState
+from coulombus.node import emcy
+from coulombus.node.device import Device
+from coulombus.node.hardware.board import Board, BoardInput, BoardOutput
+from coulombus.node.hardware.channels import Claim, HardwareError, Input, Order, Output, finite
+from coulombus.node.hardware.converters import PwmOutput, counter, iio
+from coulombus.node.hardware.io_file import CounterInput, IioInput, IioOutput, Line, Plan
+from coulombus.node.hardware.io_file import PwmOutput as PwmChannel
+
+__all__ = ["Pump", "Watched"]
+
+_BIT = 1 << emcy.HARDWARE - emcy.FIRST_DEVICE_CAUSE
+RETRY_NS = 100_000_000
+"""How often the safe values are written again while the hardware has failed."""
+
+
+class Watched(Protocol):
+    """What `node.hardware.guard.Guard` does."""
+
+    def feed(self) -> None:
+        """Tell that the node goes on; HardwareError when the watchdog has acted, or is gone."""
+
+    def close(self) -> None:
+        """Make the outputs safe a last time."""
+
+
+@dataclass
+class _End:
+    """A channel with what the file says of it."""
+
+    line: Line
+    channel: Output
+    safe_raw: float = 0.0
+    claim: Claim | None = None
+
+    def raw(self, value: float) -> float:
+        """Return what the channel is told for a value."""
+        one = self.line.channel
+        return one.raw_at_zero + one.raw_per_unit * min(max(value, one.low), one.high)
+
+
+@dataclass
+class Pump:
+    """The converters of one node.
+
+    Parameters
+    ----------
+    plan : what the I/O file says
+    guard : gives the watchdog for its time, the orders that make the outputs safe, and the claims'
+        descriptors
+    tell : is given a line for people when the hardware fails, and when it is well again
+    """
+
+    plan: Plan
+    guard: Callable[[float, Sequence[Order], Sequence[int]], Watched]
+    tell: Callable[[str], None]
+    failure: str = ""
+    """Why nothing is put out but the safe values; empty: all is well."""
+    periods: int = 0
+    skipped: int = 0
+    """Periods that were left out because reading and writing took longer."""
+    _outputs: list[_End] = field(default_factory=list)
+    _inputs: list[tuple[Line, Input]] = field(default_factory=list)
+    _board: Board | None = None
+    _watchdog: Watched | None = None
+    _device: Device | None = None
+    _boots: int = 0
+    _retry_ns: int = 0
+
+    @property
+    def period_ns(self) -> int:
+        """From one call of `period` to the next."""
+        return round(self.plan.file.loop.period_s * 1e9)
+
+    # life
+
+    def open(self) -> None:
+        """Find all channels, claim the outputs, write and read back the safe values, read every
+        input, start the watchdog.
+
+        Raises
+        ------
+        HardwareError
+            what cannot be done; the outputs that were reached are safe
+        """
+        try:
+            self._find()
+            orders = [order for end in self._outputs for order in end.channel.orders(end.safe_raw)]
+            claims = [end.claim.descriptor for end in self._outputs if end.claim is not None]
+            self._watchdog = self.guard(self.plan.file.loop.watchdog_s, orders, claims)
+            self._begin()
+        except BaseException:
+            self.close()
+            raise
+
+    def attach(self, device: Device) -> None:
+        """Take the device whose core is pumped; before it is switched on."""
+        self._device = device
+        for line in (one.line for one in self._outputs):
+            wire, one = line.terminal, line.channel
+            if wire is None:
+                continue
+            for name, bound in ((wire.low, math.ceil(one.low)), (wire.high, math.floor(one.high))):
+                if name:
+                    if wire.k < 0:
+                        device.record[name] = one.high
+                    else:
+                        device.record[name][wire.k] = bound
+        if self.plan.file.brake.coil_A_Nm:
+            device.record["coil_A_Nm"] = self.plan.file.brake.coil_A_Nm
+
+    def close(self) -> None:
+        """Make the outputs safe and let go of them; the watchdog does the same once more."""
+        self._make_safe()
+        if self._watchdog is not None:
+            self._watchdog.close()
+            self._watchdog = None
+        for end in self._outputs:
+            if end.claim is not None:
+                end.claim.close()
+                end.claim = None
+
+    # the loop
+
+    def period(self, t_ns: int) -> None:
+        """Feed the watchdog, read the inputs, put the outputs out; nothing of it raises."""
+        self.periods += 1
+        device = self._device
+        assert device is not None
+        try:
+            assert self._watchdog is not None
+            self._watchdog.feed()
+            if self.failure:
+                if device.boots == self._boots:
+                    self._wait(t_ns)
+                    return
+                self._boots = device.boots
+                self._begin()
+                self._recovered(device, t_ns)
+            self._boots = device.boots
+            self._read(device, t_ns)
+            self._write(device)
+        except HardwareError as error:
+            self._fail(device, t_ns, str(error))
+        except Exception as error:  # a mistake of this program must not leave an output where it stands
+            self._fail(device, t_ns, repr(error))
+
+    def _read(self, device: Device, t_ns: int) -> None:
+        if self._board is not None:
+            self._board.refresh()
+        changed = False
+        for line, channel in self._inputs:
+            value, wire = self._value(line, channel), line.terminal
+            if wire is None:
+                changed |= _set_object(device, line, value)
+            elif wire.k < 0:
+                device.record[wire.field] = value
+            else:
+                changed |= bool(device.record[wire.field][wire.k] != round(value))
+                device.record[wire.field][wire.k] = round(value)
+        if changed and device.record["powered"]:
+            device.record["next_ns"] = min(int(device.record["next_ns"]), t_ns)
+
+    @staticmethod
+    def _value(line: Line, channel: Input) -> float:
+        one = line.channel
+        value = (finite(channel.read(), line.where) - one.raw_at_zero) / one.raw_per_unit
+        if not one.low <= value <= one.high:
+            object_ = f"{line.key[0]:04X}h:{line.key[1]:02X}"
+            raise HardwareError(f"{line.where}: {object_} is {value:g}, expected {one.low:g} to {one.high:g}")
+        return value
+
+    def _write(self, device: Device) -> None:
+        for end in self._outputs:
+            wire = end.line.terminal
+            if wire is not None:
+                number = device.record[wire.field]
+                end.channel.write(end.raw(float(number if wire.k < 0 else number[wire.k])))
+            elif device.record["powered"] and device.record["nmt"] == NmtState.OPERATIONAL:
+                value = device.dictionary[end.line.key]
+                end.channel.write(end.raw(finite(value, end.line.where)))
+            else:
+                end.channel.write(end.safe_raw)
+
+    # faults
+
+    def _fail(self, device: Device, t_ns: int, why: str) -> None:
+        told = self._make_safe()
+        self._boots, self._retry_ns = device.boots, t_ns + RETRY_NS
+        device.record["in_faults"] |= _BIT
+        device.record["next_ns"] = min(int(device.record["next_ns"]), t_ns)
+        if why != self.failure:
+            self.failure = why
+            safe = f"; NOT SAFE: {told}" if told else "; the outputs are safe"
+            self.tell(f"{why}{safe}; they stay so until the node is reset")
+
+    def _wait(self, t_ns: int) -> None:
+        if t_ns >= self._retry_ns:
+            self._retry_ns = t_ns + RETRY_NS
+            self._make_safe()
+
+    def _recovered(self, device: Device, t_ns: int) -> None:
+        self.failure = ""
+        device.record["in_faults"] &= ~_BIT
+        device.record["next_ns"] = min(int(device.record["next_ns"]), t_ns)
+        self.tell("after the reset all converters answer again")
+
+    def _make_safe(self) -> str:
+        """Write every safe value, whatever becomes of the others; return what failed first."""
+        told = ""
+        for end in self._outputs:
+            try:
+                end.channel.write(end.safe_raw)
+            except Exception as error:
+                told = told or str(error)
+        return told
+
+    # the start
+
+    def _find(self) -> None:
+        plan = self.plan
+        if plan.file.python is not None:
+            self._board = Board(plan.file.python.board, plan.folder)
+        claimed: set[str] = set()
+        for line in plan.outputs:
+            channel, path = self._output(line)
+            end = _End(line, channel)
+            one = line.channel
+            end.safe_raw = end.raw(getattr(one, "safe", 0.0))
+            if path not in claimed:
+                end.claim = Claim(path)
+                claimed.add(path)
+            elif not isinstance(channel, BoardOutput):
+                raise HardwareError(f"{line.where}: {path} is an output already")
+            self._outputs.append(end)
+        self._inputs = [(line, self._input(line)) for line in plan.inputs]
+
+    def _output(self, line: Line) -> tuple[Output, str]:
+        """Return the channel of a line, and the file that is claimed."""
+        one = line.channel
+        if isinstance(one, IioOutput):
+            file = iio(one.device, one.channel, scaled=one.scaled)
+            return file, file.path
+        if isinstance(one, PwmChannel):
+            pwm = PwmOutput(one.device, one.channel, round(one.pwm_period_s * 1e9))
+            return pwm, pwm.path
+        assert self._board is not None
+        return BoardOutput(self._board, str(one.channel)), self._board.path
+
+    def _input(self, line: Line) -> Input:
+        one = line.channel
+        if isinstance(one, IioInput):
+            return iio(one.device, one.channel, scaled=one.scaled)
+        if isinstance(one, CounterInput):
+            return counter(one.device, one.channel)
+        assert self._board is not None
+        return BoardInput(self._board, str(one.channel))
+
+    def _begin(self) -> None:
+        """Write the safe values and read them back; read every input."""
+        for end in self._outputs:
+            if isinstance(end.channel, PwmOutput):
+                end.channel.set_up(end.safe_raw)
+            end.channel.write(end.safe_raw)
+            got, wanted = finite(end.channel.read_back(), end.line.where), end.channel.spelled(end.safe_raw)
+            if not math.isclose(got, wanted, rel_tol=1e-6, abs_tol=1e-9):
+                raise HardwareError(f"{end.line.where}: the safe value {wanted:g} was written, {got:g} is read back")
+        if self._board is not None:
+            self._board.refresh()
+        for line, channel in self._inputs:
+            self._value(line, channel)
+
+
+def _set_object(device: Device, line: Line, value: float) -> bool:
+    """Set an object behind which no kind stands; tell whether it has changed."""
+    kind = DATA_TYPES.get(device.description.variable(*line.key).data_type)
+    number = value if kind is not None and kind.kind == "real" else round(value)
+    whole = device.description.variable(*line.key).whole
+    if whole is not None:
+        number = min(max(number, whole[0]), whole[1])
+    if device.dictionary[line.key] == number:
+        return False
+    device.dictionary[line.key] = number
+    return True

@@ -1,0 +1,82 @@
+"""The process that makes a node's outputs safe when the node cannot.
+
+It is a child of the node's process, in a session of its own, and ignores the terminal's signals.
+The node writes a byte to its stdin once a period. When the bytes stay away for `watchdog_s`, or
+stdin ends because the node's process did (by whatever means, SIGKILL too), it writes the safe
+values. What it says on stdout: ``r`` it is ready, ``!`` the node stood still and the safe values
+are written.
+
+    python -m coulombus.node.hardware.watchdog WATCHDOG_S ORDERS     (JSON: [[path, text], ...])
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import signal
+import sys
+from collections.abc import Sequence
+from contextlib import suppress
+
+from coulombus.node.hardware.board import load_class
+from coulombus.node.hardware.channels import HardwareError, put
+
+__all__ = ["READY", "TRIPPED", "carry_out", "watch"]
+
+READY, TRIPPED = b"r", b"!"
+TRIES = 3
+
+
+def carry_out(orders: Sequence[Sequence[str]]) -> list[str]:
+    """Make every output safe, each tried again when it fails; return what failed to the end."""
+    failed = []
+    for path, text in orders:
+        for left in reversed(range(TRIES)):
+            try:
+                if text.startswith("{"):
+                    load_class(path)().write(json.loads(text))
+                else:
+                    put(path, text)
+                break
+            except Exception as error:  # a Python class raises what it likes; the next output's turn comes all the same
+                if left == 0:
+                    told = str(error) if isinstance(error, HardwareError) else f"{path}: {error!r}"
+                    failed.append(told)
+    return failed
+
+
+def watch(watchdog_s: float, orders: Sequence[Sequence[str]], feed: int, answers: int) -> list[str]:
+    """Wait for bytes on `feed` until it ends; return what could not be made safe then.
+
+    The first byte begins the watch.
+    """
+    os.write(answers, READY)
+    timeout_s: float | None = None
+    while True:
+        ready, _, _ = select.select([feed], [], [], timeout_s)
+        if ready:
+            if not os.read(feed, 4096):
+                return carry_out(orders)
+            timeout_s = watchdog_s
+        else:
+            carry_out(orders)
+            timeout_s = None  # until it is fed again
+            with suppress(OSError):
+                os.write(answers, TRIPPED)
+
+
+def _main() -> None:
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGPIPE):
+        signal.signal(number, signal.SIG_IGN)
+    with suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(90))
+    failed = watch(float(sys.argv[1]), json.loads(sys.argv[2]), 0, 1)
+    for text in failed:
+        with suppress(OSError):
+            os.write(2, f"coulombus: the output is not safe: {text}\n".encode())
+    sys.exit(1 if failed else 0)
+
+
+if __name__ == "__main__":
+    _main()
