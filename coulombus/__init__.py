@@ -2,7 +2,7 @@
 
 What a script needs, imported only when it is asked for::
 
-    from coulombus import read, simulate
+    from coulombus import Device, read, simulate
 
 The packages below are links to the folders beside this one: `coulombus.node` is ``node/``. Import
 them by this name only.
@@ -18,10 +18,12 @@ if TYPE_CHECKING:
     from coulombus.recording.signals import read
     from coulombus.rigs.rig import load_rig
     from coulombus.sim_bus.network.network import VirtualNetwork
+    from coulombus.sim_bus.server.own_device import Device
 
-__all__ = ["VirtualNetwork", "load_rig", "read", "simulate"]
+__all__ = ["Device", "VirtualNetwork", "load_rig", "read", "simulate"]
 
 _PLACES = {
+    "Device": "coulombus.sim_bus.server.own_device",
     "VirtualNetwork": "coulombus.sim_bus.network.network",
     "load_rig": "coulombus.rigs.rig",
     "read": "coulombus.recording.signals",

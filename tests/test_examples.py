@@ -54,6 +54,7 @@ def test_every_example_is_run():
         "fault_script.py",
         "two_axes.py",
         "virtual_network.py",
+        "own_device.py",  # tests/sim_bus/test_own_device.py
     }
 
 
