@@ -8,6 +8,8 @@ NEEDED := import sys; sys.exit(sys.version_info < (3, 11))
 PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python3.14; do \
 	"$$p" -c '$(NEEDED)' 2>/dev/null && { echo "$$p"; break; }; done)
 
+unexport PYTHONDONTWRITEBYTECODE  # without bytecode each of a thousand starts of the tests compiles all sources anew
+
 .PHONY: demo test fast check bench coverage wheel clean help
 .DEFAULT_GOAL := demo
 
