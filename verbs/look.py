@@ -23,6 +23,7 @@ from coulombus.verbs.common import (
     say,
     set_option,
 )
+from coulombus.verbs.web import serve_page, web_options
 
 __all__ = ["dbc", "decode", "watch"]
 
@@ -79,6 +80,8 @@ def decode(file: Path, rig_name: str | None, as_json: bool) -> None:
     help="Show nothing; write the frames there as they come: - for stdout, a named pipe, or a file.",
 )
 @force_option
+@web_options
+@click.option("--beside", is_flag=True, hidden=True, help="Another verb began this page, and ends it.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line to stdout.")
 def watch(
     rig_name: str,
@@ -89,12 +92,17 @@ def watch(
     interval: float | None,
     pcapng: Path | None,
     overwrite: bool,
+    web: bool,
+    web_port: int,
+    web_host: str,
+    beside: bool,
     as_json: bool,
 ) -> None:
     """Show a bus live: PDOs by name in SI units with rate and age, states of the nodes,
     emergencies, losses.
 
-    Nothing is sent. A live table in a terminal, else lines. Ends with 0 on Ctrl-C, SIGTERM, SIGHUP
+    Nothing is sent. A live table in a terminal, else lines; with --web a page in a browser, whose
+    STOP asks for what `coulombus stop` does. Ends with 0 on Ctrl-C, SIGTERM, SIGHUP
     or SIGQUIT, with 4 when the bus goes away.
 
     \b
@@ -103,12 +111,18 @@ def watch(
       coulombus watch --bus socketcan:can0 --rig my-rig.toml
       coulombus watch --json --seconds 5 | jq .signals
       coulombus watch --pcapng - | wireshark -k -i -
+      coulombus watch --bus coulombus:bench --web
     """
     with errors():
         from coulombus.rigs.buses import one_bus
         from coulombus.scope.watch import watch as run
 
         rig, address = one_bus(load(rig_name, overrides), bus_name, channel)
+        if web:
+            if pcapng is not None or interval is not None:
+                raise click.UsageError("--web is a page: leave --pcapng and --interval out")
+            serve_page(rig, address, host=web_host, port=web_port, seconds=seconds, as_json=as_json, beside=beside)
+            return
         if pcapng is None:
             given = click.get_current_context().get_parameter_source("rig_name") is not ParameterSource.DEFAULT
             run(rig, address, seconds=seconds, as_json=as_json, interval_s=interval, all_nodes=given)

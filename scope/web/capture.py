@@ -1,0 +1,241 @@
+"""The bus as the page shows it: batches of frames become samples, envelopes and figures of each
+PDO.
+
+A batch is decoded by NumPy, PDO by PDO. Time is an argument: nanoseconds since 1970, as the frames'
+stamps. Nothing that the bus carries raises.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from coulombus.recording.signals import decode_field
+from coulombus.rigs.axis import Axis
+from coulombus.rigs.rig import Rig
+from coulombus.rigs.signals import RigPdo
+from coulombus.scope.live import Event, Live, Snapshot
+from coulombus.scope.web.tracks import Envelope, Integers, Samples, velocity
+from coulombus.wire.bits import frame_bits
+from coulombus.wire.can_id import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
+from coulombus.wire.client import Received
+
+__all__ = ["ROWS", "VELOCITY", "Capture", "Curve", "Period"]
+
+WINDOW_NS = 1_000_000_000
+RAW_NS = 200_000_000
+"""How much of the raw samples is drawn."""
+FADE_NS = 2_000_000_000
+"""How much of the phase plot."""
+VELOCITY_CYCLES = 5
+POSITION, HANDLE = "motor.position_rad", "brake.handle_torque_Nm"
+VELOCITY = "handle.velocity_rad_s"
+"""Of the page itself, where no PDO carries one: the difference of the position."""
+ROWS = (
+    ("torque", "Nm", (HANDLE, "brake.setpoint_Nm", "motor.torque_Nm", "motor.target_torque_Nm")),
+    ("position", "rad", (POSITION,)),
+    ("velocity", "rad/s", ("motor.velocity_rad_s", VELOCITY)),
+)
+"""The plots: title, unit, which signals they may show (`Signal.key`)."""
+EVENTS = 200
+
+
+@dataclass(frozen=True)
+class Period:
+    """The time between two frames of a PDO in the last second [ms]; its `jitter_ms` is the larger
+    deviation of the two from the mean.
+    """
+
+    least_ms: float
+    mean_ms: float
+    most_ms: float
+
+    @property
+    def jitter_ms(self) -> float:
+        """The larger deviation from the mean."""
+        return max(self.most_ms - self.mean_ms, self.mean_ms - self.least_ms)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """The friction that a law displays at rest and in motion, as a line over the velocity."""
+
+    velocity_rad_s: tuple[float, ...]
+    friction_Nm: tuple[float, ...]
+
+
+class _Pdo:
+    """What is kept of a PDO."""
+
+    def __init__(self, pdo: RigPdo, capacity: int) -> None:
+        self.pdo = pdo
+        self.data: bytes | None = None
+        self.stamps = Samples(capacity)
+        self.samples = {s.name: Samples(capacity) for s in pdo.signals if s.unit}
+        self.envelopes = {s.name: Envelope() for s in pdo.signals if s.unit}
+
+    def take(self, t_ns: Integers, words: Integers) -> None:
+        """Take the frames of a batch that have this PDO's length."""
+        self.stamps.add(t_ns, np.zeros(len(t_ns)))
+        layout = self.pdo.layout
+        for signal, entry, start in zip(self.pdo.signals, layout.entries, layout.starts, strict=True):
+            if signal.unit:
+                values = np.asarray(decode_field(words, start, entry) * signal.scale + signal.offset, np.float64)
+                self.samples[signal.name].add(t_ns, values)
+                self.envelopes[signal.name].add(t_ns, values)
+
+    def period(self, now_ns: int) -> Period | None:
+        """Return the figures of the last second; None of less than two frames."""
+        t_ns, _ = self.stamps.since(now_ns - WINDOW_NS)
+        if len(t_ns) < 2:
+            return None
+        steps = np.diff(t_ns) * 1e-6
+        return Period(float(steps.min()), float(steps.mean()), float(steps.max()))
+
+
+class Capture:
+    """Takes batches of frames of one bus (`take`); what is known is asked by `snapshot`, `period`,
+    `envelope` and `samples`.
+
+    Attributes
+    ----------
+    events : the last `EVENTS` of them
+    newest_ns : the newest stamp
+    """
+
+    def __init__(self, rig: Rig) -> None:
+        self.rig, self.live = rig, Live(rig)
+        period_ns = rig.bus.period_ns
+        self._capacity = max(64, 2 * FADE_NS // period_ns)
+        self._pdos = {pdo.layout.cob_id: _Pdo(pdo, self._capacity) for pdo in rig.pdos()}
+        self._samples = {name: one for pdo in self._pdos.values() for name, one in pdo.samples.items()}
+        self._envelopes = {name: one for pdo in self._pdos.values() for name, one in pdo.envelopes.items()}
+        self._differences: list[tuple[Axis, _Pdo]] = []
+        for axis in rig.axes:
+            position = next((p for p in self._pdos.values() if axis.prefix + POSITION in p.samples), None)
+            if position is not None and axis.prefix + "motor.velocity_rad_s" not in self._samples:
+                self._samples[axis.prefix + VELOCITY] = Samples(self._capacity)
+                self._envelopes[axis.prefix + VELOCITY] = Envelope()
+                self._differences.append((axis, position))
+        self._bits: deque[tuple[int, int]] = deque()
+        self.events: deque[Event] = deque(maxlen=EVENTS)
+        self.newest_ns = 0
+
+    def names(self, axis: Axis) -> dict[str, list[str]]:
+        """Return which signals each plot of an axis shows, by the plot's title."""
+        return {
+            title: [axis.prefix + key for key in keys if axis.prefix + key in self._envelopes]
+            for title, _, keys in ROWS
+        }
+
+    def take(self, frames: Sequence[Received]) -> None:
+        """Take the frames of some milliseconds."""
+        if not frames:
+            return
+        self.live.take(frames)
+        t_ns = np.array([frame[0] for frame in frames], np.int64)
+        can_ids = np.array([frame[1] for frame in frames], np.int64)
+        lengths = np.array([frame[2] for frame in frames], np.int64)
+        words = np.frombuffer(b"".join(frame[3] for frame in frames), "<i8").astype(np.int64)
+        self.newest_ns = max(self.newest_ns, int(t_ns.max()))
+        for can_id in np.unique(can_ids).tolist():
+            line = self._pdos.get(can_id)
+            if line is None:
+                continue
+            rows = np.flatnonzero((can_ids == can_id) & (lengths == line.pdo.layout.length))
+            if len(rows):
+                line.take(t_ns[rows], words[rows])
+                line.data = frames[int(rows[-1])][3][: line.pdo.layout.length]
+        for axis, position in self._differences:
+            self._difference(axis, position)
+        self._count_bits(frames, can_ids, lengths)
+
+    def _difference(self, axis: Axis, position: _Pdo) -> None:
+        """Add the velocity of the positions that are new."""
+        track = self._samples[axis.prefix + VELOCITY]
+        known, _ = track.last(1)
+        t_ns, angle = position.samples[axis.prefix + POSITION].last(self._capacity)
+        first = int(np.searchsorted(t_ns, known[-1], "right")) if len(known) else 0
+        first = max(0, first - VELOCITY_CYCLES)
+        times, speeds = velocity(t_ns[first:], angle[first:], self.rig.bus.period_ns, VELOCITY_CYCLES)
+        track.add(times, speeds)
+        self._envelopes[axis.prefix + VELOCITY].add(times, speeds)
+
+    def _count_bits(self, frames: Sequence[Received], can_ids: Integers, lengths: Integers) -> None:
+        """Count the bits that a batch took on the wire: of each identifier as its last frame."""
+        bits = 0
+        last = {frame[1]: frame for frame in frames}
+        for can_id, (_, _, length, data) in last.items():
+            if can_id & CAN_ERR_FLAG:
+                continue
+            remote = bool(can_id & CAN_RTR_FLAG)
+            extended = bool(can_id & CAN_EFF_FLAG)
+            number = can_id & (0x1FFFFFFF if extended else 0x7FF)
+            one = frame_bits(number, length if remote else data[:length], extended=extended, remote=remote)
+            bits += one * int(np.count_nonzero(can_ids == can_id))
+        self._bits.append((self.newest_ns, bits))
+        while self._bits[0][0] < self.newest_ns - WINDOW_NS:
+            self._bits.popleft()
+
+    def load(self, now_ns: int, bitrate_bit_s: int) -> float:
+        """Return the share of the last second in which the bus was busy, 0 to 1."""
+        bits = sum(bits for t_ns, bits in self._bits if t_ns > now_ns - WINDOW_NS)
+        return bits / (bitrate_bit_s * WINDOW_NS * 1e-9)
+
+    def tell(self, t_ns: int, text: str, grave: bool = False) -> None:
+        """Note an event that is seen elsewhere."""
+        self.live.tell(t_ns, text, grave)
+
+    def snapshot(self, now_ns: int) -> Snapshot:
+        """Return what is known now, and keep the new events."""
+        found = self.live.snapshot(now_ns)
+        self.events.extend(found.events)
+        return found
+
+    def last_data(self, can_id: int) -> bytes | None:
+        """Return the data of the last right frame of a PDO."""
+        return self._pdos[can_id].data
+
+    def period(self, can_id: int, now_ns: int) -> Period | None:
+        """Return the figures of a PDO's period in the last second."""
+        return self._pdos[can_id].period(now_ns)
+
+    def envelope(self, name: str) -> Envelope:
+        """Return a signal's envelope."""
+        return self._envelopes[name]
+
+    def samples(self, name: str) -> Samples:
+        """Return a signal's last samples."""
+        return self._samples[name]
+
+    def friction(self, axis: Axis, points: int = 200) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return velocity [rad/s] and handle torque [Nm] of the last two seconds, oldest first.
+
+        None where the axis has no transducer or no position.
+        """
+        speed = next((n for n in (axis.prefix + k for k in ROWS[2][2]) if n in self._samples), None)
+        torque = axis.prefix + HANDLE
+        if speed is None or torque not in self._samples:
+            return None
+        t_v, v = self._samples[speed].since(self.newest_ns - FADE_NS)
+        t_f, f = self._samples[torque].last(self._capacity)
+        step = max(1, self._capacity // 2 // points)
+        t_v, v = t_v[::-step][::-1], v[::-step][::-1]
+        if not len(t_f):
+            return None
+        return v, f[np.clip(np.searchsorted(t_f, t_v), 0, len(t_f) - 1)]
+
+    def law_curve(self, axis: Axis, mode: str) -> Curve | None:
+        """Return what the law displays in a mode, from the rig file: F_s at rest, F_d in motion.
+
+        None of a law of a user's own, and of an unknown mode.
+        """
+        if axis.law.function not in ("karnopp", "coulomb") or mode not in axis.mode:
+            return None
+        said = axis.mode[mode]
+        F_d, F_s = said.F_d_Nm, said.F_s_Nm if axis.law.function == "karnopp" else said.F_d_Nm
+        far = axis.limits.speed_rad_s
+        return Curve((-far, 0.0, 0.0, 0.0, 0.0, far), (-F_d, -F_d, -F_s, F_s, F_d, F_d))

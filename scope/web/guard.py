@@ -1,0 +1,74 @@
+"""Who may do what at the page: the token, the origin, and the one who controls."""
+
+from __future__ import annotations
+
+import hmac
+import os
+import re
+import secrets
+import stat
+from pathlib import Path
+
+__all__ = ["Seat", "kept_token", "new_token", "right_token", "same_origin"]
+
+TOKEN = re.compile(r"[A-Za-z0-9_-]{32,64}")
+
+
+def new_token() -> str:
+    """Return a token that nobody guesses: 192 bits."""
+    return secrets.token_urlsafe(24)
+
+
+def kept_token(path: Path) -> str:
+    """Return the token that stands in a file of this user's alone, or write a new one there.
+
+    So a page that is open finds the server again after that has been started anew.
+
+    Raises
+    ------
+    OSError
+        the file cannot be read or written
+    """
+    flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
+    with os.fdopen(os.open(path, flags, 0o600), "r+", encoding="ascii", errors="replace") as file:
+        found = os.fstat(file.fileno())
+        text = file.read(100).strip()
+        private = found.st_uid == os.getuid() and stat.S_IMODE(found.st_mode) & 0o077 == 0
+        if private and TOKEN.fullmatch(text):
+            return text
+        os.fchmod(file.fileno(), 0o600)
+        token = new_token()
+        file.seek(0)
+        file.truncate()
+        file.write(token + "\n")
+        return token
+
+
+def right_token(given: str, token: str) -> bool:
+    """Tell whether a token is the right one, in the same time for each wrong one."""
+    return hmac.compare_digest(given.encode("utf-8", "surrogateescape"), token.encode())
+
+
+def same_origin(origin: str | None, host: str | None) -> bool:
+    """Tell whether a request comes from the page itself: its header Origin names the host that is
+    asked. None of either is no.
+    """
+    return bool(host) and origin in (f"http://{host}", f"https://{host}")
+
+
+class Seat:
+    """The place of the one page that controls; all others look on. STOP needs no seat."""
+
+    def __init__(self) -> None:
+        self.holder: int | None = None
+
+    def take(self, session: int) -> bool:
+        """Sit down where nobody sits; tell whether `session` sits there now."""
+        if self.holder is None:
+            self.holder = session
+        return self.holder == session
+
+    def leave(self, session: int) -> None:
+        """Stand up; nothing where another sits there."""
+        if self.holder == session:
+            self.holder = None

@@ -1,0 +1,107 @@
+"""The threads beside the page's server: one reads the bus in batches, one asks the host.
+
+Nothing is ever sent to the bus.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import Any
+
+from coulombus.scope.web.capture import Capture
+from coulombus.scope.web.state import HostDoor, HostView
+from coulombus.wire.client import BusDown, BusFull, Client, Received
+
+__all__ = ["BATCH_S", "BusReader", "HostReader"]
+
+BATCH_S = 0.033
+COLLECT_S = 0.01
+"""How often the socket is emptied: SocketCAN keeps some 270 frames of a reader that sleeps."""
+ASK_S = 1.0
+HOST_S = 0.2
+
+
+class _Worker:
+    """A thread that ends with its ``with`` block."""
+
+    def __init__(self, name: str) -> None:
+        self.stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+
+    def __enter__(self) -> _Worker:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop.set()
+        self._thread.join(timeout=5)
+
+    def _run(self) -> None:
+        raise NotImplementedError
+
+
+class BusReader(_Worker):
+    """Takes frames off the bus into `capture`; `failure` is why it ended by itself.
+
+    Parameters
+    ----------
+    lock : held while `capture` changes
+    """
+
+    def __init__(self, client: Client, capture: Capture, lock: threading.Lock) -> None:
+        super().__init__("bus reader")
+        self.failure: OSError | None = None
+        self.until_ns = time.time_ns()
+        """All frames until then are in `capture`: what did not come until then did not come."""
+        self._client, self._capture, self._lock = client, capture, lock
+
+    def facts(self) -> dict[str, Any]:
+        """Return what is known of the bus besides its frames."""
+        c = self._client
+        return {"bus": c.address, "bitrate_bit_s": c.bitrate_bit_s, "lost": c.lost, "malformed": c.malformed}
+
+    def _run(self) -> None:
+        asked = taken = time.monotonic()
+        frames: list[Received] = []
+        while not self.stop.wait(COLLECT_S):
+            now, now_ns = time.monotonic(), time.time_ns()
+            try:
+                while found := self._client.receive():
+                    frames += found
+                if now - asked > ASK_S:
+                    asked = now
+                    self._client.ask()
+            except BusDown as error:
+                with self._lock:
+                    self._capture.tell(time.time_ns(), str(error), grave=True)
+                self.stop.wait(ASK_S)
+            except BusFull:
+                pass  # it does not read: told by the silence of all nodes
+            except OSError as error:
+                self.failure = error
+            if now - taken >= BATCH_S or self.failure is not None:
+                taken = now
+                with self._lock:
+                    self._capture.take(frames)
+                    self.until_ns = now_ns
+                frames = []
+            if self.failure is not None:
+                return
+
+
+class HostReader(_Worker):
+    """Asks the host for its state, five times a second, and tells it to `view`."""
+
+    def __init__(self, door: HostDoor, view: HostView, lock: threading.Lock) -> None:
+        super().__init__("host reader")
+        self._door, self._view, self._lock = door, view, lock
+
+    def _run(self) -> None:
+        while not self.stop.wait(HOST_S):
+            try:
+                status = self._door.status()
+            except Exception:  # no host, or one that does not answer: nothing that ends the page
+                status = None
+            with self._lock:
+                self._view.tell(status)

@@ -1,0 +1,438 @@
+"""The page's server: HTTP and WebSocket by Tornado, on the loopback interface unless said otherwise.
+
+All addresses begin with the token; all others are 403::
+
+    GET  /TOKEN/            the page (?axis=NAME of a rig that has several)
+    GET  /TOKEN/static/F    its style, its script, and Bokeh's script from Bokeh's own wheel
+    GET  /TOKEN/plots       the empty plots (?theme=dark)
+    GET  /TOKEN/data        WebSocket: batches there (`scope.web.batch`), "took N" and "control" here
+    POST /TOKEN/stop        a safe stop: what ``coulombus stop`` asks for
+
+Nothing that a browser sends reaches the bus. The stop needs neither plots nor WebSocket.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import itertools
+import os
+import re
+import socket
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import tornado.httpserver
+import tornado.web
+import tornado.websocket
+from bokeh.util.paths import static_path
+
+from coulombus.rigs.axis import Axis
+from coulombus.rigs.rig import Rig
+from coulombus.scope.live import Snapshot
+from coulombus.scope.web import WebError
+from coulombus.scope.web.batch import Flow, batch, layout
+from coulombus.scope.web.capture import Capture
+from coulombus.scope.web.guard import Seat, right_token, same_origin
+from coulombus.scope.web.plots import plots
+from coulombus.scope.web.reader import BATCH_S, BusReader, HostReader
+from coulombus.scope.web.state import HostDoor, HostView, document
+from coulombus.wire.address import BusAddress, BusUnavailable
+from coulombus.wire.client import Client
+from coulombus.wire.hello import Flags, Hello
+from coulombus.wire.stopping import StopSignals
+
+__all__ = ["Page", "application", "listening", "serve"]
+
+STATE_S = 0.1
+SESSIONS = 16
+STOPS = 8
+"""Requests to stop that may be under way."""
+MESSAGE_BYTES = 64
+RUBBISH = 100
+"""Messages that mean nothing, after which a page is let go."""
+TOOK = re.compile(r"took ([0-9]{1,15})")
+RETRY_S = 0.5
+TYPES = {".css": "text/css", ".js": "text/javascript", ".html": "text/html"}
+POLICY = "; ".join(
+    (
+        *("default-src 'none'", "script-src 'self'", "style-src 'self' 'unsafe-inline'", "connect-src 'self'"),
+        *("img-src 'self' data:", "form-action 'self'", "frame-ancestors 'none'", "base-uri 'none'"),
+    )
+)
+"""Nothing is loaded from anywhere else; Bokeh sets styles inline."""
+
+
+class Page:
+    """What all who look at the page share: the capture, the host's view, the seat, the sessions."""
+
+    def __init__(
+        self,
+        capture: Capture,
+        door: HostDoor,
+        token: str,
+        facts: Callable[[], dict[str, Any]],
+        lock: threading.Lock,
+    ) -> None:
+        self.capture, self.door, self.token, self.facts, self.lock = capture, door, token, facts, lock
+        self.host = HostView(door.advice)
+        self.seat = Seat()
+        self.sessions: set[Data] = set()
+        self.numbers = itertools.count(1)
+        self.stops = ThreadPoolExecutor(STOPS, "stop")
+        self.stopping = 0
+        self._told_s = -1.0
+        self._state: dict[str, Any] | None = None
+        self._version = 0
+
+    def axis(self, name: str) -> Axis:
+        """Return the axis of this name, or the first."""
+        axes = self.capture.rig.axes
+        return next((axis for axis in axes if axis.name == name), axes[0])
+
+    def tick(self, now_ns: int) -> None:
+        """Send each page that takes it what is new."""
+        with self.lock:
+            if now_ns * 1e-9 - self._told_s >= STATE_S or now_ns * 1e-9 < self._told_s:
+                self._told_s = now_ns * 1e-9
+                snapshot: Snapshot = self.capture.snapshot(now_ns)
+                self._state = document(self.capture, snapshot, self.facts(), self.host)
+                self._version += 1
+            for session in self.sessions:
+                if session.flow.free:
+                    session.send(self._state, self._version)
+
+    async def stop(self) -> dict[str, Any]:
+        """Ask the host for a safe stop, wait for its end, and return what came of it as words."""
+        if self.stopping >= STOPS:
+            return {"ok": False, "text": "a stop is under way already"}
+        self.stopping += 1
+        try:
+            result = await asyncio.get_running_loop().run_in_executor(self.stops, self.door.stop)
+        except Exception as error:
+            return {"ok": False, "text": str(error)}
+        finally:
+            self.stopping -= 1
+        with self.lock:
+            self.host.ended(result)
+        trip = result.get("trip")
+        return {"ok": True, "text": f"the host had tripped: {trip}" if trip else "the host stopped safely"}
+
+
+class _Handler(tornado.web.RequestHandler):
+    """A request whose address begins with the right token."""
+
+    page: Page
+
+    def initialize(self, page: Page) -> None:
+        self.page = page
+
+    def set_default_headers(self) -> None:
+        for name, value in (
+            ("Content-Security-Policy", POLICY),
+            ("Referrer-Policy", "same-origin"),
+            ("X-Content-Type-Options", "nosniff"),
+            ("X-Frame-Options", "DENY"),
+            ("Cache-Control", "no-store"),
+            ("Server", "coulombus"),
+        ):
+            self.set_header(name, value)
+
+    def prepare(self) -> None:
+        if not right_token(self.path_args[0] if self.path_args else "", self.page.token):
+            raise tornado.web.HTTPError(403)
+        if self.request.method == "POST" and not _from_the_page(self.request):
+            raise tornado.web.HTTPError(403)
+
+    def write_error(self, status_code: int, **_: Any) -> None:
+        texts = {403: "the address needs the page's token: open the URL that the command printed"}
+        self.set_header("Content-Type", "text/plain; charset=utf-8")
+        self.finish(texts.get(status_code, self._reason) + "\n")
+
+
+def _from_the_page(request: Any) -> bool:
+    return same_origin(request.headers.get("Origin"), request.headers.get("Host"))
+
+
+class _Nothing(_Handler):
+    """What is nowhere: 403, also with the right token."""
+
+    def prepare(self) -> None:
+        raise tornado.web.HTTPError(403)
+
+
+class _Html(_Handler):
+    async def get(self, _: str) -> None:
+        rig = self.page.capture.rig
+        axis = self.page.axis(self.get_query_argument("axis", ""))
+        links = "".join(
+            f'<a href="?axis={escape(name)}"{" aria-current=page" if name == axis.name else ""}>{escape(name)}</a>'
+            for name in rig.axis_names
+        )
+        text = files(__package__).joinpath("page.html").read_text(encoding="utf-8")
+        text = text.replace("{{rig}}", escape(rig.name)).replace("{{axes}}", links)
+        self.finish(text)
+
+
+class _Static(_Handler):
+    OWN = ("page.css", "page.js")
+    BOKEH = ("bokeh.min.js",)
+
+    async def get(self, _: str, name: str) -> None:
+        if name in self.OWN:
+            content = files(__package__).joinpath(name).read_bytes()
+        elif name in self.BOKEH:
+            content = (Path(static_path()) / "js" / name).read_bytes()
+        else:
+            raise tornado.web.HTTPError(404)
+        self.set_header("Content-Type", TYPES[Path(name).suffix] + "; charset=utf-8")
+        self.finish(content)
+
+
+class _Plots(_Handler):
+    async def get(self, _: str) -> None:
+        axis = self.page.axis(self.get_query_argument("axis", ""))
+        theme = "dark" if self.get_query_argument("theme", "") == "dark" else "light"
+        self.finish(plots(layout(self.page.capture, axis), theme))  # type: ignore[arg-type]  # a text is no Literal
+
+
+class _Stop(_Handler):
+    async def post(self, _: str) -> None:
+        self.finish(await self.page.stop())
+
+
+class Data(tornado.websocket.WebSocketHandler):
+    """One page: what is sent to it, and the little that it says."""
+
+    page: Page
+
+    def initialize(self, page: Page) -> None:
+        """Keep what all pages share."""
+        self.page, self.flow = page, Flow()
+        self.number, self.rubbish, self.version, self.refused = next(page.numbers), 0, 0, False
+
+    def prepare(self) -> None:
+        """Refuse who has not the token, comes from another page, or is one too many."""
+        if not right_token(self.path_args[0], self.page.token) or not _from_the_page(self.request):
+            raise tornado.web.HTTPError(403)
+        if len(self.page.sessions) >= SESSIONS:
+            raise tornado.web.HTTPError(503)
+
+    def check_origin(self, origin: str) -> bool:
+        """`prepare` has looked at it."""
+        return same_origin(origin, self.request.headers.get("Host"))
+
+    def open(self, *_: str, **__: str) -> None:
+        """Begin; the first page controls."""
+        self.set_nodelay(True)
+        self.axis = self.page.axis(self.get_query_argument("axis", ""))
+        self.page.seat.take(self.number)
+        self.page.sessions.add(self)
+
+    def on_close(self) -> None:
+        """Forget it; its seat is free."""
+        self.page.sessions.discard(self)
+        self.page.seat.leave(self.number)
+
+    def on_message(self, message: str | bytes) -> None:
+        """Take what a page says; all else is counted, and too much of it ends the session."""
+        text = message if isinstance(message, str) else ""
+        took = TOOK.fullmatch(text)
+        if took is not None and self.flow.take(int(took[1])):
+            return
+        if text == "control":
+            self.refused = not self.page.seat.take(self.number)
+            return
+        self.rubbish += 1
+        if self.rubbish > RUBBISH:
+            self.close(1008, "what this page says means nothing")
+
+    def send(self, state: dict[str, Any] | None, version: int) -> None:
+        """Send the next batch, with the state where the page does not have it yet."""
+        more: dict[str, Any] = {}
+        if version != self.version:
+            self.version = version
+            controls = self.page.seat.holder == self.number
+            more = {"state": state, "controls": controls, "refused": self.refused and not controls}
+            more["law"] = self._law()
+        try:
+            sent = self.write_message(batch(self.page.capture, self.axis, self.flow, more), binary=True)
+            sent.add_done_callback(lambda done: done.exception())  # a page that has gone: on_close comes
+        except tornado.websocket.WebSocketClosedError:
+            pass
+
+    def _law(self) -> dict[str, Any] | None:
+        curve = self.page.capture.law_curve(self.axis, self.page.host.mode)
+        return None if curve is None else {"v": curve.velocity_rad_s, "f": curve.friction_Nm}
+
+
+def application(page: Page) -> tornado.web.Application:
+    """Return the application of a page."""
+    shared = {"page": page}
+    return tornado.web.Application(
+        [
+            (r"/([^/]*)/", _Html, shared),
+            (r"/([^/]*)/static/([a-z.]+)", _Static, shared),
+            (r"/([^/]*)/plots", _Plots, shared),
+            (r"/([^/]*)/data", Data, shared),
+            (r"/([^/]*)/stop", _Stop, shared),
+        ],
+        default_handler_class=_Nothing,
+        default_handler_args=shared,
+        log_function=lambda handler: None,
+        websocket_max_message_size=MESSAGE_BYTES,
+        websocket_ping_interval=10,
+        websocket_ping_timeout=10,
+    )
+
+
+def listening(host: str, port: int) -> list[socket.socket]:
+    """Return the sockets that listen there; port 0: a free one.
+
+    Raises
+    ------
+    WebError
+        the port is in use, may not be taken, or there is no such address
+    """
+    try:
+        return [_bound(host, port)]
+    except OSError as error:
+        if error.errno == errno.EADDRINUSE:
+            raise WebError(
+                f"port {port} of {host} is in use: choose another with --web-port, or 0 for a free one"
+            ) from None
+        if error.errno == errno.EACCES:
+            raise WebError(f"port {port} may not be taken: choose one of 1024 or more with --web-port") from None
+        raise WebError(
+            f"the page cannot be served at {host}: {error.strerror or error}; --web-host names an address of this machine"
+        ) from None
+
+
+def _bound(host: str, port: int) -> socket.socket:
+    family, kind, protocol, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+    made = socket.socket(family, kind, protocol)
+    try:
+        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        made.bind(place)
+        made.listen(SESSIONS)
+        made.setblocking(False)
+    except OSError:
+        made.close()
+        raise
+    return made
+
+
+def serve(
+    rig: Rig,
+    address: BusAddress,
+    door: HostDoor,
+    token: str,
+    ready: Callable[[str], None],
+    *,
+    host: str = "127.0.0.1",
+    port: int = 0,
+    seconds: float | None = None,
+    parent: int | None = None,
+) -> None:
+    """Serve the page until a signal, or for `seconds`.
+
+    Parameters
+    ----------
+    ready : called with the page's URL when it is there
+    parent : a pipe of the process that began this one: its end ends the page, the bus is waited
+        for, and its going away is no failure
+
+    Raises
+    ------
+    WebError
+        the port or address cannot be taken
+    coulombus.wire.address.BusUnavailable
+        there is no bus, or it went away meanwhile
+    """
+    sockets = listening(host, port)
+    try:
+        with StopSignals() as stop:
+            asyncio.run(_serve(rig, address, door, token, ready, sockets, host, seconds, parent, stop))
+    except BusUnavailable:
+        if parent is None:
+            raise
+    finally:
+        for one in sockets:
+            one.close()
+
+
+async def _serve(
+    rig: Rig,
+    address: BusAddress,
+    door: HostDoor,
+    token: str,
+    ready: Callable[[str], None],
+    sockets: list[socket.socket],
+    host: str,
+    seconds: float | None,
+    parent: int | None,
+    stop: StopSignals,
+) -> None:
+    loop, over = asyncio.get_running_loop(), asyncio.Event()
+    loop.add_reader(stop.fileno(), over.set)
+    if parent is not None:
+        loop.add_reader(parent, lambda: None if os.read(parent, 64) else over.set())
+    if seconds is not None:
+        loop.call_later(seconds, over.set)
+    client = await _client(address, patient=parent is not None, over=over)
+    if client is None:
+        return
+    capture = Capture(rig)
+    capture.snapshot(time.time_ns())  # rates count from here
+    with client:
+        lock = threading.Lock()
+        reader = BusReader(client, capture, lock)
+        page = Page(capture, door, token, reader.facts, lock)
+        server = tornado.httpserver.HTTPServer(
+            application(page), max_header_size=16384, max_body_size=4096, idle_connection_timeout=60
+        )
+        with reader, HostReader(door, page.host, lock):
+            server.add_sockets(sockets)
+            ready(f"http://{_named(host)}:{sockets[0].getsockname()[1]}/{token}/")
+            while not over.is_set() and reader.failure is None:
+                page.tick(reader.until_ns)
+                await _pause(over, BATCH_S)
+        server.stop()
+        await server.close_all_connections()
+        page.stops.shutdown(wait=False)
+        if reader.failure is not None:
+            raise reader.failure
+
+
+async def _client(address: BusAddress, *, patient: bool, over: asyncio.Event) -> Client | None:
+    """Return a client of the bus; where it is not there yet, who is patient waits until it is all
+    `over` (None).
+    """
+    while not over.is_set():
+        try:
+            return Client(address, Hello(Flags.LISTEN_ONLY | Flags.ERRORS))
+        except BusUnavailable:
+            if not patient:
+                raise
+            await _pause(over, RETRY_S)
+    return None
+
+
+async def _pause(over: asyncio.Event, seconds: float) -> None:
+    """Wait so long, or until it is all over."""
+    with suppress(TimeoutError):
+        await asyncio.wait_for(over.wait(), seconds)
+
+
+def _named(host: str) -> str:
+    """Return what a browser calls the address: a name of this machine for all its addresses."""
+    if host in ("0.0.0.0", "::", ""):
+        return socket.gethostname()
+    return f"[{host}]" if ":" in host else host

@@ -1,0 +1,178 @@
+"""What the page says in words and figures, ten times a second: one plain document, made of the bus
+and of what the host tells.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from coulombus.eds.cia402 import PowerState
+from coulombus.scope.live import NodeRow, PdoRow, Snapshot, Value
+from coulombus.scope.web.capture import Capture
+
+__all__ = ["HostDoor", "HostView", "arm_state", "document"]
+
+ENABLED = PowerState.OPERATION_ENABLED.name.lower().replace("_", " ")
+EVENTS_SHOWN = 40
+PHASES = {
+    "off": "off",
+    "still": "waiting for a still handle",
+    "enable": "enabling the drive",
+    "sign": "checking the signs",
+    "settle": "settling",
+    "run": "running",
+    "safe": "safe state",
+    "disable": "disabling the drive",
+    "done": "done",
+}
+"""The phases of the host's cycle in words; another one is shown by its name."""
+
+
+@dataclass(frozen=True)
+class HostDoor:
+    """How the page reaches the host: `status` asks for its state, `stop` asks for a safe stop and
+    waits for its end; both raise OSError or an error with a text.
+
+    Attributes
+    ----------
+    advice : the runbook's place for a trip's words
+    """
+
+    status: Callable[[], Mapping[str, Any]]
+    stop: Callable[[], Mapping[str, Any]]
+    advice: Callable[[str], str | None]
+
+
+class HostView:
+    """The last state that the host told, and its last trip, which stays when the host has gone."""
+
+    def __init__(self, advice: Callable[[str], str | None]) -> None:
+        self._advice = advice
+        self._status: Mapping[str, Any] | None = None
+        self._trip: str | None = None
+        self.mode = ""
+
+    def tell(self, status: Mapping[str, Any] | None) -> None:
+        """Take what the host told; None: no host runs.
+
+        What is of a wrong type in it counts as not told.
+        """
+        if status is not None:
+            fresh = self._status is None
+            self._status = status
+            self.mode = text(status.get("mode"))
+            if trip := text(status.get("trip")):
+                self._trip = trip
+            elif fresh:  # another run: the last one's trip is over
+                self._trip = None
+        else:
+            self._status = None
+
+    def ended(self, result: Mapping[str, Any]) -> None:
+        """Take what the host told of its end."""
+        if trip := text(result.get("trip")):
+            self._trip = trip
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return what the page shows of the host."""
+        status = self._status or {}
+        axes = [one for one in _list(status.get("axes")) if isinstance(one, Mapping)]
+        words = [(text(one.get("axis")), text(one.get("phase"))) for one in axes]
+        phases = [f"{axis} {PHASES.get(phase, phase)}".strip() for axis, phase in words]
+        return {
+            "runs": self._status is not None,
+            "mode": self.mode if self._status is not None else "",
+            "phase": ", ".join(phases),
+            "display_s": _number(status.get("display_s")),
+            "cycles": _number(status.get("cycles")),
+            "trip": self._trip or "",
+            "advice": (self._advice(self._trip) or "") if self._trip else "",
+            "recording": text(status.get("recording")),
+        }
+
+
+def document(capture: Capture, snapshot: Snapshot, facts: Mapping[str, Any], host: HostView) -> dict[str, Any]:
+    """Return the document: top line, PDOs, nodes, events.
+
+    Parameters
+    ----------
+    facts : of the reader: bus, bitrate_bit_s, lost, malformed
+    """
+    load = capture.load(snapshot.t_ns, int(facts["bitrate_bit_s"]) or capture.rig.bus.bitrate_bit_s)
+    return {
+        "rig": capture.rig.name,
+        "bus": str(facts["bus"]),
+        "load_percent": round(100 * load, 1),
+        "frames_per_s": round(snapshot.frames_per_s),
+        "sync_per_s": round(snapshot.sync_per_s, 1),
+        "lost": int(facts["lost"]),
+        "malformed": int(facts["malformed"]) + sum(row.malformed for row in snapshot.pdos),
+        "error_frames": snapshot.error_frames,
+        "unknown": snapshot.unknown,
+        "arm": arm_state(snapshot),
+        "host": host.as_dict(),
+        "pdos": [_pdo(capture, row, snapshot.t_ns) for row in snapshot.pdos],
+        "nodes": [_node(row) for row in snapshot.nodes],
+        "events": [[event.t_ns / 1e9, event.text, event.grave] for event in list(capture.events)[-EVENTS_SHOWN:]],
+    }
+
+
+def arm_state(snapshot: Snapshot) -> str:
+    """Return "armed" where a drive on the bus is enabled, "disarmed" where all drives say that they
+    are not, "unknown" where one has never been heard, or not of late.
+
+    The bus itself tells it: the host may be another machine's.
+    """
+    drives = [node for node in snapshot.nodes if node.power_state is not None]
+    if any(node.power_state == ENABLED and not node.silent for node in drives):
+        return "armed"
+    return "disarmed" if drives and not any(node.silent for node in drives) else "unknown"
+
+
+def text(value: object) -> str:
+    """Return a text of what may be anything; nothing for what is none."""
+    return value if isinstance(value, str) else ""
+
+
+def _list(value: object) -> list[Any]:
+    return list(value) if isinstance(value, (list, tuple)) else []
+
+
+def _number(value: object) -> float | None:
+    right = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    return value if right else None  # type: ignore[return-value]  # mypy does not follow `right`
+
+
+def _pdo(capture: Capture, row: PdoRow, now_ns: int) -> dict[str, Any]:
+    period = capture.period(row.can_id, now_ns)
+    data = capture.last_data(row.can_id)
+    return {
+        "name": row.name,
+        "id": f"{row.can_id:03X}h",
+        "raw": "" if data is None else data.hex(" ").upper(),
+        "rate": round(row.rate_per_s, 1),
+        "jitter_ms": None if period is None else round(period.jitter_ms, 3),
+        "stale": row.age_s is None or row.age_s > 0.1,
+        "signals": [_signal(value) for value in row.values],
+    }
+
+
+def _signal(value: Value) -> dict[str, Any]:
+    word = not value.unit and value.name.endswith("word")
+    shown = value.value if value.value is None or not word else f"{int(value.value):04X}h"
+    return {"name": value.name, "value": shown, "unit": value.unit}
+
+
+def _node(row: NodeRow) -> dict[str, Any]:
+    return {
+        "name": row.name,
+        "id": row.node_id,
+        "state": row.state or "",
+        "silent": row.silent,
+        "power": row.power_state or "",
+        "emergency": row.emergency or "",
+        "age_ms": None if row.age_s is None else round(row.age_s * 1e3),
+    }

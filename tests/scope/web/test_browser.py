@@ -1,0 +1,90 @@
+"""The page in a headless Chromium, against a server in this process; there is no bus."""
+
+import asyncio
+
+import pytest
+
+pytest.importorskip("bokeh", reason="the page needs Bokeh: pip install 'coulombus[web]'")
+
+from chromium import CHROMIUM, Browser
+from coulombus.recording.pcapng_writer import PcapngWriter
+from coulombus.recording.signals import read
+from coulombus.wire.frame import FRAME, data_word, new_records
+from web_bench import BEGIN_NS, MS, Door, cycles, page, served
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(CHROMIUM is None, reason="no chromium: apt install chromium (some 300 MB)"),
+]
+
+
+def recorded(path, frames, rig):
+    table = new_records(FRAME, len(frames))
+    table[:] = [(t_ns, can_id, length, data_word(data[:length]), 0) for t_ns, can_id, length, data in frames]
+    with PcapngWriter(
+        path, attachments={"rig.toml": rig.effective().encode()} | {n: t.encode() for n, t in rig.eds_texts.items()}
+    ) as writer:
+        writer.write(table)
+    return read(path)
+
+
+def test_the_page_shows_the_bus_stops_the_host_and_comes_back(tmp_path):
+    door = Door()
+
+    async def run():
+        shown = page(door=door)
+        frames = cycles(0, 400)
+        shown.capture.take(frames)
+        recording = recorded(tmp_path / "run.pcapng", frames, shown.capture.rig)
+        async with served(shown) as url:
+            ticking = asyncio.create_task(tick(shown))
+            async with Browser(url, str(tmp_path / "profile")) as browser:
+                await browser.until(
+                    "sources.size === 14 && document.querySelector('[data-signal=\"motor.position_rad\"]')"
+                )
+                for name in ("motor.position_rad", "brake.handle_torque_Nm", "motor.torque_Nm", "brake.setpoint_Nm"):
+                    assert float(await browser.text(name)) == pytest.approx(recording[name].values[-1], abs=6e-6), name
+                    raw = await browser.evaluate(f"Array.from(raw.get('{name}')[1])")
+                    assert raw == pytest.approx(recording[name].values[-len(raw) :], rel=1e-6)
+                assert await browser.text("arm") == "armed"
+                assert (await browser.text("mode"), await browser.text("phase")) == ("hybrid", "running")
+                assert await browser.evaluate("figures.length") == 7
+
+                await browser.press("f", 70)
+                assert await browser.evaluate("action('freeze').getAttribute('aria-pressed')") == "true"
+                await browser.press("Escape", 27)
+                await browser.until("one('said').textContent.includes('stopped safely')")
+                assert door.stops == 1
+                await browser.evaluate("action('stop').click()")
+                while door.stops < 2:
+                    await asyncio.sleep(0.01)
+
+                async with Browser(url, str(tmp_path / "second")) as other:
+                    await other.until("one('role').textContent === 'look on'")
+                    await other.evaluate("action('control').click()")
+                    await other.until("one('said').textContent.includes('another page controls')")
+
+                port = int(url.split(":")[2].split("/")[0])
+                hosts = {
+                    address.partition("://")[2].partition("/")[0] for address in browser.requested if "://" in address
+                }
+                assert hosts == {f"127.0.0.1:{port}"}  # nothing comes from anywhere else
+                assert browser.errors == []
+                await gone_and_back(shown, port, browser, ticking)
+
+    async def gone_and_back(shown, port, browser, ticking):
+        for session in list(shown.sessions):
+            session.close()
+        await browser.until("cut")
+        await browser.until("!cut && one('said').hidden")
+        ticking.cancel()
+
+    asyncio.run(run())
+
+
+async def tick(shown):
+    k = 0
+    while True:
+        shown.tick(BEGIN_NS + (400 + 120 * k) * MS)
+        k += 1
+        await asyncio.sleep(0.033)
