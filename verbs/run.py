@@ -32,6 +32,7 @@ from coulombus.verbs.common import (
     verdict,
 )
 from coulombus.verbs.run_table import print_runs
+from coulombus.verbs.web import page_beside, page_words, web_options
 
 if TYPE_CHECKING:
     from coulombus.recording.segments import Rotation
@@ -91,6 +92,7 @@ GIVEN = f"{__name__}.given"
     default=None,
     help="CPU for the cycle's process.  [default: the last isolated one, else the last]",
 )
+@web_options
 @json_option
 def run_command(
     rig_name: str,
@@ -108,6 +110,9 @@ def run_command(
     overrides: tuple[str, ...],
     shared_machine: bool,
     cpu: int | None,
+    web: bool,
+    web_port: int,
+    web_host: str,
     as_json: bool,
 ) -> None:
     """Run the host alone, in real time, on a bus where the nodes are: simulated ones
@@ -142,6 +147,10 @@ def run_command(
         if channel is not None:
             rig = rig.on(channel)
         if len(rig.channels) > 1:
+            if web:
+                raise click.UsageError(
+                    "--web is of one bus: serve each bus' page with `coulombus watch --web --channel C`"
+                )
             words = ["run", "--rig", rig_name, "--mode", mode, "--json"]
             words += [] if seconds is None else ["--seconds", str(seconds)]
             words += [word for text in overrides for word in ("--set", text)]
@@ -158,7 +167,8 @@ def run_command(
                 check_output(path, force=overwrite)  # of all buses before the first one starts
             _run_buses(words, addresses, files, mode, as_json)
         (address,) = addresses.values()
-        with Signals() as signals, progress(not as_json) as report:
+        page = page_words(rig_name, address, channel, overrides, web_host, web_port) if web else None
+        with page_beside(page), Signals() as signals, progress(not as_json) as report:
             result = real_run(
                 rig,
                 mode,

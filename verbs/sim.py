@@ -25,6 +25,7 @@ from coulombus.verbs.common import (
     seed_option,
     set_option,
 )
+from coulombus.verbs.web import page_beside, page_words, web_options
 from coulombus.wire.verdict import abandon_stdout
 
 if TYPE_CHECKING:
@@ -57,6 +58,7 @@ __all__ = ["node_command", "sim"]
 @set_option
 @seed_option
 @faults_option
+@web_options
 @json_option
 def sim(
     rig_name: str,
@@ -74,6 +76,9 @@ def sim(
     overrides: tuple[str, ...],
     seed: int,
     faults: Path | None,
+    web: bool,
+    web_port: int,
+    web_host: str,
     as_json: bool,
 ) -> None:
     """Serve a bus with the simulated nodes and the rig on it, in real time.
@@ -107,6 +112,10 @@ def sim(
                 "--record is of one virtual bus on which frames take their time; choose one with --channel"
             )
         if len(addresses) > 1:
+            if web:
+                raise click.UsageError(
+                    "--web is of one bus: serve each bus' page with `coulombus watch --web --channel C`"
+                )
             options = {
                 "--seconds": seconds,
                 "--script": script,
@@ -139,7 +148,9 @@ def sim(
                 numbered=not no_node_ids,
             )
 
-        run_sim(make, seconds, priority=priority or None, cpu=cpu, as_json=as_json)
+        page = page_words(rig_name, address, channel, overrides, web_host, web_port) if web else None
+        with page_beside(page):
+            run_sim(make, seconds, priority=priority or None, cpu=cpu, as_json=as_json)
 
 
 def _sim_buses(words: list[str], addresses: dict[str, BusAddress]) -> int:
