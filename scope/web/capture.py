@@ -121,6 +121,8 @@ class Capture:
                 self._envelopes[axis.prefix + VELOCITY] = Envelope()
                 self._differences.append((axis, position))
         self._bits: deque[tuple[int, int]] = deque()
+        self._bits_sum = 0
+        frame_bits(0)  # compiled now, or loaded, and not with the first frames
         self.events: deque[Event] = deque(maxlen=EVENTS)
         self.newest_ns = 0
 
@@ -176,14 +178,20 @@ class Capture:
             number = can_id & (0x1FFFFFFF if extended else 0x7FF)
             one = frame_bits(number, length if remote else data[:length], extended=extended, remote=remote)
             bits += one * int(np.count_nonzero(can_ids == can_id))
-        self._bits.append((self.newest_ns, bits))
-        while self._bits[0][0] < self.newest_ns - WINDOW_NS:
+        self._bits_sum += bits
+        self._bits.append((self.newest_ns, self._bits_sum))
+        while len(self._bits) > 2 and self._bits[1][0] <= self.newest_ns - WINDOW_NS:
             self._bits.popleft()
 
     def load(self, now_ns: int, bitrate_bit_s: int) -> float:
-        """Return the share of the last second in which the bus was busy, 0 to 1."""
-        bits = sum(bits for t_ns, bits in self._bits if t_ns > now_ns - WINDOW_NS)
-        return bits / (bitrate_bit_s * WINDOW_NS * 1e-9)
+        """Return the share of the last second in which the bus was busy, 0 to 1.
+
+        A batch that is late counts over the time that it is of.
+        """
+        if len(self._bits) < 2 or now_ns - self._bits[-1][0] > WINDOW_NS:
+            return 0.0
+        (first_ns, before), (last_ns, after) = self._bits[0], self._bits[-1]
+        return (after - before) / (bitrate_bit_s * max(last_ns - first_ns, 1) * 1e-9)
 
     def tell(self, t_ns: int, text: str, grave: bool = False) -> None:
         """Note an event that is seen elsewhere."""

@@ -98,12 +98,12 @@ async function makePlots() {
   query.set("theme", theme);
   const answer = await fetch(`plots?${query}`);
   if (!answer.ok) return;
-  const items = await answer.json();
+  const {plots: items, legends} = await answer.json();
   const found = new Map(), roots = [];
   Bokeh.documents.splice(0);
   for (const [id, item] of Object.entries(items)) {
     const place = document.getElementById(id);
-    place.replaceChildren();
+    place.replaceChildren(legend(legends[id] || []));
     await Bokeh.embed.embed_item(item);
     if (mine !== plotted) return;
     for (const root of Bokeh.documents.at(-1).roots()) {
@@ -117,6 +117,17 @@ async function makePlots() {
   sources = found;
   figures = roots;
   draw();
+}
+
+function legend(lines) {
+  const made = document.createElement("div");
+  made.className = "legend";
+  for (const [name, colour] of lines) {
+    const line = made.appendChild(document.createElement("span"));
+    line.style.color = colour;
+    line.textContent = `\u25ac ${name}`;
+  }
+  return made;
 }
 
 function unzoom() {
@@ -157,15 +168,14 @@ function draw() {
   for (const [name, ring] of envelopes) {
     const source = sources.get(`envelope:${name}`);
     if (!source) continue;
-    const t = new Float64Array(BINS), low = new Float64Array(BINS), top = new Float64Array(BINS);
+    const t = new Float64Array(2 * BINS), y = new Float64Array(2 * BINS);
     for (let i = 0; i < BINS; i++) {
-      const bin = ring.newest - BINS + 1 + i;
-      const there = bin >= 0;
-      t[i] = (bin + 0.5 - nowBin) / BINS_PER_S;
-      low[i] = there ? ring.low[bin % BINS] : NaN;
-      top[i] = there ? ring.high[bin % BINS] : NaN;
+      const bin = ring.newest - BINS + 1 + i, place = bin % BINS;
+      t[2 * i] = t[2 * i + 1] = (bin + 0.5 - nowBin) / BINS_PER_S;
+      y[2 * i] = bin >= 0 ? ring.low[place] : NaN;
+      y[2 * i + 1] = bin >= 0 ? ring.high[place] : NaN;
     }
-    source.data = {t: t, low: low, high: top};
+    source.data = {t: t, y: y};
   }
   for (const [name, [t, y]] of raw) {
     const source = sources.get(`raw:${name}`);
@@ -213,9 +223,14 @@ function words(head) {
   rows("nodes", state.nodes.map((node) => [node.emergency || node.silent ? "grave" : "", [
     [node.name, "", `node:${node.name}`], [node.id, "n"],
     [node.silent ? `${node.state}, silent` : node.state || "not heard", "", `state:${node.name}`],
-    [node.emergency || node.power, "", `power:${node.name}`], [node.age_ms === null ? "" : node.age_ms, "n"]]]));
+    [node.emergency || node.power, "", `power:${node.name}`]]]));
   rows("events", state.events.slice().reverse().map(([t, said, grave]) =>
     [grave ? "grave" : "", [[new Date(1000 * t).toLocaleTimeString([], {hour12: false}), ""], [said, ""]]]));
+}
+
+function short(signal) {
+  const name = signal.name.split(".").pop(), ending = `_${signal.unit.replace("/", "_")}`;
+  return (signal.unit && name.endsWith(ending) ? name.slice(0, -ending.length) : name).replaceAll("_", " ");
 }
 
 function pdoRows(pdo) {
@@ -224,7 +239,7 @@ function pdoRows(pdo) {
     const shown = value === null ? "-" : typeof value === "number" && !Number.isInteger(value) ? value.toFixed(5) : String(value);
     return [pdo.stale ? "stale" : "", [
       [first ? pdo.name : "", ""], [first ? pdo.id : "", ""], [first ? pdo.raw : "", "raw"],
-      [signal.name.split(".").pop().replace(/_[A-Za-z]+$/, signal.unit ? "" : "$&").replaceAll("_", " "), ""],
+      [short(signal), ""],
       [shown, "n", signal.name], [signal.unit, ""],
       [first ? pdo.rate.toFixed(0) : "", "n", first ? `rate:${pdo.name}` : ""],
       [first && pdo.jitter_ms !== null ? pdo.jitter_ms.toFixed(2) : "", "n", first ? `jitter:${pdo.name}` : ""]]];

@@ -9,10 +9,10 @@ from __future__ import annotations
 from typing import Any, Literal
 
 from bokeh.embed import json_item
-from bokeh.models import ColumnDataSource, CrosshairTool, Legend, LegendItem, Range1d
+from bokeh.models import ColumnDataSource, CrosshairTool, Range1d
 from bokeh.plotting import figure
 
-__all__ = ["COLOURS", "THEMES", "plots"]
+__all__ = ["COLOURS", "THEMES", "legends", "plots"]
 
 Theme = Literal["light", "dark"]
 THEMES: dict[str, dict[str, str]] = {
@@ -39,6 +39,17 @@ def plots(layout: list[dict[str, Any]], theme: Theme) -> dict[str, Any]:
         found[f"{short}-raw"] = json_item(_raw(row, theme, last), f"{short}-raw")
     found["friction-plot"] = json_item(_friction(theme), "friction-plot")
     return found
+
+
+def legends(layout: list[dict[str, Any]], theme: Theme) -> dict[str, list[tuple[str, str]]]:
+    """Return the plots' legends: name and colour of each line, by the identifier of the element."""
+    found = {
+        f"{row['title']}-envelope": [
+            (_short(name, row["unit"]), colour) for name, colour in zip(row["signals"], COLOURS[theme], strict=False)
+        ]
+        for row in layout
+    }
+    return found | {"friction-plot": [("measured", COLOURS[theme][0]), ("law", THEMES[theme]["law"])]}
 
 
 def _figure(theme: Theme, title: str, **options: Any) -> Any:
@@ -71,39 +82,11 @@ def _figure(theme: Theme, title: str, **options: Any) -> Any:
     return p
 
 
-def _legend(p: Any, theme: Theme, items: list[LegendItem]) -> None:
-    colours = THEMES[theme]
-    legend = Legend(
-        items=items,
-        orientation="horizontal",
-        location="top_left",
-        label_text_font_size="11px",
-        label_text_color=colours["text"],
-        background_fill_color=colours["ground"],
-        background_fill_alpha=0.8,
-        border_line_color=None,
-        padding=1,
-        margin=2,
-        spacing=8,
-        label_standoff=3,
-        glyph_width=12,
-        glyph_height=10,
-        label_height=10,
-    )
-    p.add_layout(legend)
-
-
 def _envelopes(row: dict[str, Any], theme: Theme, last: bool) -> Any:
     p = _figure(theme, f"{row['title']} [{row['unit']}], 10 s", x_range=Range1d(-SPAN_S, 0))
-    items = []
     for name, colour in zip(row["signals"], COLOURS[theme], strict=False):
-        source = ColumnDataSource({"t": [], "low": [], "high": []}, name=f"envelope:{name}")
-        area = p.varea(x="t", y1="low", y2="high", source=source, color=colour, alpha=0.35)
-        line = p.line(x="t", y="high", source=source, color=colour, line_width=1.2)
-        p.line(x="t", y="low", source=source, color=colour, line_width=1.2)
-        items.append(LegendItem(label=_short(name), renderers=[line, area]))
-    if len(items) > 1:
-        _legend(p, theme, items)
+        source = ColumnDataSource({"t": [], "y": []}, name=f"envelope:{name}")
+        p.line(x="t", y="y", source=source, color=colour, line_width=1.2)  # up and down within each bin
     p.add_tools(CrosshairTool(dimensions="height", line_color=THEMES[theme]["law"]))
     if last:
         p.xaxis.axis_label = "time before now [s]"
@@ -125,12 +108,11 @@ def _friction(theme: Theme) -> Any:
     p = _figure(theme, "friction against velocity, 2 s", x_range=Range1d(-1, 1), y_range=Range1d(-1, 1))
     p.xaxis.axis_label, p.yaxis.axis_label = "velocity [rad/s]", "handle torque [Nm]"
     law = ColumnDataSource({"v": [], "f": []}, name="law")
-    curve = p.line(x="v", y="f", source=law, color=THEMES[theme]["law"], line_width=2, line_dash="dashed")
+    p.line(x="v", y="f", source=law, color=THEMES[theme]["law"], line_width=2, line_dash="dashed")
     source = ColumnDataSource({"v": [], "f": [], "alpha": []}, name="friction")
-    dots = p.scatter(x="v", y="f", source=source, color=COLOURS[theme][0], alpha="alpha", size=5, line_color=None)
-    _legend(p, theme, [LegendItem(label="measured", renderers=[dots]), LegendItem(label="law", renderers=[curve])])
+    p.scatter(x="v", y="f", source=source, color=COLOURS[theme][0], alpha="alpha", size=5, line_color=None)
     return p
 
 
-def _short(name: str) -> str:
-    return name.rpartition(".")[2].rpartition("_")[0].replace("_", " ")
+def _short(name: str, unit: str) -> str:
+    return name.rpartition(".")[2].removesuffix("_" + unit.replace("/", "_")).replace("_", " ")

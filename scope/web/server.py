@@ -41,7 +41,7 @@ from coulombus.scope.web import WebError
 from coulombus.scope.web.batch import Flow, batch, layout
 from coulombus.scope.web.capture import Capture
 from coulombus.scope.web.guard import Seat, right_token, same_origin
-from coulombus.scope.web.plots import plots
+from coulombus.scope.web.plots import Theme, legends, plots
 from coulombus.scope.web.reader import BATCH_S, BusReader, HostReader
 from coulombus.scope.web.state import HostDoor, HostView, document
 from coulombus.wire.address import BusAddress, BusUnavailable
@@ -199,8 +199,9 @@ class _Static(_Handler):
 class _Plots(_Handler):
     async def get(self, _: str) -> None:
         axis = self.page.axis(self.get_query_argument("axis", ""))
-        theme = "dark" if self.get_query_argument("theme", "") == "dark" else "light"
-        self.finish(plots(layout(self.page.capture, axis), theme))  # type: ignore[arg-type]  # a text is no Literal
+        theme: Theme = "dark" if self.get_query_argument("theme", "") == "dark" else "light"
+        rows = layout(self.page.capture, axis)
+        self.finish({"plots": plots(rows, theme), "legends": legends(rows, theme)})
 
 
 class _Stop(_Handler):

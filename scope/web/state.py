@@ -174,5 +174,4 @@ def _node(row: NodeRow) -> dict[str, Any]:
         "silent": row.silent,
         "power": row.power_state or "",
         "emergency": row.emergency or "",
-        "age_ms": None if row.age_s is None else round(row.age_s * 1e3),
     }
