@@ -116,7 +116,17 @@ WITH_SET = (
     "analyse hold",
     "analyse map",
 )
-WITH_RECORDING = ("decode", "hz FILE", "export", "plot", "diff", "replay --host", "replay --virtual", "replay --bus", "identify")
+WITH_RECORDING = (
+    "decode",
+    "hz FILE",
+    "export",
+    "plot",
+    "diff",
+    "replay --host",
+    "replay --virtual",
+    "replay --bus",
+    "identify",
+)
 WITH_EDS = ("eds check", "init", "node", "conformance", "sdo restore")
 WITH_BUS = (
     "run",
