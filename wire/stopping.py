@@ -20,7 +20,7 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any, Self, TypeAlias
 
-__all__ = ["SIGNALS", "Signals", "StopSignals", "Stopped", "as_exceptions", "status_of", "taken"]
+__all__ = ["SIGNALS", "Signals", "StopSignals", "Stopped", "as_exceptions", "ignore", "status_of", "taken"]
 
 SIGNALS: tuple[int, ...] = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 AGAIN_S = 1.0
@@ -50,6 +50,14 @@ class Stopped(KeyboardInterrupt):
     def __init__(self, number: int, when: str = "") -> None:
         super().__init__(f"{signal.Signals(number).name} {when}".rstrip())
         self.number = number
+
+
+def ignore() -> None:
+    """Let no signal of a person end this process, nor a reader that has gone: it ends with the
+    process that it looks after.
+    """
+    for number in (*SIGNALS, signal.SIGPIPE):
+        signal.signal(number, signal.SIG_IGN)
 
 
 @contextmanager

@@ -14,13 +14,13 @@ from __future__ import annotations
 import json
 import os
 import select
-import signal
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
 
 from coulombus.node.hardware.board import load_class
 from coulombus.node.hardware.channels import HardwareError, put
+from coulombus.wire.stopping import ignore
 
 __all__ = ["READY", "TRIPPED", "carry_out", "watch"]
 
@@ -67,8 +67,7 @@ def watch(watchdog_s: float, orders: Sequence[Sequence[str]], feed: int, answers
 
 
 def _main() -> None:
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGPIPE):
-        signal.signal(number, signal.SIG_IGN)
+    ignore()
     with suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(90))
     failed = watch(float(sys.argv[1]), json.loads(sys.argv[2]), 0, 1)

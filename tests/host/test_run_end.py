@@ -4,6 +4,7 @@ stand on.
 
 from __future__ import annotations
 
+from collections import deque
 from types import SimpleNamespace
 
 import numpy as np
@@ -179,6 +180,7 @@ def marked(tmp_path, monkeypatch, *, slow_batch=1, trip=Trip.NONE, rig="bench", 
     run.notifier, run.address, run.teller = Notifier({}), "coulombus:bench", None
     run.recorder = Recorder(tmp_path / "r.pcapng", rig, "hybrid")
     run.error = run.stopped_by = run._waiting = None
+    run._struck = deque()
     run.deadman, run._seen = "none", (0, 0.0)
     run.signals = Signals()
     run.door = SimpleNamespace(stop_wanted=lambda: False)
