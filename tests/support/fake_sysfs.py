@@ -79,7 +79,11 @@ class FakeSysfs:
 
     @property
     def dac(self) -> int:
-        return int(self.get("dac/out_voltage0_raw"))
+        """What the DAC was given last; while another process writes it a plain file is empty, which one
+        of sysfs never is.
+        """
+        texts = (self.get("dac/out_voltage0_raw") for _ in range(100_000))
+        return int(next(filter(None, texts), ""))
 
     def io_file(self, text: str = BRAKE_IO) -> Path:
         path = self.folder / "io.toml"
