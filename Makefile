@@ -20,7 +20,7 @@ demo: $(VENV)/.run  ## the paper's experiment on the built-in virtual bus
 	@$(BIN)/coulombus demo
 
 test: $(VENV)/.dev  ## all tests: those in virtual time side by side, then those against the wall clock, alone
-	@$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile -m "not real_time"; others=$$?; \
+	@$(BIN)/python -m pytest -n auto --maxprocesses 4 --max-worker-restart 0 --dist loadfile -m "not real_time"; others=$$?; \
 	$(BIN)/python -m pytest -m real_time && exit $$others
 
 fast: $(VENV)/.dev  ## a minute of tests in plain Python: nothing is compiled

@@ -5,6 +5,7 @@ attribute ``unit``. Signals of one PDO share their ``t_s``. ``/markers`` has ``t
 from __future__ import annotations
 
 import io
+import os
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -20,32 +21,85 @@ __all__ = ["Hdf5Writer"]
 CHUNK = 1 << 14
 
 
-class _Place(io.FileIO):
-    """A file that remembers why it could not be written, and tells HDF5 nothing of it: the library
-    does not outlive a disk that is full.
+class _Place(io.RawIOBase):
+    """A file that remembers why it could not be written, and tells HDF5 nothing of it.
+
+    HDF5 reads back what it wrote and believes every byte: on what a full disk has not taken it ends
+    the process. So that is kept in memory from then on; it is little, for `check` ends the export
+    soon.
     """
 
     def __init__(self, path: Path) -> None:
-        super().__init__(path, "w+")
+        super().__init__()
+        self._fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o666)
+        self._at = self._end = 0
+        self._kept: list[tuple[int, bytes]] = []
         self.failure: OSError | None = None
+
+    def readable(self) -> bool:
+        """True."""
+        return True
+
+    def writable(self) -> bool:
+        """True."""
+        return True
+
+    def seekable(self) -> bool:
+        """True."""
+        return True
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        """Go to a place, and return it."""
+        self._at = offset + {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: self._end}[whence]
+        return self._at
+
+    def tell(self) -> int:
+        """Return the present place."""
+        return self._at
+
+    def readinto(self, buffer: Any) -> int:
+        """Read what was written, whether the disk took it or not."""
+        view = memoryview(buffer).cast("B")
+        view = view[: max(self._end - self._at, 0)]
+        found = os.pread(self._fd, len(view), self._at)
+        view[:] = found + bytes(len(view) - len(found))
+        for at, data in self._kept:
+            begin, end = max(at, self._at), min(at + len(data), self._at + len(view))
+            if begin < end:
+                view[begin - self._at : end - self._at] = data[begin - at : end - at]
+        self._at += len(view)
+        return len(view)
 
     def write(self, data: Any) -> int:
         """Write all of it."""
-        rest = memoryview(data)
+        rest = memoryview(data).cast("B")
+        length = len(rest)
         try:
             while self.failure is None and rest:
-                rest = rest[super().write(rest) :]
+                written = os.pwrite(self._fd, rest, self._at)
+                self._at, rest = self._at + written, rest[written:]
         except OSError as error:
             self.failure = error
-        return len(data)
+        if rest:
+            self._kept.append((self._at, bytes(rest)))
+            self._at += len(rest)
+        self._end = max(self._end, self._at)
+        return length
 
     def truncate(self, size: int | None = None) -> int:
         """Change the file's length."""
+        self._end = self._at if size is None else size
         try:
-            return super().truncate(size)
+            os.ftruncate(self._fd, self._end)
         except OSError as error:
             self.failure = self.failure or error
-            return size or 0
+        return self._end
+
+    def close(self) -> None:
+        """Close the file."""
+        if not self.closed:
+            os.close(self._fd)
+        super().close()
 
     def check(self) -> None:
         """Raise what went wrong."""

@@ -1,9 +1,12 @@
 """Exports, each read back with another library and held against `read`."""
 
+import errno
 import json
+import os
 import resource
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import can
@@ -13,6 +16,7 @@ import pytest
 from bench_recording import CYCLES, MS, STRANGE, record
 from coulombus.recording.export.errors import ExportError
 from coulombus.recording.export.export import FRAMES, KINDS, SIGNALS, export
+from coulombus.recording.export.hdf import _Place
 from coulombus.recording.extras import MissingExtra
 from coulombus.recording.samples import NotNames
 from coulombus.recording.signals import Recording, UnknownSignal, read
@@ -273,6 +277,48 @@ def test_a_full_disk_leaves_no_file(source, tmp_path, kind):
             exported(source, tmp_path, kind)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_hdf5_reads_back_what_a_full_disk_has_not_taken(tmp_path):
+    """It believed whatever stood in memory there, and ended the process now and then."""
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    with _Place(tmp_path / "f") as place:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (6, limits[1]))
+        try:
+            place.write(b"abcdefgh")
+            place.seek(2)
+            place.write(b"XY")
+            place.seek(7)
+            place.write(b"HIJ")
+            place.truncate(12)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        place.seek(0)
+        assert place.read(20) == b"abXYefgHIJ\0\0"
+        assert place.seek(0, 2) == 12
+        with pytest.raises(OSError, match="File too large"):
+            place.check()
+
+
+FULL = """
+import resource, sys
+from coulombus.recording.export.export import export
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[3]), -1))
+try:
+    export(sys.argv[1], sys.argv[2], "hdf5")
+except OSError as error:
+    print(error.errno)
+"""
+
+
+@pytest.mark.parametrize("limit", [500, 2000, 20000])
+def test_hdf5_outlives_a_full_disk_whatever_stands_in_memory(source, tmp_path, limit):
+    pytest.importorskip("h5py")
+    words = [sys.executable, "-c", FULL, source, tmp_path / "run.h5", str(limit)]
+    dirty = {**os.environ, "MALLOC_PERTURB_": "165"}
+    done = subprocess.run(words, capture_output=True, text=True, env=dirty, timeout=300, check=False)
+    assert (done.returncode, done.stdout) == (0, f"{errno.EFBIG}\n"), done.stderr
     assert list(tmp_path.iterdir()) == []
 
 
