@@ -13,19 +13,16 @@ come for `RELEASE_S`.
 
 from __future__ import annotations
 
-import os
-import select
 import sys
-import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from contextlib import suppress
 from types import TracebackType
 from typing import ClassVar, Self
 
 from coulombus.host.errors import SafetyTrip
 from coulombus.host.run.keys import Keys
+from coulombus.host.run.lookout import Lookout
 from coulombus.rigs.rig import Rig
 from coulombus.wire.address import BusAddress
 
@@ -104,39 +101,24 @@ class Watcher(Switch):
 
     def __init__(self, hold: Callable[[int], None]) -> None:
         super().__init__(hold)
-        self._end, self._wake = os.pipe()
-        self._thread = threading.Thread(target=self._run, name="dead man's switch", daemon=True)
+        self._lookout = Lookout("dead man's switch", self._watch, self._let_go)
 
     def __enter__(self) -> Self:
-        self._thread.start()
+        self._lookout.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        os.close(self._wake)
-        self._thread.join()
-        os.close(self._end)
-
-    def _run(self) -> None:
-        """Watch; a watcher that ends, be it by an error, has let go."""
-        try:
-            with suppress(OSError):
-                self._watch()
-        finally:
-            self._let_go()
+        self._lookout.end()
 
     @abstractmethod
     def _watch(self) -> None:
-        """Watch until `_ready` says that it is over.
+        """Watch until `_lookout.ready` says that it is over; then, and after an error, the switch
+        is let go.
 
         OSError: the switch is gone.
         """
-
-    def _ready(self, sources: list[int], timeout_s: float | None = None) -> list[int] | None:
-        """Wait until there is something to be read; None when the watching is over."""
-        found, _, _ = select.select([*sources, self._end], [], [], timeout_s)
-        return None if self._end in found else found
 
 
 class HeldKey(Switch):

@@ -112,7 +112,7 @@ class HeldLine(Watcher):
         os.close(self._line)
 
     def _watch(self) -> None:
-        while self._ready([], LOOK_S) is not None:
+        while self._lookout.ready([], LOOK_S) is not None:
             bits, _ = VALUES.unpack(self._ioctl(self._line, GET_VALUES, VALUES.pack(0, 1)))
             if bits & 1:
                 self._hold_for(LEVEL_S)
@@ -158,7 +158,7 @@ class HeldSocket(Watcher):
         try:
             while True:
                 sources = [self._listener.fileno(), *([] if client is None else [client.fileno()])]
-                found = self._ready(sources, SILENCE_S)
+                found = self._lookout.ready(sources, SILENCE_S)
                 if found is None:
                     return
                 if self._listener.fileno() in found:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import os
-import select
 import signal
 import sys
 import termios
-import threading
 import tty
 from collections.abc import Callable
 from contextlib import suppress
 from types import TracebackType
 from typing import Any, Self
+
+from coulombus.host.run.lookout import Lookout
 
 __all__ = ["Keys", "in_foreground"]
 
@@ -34,45 +34,29 @@ class Keys:
     """
 
     def __init__(self, struck: Callable[[bytes], None], ended: Callable[[], None] = lambda: None) -> None:
-        self._fd = sys.stdin.fileno()
-        self._call, self._ended = struck, ended
-        self._end, self._wake = os.pipe()
-        self._thread = threading.Thread(target=self._run, name="keys", daemon=True)
+        self._fd, self._call = sys.stdin.fileno(), struck
+        self._lookout = Lookout("keys", self._watch, ended)
         self._mode: list[Any] = []
 
     def __enter__(self) -> Self:
         self._mode = termios.tcgetattr(self._fd)
         tty.setcbreak(self._fd)
-        self._thread.start()
+        self._lookout.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        os.close(self._wake)
-        self._thread.join()
-        os.close(self._end)
+        self._lookout.end()
         blocked = signal.pthread_sigmask(signal.SIG_BLOCK, FROM_BEHIND)
         with suppress(termios.error):
             termios.tcsetattr(self._fd, termios.TCSAFLUSH, self._mode)  # the repeats that wait are not for the shell
         signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
 
-    def _run(self) -> None:
-        try:
-            self._watch()
-        finally:
-            self._ended()
-
     def _watch(self) -> None:
         signal.pthread_sigmask(signal.SIG_BLOCK, FROM_BEHIND)
-        while True:
-            ready, _, _ = select.select([self._fd, self._end], [], [])
-            if self._end in ready:
-                return
-            try:
-                strokes = os.read(self._fd, 64)
-            except OSError:
-                strokes = b""
-            if not strokes:  # the terminal is gone, or another's: nobody holds anything
+        while self._lookout.ready([self._fd]) is not None:
+            strokes = os.read(self._fd, 64)  # OSError, or nothing: the terminal is gone, or another's
+            if not strokes:
                 return
             self._call(strokes)

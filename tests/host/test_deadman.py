@@ -80,7 +80,7 @@ def test_silence_lets_a_socket_go(tmp_path, plane, monkeypatch):
         client.send(b"x")
         plane.wait(True)
         while switch.held:
-            switch._thread.join(0.005)
+            switch._lookout._thread.join(0.005)
         assert plane.until_ns != 0  # no word was needed: the time was over
 
 

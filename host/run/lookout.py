@@ -1,0 +1,48 @@
+"""A thread that waits for files, until it is told to end."""
+
+from __future__ import annotations
+
+import os
+import select
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+
+__all__ = ["Lookout"]
+
+
+class Lookout:
+    """Calls ``watch()`` in a thread of its own, and ``ended()`` when that has ended, be it by an
+    error: what is watched is gone then.
+
+    `watch` waits with `ready`, and returns when that returns None.
+    """
+
+    def __init__(self, name: str, watch: Callable[[], None], ended: Callable[[], None]) -> None:
+        self._watch, self._ended = watch, ended
+        self._end, self._wake = os.pipe()
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def end(self) -> None:
+        """End it, and wait for its end."""
+        os.close(self._wake)
+        self._thread.join()
+        os.close(self._end)
+
+    def ready(self, sources: list[int], timeout_s: float | None = None) -> list[int] | None:
+        """Wait until there is something to be read; return what, None when the watching is
+        over.
+        """
+        found, _, _ = select.select([*sources, self._end], [], [], timeout_s)
+        return None if self._end in found else found
+
+    def _run(self) -> None:
+        try:
+            with suppress(OSError):
+                self._watch()
+        finally:
+            self._ended()
