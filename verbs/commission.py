@@ -224,6 +224,7 @@ def _virtual(truth: Path | None, axis: str | None, seed: int) -> Runner:
 
 
 def _real(bus_name: str | None, as_json: bool) -> Runner:
+    from coulombus.host.run.outputs import Outputs
     from coulombus.host.run.real_run import real_run
     from coulombus.wire.address import parse_address
     from coulombus.wire.stopping import Signals
@@ -237,9 +238,8 @@ def _real(bus_name: str | None, as_json: bool) -> Runner:
                 one.mode,
                 one.seconds,
                 bus=address,
-                record=path,
+                outputs=Outputs(record=path, force=True),
                 signals=signals,
-                force=True,
                 progress=lambda t: bar(one.name, t, one.seconds),
             )
 

@@ -23,7 +23,7 @@ from coulombus.verbs.common import (
     say,
     set_option,
 )
-from coulombus.verbs.web import serve_page, web_options
+from coulombus.verbs.web import PageOptions, page_options, serve_page
 
 __all__ = ["dbc", "decode", "watch"]
 
@@ -80,7 +80,7 @@ def decode(file: Path, rig_name: str | None, as_json: bool) -> None:
     help="Show nothing; write the frames there as they come: - for stdout, a named pipe, or a file.",
 )
 @force_option
-@web_options
+@page_options
 @click.option("--beside", is_flag=True, hidden=True, help="Another verb began this page, and ends it.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line to stdout.")
 def watch(
@@ -92,9 +92,7 @@ def watch(
     interval: float | None,
     pcapng: Path | None,
     overwrite: bool,
-    web: bool,
-    web_port: int,
-    web_host: str,
+    page: PageOptions,
     beside: bool,
     as_json: bool,
 ) -> None:
@@ -118,10 +116,10 @@ def watch(
         from coulombus.scope.watch import watch as run
 
         rig, address = one_bus(load(rig_name, overrides), bus_name, channel)
-        if web:
+        if page.web:
             if pcapng is not None or interval is not None:
                 raise click.UsageError("--web is a page: leave --pcapng and --interval out")
-            serve_page(rig, address, host=web_host, port=web_port, seconds=seconds, as_json=as_json, beside=beside)
+            serve_page(rig, address, page, seconds=seconds, as_json=as_json, beside=beside)
             return
         if pcapng is None:
             given = click.get_current_context().get_parameter_source("rig_name") is not ParameterSource.DEFAULT

@@ -11,15 +11,12 @@ import click
 from coulombus.verbs.common import (
     CPU,
     EXIT_STATUS,
-    PICTURE,
     SECONDS,
-    RecordingPlace,
     buses_option,
     channel_option,
     check_mode,
     check_shared_machine,
     errors,
-    force_option,
     json_option,
     load,
     mode_option,
@@ -31,17 +28,14 @@ from coulombus.verbs.common import (
     shared_machine_option,
     verdict,
 )
+from coulombus.verbs.outputs import OutputOptions, outputs_options
 from coulombus.verbs.run_table import print_runs
-from coulombus.verbs.web import page_beside, page_words, web_options
+from coulombus.verbs.web import PageOptions, page_options
 
 if TYPE_CHECKING:
-    from coulombus.recording.segments import Rotation
     from coulombus.wire.address import BusAddress
 
 __all__ = ["run_command", "stop"]
-
-GIVEN = f"{__name__}.given"
-"""What a context keeps: the words of --rotate and --keep."""
 
 
 @click.command("run", epilog=EXIT_STATUS)
@@ -50,40 +44,7 @@ GIVEN = f"{__name__}.given"
 @channel_option
 @mode_option
 @click.option("--seconds", type=SECONDS, default=None, help="Length of the display.  [default: until it is stopped]")
-@click.option(
-    "--record",
-    type=RecordingPlace(),
-    metavar="PLACE",
-    help="Record every frame there: in a new file F.pcapng, or in segments in a folder.",
-)
-@click.option(
-    "--rotate",
-    is_eager=True,
-    callback=lambda ctx, param, text: None if text is None else _checked(text, "parse_rotation"),
-    metavar="SIZE|TIME",
-    help="--record is a folder; a new segment after so much or so long: 100MB, 1h.  [default of a folder: 100MB]",
-)
-@click.option(
-    "--keep",
-    callback=lambda ctx, param, text: None if text is None else _checked(text, "parse_size"),
-    metavar="SIZE",
-    help="Keep so much in that folder, and remove the oldest segments: 20GB.  [default: all]",
-)
-@click.option(
-    "--status",
-    "status",
-    type=click.Path(path_type=Path),
-    metavar="SOCKET",
-    help="Make a socket there that tells the state, a JSON line each 100 ms, to all who read it.",
-)
-@click.option("--meta", "meta", multiple=True, metavar="KEY=VALUE", help="Say something of the recording: subject=S01.")
-@force_option
-@click.option(
-    "--histogram",
-    type=PICTURE,
-    metavar="F.png",
-    help="Draw wake-up and SYNC-to-RPDO times there.",
-)
+@outputs_options
 @set_option
 @shared_machine_option
 @click.option(
@@ -92,7 +53,7 @@ GIVEN = f"{__name__}.given"
     default=None,
     help="CPU for the cycle's process.  [default: the last isolated one, else the last]",
 )
-@web_options
+@page_options
 @json_option
 def run_command(
     rig_name: str,
@@ -100,19 +61,11 @@ def run_command(
     channel: str | None,
     mode: str,
     seconds: float | None,
-    record: Path | None,
-    rotate: Rotation | None,
-    keep: int | None,
-    status: Path | None,
-    meta: tuple[str, ...],
-    overwrite: bool,
-    histogram: Path | None,
+    outputs: OutputOptions,
     overrides: tuple[str, ...],
     shared_machine: bool,
     cpu: int | None,
-    web: bool,
-    web_port: int,
-    web_host: str,
+    page: PageOptions,
     as_json: bool,
 ) -> None:
     """Run the host alone, in real time, on a bus where the nodes are: simulated ones
@@ -143,46 +96,30 @@ def run_command(
         if shared_machine:
             check_shared_machine(addresses.values())
         check_mode(rig, rig_name, mode)
-        rotation, said = _rotation(record, rotate, keep), _said(record, meta)
+        out = outputs.outputs()
         if channel is not None:
             rig = rig.on(channel)
         if len(rig.channels) > 1:
-            if web:
-                raise click.UsageError(
-                    "--web is of one bus: serve each bus' page with `coulombus watch --web --channel C`"
-                )
+            page.refuse_several()
             words = ["run", "--rig", rig_name, "--mode", mode, "--json"]
             words += [] if seconds is None else ["--seconds", str(seconds)]
             words += [word for text in overrides for word in ("--set", text)]
             words += ["--shared-machine"] if shared_machine else []
-            words += ["--force"] if overwrite else []
             words += [] if cpu is None else ["--cpu", str(cpu)]
-            given = {"--rotate": "100MB"} if rotation else {}
-            given |= click.get_current_context().meta.get(GIVEN, {})
-            words += [word for option, text in given.items() for word in (option, text)]
-            words += [word for text in meta for word in ("--meta", text)]
-            files = {"--record": record, "--histogram": histogram, "--status": status}
-            wanted = [path for path in files.values() if path and path != status and not (rotation and path == record)]
-            for path in (path_on(path, channel) for path in wanted for channel in addresses):
-                check_output(path, force=overwrite)  # of all buses before the first one starts
-            _run_buses(words, addresses, files, mode, as_json)
+            for path in (path_on(path, channel) for path in outputs.refusable() for channel in addresses):
+                check_output(path, force=outputs.overwrite)  # of all buses before the first one starts
+            _run_buses([*words, *outputs.words()], addresses, outputs.files, mode, as_json)
         (address,) = addresses.values()
-        page = page_words(rig_name, address, channel, overrides, web_host, web_port) if web else None
-        with page_beside(page), Signals() as signals, progress(not as_json) as report:
+        with page.beside(rig_name, address, channel, overrides), Signals() as signals, progress(not as_json) as report:
             result = real_run(
                 rig,
                 mode,
                 seconds,
                 bus=address,
-                record=record,
-                histogram=histogram,
+                outputs=out,
                 signals=signals,
                 progress=lambda t: report(mode, t, seconds),
                 cpu=cpu,
-                force=overwrite,
-                rotation=rotation,
-                meta=said,
-                status=status,
             )
         with verdict(result.exit_status):
             _say_what_to_do(result.trip, shared_machine)
@@ -190,54 +127,6 @@ def run_command(
                 print_json(result.as_dict())
             else:
                 print_runs({mode: result})
-
-
-def _checked(text: str, name: str) -> Any:
-    """Return what a word of --rotate or --keep says, and keep the word for the processes of several
-    buses.
-    """
-    from coulombus.recording import segments
-
-    try:
-        found = getattr(segments, name)(text)
-    except ValueError as error:
-        raise click.BadParameter(str(error)) from None
-    context = click.get_current_context()
-    context.meta.setdefault(GIVEN, {})["--rotate" if name == "parse_rotation" else "--keep"] = text
-    return found
-
-
-def _rotation(record: Path | None, rotate: Rotation | None, keep: int | None) -> Rotation | None:
-    """Return when a segment ends, None where the recording is one file or none."""
-    from dataclasses import replace
-
-    from coulombus.recording.segments import Rotation
-
-    folder = record is not None and record.is_dir()
-    if not folder and (rotate is not None or keep is not None):
-        raise click.UsageError(
-            "--rotate and --keep are of a folder: give one with --record, as in --record runs --rotate 1h"
-        )
-    if not folder:
-        return None
-    found = replace(rotate or Rotation(), keep_bytes=keep)
-    if keep is not None and keep < 2 * (found.most_bytes or 0):
-        raise click.UsageError(f"--keep {keep} bytes: expected at least two segments of {found.most_bytes} bytes")
-    return found
-
-
-def _said(record: Path | None, meta: tuple[str, ...]) -> dict[str, str]:
-    """Return the pairs of --meta."""
-    if meta and record is None:
-        raise click.UsageError("--meta is of a recording: give --record, too")
-    found: dict[str, str] = {}
-    for text in meta:
-        key, equals, value = text.partition("=")
-        if not equals or not key.strip() or key in found:
-            reason = "twice" if key in found else "expected KEY=VALUE, as in subject=S01"
-            raise click.BadParameter(f"{text!r}: {reason}", param_hint="--meta")
-        found[key] = value
-    return found
 
 
 def _say_what_to_do(trip: str | None, shared_machine: bool) -> None:
@@ -256,14 +145,14 @@ def _say_what_to_do(trip: str | None, shared_machine: bool) -> None:
 
 
 def _run_buses(
-    words: list[str], addresses: dict[str, BusAddress], files: dict[str, Path | None], mode: str, as_json: bool
+    words: list[str], addresses: dict[str, BusAddress], files: dict[str, Path], mode: str, as_json: bool
 ) -> None:
     """Run the host on several buses, a process each, and end with the status that they come to."""
     from coulombus.host.run.buses import merged, path_on, supervise
     from coulombus.host.run.result import RunResult
 
     def arguments(channel: str) -> list[str]:
-        there = ((option, path_on(path, channel)) for option, path in files.items() if path is not None)
+        there = ((option, path_on(path, channel)) for option, path in files.items())
         own = [word for option, path in there for word in (option, str(path))]
         return [*words, *own, "--channel", channel, "--bus", f"{channel}={addresses[channel]}"]
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
+from coulombus.verbs.bundle import bundle
 from coulombus.verbs.common import (
     CPU,
     EXIT_STATUS,
@@ -25,25 +27,71 @@ from coulombus.verbs.common import (
     seed_option,
     set_option,
 )
-from coulombus.verbs.web import page_beside, page_words, web_options
+from coulombus.verbs.web import PageOptions, page_options
 from coulombus.wire.verdict import abandon_stdout
 
 if TYPE_CHECKING:
     from coulombus.node.profile import Profile
+    from coulombus.rigs.rig import Rig
     from coulombus.wire.address import BusAddress
 
 __all__ = ["node_command", "sim"]
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """What a bus of ``sim`` does, as the options say it."""
+
+    mode: str | None
+    seed: int
+    script: Path | None
+    faults: Path | None
+    unpaced: bool
+    no_node_ids: bool
+
+    def words(self) -> list[str]:
+        """Return the options' words for the processes of several buses."""
+        given = {"--mode": self.mode, "--seed": self.seed, "--script": self.script, "--faults": self.faults}
+        words = [word for option, value in given.items() if value is not None for word in (option, str(value))]
+        return [*words, *(["--unpaced"] if self.unpaced else []), *(["--no-node-ids"] if self.no_node_ids else [])]
+
+    def of(self, rig: Rig) -> dict[str, Any]:
+        """Return what a `SimServer` of each bus is told, by the bus; the files are read."""
+        from coulombus.sim_bus.faults.file import read_faults
+        from coulombus.sim_bus.network.script import read_script
+
+        script = () if self.script is None else read_script(self.script, [node.name for node in rig.nodes])
+        faults = None if self.faults is None else read_faults(self.faults)
+        common = {"mode": self.mode or rig.modes[-1], "seed": self.seed, "script": script, "unpaced": self.unpaced}
+        common |= {"numbered": not self.no_node_ids}
+        plans = {name: None if faults is None else faults.on(name, rig.channels) for name in rig.channels}
+        return {name: {**common, "faults": plan} for name, plan in plans.items()}
+
+
+simulated_options = bundle(
+    "simulated",
+    Simulated,
+    click.option(
+        "--mode",
+        type=click.Choice(MODES),
+        default=None,
+        help="Whose F_s sizes the operator's pushes.  [default: the last]",
+    ),
+    script_option,
+    faults_option,
+    seed_option,
+    click.option("--unpaced", is_flag=True, help="Frames take no time: for measurements."),
+    click.option(
+        "--no-node-ids", is_flag=True, help="The devices have no node id yet: `coulombus lss` gives them theirs."
+    ),
+)
 
 
 @click.command(epilog=EXIT_STATUS)
 @rig_option
 @buses_option
 @channel_option
-@click.option(
-    "--mode", type=click.Choice(MODES), default=None, help="Whose F_s sizes the operator's pushes.  [default: the last]"
-)
 @click.option("--seconds", type=SECONDS, default=None, help="End after so long.  [default: never]")
-@script_option
 @click.option(
     "--record",
     type=OutputFile(".pcapng"),
@@ -51,34 +99,24 @@ __all__ = ["node_command", "sim"]
     help="Record every frame there, at its end of frame in the bus's own time; `replay --virtual` holds it against virtual time.",
 )
 @force_option
-@click.option("--unpaced", is_flag=True, help="Frames take no time: for measurements.")
-@click.option("--no-node-ids", is_flag=True, help="The devices have no node id yet: `coulombus lss` gives them theirs.")
+@simulated_options
 @click.option("--priority", type=click.IntRange(0, 99), default=79, show_default=True, help="SCHED_FIFO; 0: ordinary.")
 @click.option("--cpu", type=CPU, default=None, help="Keep the bus on this CPU.")
 @set_option
-@seed_option
-@faults_option
-@web_options
+@page_options
 @json_option
 def sim(
     rig_name: str,
     bus_names: tuple[str, ...],
     channel: str | None,
-    mode: str | None,
     seconds: float | None,
-    script: Path | None,
     record: Path | None,
     overwrite: bool,
-    unpaced: bool,
-    no_node_ids: bool,
+    simulated: Simulated,
     priority: int,
     cpu: int | None,
     overrides: tuple[str, ...],
-    seed: int,
-    faults: Path | None,
-    web: bool,
-    web_port: int,
-    web_host: str,
+    page: PageOptions,
     as_json: bool,
 ) -> None:
     """Serve a bus with the simulated nodes and the rig on it, in real time.
@@ -97,59 +135,32 @@ def sim(
     with errors():
         from coulombus.rigs.buses import bus_addresses
         from coulombus.rigs.rig import load_rig
-        from coulombus.sim_bus.faults.file import read_faults
-        from coulombus.sim_bus.network.script import read_script
         from coulombus.sim_bus.server.rig_server import SimServer
         from coulombus.sim_bus.server.serving import run_sim
 
         rig = load_rig(rig_name, overrides)
         addresses = bus_addresses(rig, bus_names, channel)
-        entries = () if script is None else read_script(script, [node.name for node in rig.nodes])
-        plans = {} if faults is None else {name: read_faults(faults).on(name, rig.channels) for name in rig.channels}
-        chosen = mode or rig.modes[-1]
-        if record is not None and (unpaced or len(addresses) > 1 or next(iter(addresses.values())).kind != "coulombus"):
+        told = simulated.of(rig)
+        virtual = next(iter(addresses.values())).kind == "coulombus"
+        if record is not None and (simulated.unpaced or len(addresses) > 1 or not virtual):
             raise click.UsageError(
                 "--record is of one virtual bus on which frames take their time; choose one with --channel"
             )
         if len(addresses) > 1:
-            if web:
-                raise click.UsageError(
-                    "--web is of one bus: serve each bus' page with `coulombus watch --web --channel C`"
-                )
-            options = {
-                "--seconds": seconds,
-                "--script": script,
-                "--cpu": cpu,
-                "--priority": priority,
-                "--seed": seed,
-                "--faults": faults,
-            }
-            words = ["sim", "--rig", rig_name, "--mode", chosen, *(["--unpaced"] if unpaced else [])]
-            words += ["--no-node-ids"] if no_node_ids else []
-            words += [word for option, value in options.items() if value is not None for word in (option, str(value))]
+            page.refuse_several()
+            words = ["sim", "--rig", rig_name, "--priority", str(priority), *simulated.words()]
+            words += [] if seconds is None else ["--seconds", str(seconds)]
+            words += [] if cpu is None else ["--cpu", str(cpu)]
             words += [word for text in overrides for word in ("--set", text)]
             sys.exit(_sim_buses([*words, "--json"] if as_json else words, addresses))
         if channel is not None:
             rig = rig.on(channel)
         (address,) = addresses.values()
-        plan = plans.get(rig.channels[0])
 
         def make() -> SimServer:
-            return SimServer(
-                rig,
-                address,
-                mode=chosen,
-                seed=seed,
-                script=entries,
-                unpaced=unpaced,
-                record=record,
-                faults=plan,
-                force=overwrite,
-                numbered=not no_node_ids,
-            )
+            return SimServer(rig, address, record=record, force=overwrite, **told[rig.channels[0]])
 
-        page = page_words(rig_name, address, channel, overrides, web_host, web_port) if web else None
-        with page_beside(page):
+        with page.beside(rig_name, address, channel, overrides):
             run_sim(make, seconds, priority=priority or None, cpu=cpu, as_json=as_json)
 
 

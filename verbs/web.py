@@ -7,61 +7,109 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, TypeVar
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import click
 
+from coulombus.verbs.bundle import bundle
 from coulombus.verbs.common import say
 
 if TYPE_CHECKING:
     from coulombus.rigs.rig import Rig
     from coulombus.wire.address import BusAddress
 
-__all__ = ["LOOPBACK", "PORT", "page_beside", "page_words", "serve_page", "web_options"]
+__all__ = ["LOOPBACK", "PORT", "PageOptions", "page_options", "serve_page"]
 
-F = TypeVar("F", bound=Callable[..., Any])
 LOOPBACK = "127.0.0.1"
 PORT = 8642
 END_S = 5.0
 
 
-def web_options(function: F) -> F:
-    """Add ``--web``, ``--web-port`` and ``--web-host``."""
-    for option in (
-        click.option(
-            "--web-host",
-            metavar="H",
-            default=LOOPBACK,
-            show_default=True,
-            help="Serve the page at this address of the machine: others of its network reach it.",
-        ),
-        click.option(
-            "--web-port",
-            type=click.IntRange(0, 65535),
-            metavar="N",
-            default=PORT,
-            show_default=True,
-            help="Port of the page; 0: a free one.",
-        ),
-        click.option("--web", is_flag=True, help="Serve a page with it to a browser; its address is printed."),
-    ):
-        function = option(function)
-    return function
+@dataclass(frozen=True)
+class PageOptions:
+    """The options of the page as they are given."""
+
+    web: bool
+    web_port: int
+    web_host: str
+
+    def refuse_several(self) -> None:
+        """Refuse a page of several buses.
+
+        Raises
+        ------
+        click.UsageError
+            A page is asked for.
+        """
+        if self.web:
+            raise click.UsageError("--web is of one bus: serve each bus' page with `coulombus watch --web --channel C`")
+
+    @contextmanager
+    def beside(
+        self, rig_name: str, address: BusAddress, channel: str | None, overrides: Sequence[str]
+    ) -> Iterator[None]:
+        """Serve the page of a bus in a process of its own meanwhile, where it is asked for.
+
+        The process ends with this one, however that ends; what goes wrong there concerns nobody
+        here. Its address is printed on stderr.
+        """
+        if not self.web:
+            yield
+            return
+        words = ["--rig", rig_name, "--bus", str(address), "--web-host", self.web_host]
+        words += ["--web-port", str(self.web_port), *([] if channel is None else ["--channel", channel])]
+        words += [word for text in overrides for word in ("--set", text)]
+        command = [sys.executable, "-m", "coulombus", "watch", "--web", "--beside", *words]
+        child = None
+        try:
+            child = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=sys.stderr.fileno(), start_new_session=True)
+        except OSError as error:
+            say(f"coulombus: the page cannot be served: {error.strerror or error}")
+        try:
+            yield
+        finally:
+            if child is not None:
+                _end(child)
 
 
-def page_words(
-    rig_name: str, address: BusAddress, channel: str | None, overrides: Sequence[str], host: str, port: int
-) -> list[str]:
-    """Return the words of ``watch`` that serve the page of a bus (`page_beside`)."""
-    words = ["--rig", rig_name, "--bus", str(address), "--web-host", host, "--web-port", str(port)]
-    words += [] if channel is None else ["--channel", channel]
-    return [*words, *(word for text in overrides for word in ("--set", text))]
+def _end(child: subprocess.Popen[bytes]) -> None:
+    """End the page's process: by the end of its stdin, or else by a signal."""
+    assert child.stdin is not None
+    child.stdin.close()
+    try:
+        child.wait(END_S)
+    except subprocess.TimeoutExpired:
+        child.kill()
+        child.wait()
+
+
+page_options = bundle(
+    "page",
+    PageOptions,
+    click.option("--web", is_flag=True, help="Serve a page with it to a browser; its address is printed."),
+    click.option(
+        "--web-port",
+        type=click.IntRange(0, 65535),
+        metavar="N",
+        default=PORT,
+        show_default=True,
+        help="Port of the page; 0: a free one.",
+    ),
+    click.option(
+        "--web-host",
+        metavar="H",
+        default=LOOPBACK,
+        show_default=True,
+        help="Serve the page at this address of the machine: others of its network reach it.",
+    ),
+)
 
 
 def serve_page(
-    rig: Rig, address: BusAddress, *, host: str, port: int, seconds: float | None, as_json: bool, beside: bool
+    rig: Rig, address: BusAddress, page: PageOptions, *, seconds: float | None, as_json: bool, beside: bool
 ) -> None:
     """Serve the page of a bus until a signal; its address is printed when it is there.
 
@@ -90,43 +138,8 @@ def serve_page(
     door = HostDoor(lambda: ask_status(address, 1.0), lambda: stop_host(address), anchor)
     serve(
         *(rig, address, door, kept_token(socket_path(kept)), ready),
-        host=host,
-        port=port,
+        host=page.web_host,
+        port=page.web_port,
         seconds=seconds,
         parent=sys.stdin.fileno() if beside else None,
     )
-
-
-@contextmanager
-def page_beside(words: Sequence[str] | None) -> Iterator[None]:
-    """Serve the page in a process of its own meanwhile; `words` are those of ``watch``, None: no
-    page.
-
-    The process ends with this one, however that ends; what goes wrong there concerns nobody here.
-    Its address is printed on stderr.
-    """
-    if words is None:
-        yield
-        return
-    command = [sys.executable, "-m", "coulombus", "watch", "--web", "--beside", *words]
-    child = None
-    try:
-        child = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=sys.stderr.fileno(), start_new_session=True)
-    except OSError as error:
-        say(f"coulombus: the page cannot be served: {error.strerror or error}")
-    try:
-        yield
-    finally:
-        if child is not None:
-            _end(child)
-
-
-def _end(child: subprocess.Popen[bytes]) -> None:
-    """End the page's process: by the end of its stdin, or else by a signal."""
-    assert child.stdin is not None
-    child.stdin.close()
-    try:
-        child.wait(END_S)
-    except subprocess.TimeoutExpired:
-        child.kill()
-        child.wait()

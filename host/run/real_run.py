@@ -13,11 +13,10 @@ import signal
 import sys
 import termios
 import time
-from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from types import MappingProxyType, TracebackType
+from types import TracebackType
 from typing import Any
 
 import can
@@ -38,6 +37,8 @@ from coulombus.host.run.deadman import Switch, deadman_of
 from coulombus.host.run.deadman_outside import switch_of
 from coulombus.host.run.histogram import Counts
 from coulombus.host.run.keys import Keys, in_foreground
+from coulombus.host.run.markers import StruckKeys, marker_of
+from coulombus.host.run.outputs import Outputs
 from coulombus.host.run.result import RunResult
 from coulombus.host.run.status_socket import StatusSocket, encoded
 from coulombus.host.setup.bringup import bring_up, check_plan, release, shut_down
@@ -47,7 +48,7 @@ from coulombus.recording.measures import Measures
 from coulombus.recording.output_file import new_file
 from coulombus.recording.pcapng_blocks import RecordingError
 from coulombus.recording.recorder import Recorder
-from coulombus.recording.segments import Rotation, SegmentedRecorder
+from coulombus.recording.segments import SegmentedRecorder
 from coulombus.rigs.draft.text import REHEARSAL, rehearsal_marks
 from coulombus.rigs.rig import Rig, RigError
 from coulombus.wire.address import BusAddress, BusUnavailable, default_address
@@ -64,11 +65,7 @@ LISTEN_S = 1.0  # for another host
 LEAD_NS = 20_000_000
 FAILURES = 1000  # of this process while the rig is made safe: the data plane does that by itself meanwhile
 HAND_TIMEOUT_S = 30.0
-SAID, MOST_SAID, KEYS = "mark", 200, "123456789"
-"""How markers of persons begin, which none of the run's own does; how long they are at most; the
-keys that set one.
-"""
-NO_META: Mapping[str, str] = MappingProxyType({})
+NOTHING = Outputs()
 STUCK_S = 2.0  # a data plane that does not cycle for so long is dead
 
 
@@ -82,27 +79,23 @@ class _RealRun(Course):
         rig: Rig,
         mode: str,
         address: BusAddress,
+        outputs: Outputs,
         *,
-        record: Path | None,
         signals: Signals,
         progress: Callable[[float], None] | None,
         say: Callable[[str], None],
         priority: int | None,
         cpu: int | None,
-        force: bool,
-        rotation: Rotation | None,
-        meta: Mapping[str, str],
-        status: Path | None,
     ) -> None:
-        self.rig, self.address = rig, address
+        self.rig, self.address, self.outputs = rig, address, outputs
         self.signals, self.say = signals, say
         self.deadman = deadman_of(rig, mode, address)
         self.zero_ns = time.monotonic_ns()
-        super().__init__(Controllers(rig, mode), record, progress)
+        super().__init__(Controllers(rig, mode), outputs.record, progress)
         self.error: str | None = None  # of this process, while the rig was armed
         self.stopped_by: str | None = None
         self._waiting: Records | None = None
-        self._struck: deque[tuple[int, str]] = deque()  # markers of the keys, which a thread reads
+        self._keys = StruckKeys(time.monotonic_ns)
         self._touched = False  # whether this host has sent anything
         self._seen = (0, time.monotonic())
         self._outcome: dict[str, Any] | None = None  # what is told to those who asked for a stop
@@ -113,15 +106,15 @@ class _RealRun(Course):
             self.door = HostSocket(address)
             self._stack.callback(lambda: self.door.close(self._outcome))
             self.door.status, self.door.mark = self._answer, self._mark_asked
-            if status is not None:
-                self.teller = StatusSocket(status, self.status)
+            if outputs.status is not None:
+                self.teller = StatusSocket(outputs.status, self.status)
                 self._stack.callback(self.teller.close)
             self.plane = DataPlane(self.k, address, priority=priority, cpu=cpu)
             self._stack.callback(self.plane.close)
             self.control = RealControlPlane(rig, address)
             self._stack.callback(self.control.close)
-            if record is not None:
-                self.recorder = self._recorder(record, mode, force, rotation, meta)
+            if outputs.record is not None:
+                self.recorder = self._recorder(outputs.record)
                 self._stack.callback(self._give_up_recording)
         except BaseException:
             self._stack.close()
@@ -172,19 +165,18 @@ class _RealRun(Course):
 
     # recording
 
-    def _recorder(
-        self, record: Path, mode: str, force: bool, rotation: Rotation | None, meta: Mapping[str, str]
-    ) -> Recorder:
+    def _recorder(self, path: Path) -> Recorder:
         """Begin the recording, which says when it began by the clock of the wall."""
+        out, mode = self.outputs, self.k.mode
         started_ns, more, comment = wall_clock(self.zero_ns)
-        more |= meta_attachment(meta)
+        more |= meta_attachment(out.meta)
         law = law_attachments(self.rig)
-        if rotation is None:
+        if out.rotation is None:
             return Recorder(
-                record, self.rig, mode, law=law, more=more, comment=comment, started_ns=started_ns, force=force
+                path, self.rig, mode, law=law, more=more, comment=comment, started_ns=started_ns, force=out.force
             )
         recorder = SegmentedRecorder(
-            record, self.rig, mode, rotation, started_ns=started_ns, law=law, more=more, comment=comment
+            path, self.rig, mode, out.rotation, started_ns=started_ns, law=law, more=more, comment=comment
         )
         self.path = recorder.run
         return recorder
@@ -199,23 +191,18 @@ class _RealRun(Course):
         """
         if self.recorder is None or self.failure is not None:
             return encoded({"error": "it does not record; start it with --record"})
-        text = f"{SAID} {text.strip()}"
-        if not text.isprintable() or not len(SAID) + 1 < len(text) <= MOST_SAID:
-            return encoded({"error": f"expected a text of 1 to {MOST_SAID - len(SAID) - 1} printable characters"})
-        self.mark(self.now_ns, text)
-        return encoded({"marker": text, "recording": str(self.path)})
-
-    def _mark_keys(self, strokes: bytes) -> None:
-        """Keep the markers of the keys 1 to 9 for the next look; called by the keys' thread."""
-        for digit in strokes.decode("ascii", "replace"):
-            if digit in KEYS:
-                self._struck.append((self.now_ns, f"{SAID} {digit}"))
+        try:
+            marker = marker_of(text)
+        except ValueError as error:
+            return encoded({"error": str(error)})
+        self.mark(self.now_ns, marker)
+        return encoded({"marker": marker, "recording": str(self.path)})
 
     def _watch_keys(self) -> None:
         """Let the keys 1 to 9 set markers, where a terminal is there and something is recorded."""
         if self.recorder is not None and in_foreground():
             with suppress(OSError, termios.error):
-                self._stack.enter_context(Keys(self._mark_keys))
+                self._stack.enter_context(Keys(self._keys.strike))
 
     def drain(self, seen_ns: int | None = None) -> None:
         """Write what the data plane has logged, in the order of the stamps.
@@ -304,7 +291,7 @@ class _RealRun(Course):
 
     def course(self, seconds: float | None) -> None:
         """Run from arming to the safe end; `seconds` as `display`."""
-        switch = switch_of(self.deadman, self._hold, self._mark_keys)
+        switch = switch_of(self.deadman, self._hold, self._keys.strike)
         if self.deadman != "key":
             self._watch_keys()
         if switch is not None:
@@ -394,8 +381,7 @@ class _RealRun(Course):
             self._seen = cycles, now
             self.notifier.alive(cycles)
         self.mark_course(self.now_ns + 1)
-        while self._struck:
-            t_ns, text = self._struck.popleft()
+        for t_ns, text in self._keys.take():
             self.mark(t_ns, text)
             self.say(text)
         enabled = self.enabled_ns
@@ -581,17 +567,12 @@ def real_run(
     seconds: float | None,
     *,
     bus: BusAddress | None = None,
-    record: Path | None = None,
-    histogram: Path | None = None,
+    outputs: Outputs = NOTHING,
     signals: Signals | None = None,
     progress: Callable[[float], None] | None = None,
     say: Callable[[str], None] = _say,
     priority: int | None = PRIORITY,
     cpu: int | None = None,
-    force: bool = False,
-    rotation: Rotation | None = None,
-    meta: Mapping[str, str] = NO_META,
-    status: Path | None = None,
 ) -> RunResult:
     """Run the host on a bus and return what came of it.
 
@@ -607,10 +588,6 @@ def real_run(
     say : called with remarks for people
     priority : of SCHED_FIFO for the data plane, None: ask for no real-time right
     cpu : for the data plane; default is the last one that this process may use
-    force : replace `record` and `histogram` where they exist
-    rotation : `record` is a folder, in which the run has segments (`recording.segments`)
-    meta : what a person says of the recording; it is attached
-    status : a socket is made there, which tells the run's state (`host.run.status_socket`)
 
     Raises
     ------
@@ -631,16 +608,12 @@ def real_run(
             rig,
             mode,
             address,
-            record=record,
+            outputs,
             signals=signals or Signals(),
             progress=progress,
             say=say,
             priority=priority,
             cpu=default_cpu() if cpu is None else cpu,
-            force=force,
-            rotation=rotation,
-            meta=meta,
-            status=status,
         )
     try:
         try:
@@ -652,16 +625,17 @@ def real_run(
         finally:
             run.end()
         result = run.concluded()
-        if histogram is not None:
+        picture = outputs.histogram
+        if picture is not None:
             from coulombus.host.run.histogram import draw_histograms
 
             try:
-                with new_file(histogram, force=force) as path:
+                with new_file(picture, force=outputs.force) as path:
                     draw_histograms(*run.histograms(), path)
             except OSError as error:
                 if result.exit_status == 0:
                     raise
-                say(f"{histogram}: cannot be written ({error.strerror})")  # a picture that is missing hides no trip
+                say(f"{picture}: cannot be written ({error.strerror})")  # a picture that is missing hides no trip
         return result
     finally:
         run.close()

@@ -15,6 +15,7 @@ from pathlib import Path
 from types import TracebackType
 
 from coulombus.host.errors import HostError
+from coulombus.host.run.outputs import Outputs
 from coulombus.host.run.real_run import real_run
 from coulombus.host.run.result import RunResult
 from coulombus.host.setup.bringup import check_plan
@@ -120,11 +121,11 @@ def run_real_demo(
                 mode,
                 seconds,
                 bus=sim.address,
-                record=directory / f"{mode}.pcapng",
-                histogram=directory / f"{mode}-timing.png",
+                outputs=Outputs(
+                    record=directory / f"{mode}.pcapng", histogram=directory / f"{mode}-timing.png", force=True
+                ),
                 signals=signals,
                 progress=report,
-                force=True,
             )
             if signals is not None and signals.number:
                 raise Stopped(signals.number, "before the demo was over")

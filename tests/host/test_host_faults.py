@@ -20,6 +20,7 @@ from coulombus.host.realtime.data_plane import DataPlane
 from coulombus.host.realtime.shared_memory import TRACE_ROWS, Command, SharedPlane, Status
 from coulombus.host.run import real_run
 from coulombus.host.run.control_socket import HostSocket, StopRequest, control_path
+from coulombus.host.run.outputs import Outputs
 from coulombus.recording.pcapng_blocks import RecordingError
 from coulombus.recording.signals import read
 from coulombus.recording.trace import TRACE
@@ -186,7 +187,7 @@ def bench(tmp_path, monkeypatch):
             if not arming:
                 begin()
             result = real_run.real_run(
-                rig, "passive", 0.03, bus=BUS, record=record, signals=Signals(), say=lambda text: None
+                rig, "passive", 0.03, bus=BUS, outputs=Outputs(record=record), signals=Signals(), say=lambda text: None
             )
         except (HostError, BusUnavailable, RecordingError) as error:
             refusal = error

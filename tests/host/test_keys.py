@@ -4,7 +4,6 @@ import json
 import os
 import pty
 import termios
-from collections import deque
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,6 +11,7 @@ import pytest
 
 from coulombus.host.run.deadman import HeldKey
 from coulombus.host.run.keys import Keys, in_foreground
+from coulombus.host.run.markers import StruckKeys
 from coulombus.host.run.real_run import _RealRun
 
 RUN = SimpleNamespace(recorder=object(), failure=None, path=Path("r.pcapng"), now_ns=7)
@@ -56,9 +56,10 @@ def test_other_keys_than_the_dead_mans_are_handed_on(terminal):
 
 
 def test_the_keys_1_to_9_are_markers():
-    run = SimpleNamespace(_struck=deque(), now_ns=7)
-    _RealRun._mark_keys(run, b"1x0 9\xff")
-    assert list(run._struck) == [(7, "mark 1"), (7, "mark 9")]
+    keys = StruckKeys(lambda: 7)
+    keys.strike(b"1x0 9\xff")
+    assert list(keys.take()) == [(7, "mark 1"), (7, "mark 9")]
+    assert not list(keys.take())
 
 
 @pytest.mark.parametrize("text", ["", "  ", "a\nb", "a\x1b[2J", "x" * 196])
