@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from coulombus.verbs.bundle import bundle
 from coulombus.verbs.common import (
     EXIT_STATUS,
     OutputFile,
@@ -37,6 +39,36 @@ if TYPE_CHECKING:
 __all__ = ["commission"]
 
 
+@dataclass(frozen=True)
+class Rehearsal:
+    """The rig of a rehearsal, as the options say it."""
+
+    virtual: bool
+    truth: Path | None
+    seed: int
+
+    def runner(self, axis: str | None) -> Runner:
+        """Return what runs the steps in virtual time."""
+        from coulombus.lab.rehearsal import rehearsed
+
+        true = None if self.truth is None else load(str(self.truth.resolve()), ()).alone(axis)
+        return rehearsed(true, seed=self.seed)
+
+
+rehearsal_options = bundle(
+    "rehearsal",
+    Rehearsal,
+    click.option("--virtual", is_flag=True, help="Rehearse in virtual time, on the rig file's own [plant]."),
+    click.option(
+        "--truth",
+        type=click.Path(path_type=Path, dir_okay=False),
+        metavar="T.toml",
+        help="With --virtual: the rig file of the simulated rig as it truly is.",
+    ),
+    seed_option,
+)
+
+
 @click.command(epilog=EXIT_STATUS)
 @click.option(
     "--rig",
@@ -51,13 +83,7 @@ __all__ = ["commission"]
 @click.option("--list", "listed", is_flag=True, help="Print the steps, and which are done; nothing moves.")
 @click.option("--again", is_flag=True, help="Do the steps that are done once more.")
 @click.option("--yes", is_flag=True, help="Ask nothing: for a rehearsal, or a rig that nobody touches.")
-@click.option("--virtual", is_flag=True, help="Rehearse in virtual time, on the rig file's own [plant].")
-@click.option(
-    "--truth",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="T.toml",
-    help="With --virtual: the rig file of the simulated rig as it truly is.",
-)
+@rehearsal_options
 @click.option(
     "--weight-Nm", "weight_Nm", type=float, help="Torque of a known weight at the handle, for the step weight."
 )
@@ -66,7 +92,6 @@ __all__ = ["commission"]
 )
 @click.option("--report", type=OutputFile(".html"), metavar="F.html", help="Write the report there, too.")
 @force_option
-@seed_option
 @set_option
 @shared_machine_option
 @json_option
@@ -78,13 +103,11 @@ def commission(
     listed: bool,
     again: bool,
     yes: bool,
-    virtual: bool,
-    truth: Path | None,
+    rehearsal: Rehearsal,
     weight_Nm: float | None,
     marks_rad: float | None,
     report: Path | None,
     overwrite: bool,
-    seed: int,
     overrides: tuple[str, ...],
     shared_machine: bool,
     as_json: bool,
@@ -104,6 +127,8 @@ def commission(
       coulombus commission --rig my.toml --virtual --truth truth.toml --yes --json
     """
     with errors():
+        from coulombus.host.commission.session import Session, results
+        from coulombus.host.commission.step import Given
         from coulombus.host.commission.steps import STEPS
         from coulombus.rigs.overrides import SHARED_MACHINE
         from coulombus.rigs.rig import known_rigs
@@ -118,31 +143,25 @@ def commission(
             raise click.UsageError(
                 f"{rig_path} is a rig of the package, which is not written: copy it, and give the copy"
             )
-        if truth is not None and not virtual:
+        if rehearsal.truth is not None and not rehearsal.virtual:
             raise click.UsageError("--truth is for --virtual")
-        if virtual and bus_name is not None:
+        if rehearsal.virtual and bus_name is not None:
             raise click.UsageError("--virtual has a bus of its own; leave out --bus")
         if shared_machine:
             check_shared_machine(() if bus_name is None else (parse_address(bus_name),))
             overrides = (*SHARED_MACHINE, *overrides)
         if not yes and not _somebody():
             raise click.UsageError("nobody is there to be asked: give --yes")
-        _commission(
-            chosen,
-            rig_path,
-            bus_name,
-            axis,
-            virtual=virtual,
-            truth=truth,
-            given={"weight_Nm": weight_Nm, "marks_rad": marks_rad},
-            again=again or bool(names),
-            named=bool(names),
-            yes=yes,
-            report=report,
-            seed=seed,
-            overrides=overrides,
-            as_json=as_json,
-        )
+        load(str(rig_path.resolve()), overrides)
+        run = rehearsal.runner(axis) if rehearsal.virtual else _real(bus_name, as_json)
+        session = Session(rig_path, run, Given(weight_Nm, marks_rad), _now, overrides, axis)
+        done = _commission(session, chosen, again=again or bool(names), yes=yes, report=report)
+        asked_for_what_lacks = bool(names) and any(one.what == "lacking" for one in done)
+        with verdict(1 if asked_for_what_lacks else 0):
+            if as_json:
+                print_json(results(done))
+            elif any(one.outcome for one in done):
+                _print_findings(done)
 
 
 def _chosen(steps: tuple[Step, ...], names: tuple[str, ...]) -> tuple[Step, ...]:
@@ -172,29 +191,10 @@ def _print_list(steps: tuple[Step, ...], rig_path: Path | None, axis: str | None
 
 
 def _commission(
-    steps: tuple[Step, ...],
-    path: Path,
-    bus_name: str | None,
-    axis: str | None,
-    *,
-    virtual: bool,
-    truth: Path | None,
-    given: dict[str, float | None],
-    again: bool,
-    named: bool,
-    yes: bool,
-    report: Path | None,
-    seed: int,
-    overrides: tuple[str, ...],
-    as_json: bool,
-) -> None:
-    from coulombus.host.commission.session import Session, results
-    from coulombus.host.commission.step import Given
-
-    load(str(path.resolve()), overrides)
+    session: Session, steps: tuple[Step, ...], *, again: bool, yes: bool, report: Path | None
+) -> list[Done]:
+    """Do the steps, and return what came of them."""
     done: list[Done] = []
-    run = _virtual(truth, axis, seed) if virtual else _real(bus_name, as_json)
-    session = Session(path, run, Given(**given), _now, overrides, axis)
     for step in steps:
         if step.name in session.state.steps and not again:
             say(f"{step.name}: done at {session.state.steps[step.name]['at']} (--again: once more)")
@@ -204,23 +204,11 @@ def _commission(
         _tell(one)
         if one.what == "done":
             _report(session, report)
-    asked_for_what_lacks = named and any(one.what == "lacking" for one in done)
-    with verdict(1 if asked_for_what_lacks else 0):
-        if as_json:
-            print_json(results(done))
-        elif any(one.outcome for one in done):
-            _print_findings(done)
+    return done
 
 
 def _now() -> str:
     return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-
-
-def _virtual(truth: Path | None, axis: str | None, seed: int) -> Runner:
-    from coulombus.lab.rehearsal import rehearsed
-
-    true = None if truth is None else load(str(truth.resolve()), ()).alone(axis)
-    return rehearsed(true, seed=seed)
 
 
 def _real(bus_name: str | None, as_json: bool) -> Runner:

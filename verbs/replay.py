@@ -7,17 +7,20 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
+from coulombus.verbs.bundle import bundle
 from coulombus.verbs.common import EXIT_STATUS, errors, json_option, printed, remark, say, verdict
 
 if TYPE_CHECKING:
     from coulombus.lab.replay.host_replay import HostReplay
     from coulombus.lab.replay.player import Tape
     from coulombus.lab.replay.virtual_replay import VirtualReplay
+    from coulombus.sim_bus.server.bridge import Between
 
 __all__ = ["bridge", "replay"]
 
@@ -28,20 +31,80 @@ class NotToTheRig(Exception):
     exit_status = 7
 
 
+@dataclass(frozen=True)
+class Choice:
+    """Which frames of a recording are played, as the options say it."""
+
+    from_s: float | None
+    to_s: float | None
+    ids_text: str | None
+    nodes: tuple[int, ...]
+    only_host: bool
+
+    def of(self, tape: Tape, rig_name: str | None) -> Tape:
+        """Return the frames that are left."""
+        import numpy as np
+
+        from coulombus.recording.senders import HOST, rig_of, senders
+        from coulombus.wire.identifiers import among, parse_identifiers
+
+        chosen = np.ones(len(tape.frames), bool)
+        if self.from_s is not None:
+            chosen &= tape.t_ns >= round(self.from_s * 1e9)
+        if self.to_s is not None:
+            chosen &= tape.t_ns <= round(self.to_s * 1e9)
+        if self.ids_text is not None:
+            chosen &= among(tape.frames["can_id"], parse_identifiers(self.ids_text))
+        if self.nodes or self.only_host:
+            wanted = (*self.nodes, HOST) if self.only_host else self.nodes
+            chosen &= np.isin(senders(tape.frames["can_id"], rig_of(tape.path, rig_name)), wanted)
+        return tape.take(chosen)
+
+
+choice_options = bundle(
+    "choice",
+    Choice,
+    click.option("--from-s", type=float, default=None, help="Begin there, in the time that `coulombus decode` shows."),
+    click.option("--to-s", type=float, default=None, help="End there."),
+    click.option(
+        "--ids", "ids_text", metavar="IDS", help="Only these identifiers, hexadecimal: 181,200-27F,00000123x."
+    ),
+    click.option("--node", "nodes", type=click.IntRange(1, 127), multiple=True, help="Only what this node sent."),
+    click.option("--only-host", is_flag=True, help="Only what the host sent: SYNC, NMT, RPDOs, SDO requests."),
+)
+
+
+@dataclass(frozen=True)
+class Playing:
+    """How a recording is played, as the options say it."""
+
+    speed: float
+    loops: int
+    to_rig: bool
+    priority: int
+
+
+playing_options = bundle(
+    "playing",
+    Playing,
+    click.option("--speed", type=click.FloatRange(1e-3, 1e3), default=1.0, show_default=True, help="2: twice as fast."),
+    click.option(
+        "--loop", "loops", type=click.IntRange(0), default=1, show_default=True, help="How often; 0: for ever."
+    ),
+    click.option("--to-rig", is_flag=True, help="Let the host's frames go to a real interface: they move the motor."),
+    click.option(
+        "--priority", type=click.IntRange(0, 99), default=70, show_default=True, help="SCHED_FIFO; 0: ordinary."
+    ),
+)
+
+
 @click.command("replay", epilog=EXIT_STATUS)
 @click.argument("file", type=click.Path(exists=True, path_type=Path))
 @click.option("--bus", "bus_name", metavar="B", help="Play it there: coulombus:NAME or socketcan:IF.")
 @click.option("--host", "as_host", is_flag=True, help="Feed the host with it: do its outputs come out again?")
 @click.option("--virtual", is_flag=True, help="Feed the bus with it in virtual time: do its frames come out again?")
-@click.option("--speed", type=click.FloatRange(1e-3, 1e3), default=1.0, show_default=True, help="2: twice as fast.")
-@click.option("--loop", "loops", type=click.IntRange(0), default=1, show_default=True, help="How often; 0: for ever.")
-@click.option("--from-s", type=float, default=None, help="Begin there, in the time that `coulombus decode` shows.")
-@click.option("--to-s", type=float, default=None, help="End there.")
-@click.option("--ids", "ids_text", metavar="IDS", help="Only these identifiers, hexadecimal: 181,200-27F,00000123x.")
-@click.option("--node", "nodes", type=click.IntRange(1, 127), multiple=True, help="Only what this node sent.")
-@click.option("--only-host", is_flag=True, help="Only what the host sent: SYNC, NMT, RPDOs, SDO requests.")
-@click.option("--to-rig", is_flag=True, help="Let the host's frames go to a real interface: they move the motor.")
-@click.option("--priority", type=click.IntRange(0, 99), default=70, show_default=True, help="SCHED_FIFO; 0: ordinary.")
+@playing_options
+@choice_options
 @click.option("--rig", "rig_name", metavar="R", help="This rig instead of the attached one.")
 @click.option(
     "--law",
@@ -50,7 +113,18 @@ class NotToTheRig(Exception):
 )
 @click.option("--set", "overrides", multiple=True, metavar="SECTION.KEY=V", help="With --host: other values.")
 @json_option
-def replay(**options: Any) -> None:
+def replay(
+    file: Path,
+    bus_name: str | None,
+    as_host: bool,
+    virtual: bool,
+    playing: Playing,
+    choice: Choice,
+    rig_name: str | None,
+    law: str | None,
+    overrides: tuple[str, ...],
+    as_json: bool,
+) -> None:
     """Play a recording onto a bus, or hold the host (--host) or the bus model (--virtual) against
     it.
 
@@ -67,28 +141,20 @@ def replay(**options: Any) -> None:
       coulombus replay run.pcapng --virtual
     """
     with errors():
-        _replay(**options)
+        if (bus_name is not None) + as_host + virtual != 1:
+            raise click.UsageError("give one of --bus B (play it there), --host and --virtual (check it)")
+        if (overrides or law) and not as_host:
+            raise click.UsageError("--law and --set go with --host")
+        if bus_name is not None:
+            _play(file, bus_name, rig_name, playing, choice, as_json)
+        else:
+            _check(file, rig_name, law, overrides, as_host, as_json)
 
 
-def _replay(
-    *,
-    file: Path,
-    bus_name: str | None,
-    as_host: bool,
-    virtual: bool,
-    overrides: tuple[str, ...],
-    law: str | None,
-    rig_name: str | None,
-    as_json: bool,
-    **playing: Any,
+def _check(
+    file: Path, rig_name: str | None, law: str | None, overrides: tuple[str, ...], as_host: bool, as_json: bool
 ) -> None:
-    if (bus_name is not None) + as_host + virtual != 1:
-        raise click.UsageError("give one of --bus B (play it there), --host and --virtual (check it)")
-    if (overrides or law) and not as_host:
-        raise click.UsageError("--law and --set go with --host")
-    if bus_name is not None:
-        _play(file, bus_name, rig_name, as_json, **playing)
-        return
+    """Hold the host, or the bus model, against a recording."""
     from coulombus.rigs.rig import load_rig
 
     rig = None if rig_name is None else load_rig(rig_name)
@@ -147,7 +213,8 @@ def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.9g}"
 
 
-def _play(file: Path, bus_name: str, rig_name: str | None, as_json: bool, **options: Any) -> None:
+def _play(file: Path, bus_name: str, rig_name: str | None, playing: Playing, choice: Choice, as_json: bool) -> None:
+    """Play a recording onto a bus."""
     from coulombus.lab.replay.player import NOTHING, load_tape, play
     from coulombus.wire.address import parse_address
     from coulombus.wire.client import Client
@@ -157,22 +224,22 @@ def _play(file: Path, bus_name: str, rig_name: str | None, as_json: bool, **opti
     from coulombus.wire.stopping import Stopped, StopSignals
 
     address = parse_address(bus_name)
-    tape = _choose(load_tape(file), rig_name, **options)
+    tape = choice.of(load_tape(file), rig_name)
     remark(tape.remarks)
     if not len(tape.frames):
         raise click.UsageError(f"{file}: no frame is left to be played")
-    if address.kind == "socketcan" and not options["to_rig"] and _moves(tape) and not is_virtual(address.name):
+    if address.kind == "socketcan" and not playing.to_rig and _moves(tape) and not is_virtual(address.name):
         raise NotToTheRig(
             f"{file} has frames of a host (NMT, SYNC, RPDOs): on {address} they would move a motor, and no host would watch it. "
             "Leave them out (--node N, --ids), or give --to-rig if that is what you want"
         )
-    total = float(tape.t_ns[-1] - tape.t_ns[0]) / 1e9 / options["speed"] * max(options["loops"], 1)
+    total = float(tape.t_ns[-1] - tape.t_ns[0]) / 1e9 / playing.speed * max(playing.loops, 1)
     with Client(address, Hello(filters=NOTHING)) as client, StopSignals() as stop, _bar(total, as_json) as progress:
-        ask_for_real_time(options["priority"] or None)
-        played = play(tape, client, stop, speed=options["speed"], loops=options["loops"], progress=progress)
+        ask_for_real_time(playing.priority or None)
+        played = play(tape, client, stop, speed=playing.speed, loops=playing.loops, progress=progress)
         number = stop.number
     late = played.late_us
-    cut_short = not played.complete and number and options["loops"]
+    cut_short = not played.complete and number and playing.loops
     with printed(1 if cut_short else 0):
         if as_json:
             click.echo(
@@ -200,36 +267,6 @@ def _play(file: Path, bus_name: str, rig_name: str | None, as_json: bool, **opti
             click.echo(f"{played.frames} frames onto {address} in {played.seconds:.3f} s{times}{full}")
     if cut_short:
         raise Stopped(number, f"after {played.frames} frames")
-
-
-def _choose(
-    tape: Tape,
-    rig_name: str | None,
-    *,
-    from_s: float | None,
-    to_s: float | None,
-    ids_text: str | None,
-    nodes: tuple[int, ...],
-    only_host: bool,
-    **_: Any,
-) -> Tape:
-    """Return what the options leave."""
-    import numpy as np
-
-    from coulombus.recording.senders import HOST, rig_of, senders
-    from coulombus.wire.identifiers import among, parse_identifiers
-
-    chosen = np.ones(len(tape.frames), bool)
-    if from_s is not None:
-        chosen &= tape.t_ns >= round(from_s * 1e9)
-    if to_s is not None:
-        chosen &= tape.t_ns <= round(to_s * 1e9)
-    if ids_text is not None:
-        chosen &= among(tape.frames["can_id"], parse_identifiers(ids_text))
-    if nodes or only_host:
-        wanted = (*nodes, HOST) if only_host else nodes
-        chosen &= np.isin(senders(tape.frames["can_id"], rig_of(tape.path, rig_name)), wanted)
-    return tape.take(chosen)
 
 
 def _moves(tape: Tape) -> bool:
@@ -263,18 +300,46 @@ def _bar(total_s: float, as_json: bool) -> AbstractContextManager[Callable[[floa
     return Bar()
 
 
+@dataclass(frozen=True)
+class Disturbance:
+    """What a bridge does to the frames, as the options say it."""
+
+    delay_ms: float
+    drop: float
+    duplicate: float
+    corrupt: float
+    seed: int
+
+    def of(self, direction: int) -> Between:
+        """Return it for one direction, 0 or 1, each with chances of its own."""
+        from coulombus.sim_bus.server.bridge import faults
+
+        return faults(self.delay_ms, self.drop, self.seed + direction, duplicate=self.duplicate, corrupt=self.corrupt)
+
+
+disturbance_options = bundle(
+    "disturbance",
+    Disturbance,
+    click.option("--delay-ms", type=click.FloatRange(0, 60_000), default=0.0, help="Let every frame wait so long."),
+    click.option("--drop", metavar="RATE", type=click.FloatRange(0, 1), default=0.0, help="Share of frames to drop."),
+    click.option("--duplicate", metavar="RATE", type=click.FloatRange(0, 1), default=0.0, help="Share to send twice."),
+    click.option(
+        "--corrupt",
+        metavar="RATE",
+        type=click.FloatRange(0, 1),
+        default=0.0,
+        help="Share with one data bit turned around.",
+    ),
+    click.option("--seed", default=0, show_default=True, help="Start of what is random."),
+)
+
+
 @click.command("bridge", epilog=EXIT_STATUS)
 @click.argument("a")
 @click.argument("b")
 @click.option("--ids", "ids_text", metavar="IDS", help="Only these identifiers, hexadecimal: 181,200-27F,00000123x.")
 @click.option("--one-way", is_flag=True, help="From A to B only.")
-@click.option("--delay-ms", type=click.FloatRange(0, 60_000), default=0.0, help="Let every frame wait so long.")
-@click.option("--drop", metavar="RATE", type=click.FloatRange(0, 1), default=0.0, help="Share of the frames to drop.")
-@click.option("--duplicate", metavar="RATE", type=click.FloatRange(0, 1), default=0.0, help="Share to send twice.")
-@click.option(
-    "--corrupt", metavar="RATE", type=click.FloatRange(0, 1), default=0.0, help="Share with one data bit turned around."
-)
-@click.option("--seed", default=0, show_default=True, help="Start of what is random.")
+@disturbance_options
 @click.option("--seconds", type=click.FloatRange(0, min_open=True), default=None, help="End after so long.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line: ready, then what came of it.")
 def bridge(
@@ -282,11 +347,7 @@ def bridge(
     b: str,
     ids_text: str | None,
     one_way: bool,
-    delay_ms: float,
-    drop: float,
-    duplicate: float,
-    corrupt: float,
-    seed: int,
+    disturbance: Disturbance,
     seconds: float | None,
     as_json: bool,
 ) -> None:
@@ -302,7 +363,6 @@ def bridge(
     """
     with errors():
         from coulombus.sim_bus.server.bridge import bridge as join
-        from coulombus.sim_bus.server.bridge import faults
         from coulombus.wire.address import parse_address
         from coulombus.wire.identifiers import parse_identifiers
 
@@ -316,8 +376,8 @@ def bridge(
 
         result = join(
             *ends,
-            between=faults(delay_ms, drop, seed, duplicate=duplicate, corrupt=corrupt),
-            back=faults(delay_ms, drop, seed + 1, duplicate=duplicate, corrupt=corrupt),
+            between=disturbance.of(0),
+            back=disturbance.of(1),
             ranges=ranges,
             one_way=one_way,
             seconds=seconds,

@@ -85,21 +85,25 @@ class _Input(_Wired):
     high: float = Field(1e30, description="a reading above it is a fault")
 
 
-_SCALED = Field(
-    False,
-    description="count by IIO's unit (mV, mA ...), with the files CHANNEL_scale and CHANNEL_offset",
-    json_schema_extra={"expected": "true or false"},
-)
-_DEVICE = Field(min_length=1, description='folder, its name as "iio:device0", or what its file `name` says')
+class _Iio(Section):
+    kind: Literal["iio"]
+    device: str = Field(min_length=1, description='folder, its name as "iio:device0", or what its file `name` says')
+    scaled: bool = Field(
+        False,
+        description="count by IIO's unit (mV, mA ...), with the files CHANNEL_scale and CHANNEL_offset",
+        json_schema_extra={"expected": "true or false"},
+    )
 
 
-class IioOutput(_Output):
+class _Python(Section):
+    kind: Literal["python"]
+    channel: str = Field(min_length=1, description="its name in what write() gets and read() returns")
+
+
+class IioOutput(_Output, _Iio):
     """[[output]] of kind "iio": a DAC."""
 
-    kind: Literal["iio"]
-    device: str = _DEVICE
     channel: str = Field(pattern=r"^out_\w+$", description='as "out_voltage0"')
-    scaled: bool = _SCALED
 
 
 class PwmOutput(_Output):
@@ -111,20 +115,14 @@ class PwmOutput(_Output):
     pwm_period_s: float = Field(ge=1e-7, le=1.0, description="period of the pulses")
 
 
-class PythonOutput(_Output):
+class PythonOutput(_Output, _Python):
     """[[output]] of kind "python"."""
 
-    kind: Literal["python"]
-    channel: str = Field(min_length=1, description="its name in what write() gets and read() returns")
 
-
-class IioInput(_Input):
+class IioInput(_Input, _Iio):
     """[[input]] of kind "iio": an ADC, or a quadrature counter (in_count0)."""
 
-    kind: Literal["iio"]
-    device: str = _DEVICE
     channel: str = Field(pattern=r"^in_\w+$", description='as "in_voltage0"')
-    scaled: bool = _SCALED
 
 
 class CounterInput(_Input):
@@ -135,11 +133,8 @@ class CounterInput(_Input):
     channel: str = Field("count0", pattern=r"^count\d+$", description='as "count0"')
 
 
-class PythonInput(_Input):
+class PythonInput(_Input, _Python):
     """[[input]] of kind "python"."""
-
-    kind: Literal["python"]
-    channel: str = Field(min_length=1, description="its name in what read() returns")
 
 
 Output: TypeAlias = Annotated[IioOutput | PwmOutput | PythonOutput, Field(discriminator="kind")]
