@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -23,7 +24,7 @@ from coulombus.scope.error_frames import error_frame
 from coulombus.scope.services import Row, Sdo, emcy, heartbeat, lss, nmt, sync
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, data_bytes
 
-__all__ = ["Row", "as_json", "as_text", "rows"]
+__all__ = ["Row", "as_json", "as_text", "fitted", "rows"]
 
 NODE_ID = 0x7F
 FUNCTION = 0x780
@@ -33,6 +34,9 @@ PDO_NAMES = {int(one): one.name for one in CobId if one.name.startswith(("TPDO",
 COMMON = ("t_s", "can_id", "node", "pdo", "extended", "remote", "service", "data", "marker", "code")
 HEXADECIMAL = {"register": "02X", "controlword": "04X", "statusword": "04X"}
 WIDTH = 11
+INDENT = 26
+"""Where the content that has no room in its line goes on: under the node's name."""
+BETWEEN_ITEMS = re.compile(r"(?<=\S)  (?=\w+=)")
 
 
 def rows(recording: Source) -> Iterator[Row]:
@@ -174,6 +178,20 @@ def as_text(row: Row) -> str:
     if "marker" in row:
         line = f"{line.rstrip()}  # {row['marker']}"
     return line.rstrip()
+
+
+def fitted(line: str, width: int) -> str:
+    """Return a line of `as_text` broken between its items, so that none is beyond `width` as long as
+    it has room in a line.
+    """
+    first, *items = BETWEEN_ITEMS.split(line)
+    lines = [first]
+    for item in items:
+        if len(lines[-1]) + 2 + len(item) <= width:
+            lines[-1] += "  " + item
+        else:
+            lines.append(" " * INDENT + item)
+    return "\n".join(lines)
 
 
 def _item(key: str, value: Any) -> str:

@@ -8,8 +8,9 @@ import json
 import os
 import re
 import sys
+import textwrap
 import traceback
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -23,6 +24,7 @@ from coulombus.wire.verdict import abandon_stdout, printed, say, verdict
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.table import Table
 
     from coulombus.rigs.rig import Rig
     from coulombus.wire.address import BusAddress
@@ -473,6 +475,27 @@ def table_console(width: int) -> Console:
 
     console = Console()
     return console if console.is_terminal else Console(width=width)
+
+
+def print_fitting(console: Console, build: Callable[[Collection[str]], Table], leave: Sequence[str]) -> None:
+    """Print the table that ``build(left out)`` makes with as few of the columns `leave`, the first
+    first, left out as the console's width asks for: no cell of it is cut as long as that helps.
+    """
+    from rich.measure import Measurement
+
+    left: list[str] = []
+    wide = console.options.update(max_width=10_000)
+    for name in (None, *leave):
+        left += [] if name is None else [name]
+        table = build(left)
+        if Measurement.get(console, wide, table).maximum <= console.width:
+            break
+    console.print(table)
+
+
+def hanging(text: str, width: int, indent: int) -> str:
+    """Return a line broken at spaces, what is beyond `width` under its column `indent`."""
+    return textwrap.fill(text, width, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False)
 
 
 def _listed(texts: tuple[str, ...]) -> tuple[str, ...] | None:

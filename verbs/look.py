@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 from pathlib import Path
+from typing import Any
 
 import click
 from click.core import ParameterSource
@@ -50,12 +52,18 @@ def decode(file: Path, rig_name: str | None, as_json: bool) -> None:
         from coulombus.recording.signals import blocks
         from coulombus.rigs.rig import load_rig
         from coulombus.scope.decode import as_json as as_json_line
-        from coulombus.scope.decode import as_text, rows
+        from coulombus.scope.decode import as_text, fitted, rows
 
         recording = blocks(file, rig=None if rig_name is None else load_rig(rig_name))
         out = sys.stdout
+        width = shutil.get_terminal_size().columns if out.isatty() else None
+
+        def line(row: dict[str, Any]) -> str:
+            text = as_json_line(row) if as_json else printable(as_text(row))
+            return text if as_json or width is None else fitted(text, width)
+
         for row in rows(recording):
-            out.write((as_json_line(row) if as_json else printable(as_text(row))) + "\n")
+            out.write(line(row) + "\n")
         out.flush()
         remark(recording.remarks)
 

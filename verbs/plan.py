@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,8 +13,10 @@ from coulombus.verbs.common import (
     PICTURE,
     errors,
     force_option,
+    hanging,
     json_option,
     load,
+    print_fitting,
     print_json,
     rig_option,
     say,
@@ -32,7 +35,11 @@ __all__ = ["as_dict", "message_rows", "plan_command", "role_rows"]
 
 WATCHES = "motor and brake: sync_timeout_s, setpoint_fault_s"
 WIDTH = 110
-"""Of the table in a file or a pipe."""
+"""Of the table in a file or a pipe, at most: it is as wide as its cells."""
+PROSE = 80
+HEADINGS = ("COB-ID", "message", "bits", "every", "cycle", "due", "block", "jitter", "worst", "limit", "")
+LEFT = 2
+"""So many of them stand on the left."""
 
 
 def as_dict(plan: Plan, rig: Rig) -> dict[str, Any]:
@@ -134,18 +141,24 @@ def message_rows(plan: Plan) -> list[dict[str, Any]]:
 def _print(found: dict[str, Any]) -> None:
     from rich.table import Table
 
-    table = Table(box=None, pad_edge=False, header_style="bold", padding=(0, 2, 0, 0))
-    for heading in ("COB-ID", "message"):
-        table.add_column(heading, no_wrap=True)
-    for heading in ("bits", "every", "cycle", "due", "block", "jitter", "worst", "limit", ""):
-        table.add_column(heading, justify="right", no_wrap=True)
+    rows = []
     for row in found["messages"]:
         cells = [f"{row['can_id']:03X}h", row["name"], str(row["bits"]), f"{row['period_us']:g}"]
         cells += ["" if row[key] is None else f"{row[key]:.0f}" for key in ("cycle_end_us", "cycle_deadline_us")]
         cells += [f"{row['blocking_us']:.0f}", f"{row['jitter_us']:.0f}" if row["bounded"] else ""]
         cells += [f"{row['response_us']:.0f}" if row["bounded"] else "no bound", f"{row['deadline_us']:.0f}"]
-        table.add_row(*cells, "[green]ok[/]" if row["fits"] else "[red]LATE[/]")
-    table_console(WIDTH).print(table)
+        rows.append((*cells, "[green]ok[/]" if row["fits"] else "[red]LATE[/]"))
+
+    def build(left: Collection[str]) -> Table:
+        table = Table(box=None, pad_edge=False, header_style="bold")
+        kept = [place for place, heading in enumerate(HEADINGS) if heading not in left]
+        for place in kept:
+            table.add_column(HEADINGS[place], justify="left" if place < LEFT else "right", no_wrap=True)
+        for cells in rows:
+            table.add_row(*(cells[place] for place in kept))
+        return table
+
+    print_fitting(table_console(WIDTH), build, ("block", "jitter", "bits", "due"))
     _print_roles(found["roles"])
     cycle, would = found["cycle"], found["would_fit"]
     more = cycle["latest_rpdo_with_us"]
@@ -162,9 +175,9 @@ def _print(found: dict[str, Any]) -> None:
     )
     if found["bus"]:
         click.echo(f"\nbus {found['bus']}")
-    click.echo("\n" + "\n".join(lines))
+    click.echo("\n" + "\n".join(hanging(line, PROSE, 11) for line in lines))
     for reason in found["reasons"]:
-        click.echo(f"  {reason}")
+        click.echo(hanging(f"  {reason}", PROSE, 4))
     if not found["fits"]:
         _print_changes(would)
     click.echo("ok: the plan fits" if found["fits"] else "FAIL: the plan does not fit")

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 __all__ = ["print_remark", "print_runs", "print_verdict"]
 
-WIDTH = 200
+WIDTH = 80
 """Of the table in a file or a pipe."""
 
 REAL_TIME_ROWS = ("stopped_by", "wakeup_us", "sync_to_rpdo_us", "cpu_us_per_cycle", "deadman")
@@ -58,6 +58,9 @@ def print_runs(results: dict[str, RunResult]) -> None:
     )
     remarks = {title: result.remarks for title, result in results.items()}
     results = dict(_columns(results))
+    console = table_console(WIDTH)
+    room = (console.width - max(len(label) for label, _, _ in rows)) // max(1, len(results)) - 1
+    beneath: list[str] = []
     table = Table(box=None, pad_edge=False)
     table.add_column("")
     for mode in results:
@@ -70,9 +73,16 @@ def print_runs(results: dict[str, RunResult]) -> None:
                 value = " / ".join(f"{part:.0f}" for part in value.values())
             text = "-" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
             cells.append(f"{text} {unit}".strip() if value is not None else text)
-        if field not in REAL_TIME_ROWS or any(cell != "-" for cell in cells):
+        if any(
+            isinstance(getattr(result, field), str) and len(cell) > room
+            for result, cell in zip(results.values(), cells, strict=True)
+        ):
+            beneath += [f"{label}, {mode}: {cell}" for mode, cell in zip(results, cells, strict=True) if cell != "-"]
+        elif field not in REAL_TIME_ROWS or any(cell != "-" for cell in cells):
             table.add_row(label, *cells)
-    table_console(WIDTH).print(table)
+    console.print(table)
+    for line in beneath:  # paths and sentences, whole
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
     for title, texts in remarks.items():
         for text in texts:
             print_remark(f"{title}: {text}")

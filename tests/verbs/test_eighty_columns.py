@@ -1,0 +1,92 @@
+"""Tables in a terminal of 80 columns: nothing is cut, nothing wraps within a row."""
+
+from types import SimpleNamespace
+
+import pytest
+from click.testing import CliRunner
+from rich.console import Console
+from rich.table import Table
+
+from coulombus.scope.decode import as_text, fitted
+from coulombus.verbs.common import hanging, print_fitting
+from coulombus.verbs.main import main
+
+COLUMNS = 80
+TABLES = (
+    ["plan"],
+    ["plan", "--rig", "two_axes"],
+    ["plan", "--axes", "3"],
+    ["plan", "--bitrate", "500000"],
+    ["pdo", "--rig", "paper"],
+    ["pdo"],
+)
+
+
+@pytest.fixture
+def terminal(monkeypatch):
+    monkeypatch.setattr("rich.console.Console.is_terminal", True)
+    monkeypatch.setenv("COLUMNS", str(COLUMNS))
+    monkeypatch.setenv("TERM", "dumb")
+
+
+@pytest.mark.parametrize("arguments", TABLES, ids=" ".join)
+def test_a_table_is_whole_in_a_terminal_of_80_columns(terminal, arguments):
+    out = CliRunner().invoke(main, arguments).stdout
+    assert out
+    assert "…" not in out
+    assert [line for line in out.splitlines() if len(line) > COLUMNS and "--set" not in line] == []
+
+
+def test_the_verdict_of_each_message_is_always_there(terminal):
+    out = CliRunner().invoke(main, ["plan", "--rig", "two_axes"]).stdout
+    rows = [line for line in out.splitlines() if line[:3].isalnum() and line[3:4] == "h"]
+    assert len(rows) == 27
+    assert all(line.endswith("ok") for line in rows)
+
+
+def test_columns_are_left_out_in_their_order_and_only_as_needed():
+    def shown(width):
+        def build(left):
+            table = Table(box=None, pad_edge=False)
+            for name in "abcd":
+                if name not in left:
+                    table.add_column(name * 5, no_wrap=True)
+            return table
+
+        console = Console(width=width)
+        with console.capture() as text:
+            print_fitting(console, build, ("c", "b"))
+        return "".join(sorted(set(text.get()) - {" ", "\n"}))
+
+    assert (shown(26), shown(20), shown(13)) == ("abcd", "abd", "ad")
+
+
+def test_a_decoded_frame_is_broken_between_its_signals():
+    row = {"t_s": 1.0, "can_id": 0x181, "node": "motor", "pdo": "TPDO1", "service": None}
+    row |= {"motor.statusword": 0x237, "motor.position_rad": 0.12345, "motor.torque_Nm": -0.00173}
+    line = as_text(row)
+    broken = fitted(line, COLUMNS)
+    assert len(line) > COLUMNS >= max(map(len, broken.splitlines()))
+    assert "position_rad=   +0.12345" in broken
+    assert "".join(broken.split()) == "".join(line.split())
+    assert fitted(line, 200) == line
+
+
+def test_prose_goes_on_under_its_own_column():
+    assert hanging("word       one two three", 15, 11) == "word       one\n           two\n           three"
+
+
+def test_long_texts_of_a_run_stand_beneath_its_table_whole(capsys, monkeypatch):
+    from coulombus.verbs import run_table
+
+    monkeypatch.setattr(run_table, "_columns", lambda results: results.items())
+
+    class Result(SimpleNamespace):
+        def __getattr__(self, name):
+            return None
+
+    path = "out/" + 30 * "long/" + "run.pcapng"
+    run_table.print_runs({m: Result(cycles=7, recording=path, remarks=()) for m in ("active", "hybrid")})
+    lines = capsys.readouterr().out.splitlines()
+    assert f"recording, active: {path}" in lines
+    assert max(len(line) for line in lines if path not in line) <= COLUMNS
