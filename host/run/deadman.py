@@ -21,10 +21,10 @@ from types import TracebackType
 from typing import ClassVar, Self
 
 from coulombus.host.errors import SafetyTrip
-from coulombus.host.run.keys import Keys
-from coulombus.host.run.lookout import Lookout
 from coulombus.rigs.rig import Rig
 from coulombus.wire.address import BusAddress
+from coulombus.wire.keys import Keys
+from coulombus.wire.lookout import Lookout
 
 __all__ = ["RELEASE_S", "HeldKey", "Switch", "Watcher", "deadman_of"]
 

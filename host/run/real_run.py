@@ -36,7 +36,6 @@ from coulombus.host.run.course import SAFE_TIMEOUT_NS, Course, Figures
 from coulombus.host.run.deadman import Switch, deadman_of
 from coulombus.host.run.deadman_outside import switch_of
 from coulombus.host.run.histogram import Counts
-from coulombus.host.run.keys import Keys, in_foreground
 from coulombus.host.run.markers import StruckKeys, marker_of
 from coulombus.host.run.outputs import Outputs
 from coulombus.host.run.result import RunResult
@@ -53,6 +52,7 @@ from coulombus.rigs.draft.text import REHEARSAL, rehearsal_marks
 from coulombus.rigs.rig import Rig, RigError
 from coulombus.wire.address import BusAddress, BusUnavailable, default_address
 from coulombus.wire.frame import Records
+from coulombus.wire.keys import Keys, in_foreground
 from coulombus.wire.notify import Notifier
 from coulombus.wire.realtime import default_cpu
 from coulombus.wire.stopping import Signals, status_of

@@ -10,9 +10,9 @@ from types import SimpleNamespace
 import pytest
 
 from coulombus.host.run.deadman import HeldKey
-from coulombus.host.run.keys import Keys, in_foreground
 from coulombus.host.run.markers import StruckKeys
 from coulombus.host.run.real_run import _RealRun
+from coulombus.wire.keys import Keys, in_foreground
 
 RUN = SimpleNamespace(recorder=object(), failure=None, path=Path("r.pcapng"), now_ns=7)
 

@@ -1,4 +1,4 @@
-"""The keys of the terminal while the host runs, each as it is struck."""
+"""The keys of the terminal while a verb runs, each as it is struck."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from contextlib import suppress
 from types import TracebackType
 from typing import Any, Self
 
-from coulombus.host.run.lookout import Lookout
+from coulombus.wire.lookout import Lookout
 
 __all__ = ["Keys", "in_foreground"]
 
 FROM_BEHIND = {signal.SIGTTIN, signal.SIGTTOU}
-"""They would stop a host that has been sent to the background, as soon as it reads a key."""
+"""They would stop a process that has been sent to the background, as soon as it reads a key."""
 
 
 def in_foreground() -> bool:
