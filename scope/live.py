@@ -74,6 +74,10 @@ class PdoRow:
     least_s: float | None = None
     most_s: float | None = None
     """Shortest and longest time between two of them since the last snapshot [s]; None of fewer."""
+    data: bytes = b""
+    """Its last bytes; none as long as none came."""
+    changed: frozenset[int] = frozenset()
+    """Places of the bytes that are others than at the last snapshot."""
 
 
 @dataclass(frozen=True)
@@ -124,6 +128,8 @@ class _Line:
     malformed: int = 0
     t_ns: int = 0
     data: bytes = b""
+    looked_at: bytes = b""
+    """The data at the last snapshot."""
     least_ns: int = NEVER_NS
     most_ns: int = -1
 
@@ -341,6 +347,8 @@ class Live:
         values = []
         least_ns, most_ns = line.least_ns, line.most_ns
         line.least_ns, line.most_ns = NEVER_NS, -1
+        changed = frozenset(n for n, (a, b) in enumerate(zip(line.data, line.looked_at, strict=False)) if a != b)
+        line.looked_at = line.data
         word = np.frombuffer(line.data, "<i8").astype(np.int64) if line.count else None
         for signal, entry, start in zip(pdo.signals, layout.entries, layout.starts, strict=True):
             value = None
@@ -360,6 +368,8 @@ class Live:
             values=tuple(values),
             least_s=None if most_ns < 0 else least_ns / 1e9,
             most_s=None if most_ns < 0 else most_ns / 1e9,
+            data=line.data[: layout.length],
+            changed=changed,
         )
 
 

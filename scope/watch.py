@@ -1,7 +1,8 @@
 """``coulombus watch``: a bus in one live table, or line by line where no terminal is.
 
 The bus is read in a thread of its own, so that frames do not wait for the drawing; the main thread
-draws and takes the signals. Nothing is ever sent.
+draws and takes the signals. Nothing is ever sent. In a terminal p or the space bar holds the
+picture while the counting goes on, b shows the raw bytes before other columns, q ends it.
 """
 
 from __future__ import annotations
@@ -12,8 +13,8 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass, replace
 from typing import Any
 
 from rich.console import Console, ConsoleOptions, RenderResult
@@ -33,9 +34,10 @@ from coulombus.scope.live import Event, Live, NodeRow, PdoRow, Snapshot, Value
 from coulombus.wire.address import BusAddress
 from coulombus.wire.client import BusDown, BusFull, BusGone, Client
 from coulombus.wire.hello import Flags, Hello
+from coulombus.wire.keys import Keys, in_foreground
 from coulombus.wire.stopping import StopSignals
 
-__all__ = ["Screen", "as_dict", "as_lines", "watch"]
+__all__ = ["Screen", "ViewKeys", "as_dict", "as_lines", "watch"]
 
 DRAW_S = 0.1
 LINE_S = 1.0
@@ -45,6 +47,9 @@ EVENTS = 200
 LEAST_EVENTS = 3
 GAPS = 3
 STALE_S = 0.1
+HOST_S = 0.5
+CHANGED = "bold reverse"
+PAUSE_KEYS, RAW_KEYS, END_KEYS = b"p ", b"b", b"q"
 
 
 def watch(
@@ -56,11 +61,14 @@ def watch(
     interval_s: float | None = None,
     console: Console | None = None,
     all_nodes: bool = True,
+    host: Callable[[], str | None] | None = None,
 ) -> None:
-    """Show the bus until a signal, or for `seconds`.
+    """Show the bus until a signal, the key q, or for `seconds`.
 
     Parameters
     ----------
+    host : tells what the bus' host does, in words, None where none runs; it is asked twice a second
+        in a thread of its own
     all_nodes : show also the nodes of the rig that were never heard
 
     Raises
@@ -84,16 +92,64 @@ def watch(
         terminal = console.is_terminal and not as_json
         pause_s = interval_s or (DRAW_S if terminal else LINE_S)
         show = _on_terminal if terminal else _line_by_line
-        with show(console, as_json, begin_ns, all_nodes) as draw:
+        keys = ViewKeys()
+        with (
+            Keys(keys.struck) if terminal and in_foreground() else nullcontext(),
+            _Asker(host if terminal else None) as asker,
+            show(console, as_json, begin_ns, all_nodes) as draw,
+        ):
             end = None if seconds is None else time.monotonic() + seconds
             running = True
             while running:
                 wait_s = pause_s if end is None else min(pause_s, max(0.0, end - time.monotonic()))
-                running = not stop.wait(wait_s) and reader.failure is None
+                running = not stop.wait(wait_s) and reader.failure is None and not keys.ended
                 running = running and (end is None or time.monotonic() < end)
-                draw(*look())
+                snapshot, facts = look()
+                draw(
+                    snapshot,
+                    facts | {"paused": keys.paused, "raw": keys.raw, "host": asker.told} if terminal else facts,
+                )
         if reader.failure is not None:
             raise reader.failure
+
+
+class ViewKeys:
+    """What the keys of the terminal ask for; `struck` is called in the keys' thread."""
+
+    def __init__(self) -> None:
+        self.paused = self.raw = self.ended = False
+
+    def struck(self, strokes: bytes) -> None:
+        """Take strokes as the terminal gives them; keys that mean nothing are passed over."""
+        for key in strokes:
+            self.paused ^= key in PAUSE_KEYS
+            self.raw ^= key in RAW_KEYS
+            self.ended |= key in END_KEYS
+
+
+class _Asker:
+    """Asks again and again in a thread of its own; `told` is the last answer."""
+
+    def __init__(self, ask: Callable[[], str | None] | None) -> None:
+        self.told: str | None = None
+        self._ask = ask
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="host asker", daemon=True)
+
+    def __enter__(self) -> _Asker:
+        if self._ask is not None:
+            self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        if self._ask is not None:
+            self._thread.join()
+
+    def _run(self) -> None:
+        while self._ask is not None and not self._stop.is_set():
+            self.told = self._ask()
+            self._stop.wait(HOST_S)
 
 
 class _Reader:
@@ -144,11 +200,17 @@ def _on_terminal(
     console: Console, as_json: bool, begin_ns: int, all_nodes: bool
 ) -> Iterator[Callable[[Snapshot, Any], None]]:
     past: deque[Event] = deque(maxlen=EVENTS)
+    held: list[tuple[Snapshot, tuple[Event, ...]]] = []
     with Display(console=console, auto_refresh=False) as display:
 
         def draw(snapshot: Snapshot, facts: dict[str, Any]) -> None:
             past.extend(snapshot.events)
-            display.update(Screen(snapshot, facts, tuple(past), begin_ns, all_nodes), refresh=True)
+            if not facts.get("paused"):
+                held[:] = [(snapshot, tuple(past))]
+            elif not held:
+                held.append((snapshot, tuple(past)))
+            facts = facts | {"frames": snapshot.frames}
+            display.update(Screen(held[0][0], facts, held[0][1], begin_ns, all_nodes), refresh=True)
 
         yield draw
 
@@ -262,9 +324,16 @@ class Screen:
         head = Text(_head(self.snapshot, self.facts), style="red" if self.facts["lost"] else "bold").wrap(
             console, width
         )
+        if host := self.facts.get("host"):
+            head.extend(Text(host).wrap(console, width))
+        if self.facts.get("paused"):
+            since = self.facts["frames"] - self.snapshot.frames
+            head.append(Text(f"PAUSED: p goes on, q ends; {since} frames came since", style="bold reverse"))
         nodes = _table(NODE_COLUMNS, list(map(_node_row, _heard(self.snapshot.nodes, self.all_nodes))), width)
         pdos = _table(
-            PDO_COLUMNS, [row for pdo in _pdos(self.snapshot, self.all_nodes) for row in _pdo_rows(pdo)], width
+            RAW_COLUMNS if self.facts.get("raw") else PDO_COLUMNS,
+            [row for pdo in _pdos(self.snapshot, self.all_nodes) for row in _pdo_rows(pdo)],
+            width,
         )
         if not nodes:
             nodes = [Text("none of the rig's nodes was heard; --rig says which rig it is")]
@@ -312,8 +381,9 @@ class _Column:
 PDO_COLUMNS = (
     _Column("PDO", 0, order=1), _Column("COB-ID", 1, right=True, order=4), _Column("signal", 2), _Column("value", 3, 10, right=True),
     _Column("", 4, 20, order=5), _Column("rate", 5, 9, right=True, order=2), _Column("age", 6, 7, right=True, order=3),
-    _Column("period [ms]", 7, 13, right=True, order=6), _Column("bits", 8, 20, order=7),
+    _Column("bytes", 8, 16, order=8), _Column("period [ms]", 7, 13, right=True, order=6), _Column("bits", 9, 20, order=7),
 )  # fmt: skip
+RAW_COLUMNS = tuple(replace(column, order=1) if column.title == "bytes" else column for column in PDO_COLUMNS)
 NODE_COLUMNS = (
     _Column("node", 0), _Column("id", 1, 3, right=True), _Column("NMT state", 2, 15), _Column("rate", 3, 9, right=True, order=3),
     _Column("heartbeat", 4, 9, right=True, order=2), _Column("drive", 5, 18, order=1), _Column("last emergency", 6, order=4),
@@ -321,7 +391,7 @@ NODE_COLUMNS = (
 SPACE = 2
 
 
-def _table(columns: Sequence[_Column], rows: list[tuple[tuple[str, ...], str]], width: int) -> list[Text]:
+def _table(columns: Sequence[_Column], rows: list[tuple[tuple[str | Text, ...], str]], width: int) -> list[Text]:
     """Return the rows (cells, style) under their titles, with the columns for which there is room.
 
     Nothing for no row.
@@ -333,15 +403,20 @@ def _table(columns: Sequence[_Column], rows: list[tuple[tuple[str, ...], str]], 
             kept.add(column)
     shown = [column for column in columns if column in kept]
 
-    def line(cells: Sequence[str], style: str) -> Text:
-        texts = (text.rjust(wide[c]) if c.right else text.ljust(wide[c]) for c, text in zip(shown, cells, strict=True))
-        return Text((" " * SPACE).join(texts).rstrip(), style=style)
+    def line(cells: Sequence[str | Text], style: str) -> Text:
+        text = Text(style=style)
+        for column, cell in zip(shown, cells, strict=True):
+            room = " " * (wide[column] - len(cell))
+            text.append(" " * SPACE if text else "")
+            text.append(room if column.right else "").append(cell).append("" if column.right else room)
+        text.rstrip()
+        return text
 
     found = [line([cells[c.key] for c in shown], style) for cells, style in rows]
     return [line([c.title for c in shown], "bold"), *found] if rows else []
 
 
-def _node_row(node: NodeRow) -> tuple[tuple[str, ...], str]:
+def _node_row(node: NodeRow) -> tuple[tuple[str | Text, ...], str]:
     style = "red" if node.silent or node.emergency else "dim" if node.state is None else "" if node.known else "cyan"
     state = (
         f"{node.state}, silent" if node.silent else node.state or ("not heard" if not node.frames else "no heartbeat")
@@ -352,13 +427,17 @@ def _node_row(node: NodeRow) -> tuple[tuple[str, ...], str]:
     return (name, str(node.node_id), state, rate, _age(node.age_s), power, emergency), style
 
 
-def _pdo_rows(row: PdoRow) -> Iterator[tuple[tuple[str, ...], str]]:
+def _pdo_rows(row: PdoRow) -> Iterator[tuple[tuple[str | Text, ...], str]]:
     style = "dim" if row.age_s is None else "yellow" if row.age_s > STALE_S else ""
     period = "" if row.least_s is None or row.most_s is None else f"{1e3 * row.least_s:.2f}-{1e3 * row.most_s:.2f}"
     head, tail = (row.name, f"{row.can_id:03X}h"), (f"{row.rate_per_s:.1f} /s", _age(row.age_s), period)
+    raw = Text()
+    for place, byte in enumerate(row.data):
+        raw.append(f"{byte:02X}", CHANGED if place in row.changed else "")
     for value in row.values:
-        yield (*head, _short(value), _number(value), value.unit or _meaning(value), *tail, _set_bits(value)), style
-        head, tail = ("", ""), ("", "", "")
+        shown = (_short(value), _number(value), value.unit or _meaning(value))
+        yield (*head, *shown, *tail, raw, _set_bits(value)), style
+        head, tail, raw = ("", ""), ("", "", ""), Text()
 
 
 def _short(value: Value) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
@@ -27,7 +27,10 @@ from coulombus.verbs.common import (
 )
 from coulombus.verbs.web import PageOptions, page_options, serve_page
 
-__all__ = ["dbc", "decode", "watch"]
+if TYPE_CHECKING:
+    from coulombus.wire.address import BusAddress
+
+__all__ = ["dbc", "decode", "host_text", "watch"]
 
 
 one_channel_option = click.option("--channel", metavar="C", help="Which bus of a rig that has several.")
@@ -66,6 +69,20 @@ def decode(file: Path, rig_name: str | None, as_json: bool) -> None:
             out.write(line(row) + "\n")
         out.flush()
         remark(recording.remarks)
+
+
+def host_text(address: BusAddress) -> str | None:
+    """Return what the host on a bus does, in a line; None where none answers."""
+    from coulombus.host.run.control_socket import NoHost, ask_status
+
+    try:
+        found = ask_status(address)
+    except NoHost:
+        return None
+    text = f"host: mode {found['mode']}"
+    for axis in found.get("axes") or ():
+        text += f"  {axis.get('axis') or 'phase'} {axis.get('phase')}"
+    return printable(text + (f"  trip: {found['trip']}" if found.get("trip") else ""))
 
 
 @click.command(epilog=EXIT_STATUS)
@@ -107,7 +124,8 @@ def watch(
     """Show a bus live: PDOs by name in SI units with rate and age, states of the nodes,
     emergencies, losses.
 
-    Nothing is sent. A live table in a terminal, else lines; with --web a page in a browser, whose
+    Nothing is sent. A live table in a terminal (p holds the picture, b shows raw bytes, those that
+    changed stand out, q ends it), else lines; with --web a page in a browser, whose
     STOP asks for what `coulombus stop` does. Ends with 0 on Ctrl-C, SIGTERM, SIGHUP
     or SIGQUIT, with 4 when the bus goes away.
 
@@ -131,7 +149,15 @@ def watch(
             return
         if pcapng is None:
             given = click.get_current_context().get_parameter_source("rig_name") is not ParameterSource.DEFAULT
-            run(rig, address, seconds=seconds, as_json=as_json, interval_s=interval, all_nodes=given)
+            run(
+                rig,
+                address,
+                seconds=seconds,
+                as_json=as_json,
+                interval_s=interval,
+                all_nodes=given,
+                host=lambda: host_text(address),
+            )
             return
         from coulombus.recording.stream import stream
 

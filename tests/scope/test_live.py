@@ -1,3 +1,4 @@
+import io
 import struct
 
 import pytest
@@ -7,7 +8,7 @@ from rich.console import Console
 
 from coulombus.rigs.rig import load_rig
 from coulombus.scope.live import BITS, Live
-from coulombus.scope.watch import Screen, as_dict, as_lines
+from coulombus.scope.watch import CHANGED, Screen, ViewKeys, as_dict, as_lines
 from coulombus.wire.bits import worst_case_bits
 from host_bench import VELOCITY
 
@@ -220,7 +221,7 @@ def test_columns_go_by_their_importance(rig):
         60: ["PDO", "signal", "value", "rate"],
         80: ["PDO", "COB-ID", "signal", "value", "rate", "age"],
         120: ["PDO", "COB-ID", "signal", "value", "rate", "age", "period", "[ms]"],
-        160: ["PDO", "COB-ID", "signal", "value", "rate", "age", "period", "[ms]", "bits"],
+        160: ["PDO", "COB-ID", "signal", "value", "rate", "age", "bytes", "period", "[ms]", "bits"],
     }
 
 
@@ -279,3 +280,40 @@ def test_lss_in_words(rig):
         "LSS: configure node id, node id 7",
         "LSS: configure node id, result node id out of range",
     ]
+
+
+def screen_lines(live, width, **facts):
+    console = Console(width=width, height=40, file=io.StringIO())
+    screen = Screen(live.snapshot(T0 + S), FACTS | facts, (), T0)
+    return list(screen.__rich_console__(console, console.options))
+
+
+def test_bytes_that_changed_since_the_last_look_stand_out(rig):
+    live = Live(rig)
+    live.take([tpdo1(0.1, 0x0237, 5)])
+    live.snapshot(T0)
+    live.take([tpdo1(0.2, 0x0237, 6)])
+    (line,) = (line for line in screen_lines(live, 80, raw=True) if "motor.TPDO1" in line.plain)
+    (span,) = (span for span in line.spans if span.style == CHANGED)
+    assert "3702060000000000" in line.plain
+    assert line.plain[span.start : span.end] == "06"
+    assert line.plain[span.start - 4 : span.start] == "3702"
+    assert len(line.plain) <= 80
+    (line,) = (line for line in screen_lines(live, 80, raw=True) if "motor.TPDO1" in line.plain)
+    assert CHANGED not in [span.style for span in line.spans]  # no other since
+
+
+def test_a_held_picture_says_so_and_the_host_is_told(rig):
+    live = Live(rig)
+    lines = [line.plain for line in screen_lines(live, 80, paused=True, frames=12, host="host: mode hybrid")]
+    assert any(line.startswith("PAUSED") and "12 frames" in line for line in lines)
+    assert "host: mode hybrid" in lines
+    assert not any("PAUSED" in line.plain for line in screen_lines(live, 80))
+
+
+def test_the_keys_of_a_view():
+    keys = ViewKeys()
+    keys.struck(b"p")
+    assert (keys.paused, keys.raw, keys.ended) == (True, False, False)
+    keys.struck(b" bq")
+    assert (keys.paused, keys.raw, keys.ended) == (False, True, True)

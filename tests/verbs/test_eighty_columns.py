@@ -90,3 +90,18 @@ def test_long_texts_of_a_run_stand_beneath_its_table_whole(capsys, monkeypatch):
     lines = capsys.readouterr().out.splitlines()
     assert f"recording, active: {path}" in lines
     assert max(len(line) for line in lines if path not in line) <= COLUMNS
+
+
+def test_watch_tells_what_the_host_does(monkeypatch):
+    from coulombus.host.run import control_socket
+    from coulombus.verbs.look import host_text
+
+    found = {"mode": "hybrid", "trip": "SYNC lost", "axes": [{"axis": None, "phase": "tripped"}]}
+    monkeypatch.setattr(control_socket, "ask_status", lambda address: found)
+    assert host_text(None) == "host: mode hybrid  phase tripped  trip: SYNC lost"
+
+    def none(address):
+        raise control_socket.NoHost("no host runs")
+
+    monkeypatch.setattr(control_socket, "ask_status", none)
+    assert host_text(None) is None
