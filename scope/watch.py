@@ -37,7 +37,7 @@ from coulombus.wire.hello import Flags, Hello
 from coulombus.wire.keys import Keys, in_foreground
 from coulombus.wire.stopping import StopSignals
 
-__all__ = ["Screen", "ViewKeys", "as_dict", "as_lines", "watch"]
+__all__ = ["Screen", "ViewKeys", "as_dict", "as_lines", "look_once", "watch"]
 
 DRAW_S = 0.1
 LINE_S = 1.0
@@ -111,6 +111,25 @@ def watch(
                 )
         if reader.failure is not None:
             raise reader.failure
+
+
+def look_once(rig: Rig, address: BusAddress, seconds: float) -> Snapshot:
+    """Listen to a bus for so long; return what it carries then. Nothing is sent.
+
+    Raises
+    ------
+    coulombus.wire.address.BusUnavailable
+        There is no bus, or it went away meanwhile.
+    """
+    live = Live(rig)
+    live.snapshot(time.time_ns())
+    hello = Hello(Flags.LISTEN_ONLY | Flags.ERRORS)
+    with Client(address, hello) as client, StopSignals() as stop, _Reader(client, live) as reader:
+        stop.wait(seconds)
+        if reader.failure is not None:
+            raise reader.failure
+        with reader.lock:
+            return live.snapshot(time.time_ns())
 
 
 class ViewKeys:

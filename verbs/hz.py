@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 from click.core import ParameterSource
@@ -20,6 +21,9 @@ from coulombus.verbs.common import (
     rig_option,
     set_option,
 )
+
+if TYPE_CHECKING:
+    from coulombus.scope.live import PdoRow
 
 __all__ = ["hz", "pdo"]
 
@@ -90,25 +94,41 @@ def hz(
 @click.command(epilog=EXIT_STATUS)
 @rig_option
 @set_option
+@click.option("--bus", "bus_name", metavar="B", help="Fill it with what this bus carries now; nothing is sent.")
+@click.option("--seconds", type=SECONDS, default=1.0, show_default=True, help="How long to listen to the bus.")
 @one_channel_option
 @json_option
-def pdo(rig_name: str, overrides: tuple[str, ...], channel: str | None, as_json: bool) -> None:
-    """Print what the rig's PDOs carry: a diagram of the bits, and a table of objects and signals.
+def pdo(
+    rig_name: str,
+    overrides: tuple[str, ...],
+    bus_name: str | None,
+    seconds: float,
+    channel: str | None,
+    as_json: bool,
+) -> None:
+    """Print what the rig's PDOs carry: a diagram of the bits, and a table of objects and signals;
+    with --bus the last bytes and values, too.
 
     \b
     Examples:
       coulombus pdo
+      coulombus pdo --bus coulombus:bench
       coulombus pdo --rig my-rig.toml --json
     """
     with errors():
         from coulombus.rigs.buses import one_bus
         from coulombus.scope.pdo_table import as_dict, as_lines
 
-        rig, _ = one_bus(load(rig_name, overrides), None, channel)
+        rig, address = one_bus(load(rig_name, overrides), bus_name, channel)
+        now: dict[int, PdoRow] = {}
+        if bus_name is not None:
+            from coulombus.scope.watch import look_once
+
+            now = {row.can_id: row for row in look_once(rig, address, seconds).pdos}
         if as_json:
-            print_json([as_dict(one) for one in rig.pdos()])
+            print_json([as_dict(one, now.get(one.layout.cob_id)) for one in rig.pdos()])
             return
         with printed():
             for one in rig.pdos():
-                for line in as_lines(one):
+                for line in as_lines(one, now.get(one.layout.cob_id)):
                     click.echo(line)
