@@ -167,7 +167,10 @@ class _Asker:
 
     def _run(self) -> None:
         while self._ask is not None and not self._stop.is_set():
-            self.told = self._ask()
+            try:
+                self.told = self._ask()
+            except Exception as error:  # whatever is wrong with the host's answer, the view goes on
+                self.told = f"host: {error}"
             self._stop.wait(HOST_S)
 
 

@@ -79,7 +79,7 @@ def host_text(address: BusAddress) -> str | None:
         found = ask_status(address)
     except NoHost:
         return None
-    text = f"host: mode {found['mode']}"
+    text = f"host: mode {found['mode']}" if "mode" in found else f"host: {found.get('error')}"
     for axis in found.get("axes") or ():
         text += f"  {axis.get('axis') or 'phase'} {axis.get('phase')}"
     return printable(text + (f"  trip: {found['trip']}" if found.get("trip") else ""))

@@ -1,5 +1,6 @@
 import io
 import struct
+import threading
 
 import pytest
 from hypothesis import given
@@ -9,7 +10,7 @@ from rich.console import Console
 from coulombus.rigs.rig import load_rig
 from coulombus.scope import pdo_table
 from coulombus.scope.live import BITS, Live
-from coulombus.scope.watch import CHANGED, Screen, ViewKeys, as_dict, as_lines
+from coulombus.scope.watch import CHANGED, Screen, ViewKeys, _Asker, as_dict, as_lines
 from coulombus.wire.bits import worst_case_bits
 from host_bench import VELOCITY
 
@@ -333,3 +334,17 @@ def test_the_table_of_a_pdo_is_filled_with_what_came(rig):
     assert any("it did not come" in line for line in pdo_table.as_lines(pdos[0x201], now[0x201]))
     assert pdo_table.as_dict(pdos[0x181], now[0x181])["now"]["data"] == "37020080f3ff0000"
     assert "now" not in pdo_table.as_dict(pdos[0x181])
+
+
+def test_whatever_the_host_answers_the_view_goes_on():
+    asked = threading.Event()
+
+    def ask():
+        if asked.is_set():
+            return
+        asked.set()
+        raise KeyError("mode")
+
+    with _Asker(ask) as asker:
+        assert asked.wait(20)
+    assert asker.told == "host: 'mode'"
