@@ -17,14 +17,16 @@ if TYPE_CHECKING:
     from coulombus.lab.simulate import simulate
     from coulombus.recording.signals import read
     from coulombus.rigs.rig import load_rig
+    from coulombus.scope.callbacks import live
     from coulombus.sim_bus.network.network import VirtualNetwork
     from coulombus.sim_bus.server.own_device import Device
 
-__all__ = ["Device", "VirtualNetwork", "load_rig", "read", "simulate"]
+__all__ = ["Device", "VirtualNetwork", "live", "load_rig", "read", "simulate"]
 
 _PLACES = {
     "Device": "coulombus.sim_bus.server.own_device",
     "VirtualNetwork": "coulombus.sim_bus.network.network",
+    "live": "coulombus.scope.callbacks",
     "load_rig": "coulombus.rigs.rig",
     "read": "coulombus.recording.signals",
     "simulate": "coulombus.lab.simulate",

@@ -1,0 +1,184 @@
+"""Call-backs for the signals of a bus, by their names: `live`."""
+
+from __future__ import annotations
+
+import difflib
+import logging
+import math
+import threading
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from coulombus.recording.signals import UnknownSignal, decode_field
+from coulombus.rigs.rig import Rig, load_rig
+from coulombus.rigs.signals import RigPdo
+from coulombus.wire.address import parse_address
+from coulombus.wire.client import BusDown, BusFull, Client
+from coulombus.wire.hello import Flags, Hello
+
+__all__ = ["Callback", "LiveBus", "live"]
+
+WAIT_S = 0.1
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(eq=False)
+class Callback:
+    """One function that is called; `calls` and `errors` count how often, and how often it raised.
+
+    `error` is the first thing that it raised. `end` ends it; a call that runs is not cut off.
+    """
+
+    names: tuple[str, ...]
+    function: Callable[..., object]
+    calls: int = 0
+    errors: int = 0
+    error: Exception | None = None
+    _newest: dict[str, float] = field(default_factory=dict, repr=False)
+    _ended: bool = field(default=False, repr=False)
+
+    def end(self) -> None:
+        """Call the function no more."""
+        self._ended = True
+
+    def _take(self, t_s: float, values: dict[str, float]) -> None:
+        found = {name: values[name] for name in self.names if name in values}
+        self._newest.update(found)
+        if self._ended or not found or len(self._newest) < len(set(self.names)):
+            return
+        self.calls += 1
+        try:
+            self.function(t_s, *(self._newest[name] for name in self.names))
+        except Exception as error:
+            self.errors += 1
+            if self.error is None:
+                self.error = error
+                logger.exception("the call-back of %s raised; it is told once, and counted", ", ".join(self.names))
+
+
+class LiveBus:
+    """A bus that is listened to in a thread of its own, until `close` or the end of ``with``."""
+
+    def __init__(self, client: Client, rig: Rig) -> None:
+        self.rig = rig
+        self._client = client
+        self._pdos = {pdo.layout.cob_id: pdo for pdo in rig.pdos()}
+        self._names = [signal.name for pdo in self._pdos.values() for signal in pdo.signals]
+        self._callbacks: tuple[Callback, ...] = ()
+        self._lock = threading.Lock()
+        self._stop = threading.Event()
+        self._failure: OSError | None = None
+        self._thread = threading.Thread(target=self._run, name="bus call-backs", daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> LiveBus:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def on(self, signals: str | Iterable[str], function: Callable[..., object]) -> Callback:
+        """Call ``function(t_s, value, ...)`` with each frame that carries one of the signals.
+
+        `t_s` is the frame's stamp [s since 1970]; the values are in SI, in the order of the names,
+        the newest of each. With several signals, the first call comes when each has come once.
+        All functions are called in one thread, one after another, in the order of the frames and
+        of `on`: a slow one delays the others. What one raises is logged once and counted in the
+        `Callback`; it is called again, and so are the others.
+
+        Raises
+        ------
+        coulombus.recording.signals.UnknownSignal
+            The rig has no such signal; the nearest names are told.
+        ValueError
+            No signal is named.
+        """
+        names = (signals,) if isinstance(signals, str) else tuple(signals)
+        if not names:
+            raise ValueError('no signal is named: on("motor.position_rad", f) or on(["...", "..."], f)')
+        for name in names:
+            if name not in self._names:
+                near = difflib.get_close_matches(name, self._names, 3, 0.4) or self._names
+                raise UnknownSignal(f"no signal {name!r} in rig {self.rig.name}; there is {', '.join(near)}")
+        callback = Callback(names, function)
+        with self._lock:
+            self._callbacks = (*(one for one in self._callbacks if not one._ended), callback)
+        return callback
+
+    def wait(self, seconds: float | None = None) -> bool:
+        """Wait until the bus is closed, at most so long [s]; tell whether it is.
+
+        Raises
+        ------
+        coulombus.wire.address.BusUnavailable
+            The bus went away.
+        """
+        self._thread.join(seconds)
+        if self._failure is not None:
+            raise self._failure
+        return not self._thread.is_alive()
+
+    def close(self) -> None:
+        """Call nothing more, and leave the bus; a call-back may call this, too."""
+        self._stop.set()
+        if threading.current_thread() is not self._thread:
+            self._thread.join()
+
+    def _run(self) -> None:
+        with self._client as client:
+            while not self._stop.is_set():
+                try:
+                    client.wait(WAIT_S)
+                    while not self._stop.is_set() and (found := client.receive()):
+                        for t_ns, can_id, length, data in found:
+                            self._take(t_ns, can_id, length, data)
+                except (BusDown, BusFull):
+                    self._stop.wait(WAIT_S)
+                except OSError as error:
+                    self._failure = error
+                    return
+
+    def _take(self, t_ns: int, can_id: int, length: int, data: bytes) -> None:
+        pdo = self._pdos.get(can_id)
+        if pdo is None or pdo.layout.length != length:
+            return
+        values: dict[str, float] | None = None
+        for callback in self._callbacks:
+            if self._stop.is_set():
+                return
+            if values is None:
+                values = _values(pdo, data)
+            callback._take(t_ns / 1e9, values)
+
+
+def live(bus: str = "bench", rig: str = "bench") -> LiveBus:
+    """Listen to a bus, and call functions with its signals::
+
+        with live("bench") as bus:
+            bus.on("brake.handle_torque_Nm", lambda t_s, torque_Nm: print(t_s, torque_Nm))
+            bus.wait(10)
+
+    It sends nothing. `bus` is an address, as ``socketcan:can0``; a name alone is that of a virtual
+    bus. `rig` is a rig or a path of a rig file.
+
+    Raises
+    ------
+    coulombus.wire.address.BusUnavailable
+        There is no such bus.
+    """
+    found = load_rig(rig)
+    address = parse_address(bus if ":" in bus else f"coulombus:{bus}")
+    return LiveBus(Client(address, Hello(Flags.LISTEN_ONLY)), found)
+
+
+def _values(pdo: RigPdo, data: bytes) -> dict[str, float]:
+    word = np.frombuffer(bytes(data[:8]).ljust(8, b"\0"), "<i8").astype(np.int64)
+    values = {}
+    for signal, entry, start in zip(pdo.signals, pdo.layout.entries, pdo.layout.starts, strict=True):
+        raw = decode_field(word, start, entry)[0].item()
+        value = raw if not signal.unit and signal.scale == 1 else signal.si(raw)
+        values[signal.name] = value if math.isfinite(value) else math.nan
+    return values

@@ -1,0 +1,71 @@
+"""Call-backs for the signals of a bus, by name."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+
+from coulombus import live
+from coulombus.recording.signals import UnknownSignal
+from coulombus.wire.address import BusUnavailable
+from tiny_bus import tiny_bus
+
+NAME = "motor.position_rad"
+
+
+@pytest.fixture
+def bus(private_sockets):
+    with tiny_bus("bench") as served:
+        yield served
+
+
+def frames_of(heard):
+    """Return a PDO of the motor's position: identifier and length."""
+    pdo = next(p for p in heard.rig.pdos() if any(s.name == NAME for s in p.signals))
+    return pdo.layout.cob_id, bytes(pdo.layout.length)
+
+
+def test_each_frame_calls_and_an_error_is_counted(bus):
+    done = threading.Event()
+    told = []
+
+    def good(t_s, value):
+        told.append((t_s, value, threading.current_thread().name))
+        if len(told) == 3:
+            done.set()
+
+    def bad(t_s, value):
+        raise RuntimeError("mine")
+
+    with live("bench") as heard:
+        wrong = heard.on(NAME, bad)
+        right = heard.on([NAME], good)
+        ended = heard.on(NAME, good)
+        ended.end()
+        bus.deliver(*[frames_of(heard)] * 3)
+        assert done.wait(5)
+    assert (right.calls, right.errors, ended.calls) == (3, 0, 0)
+    assert (wrong.calls, wrong.errors, str(wrong.error)) == (3, 3, "mine")
+    assert {(value, name) for _, value, name in told} == {(0.0, "bus call-backs")}
+    assert heard.wait(0)
+
+
+def test_a_callback_may_close_the_bus(bus):
+    heard = live("bench")
+    only = heard.on((NAME, "motor.statusword"), lambda t_s, angle, word: heard.close())
+    for pdo in heard.rig.pdos():
+        bus.deliver((pdo.layout.cob_id, bytes(pdo.layout.length)))
+    assert heard.wait(5)
+    assert only.calls == 1
+
+
+def test_what_is_wrong_is_said(bus):
+    with live("coulombus:bench") as heard:
+        with pytest.raises(UnknownSignal, match=r"no signal 'motor.positon_rad' .* there is motor.position_rad"):
+            heard.on("motor.positon_rad", print)
+        with pytest.raises(ValueError, match="no signal is named"):
+            heard.on([], print)
+        bus.close()
+        with pytest.raises(BusUnavailable):
+            heard.wait(5)
