@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from coulombus.recording.signals import UnknownSignal, decode_field
+from coulombus.rigs.buses import one_bus
 from coulombus.rigs.rig import Rig, load_rig
 from coulombus.rigs.signals import RigPdo
-from coulombus.wire.address import parse_address
 from coulombus.wire.client import BusDown, BusFull, Client
 from coulombus.wire.hello import Flags, Hello
 
@@ -145,16 +145,16 @@ class LiveBus:
         pdo = self._pdos.get(can_id)
         if pdo is None or pdo.layout.length != length:
             return
-        values: dict[str, float] | None = None
-        for callback in self._callbacks:
+        carried = {signal.name for signal in pdo.signals}
+        wanting = [one for one in self._callbacks if not carried.isdisjoint(one.names)]
+        values = _values(pdo, data) if wanting else {}
+        for callback in wanting:
             if self._stop.is_set():
                 return
-            if values is None:
-                values = _values(pdo, data)
             callback._take(t_ns / 1e9, values)
 
 
-def live(bus: str = "bench", rig: str = "bench") -> LiveBus:
+def live(bus: str = "bench", rig: str = "bench", channel: str | None = None) -> LiveBus:
     """Listen to a bus, and call functions with its signals::
 
         with live("bench") as bus:
@@ -162,15 +162,16 @@ def live(bus: str = "bench", rig: str = "bench") -> LiveBus:
             bus.wait(10)
 
     It sends nothing. `bus` is an address, as ``socketcan:can0``; a name alone is that of a virtual
-    bus. `rig` is a rig or a path of a rig file.
+    bus. `rig` is a rig or a path of a rig file, `channel` the bus of one that has several.
 
     Raises
     ------
     coulombus.wire.address.BusUnavailable
         There is no such bus.
+    coulombus.wire.address.AddressError
+        `bus` is no address, or the rig has several buses and `channel` is none of them.
     """
-    found = load_rig(rig)
-    address = parse_address(bus if ":" in bus else f"coulombus:{bus}")
+    found, address = one_bus(load_rig(rig), bus if ":" in bus else f"coulombus:{bus}", channel)
     return LiveBus(Client(address, Hello(Flags.LISTEN_ONLY)), found)
 
 
