@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import re
 import threading
+from pathlib import Path
 
 import pytest
 
 from coulombus import live
 from coulombus.recording.signals import UnknownSignal
+from coulombus.scope.callbacks import LiveBus
 from coulombus.wire.address import BusUnavailable
 from tiny_bus import tiny_bus
 
 NAME = "motor.position_rad"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "export.md"
 
 
 @pytest.fixture
@@ -69,3 +73,20 @@ def test_what_is_wrong_is_said(bus):
         bus.close()
         with pytest.raises(BusUnavailable):
             heard.wait(5)
+
+
+def test_the_page_s_script(bus, monkeypatch):
+    script = re.search(r"```python\n(from coulombus import live.*?)```", PAGE.read_text(), re.DOTALL)[1]
+    printed, done = [], threading.Event()
+
+    def tell(*words):
+        printed.append(words)
+        done.set()
+
+    def wait(heard, seconds):
+        bus.deliver(*[(pdo.layout.cob_id, bytes(pdo.layout.length)) for pdo in heard.rig.pdos()])
+        assert done.wait(seconds)
+
+    monkeypatch.setattr(LiveBus, "wait", wait)
+    exec(compile(script, str(PAGE), "exec"), {"print": tell})
+    assert [torque_Nm for _, torque_Nm in printed] == [0.0]

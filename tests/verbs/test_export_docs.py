@@ -51,6 +51,6 @@ def test_a_difference_ends_with_1_and_names_signal_and_time(here):
 def test_the_script(here):
     for library in ("pandas", "xarray"):
         pytest.importorskip(library)
-    (script,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+    script, _ = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)  # the other: tests/scope/test_callbacks.py
     exec(compile(script, "docs/export.md", "exec"), {})
     assert (here / "angle.png").stat().st_size > 5000
