@@ -58,6 +58,7 @@ __all__ = [
     "decode_field",
     "read",
     "series",
+    "signal_of",
 ]
 
 Array: TypeAlias = npt.NDArray[Any]
@@ -154,11 +155,7 @@ class Source:
         """Return what the rig says of a signal: object, scale, offset, unit; `UnknownSignal` names
         the nearest ones.
         """
-        signals = {signal.name: signal for pdo in self.rig.pdos() for signal in pdo.signals}
-        if name not in signals:
-            near = difflib.get_close_matches(name, signals, 3, 0.4) or list(signals)
-            raise UnknownSignal(f"no signal {name!r} in {self.path}; there is {', '.join(near)}")
-        return signals[name]
+        return signal_of(self.rig, name, self.path)
 
     def scale(self, name: str) -> float:
         """Return the SI value of one raw count of a signal."""
@@ -549,6 +546,17 @@ def _si(raw: Array, signal: Signal) -> Array:
     if not signal.unit and (signal.scale, signal.offset) == (1.0, 0.0):
         return raw
     return raw * signal.scale + signal.offset
+
+
+def signal_of(rig: Rig, name: str, where: str) -> Signal:
+    """Return what the rig says of a signal; `UnknownSignal` says that there is none `where`, and
+    names the nearest ones.
+    """
+    signals = {signal.name: signal for pdo in rig.pdos() for signal in pdo.signals}
+    if name not in signals:
+        near = difflib.get_close_matches(name, signals, 3, 0.4) or list(signals)
+        raise UnknownSignal(f"no signal {name!r} in {where}; there is {', '.join(near)}")
+    return signals[name]
 
 
 def decode_field(words: Integers, start: int, entry: Entry) -> Array:

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import difflib
 import logging
 import math
 import threading
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
-import numpy as np
-
-from coulombus.recording.signals import UnknownSignal, decode_field
+from coulombus.recording.signals import signal_of
 from coulombus.rigs.buses import one_bus
 from coulombus.rigs.rig import Rig, load_rig
-from coulombus.rigs.signals import RigPdo
+from coulombus.scope.live import values_of
 from coulombus.wire.client import BusDown, BusFull, Client
 from coulombus.wire.hello import Flags, Hello
 
@@ -66,7 +63,7 @@ class LiveBus:
         self.rig = rig
         self._client = client
         self._pdos = {pdo.layout.cob_id: pdo for pdo in rig.pdos()}
-        self._names = [signal.name for pdo in self._pdos.values() for signal in pdo.signals]
+        self._carried = {can_id: {signal.name for signal in pdo.signals} for can_id, pdo in self._pdos.items()}
         self._callbacks: tuple[Callback, ...] = ()
         self._lock = threading.Lock()
         self._stop = threading.Event()
@@ -100,9 +97,7 @@ class LiveBus:
         if not names:
             raise ValueError('no signal is named: on("motor.position_rad", f) or on(["...", "..."], f)')
         for name in names:
-            if name not in self._names:
-                near = difflib.get_close_matches(name, self._names, 3, 0.4) or self._names
-                raise UnknownSignal(f"no signal {name!r} in rig {self.rig.name}; there is {', '.join(near)}")
+            signal_of(self.rig, name, f"rig {self.rig.name}")
         callback = Callback(names, function)
         with self._lock:
             self._callbacks = (*(one for one in self._callbacks if not one._ended), callback)
@@ -145,9 +140,9 @@ class LiveBus:
         pdo = self._pdos.get(can_id)
         if pdo is None or pdo.layout.length != length:
             return
-        carried = {signal.name for signal in pdo.signals}
-        wanting = [one for one in self._callbacks if not carried.isdisjoint(one.names)]
-        values = _values(pdo, data) if wanting else {}
+        wanting = [one for one in self._callbacks if not self._carried[can_id].isdisjoint(one.names)]
+        told = values_of(pdo, data) if wanting else {}
+        values = {name: math.nan if value is None else value for name, value in told.items()}
         for callback in wanting:
             if self._stop.is_set():
                 return
@@ -173,13 +168,3 @@ def live(bus: str = "bench", rig: str = "bench", channel: str | None = None) -> 
     """
     found, address = one_bus(load_rig(rig), bus if ":" in bus else f"coulombus:{bus}", channel)
     return LiveBus(Client(address, Hello(Flags.LISTEN_ONLY)), found)
-
-
-def _values(pdo: RigPdo, data: bytes) -> dict[str, float]:
-    word = np.frombuffer(bytes(data[:8]).ljust(8, b"\0"), "<i8").astype(np.int64)
-    values = {}
-    for signal, entry, start in zip(pdo.signals, pdo.layout.entries, pdo.layout.starts, strict=True):
-        raw = decode_field(word, start, entry)[0].item()
-        value = raw if not signal.unit and signal.scale == 1 else signal.si(raw)
-        values[signal.name] = value if math.isfinite(value) else math.nan
-    return values

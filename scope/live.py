@@ -24,7 +24,7 @@ from coulombus.scope.error_frames import error_frame
 from coulombus.scope.services import STATES, emcy, lss, nmt
 from coulombus.wire.can_id import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 
-__all__ = ["Event", "Live", "NodeRow", "PdoRow", "Snapshot", "Value"]
+__all__ = ["Event", "Live", "NodeRow", "PdoRow", "Snapshot", "Value", "values_of"]
 
 WINDOW_NS = 1_000_000_000
 SYNC_SILENT_NS = 100_000_000
@@ -344,20 +344,11 @@ class Live:
     def _pdo_row(self, pdo: RigPdo, t_ns: int, rate_per_s: float) -> PdoRow:
         layout = pdo.layout
         line = self._lines[layout.cob_id]
-        values = []
         least_ns, most_ns = line.least_ns, line.most_ns
         line.least_ns, line.most_ns = NEVER_NS, -1
         changed = frozenset(n for n, (a, b) in enumerate(zip(line.data, line.looked_at, strict=False)) if a != b)
         line.looked_at = line.data
-        word = np.frombuffer(line.data, "<i8").astype(np.int64) if line.count else None
-        for signal, entry, start in zip(pdo.signals, layout.entries, layout.starts, strict=True):
-            value = None
-            if word is not None:
-                raw = decode_field(word, start, entry)[0].item()
-                value = raw if not signal.unit and signal.scale == 1 else signal.si(raw)
-                if not math.isfinite(value):
-                    value = None
-            values.append(Value(signal.name, value, signal.unit))
+        values = values_of(pdo, line.data) if line.count else {}
         return PdoRow(
             name=f"{pdo.node}.{pdo.name}",
             can_id=layout.cob_id,
@@ -365,12 +356,25 @@ class Live:
             rate_per_s=rate_per_s,
             age_s=max(0.0, (t_ns - line.t_ns) / 1e9) if line.count else None,
             malformed=line.malformed,
-            values=tuple(values),
+            values=tuple(Value(signal.name, values.get(signal.name), signal.unit) for signal in pdo.signals),
             least_s=None if most_ns < 0 else least_ns / 1e9,
             most_s=None if most_ns < 0 else most_ns / 1e9,
             data=line.data[: layout.length],
             changed=changed,
         )
+
+
+def values_of(pdo: RigPdo, data: bytes) -> dict[str, int | float | None]:
+    """Return what a frame's 8 bytes say: signal -> value in SI, a word's as it is, None where it is
+    no finite number.
+    """
+    layout, word = pdo.layout, np.frombuffer(data, "<i8").astype(np.int64)
+    found: dict[str, int | float | None] = {}
+    for signal, entry, start in zip(pdo.signals, layout.entries, layout.starts, strict=True):
+        raw = decode_field(word, start, entry)[0].item()
+        value = raw if not signal.unit and signal.scale == 1 else signal.si(raw)
+        found[signal.name] = value if math.isfinite(value) else None
+    return found
 
 
 def _node_row(node: _Node, t_ns: int, frames: int, rate_per_s: float) -> NodeRow:

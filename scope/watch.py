@@ -227,10 +227,8 @@ def _on_terminal(
 
         def draw(snapshot: Snapshot, facts: dict[str, Any]) -> None:
             past.extend(snapshot.events)
-            if not facts.get("paused"):
+            if not held or not facts.get("paused"):
                 held[:] = [(snapshot, tuple(past))]
-            elif not held:
-                held.append((snapshot, tuple(past)))
             facts = facts | {"frames": snapshot.frames}
             display.update(Screen(held[0][0], facts, held[0][1], begin_ns, all_nodes), refresh=True)
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import fields
 from functools import update_wrapper
 from typing import Any, TypeVar
 
-__all__ = ["bundle"]
+__all__ = ["bundle", "repeated"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -33,3 +33,10 @@ def bundle(name: str, made: type[Any], *options: Callable[[F], F]) -> Callable[[
         return decorated  # type: ignore[no-any-return]
 
     return add
+
+
+def repeated(option: str, texts: Iterable[str]) -> list[str]:
+    """Return the words that give an option once for each text, for the command line of another
+    process.
+    """
+    return [word for text in texts for word in (option, text)]

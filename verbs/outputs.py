@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from coulombus.verbs.bundle import bundle
+from coulombus.verbs.bundle import bundle, repeated
 from coulombus.verbs.common import PICTURE, RecordingPlace, force_option
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ class OutputOptions:
         words = ["--force"] if self.overwrite else []
         if self.segmented:
             words += ["--rotate", self.rotate or SEGMENT, *(["--keep", self.keep] if self.keep else [])]
-        return words + [word for text in self.meta for word in ("--meta", text)]
+        return words + repeated("--meta", self.meta)
 
     def outputs(self) -> Outputs:
         """Return what the run writes.

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from coulombus.verbs.bundle import repeated
 from coulombus.verbs.common import (
     CPU,
     EXIT_STATUS,
@@ -103,7 +104,7 @@ def run_command(
             page.refuse_several()
             words = ["run", "--rig", rig_name, "--mode", mode, "--json"]
             words += [] if seconds is None else ["--seconds", str(seconds)]
-            words += [word for text in overrides for word in ("--set", text)]
+            words += repeated("--set", overrides)
             words += ["--shared-machine"] if shared_machine else []
             words += [] if cpu is None else ["--cpu", str(cpu)]
             for path in (path_on(path, channel) for path in outputs.refusable() for channel in addresses):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from coulombus.verbs.bundle import bundle
+from coulombus.verbs.bundle import bundle, repeated
 from coulombus.verbs.common import (
     CPU,
     EXIT_STATUS,
@@ -151,7 +151,7 @@ def sim(
             words = ["sim", "--rig", rig_name, "--priority", str(priority), *simulated.words()]
             words += [] if seconds is None else ["--seconds", str(seconds)]
             words += [] if cpu is None else ["--cpu", str(cpu)]
-            words += [word for text in overrides for word in ("--set", text)]
+            words += repeated("--set", overrides)
             sys.exit(_sim_buses([*words, "--json"] if as_json else words, addresses))
         if channel is not None:
             rig = rig.on(channel)

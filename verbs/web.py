@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from coulombus.verbs.bundle import bundle
+from coulombus.verbs.bundle import bundle, repeated
 from coulombus.verbs.common import say
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ class PageOptions:
             return
         words = ["--rig", rig_name, "--bus", str(address), "--web-host", self.web_host]
         words += ["--web-port", str(self.web_port), *([] if channel is None else ["--channel", channel])]
-        words += [word for text in overrides for word in ("--set", text)]
+        words += repeated("--set", overrides)
         command = [sys.executable, "-m", "coulombus", "watch", "--web", "--beside", *words]
         child = None
         try:

@@ -36,25 +36,9 @@ class _Place(io.RawIOBase):
         self._kept: list[tuple[int, bytes]] = []
         self.failure: OSError | None = None
 
-    def readable(self) -> bool:
-        """True."""
-        return True
-
-    def writable(self) -> bool:
-        """True."""
-        return True
-
-    def seekable(self) -> bool:
-        """True."""
-        return True
-
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
         """Go to a place, and return it."""
         self._at = offset + {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: self._end}[whence]
-        return self._at
-
-    def tell(self) -> int:
-        """Return the present place."""
         return self._at
 
     def readinto(self, buffer: Any) -> int:
