@@ -19,6 +19,7 @@ import numpy.typing as npt
 from coulombus.eds.cia301 import NmtCommand, NmtState
 
 __all__ = [
+    "AFTER_COMMAND",
     "AFTER_ERROR",
     "ALLOWED",
     "AUTOMATIC",
@@ -108,6 +109,17 @@ ALLOWED = _allowed()
 
 NEXT_STATE: Mapping[tuple[int, int], NmtState] = {(state, command): end for _, state, command, end in TRANSITIONS}
 """(state, command) -> the state that follows; no key where the command changes nothing."""
+
+
+def _after_command() -> npt.NDArray[np.int64]:
+    table = np.repeat(np.arange(_VALUES, dtype=np.int64)[:, None], 256, axis=1)
+    for (state, command), end in NEXT_STATE.items():
+        table[state, command] = end
+    return table
+
+
+AFTER_COMMAND = _after_command()
+"""``AFTER_COMMAND[state, command]``: the same, for each byte; the same state where it changes nothing."""
 
 
 def _after_error() -> npt.NDArray[np.int64]:

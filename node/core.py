@@ -6,8 +6,8 @@ Deadlines are lazy: a reception only stores its time, and `on_time`, when it is 
 finds out whether something is late and computes the next deadline. A frame that has the same time
 as a deadline is handled first, so it is in time.
 
-Python (`node.device`) serves NMT commands and SDO, for which
-`on_frame` returns 1, and edits the same record.
+Python (`node.device`) serves SDO, LSS and resets, for which `on_frame` returns 1, and edits the same
+record.
 
 In the kernels: `n` the node's record (`node.record`), `k` a number
 from 0, `out` the queue of frames to send.
@@ -16,11 +16,12 @@ from 0, `out` the queue of frames to send.
 from __future__ import annotations
 
 from coulombus.compiled.decorator import inlined, kernel
-from coulombus.eds.cia301 import NmtState
-from coulombus.eds.nmt import AFTER_ERROR, ALLOWED, Service
+from coulombus.eds.cia301 import NmtCommand, NmtState
+from coulombus.eds.cia305 import UNCONFIGURED
+from coulombus.eds.nmt import AFTER_COMMAND, AFTER_ERROR, ALLOWED, Service
 from coulombus.node import deadlines, emcy, expedited, guarding, outbox, pdo_traffic, segments
 from coulombus.node.kinds import NO_KIND
-from coulombus.node.profile import BY_ITSELF, BY_RESET
+from coulombus.node.profile import BY_COMMAND, BY_ITSELF, BY_RESET
 from coulombus.node.reactions import (
     alarm,
     apply,
@@ -48,6 +49,7 @@ __all__ = [
     "forget_connections",
     "handle",
     "link_changed",
+    "nmt_command",
     "on_frame",
     "on_time",
     "refresh_inputs",
@@ -72,7 +74,7 @@ def on_frame(
     out: Queue,
 ) -> int:
     """Handle a frame whose end was at `t_ns`; return 1 when Python
-    has to serve it (SDO, NMT, LSS), else 0.
+    has to serve it (SDO, LSS, the end of NMT commands), else 0.
     """
     if can_id <= 0x7FF and n.route[can_id] == ROUTE_NONE:
         return 0
@@ -123,7 +125,9 @@ def handle(
             n.dropped_length += 1
             return 0
         addressed = data >> 8 & 0xFF
-        return 1 if addressed == n.node_id or addressed == _ALL_NODES else 0
+        if addressed == n.node_id or addressed == _ALL_NODES:
+            return nmt_command(n, t_ns, data & 0xFF, out)
+        return 0
     if route == ROUTE_LSS:
         return 1
     if route == ROUTE_TIME:
@@ -141,6 +145,22 @@ def handle(
     if n.segments_open > 0 and segments.collect(n, t_ns, can_id, length, data):
         return 0
     return 0 if expedited.answer(n, t_ns, can_id, length, data, out) else 1
+
+
+@kernel
+def nmt_command(n: NodeRecord, t_ns: int, command: int, out: Queue) -> int:
+    """Carry out an NMT command; return 1 when something is left for Python: a reset, and the end of
+    SDO with STOPPED.
+    """
+    if command == NmtCommand.RESET_NODE or command == NmtCommand.RESET_COMMUNICATION:
+        return 1
+    if n.node_id == UNCONFIGURED:
+        return 0
+    if command != NmtCommand.START and command != NmtCommand.STOP and command != NmtCommand.ENTER_PRE_OPERATIONAL:
+        n.dropped_unknown += 1
+        return 0
+    set_nmt(n, t_ns, AFTER_COMMAND[n.nmt, command], BY_COMMAND, out)
+    return 0 if ALLOWED[n.nmt] & Service.SDO else 1
 
 
 @kernel

@@ -15,7 +15,7 @@ import numpy as np
 
 from coulombus.eds.cia301 import CobId, NmtCommand, NmtState
 from coulombus.eds.cia305 import UNCONFIGURED
-from coulombus.eds.nmt import ALLOWED, NEXT_STATE, Service
+from coulombus.eds.nmt import ALLOWED, Service
 from coulombus.eds.reader import Description, Value
 from coulombus.node import core, guarding
 from coulombus.node.communication_checks import PRODUCER, SDO_SERVERS
@@ -192,7 +192,10 @@ class Device:
         """
         self._now = t_ns
         if can_id == CobId.NMT:
-            self.nmt_command(t_ns, data & 0xFF, out)
+            if data & 0xFF in _RESET:
+                self.nmt_command(t_ns, data & 0xFF, out)
+            else:
+                self._sdo.drop()  # the core has done what else STOPPED means
         elif can_id == CobId.LSS_RX:
             self.lss.request(t_ns, length, data, out)
         elif self._sdo.serves(can_id):
@@ -202,15 +205,9 @@ class Device:
         """Carry out an NMT command (its specifier); an unknown one is counted."""
         self._now = t_ns
         record = self.record
-        if self.node_id == UNCONFIGURED and command not in _RESET:
-            return
-        if command not in list(NmtCommand):
-            record["dropped_unknown"] += 1
-        elif command not in _RESET:
-            following = NEXT_STATE.get((int(record["nmt"]), command), int(record["nmt"]))
-            if not ALLOWED[following] & Service.SDO:
+        if command not in _RESET:
+            if core.nmt_command(record, t_ns, command & 0xFF, out):
                 self._sdo.drop()  # SDO ends with it
-            self._set_nmt(t_ns, following, BY_COMMAND, out)
         else:
             self._set_nmt(t_ns, NmtState.INITIALISING, BY_RESET, out)
             first = _RESET[command]

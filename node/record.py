@@ -9,6 +9,7 @@ that never comes is `node.sizes.FAR_FUTURE_NS`. What a kind of device keeps stan
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from coulombus.eds.codec import PDO
 from coulombus.node.kinds import PROFILES
@@ -26,7 +27,7 @@ from coulombus.node.sizes import (
 from coulombus.wire.clock import CLOCK_FIELDS
 from coulombus.wire.frame import Records
 
-__all__ = ["NODE", "new_nodes"]
+__all__ = ["LOOP_WORDS", "NODE", "new_nodes"]
 
 _I = np.int64
 
@@ -156,6 +157,32 @@ NODE = np.dtype(
     ],
     align=True,
 )
+
+
+SERVICES_ONLY = (
+    *("rpdo", "tpdo", "fast_key", "fast_slot", "fast_size"),
+    *("outbox_channel", "outbox_id", "outbox_word", "route", "rtr_route"),
+)
+"""Fields, the most of a record, that only the Python services write; the core reads them."""
+
+
+def _loop_words() -> npt.NDArray[np.int64]:
+    """Return the other fields as runs of words: first and last + 1 of each."""
+    spans = [(offset, offset + field.itemsize) for field, offset in _fields(SERVICES_ONLY)]
+    edges = [0, *(edge // 8 for span in sorted(spans) for edge in span), NODE.itemsize // 8]
+    return np.array([run for run in zip(edges[::2], edges[1::2], strict=True) if run[0] < run[1]], np.int64)
+
+
+def _fields(names: tuple[str, ...]) -> list[tuple[np.dtype[np.void], int]]:
+    """Return type and offset of fields of `NODE`."""
+    assert NODE.fields is not None
+    return [NODE.fields[name][:2] for name in names]
+
+
+LOOP_WORDS = _loop_words()
+"""Words of a record that the core may write, by which its Python services have to be brought up to
+date: runs, first and last + 1.
+"""
 
 
 def new_nodes(n: int) -> Records:

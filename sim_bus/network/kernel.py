@@ -52,6 +52,7 @@ __all__ = [
     "Exit",
     "Host",
     "World",
+    "actuate",
     "next_event",
     "refresh",
     "run",
@@ -207,7 +208,7 @@ def _look(world: World, a: int, t_ns: int) -> None:
 
 
 @inlined
-def _actuate(world: World, a: int, t_ns: int) -> None:
+def actuate(world: World, a: int, t_ns: int) -> None:
     """Let the rig of axis `a` feel what its devices command from `t_ns` on, when that has changed."""
     axis, p = world.axes[a], world.plant[a]
     motor, brake = world.nodes[axis.motor], world.nodes[axis.brake]
@@ -255,7 +256,7 @@ def _end_closely(world: World, b: Any) -> None:
             own_time.link_changed(nodes[i], t, link, world.out)
             keep_deadline(world.deadlines, i, nodes[i])
             if world.axis_of[i] >= 0:
-                _actuate(world, world.axis_of[i], t)
+                actuate(world, world.axis_of[i], t)
 
 
 @kernel
@@ -360,7 +361,7 @@ def run(world: World, host: Host, law_function: Any, closely: int | None) -> int
                 own_time.on_time(nodes[i], t, out)
             keep_deadline(deadlines, i, nodes[i])
             if a >= 0:
-                _actuate(world, a, t)
+                actuate(world, a, t)
         else:
             if closely is None:
                 end_frame(b, world.log, w.log_count)
@@ -370,7 +371,7 @@ def run(world: World, host: Host, law_function: Any, closely: int | None) -> int
                 if b.delivered == Delivered.NOBODY:
                     continue
             w.services = w.control_plane = w.heard = 0
-            if b.can_id == CobId.SYNC:
+            if b.can_id == CobId.SYNC or b.can_id == CobId.NMT:
                 for a in range(axes.shape[0]):
                     _look(world, a, t)
             plain = b.can_id <= 0x7FF
@@ -386,7 +387,7 @@ def run(world: World, host: Host, law_function: Any, closely: int | None) -> int
                         w.services += 1
                     keep_deadline(deadlines, i, nodes[i])
                     if axis_of[i] >= 0:
-                        _actuate(world, axis_of[i], t)
+                        actuate(world, axis_of[i], t)
             if not w.host_elsewhere and receives(b, step.SOURCE_HOST):
                 w.had[w.log_count - 1] = 1
                 first, t_host = out.count, own_ns(w, t)

@@ -339,8 +339,7 @@ class VirtualNetwork:
         frame = self._log[int(w["log_count"]) - 1]
         t_ns, can_id = int(frame["t_ns"]), int(frame["can_id"])
         length, data, source = int(frame["length"]), int(frame["word"]), int(frame["source"])
-        for row in w["service"][: int(w["services"])]:
-            self._by_its_clock(row, self.devices[row].service, t_ns, can_id, length, data)
+        self.serve(w["service"][: int(w["services"])].tolist(), t_ns, can_id, length, data)
         if w["control_plane"]:
             self._control_plane(t_ns, can_id, data_bytes(data, length))
         if w["heard"] and not wire_of(self.bus, source).half:  # Python's stations are in the first half of a cut cable
@@ -348,6 +347,11 @@ class VirtualNetwork:
             for station in self._stations:
                 if station.number != source and (station.can_ids is None or can_id in station.can_ids):
                     station.hear(heard)
+
+    def serve(self, rows: Collection[int], t_ns: int, can_id: int, length: int, data: int) -> None:
+        """Give a frame to the services of the devices of some rows."""
+        for row in rows:
+            self._by_its_clock(row, self.devices[row].service, t_ns, can_id, length, data)
 
     def _control_plane(self, t_ns: int, can_id: int, data: bytes) -> None:
         """Take a frame for the host's control plane; a network without a host has none."""
@@ -358,6 +362,10 @@ class VirtualNetwork:
         self._world["log_count"] = 0
         if self.injection is not None:
             self.injection.tell()
+        self.hand_over(count)
+
+    def hand_over(self, count: int) -> None:
+        """Give the first rows of the log to who wants every frame."""
         if self._on_frames is not None and count:
             self._on_frames(self._log[:count])
 

@@ -38,6 +38,7 @@ from coulombus.compiled.libc import (
 from coulombus.eds.cia402 import PowerState
 from coulombus.sim_bus.copper.cut import choose
 from coulombus.sim_bus.network.kernel import Exit, Host, World, next_event, refresh, run
+from coulombus.sim_bus.server.beside import FRAME, RECORD, Beside, collect, drained, leave, settle
 from coulombus.sim_bus.server.clients import Clients, State, flush, hand_out, take
 
 __all__ = ["PACE", "Serve", "serve"]
@@ -48,6 +49,10 @@ KEPT_NS = 100_000_000
 """Frames wait no longer to be recorded, and the loop sleeps no longer than LONGEST_SLEEP_NS: a
 killed process loses less than 0.25 s.
 """
+
+
+AHEAD_NS = 1_000_000_000
+"""The next block of a hand's force is asked for so long before it is needed."""
 
 
 class Serve(IntEnum):
@@ -89,7 +94,7 @@ PACE = np.dtype(
 
 
 @kernel
-def _wait(p: Any, slots: Any, pollfds: Any, timeout_ns: int) -> int:
+def _wait(p: Any, slots: Any, pollfds: Any, timeout_ns: int, beside: Beside) -> int:
     """Sleep until a client has something or the time is over.
 
     Return Serve.ACCEPT when one waits at the listener, FAILED, or 0.
@@ -119,6 +124,8 @@ def _wait(p: Any, slots: Any, pollfds: Any, timeout_ns: int) -> int:
         if pollfds[1] >> 48 & POLLNVAL:
             p.error = EBADF
             return Serve.FAILED
+        if pollfds[1] >> 48 & POLLIN:
+            drained(beside)
         for i in range(n):
             if slots[i].watched != 0 and pollfds[slots[i].watched] >> 48 != 0:
                 slots[i].dry = 0
@@ -149,8 +156,19 @@ def _forgive(p: Any, slots: Any, planned_ns: int, t_ns: int) -> int:
 
 
 @kernel
-def serve(pace: Any, clients: Clients, world: World, host: Host, law_function: Any) -> int:
+def serve(pace: Any, clients: Clients, beside: Beside, world: World, host: Host, law_function: Any) -> int:
     """Serve until Python is needed; return an `Exit` or a `Serve` that says why.
+
+    What Python may do beside this loop is done when it returns.
+    """
+    why = _serve(pace, clients, beside, world, host, law_function)
+    settle(beside, world, pace[0])
+    return why
+
+
+@kernel
+def _serve(pace: Any, clients: Clients, beside: Beside, world: World, host: Host, law_function: Any) -> int:
+    """Serve until Python is needed.
 
     The world's loop is from the first the one that looks closely: nothing is compiled while clients
     wait.
@@ -161,6 +179,7 @@ def serve(pace: Any, clients: Clients, world: World, host: Host, law_function: A
     if w.stale:
         refresh(w, world.nodes, world.axes, world.deadlines, world.wants)
     while True:
+        collect(beside, world, p)
         t_ns = now_ns() - p.start_ns
         offset_ns = t_ns - clock_ns(CLOCK_REALTIME)
         taken = take(w, p, bus, clients, out, offset_ns, t_ns)
@@ -186,19 +205,30 @@ def serve(pace: Any, clients: Clients, world: World, host: Host, law_function: A
                 if lost != 0:
                     return lost
             why = 0
-            if reason not in (Exit.UNTIL, Exit.LOG):
+            if reason == Exit.SERVICE:
+                if not leave(beside, world, p, reason, FRAME):
+                    why += reason
+            elif reason == Exit.ENABLED:
+                if not leave(beside, world, p, reason, w.axis):
+                    why += reason
+            elif reason not in (Exit.UNTIL, Exit.LOG):
                 why += reason
-            else:
+            if why == 0:
                 if p.keep == 0:
                     p.handed_out = w.log_count = 0
-                elif w.log_count >= p.keep:
+                elif reason == Exit.LOG or (
+                    w.log_count >= p.keep and not leave(beside, world, p, Serve.RECORD, RECORD)
+                ):
                     why = Serve.RECORD
                 for a in range(world.axes.shape[0]):
                     axis = world.axes[a]
                     state = world.nodes[axis.motor].power_state
                     if axis.operator_start_ns >= 0 and state != PowerState.OPERATION_ENABLED:
                         w.axis = a
-                        why = Serve.RESTED
+                        if not leave(beside, world, p, Serve.RESTED, a):
+                            why = Serve.RESTED
+                    elif axis.force_end_ns - t_ns < AHEAD_NS:
+                        leave(beside, world, p, Exit.FORCE, a)
             if why != 0:
                 for i in range(slots.shape[0]):
                     flush(slots[i], batches[i])
@@ -210,7 +240,8 @@ def serve(pace: Any, clients: Clients, world: World, host: Host, law_function: A
             flush(slots[i], batches[i])
         if taken != 0:
             return taken
-        if p.keep != 0 and 0 < w.log_count <= p.handed_out and t_ns - world.log[0].t_ns >= KEPT_NS:
+        waits = p.keep != 0 and 0 < w.log_count <= p.handed_out
+        if waits and t_ns - world.log[0].t_ns >= KEPT_NS and not leave(beside, world, p, Serve.RECORD, RECORD):
             return Serve.RECORD
         if load_acquire(flag) != 0:
             return Serve.STOP
@@ -218,7 +249,7 @@ def serve(pace: Any, clients: Clients, world: World, host: Host, law_function: A
         if t_ns >= p.end_ns:
             return Serve.TIME
         p.planned_ns = min(min(t_event, p.end_ns), t_ns + LONGEST_SLEEP_NS)
-        why = _wait(p, slots, clients.pollfds, max(p.planned_ns - t_ns, 0))
+        why = _wait(p, slots, clients.pollfds, max(p.planned_ns - t_ns, 0), beside)
         p.planned_ns = max(p.planned_ns, t_ns)
         if why != 0:
             return why

@@ -124,7 +124,8 @@ class SimServer(BusServer):
         def make_world(bit_rate: int, trial: bool) -> PacedRig:
             return PacedRig(rig, mode, seed, bit_rate, None if trial or record is None else keep, trial or numbered)
 
-        super().__init__(make_world, address, 0 if unpaced else rig.bus.bitrate_bit_s)
+        bit_rate = 0 if unpaced else rig.bus.bitrate_bit_s
+        super().__init__(make_world, address, bit_rate, beside=faults is None)
         if record is not None:  # a bus that is refused makes no file, and replaces none
             try:
                 self._recorder = Recorder(record, rig, mode, seed, bus=PACED, force=force)

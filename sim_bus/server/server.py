@@ -27,6 +27,7 @@ from coulombus.sim_bus.copper.controller import link
 from coulombus.sim_bus.copper.cut import wire_of
 from coulombus.sim_bus.copper.stations import attach, detach
 from coulombus.sim_bus.network.network import VirtualNetwork
+from coulombus.sim_bus.server.beside import Worker
 from coulombus.sim_bus.server.clients import BATCH, MESSAGE_FRAMES, SLOT, SLOTS, STATION, Clients, Need, State
 from coulombus.sim_bus.server.paced import PACE, Serve, serve
 from coulombus.wire.address import BusAddress, BusUnavailable, socket_path
@@ -97,6 +98,7 @@ class BusServer:
         is compiled, and thrown away
     bit_rate : of the virtual bus; 0: frames take no time
     join : take part in the virtual bus of another process, if there is one
+    beside : the bus goes on while Python serves the nodes (`sim_bus.server.beside`)
 
     Raises
     ------
@@ -112,6 +114,7 @@ class BusServer:
         bit_rate: int,
         *,
         join: bool = False,
+        beside: bool = False,
     ) -> None:
         self.address = address
         self.real_time = RealTime()
@@ -146,6 +149,7 @@ class BusServer:
         self._clients = Clients(*arrays)
         self._run = Entry(serve)
         self._wake = os.eventfd(0, os.EFD_CLOEXEC | os.EFD_NONBLOCK)
+        self._worker = Worker(self.world, self._wake, self.stop, on=beside)
         self._spare = os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC)  # for who comes when there is no other left
         self._listener: socket.socket | None = None
         self._path: Path | None = None
@@ -170,7 +174,8 @@ class BusServer:
         self._pace["stop"] = self._pace["wakeups"] = 0
 
     def _serve(self) -> int:
-        return int(self._run(self._pace, self._clients, *self.world.arguments))
+        worker = self._worker
+        return int(self._run(self._pace, self._clients, worker.shared, worker.loop, *self.world.arguments[1:]))
 
     @property
     def wakeups(self) -> int:
@@ -204,6 +209,7 @@ class BusServer:
         world, pace = self.world, self._pace
         if cpu is None and priority is not None and self._on_virtual:
             cpu = bus_cpu()
+        self._worker.start()  # not with the rights of the bus
         self.real_time = ask_for_real_time(priority, cpu)
         self._plan()
         if ready is not None:
@@ -214,7 +220,10 @@ class BusServer:
         if seconds is not None:
             pace["end_ns"] = round(seconds * 1e9)
         world.power_on()
+        self._worker.to_loop()
         while (why := self._serve()) not in (Serve.STOP, Serve.TIME, Need.GONE):
+            if self._worker.failure is not None:
+                break
             if why == Serve.ACCEPT:
                 self._accept()
             elif why == Need.MESSAGE:
@@ -225,15 +234,20 @@ class BusServer:
                     self.result.gone = f"bus {self.address} is gone: its process ended"
                     break
             elif why == Serve.RECORD:
-                self._record()
+                with self._worker.whole():
+                    self._record()
             elif why == Serve.FAILED:
                 self.result.gone = (
                     f"bus {self.address}: waiting for its clients failed: {os.strerror(int(pace['error'][0]))}"
                 )
                 break
             else:
-                world.answer(why)
-        self._record()
+                with self._worker.whole():
+                    world.answer(why)
+        with self._worker.whole():
+            self._record()
+        if self._worker.failure is not None:
+            raise self._worker.failure
         if why == Need.GONE and not self.joined:
             number = int(pace["error"][0])
             lost = number not in (0, errno.ENODEV, errno.ENXIO)
@@ -261,6 +275,7 @@ class BusServer:
     def close(self) -> None:
         """Close the sockets and remove the socket's file, all of them, whatever becomes of one."""
         with ExitStack() as left:
+            self._worker.close()
             if self._wake >= 0:
                 for descriptor in (self._wake, self._spare):
                     left.callback(os.close, descriptor)

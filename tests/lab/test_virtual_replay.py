@@ -165,15 +165,15 @@ def test_frames_are_recorded_by_their_age_too(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     path = tmp_path / "idle.pcapng"
     server = SimServer(load_rig("bench"), parse_address("coulombus:idle"), record=path)
-    flush, whole = server.world.flush, []
+    hand_over, whole = server.world.hand_over, []
 
-    def flushed() -> None:
-        flush()
+    def handed_over(count: int) -> None:
+        hand_over(count)
         whole.append(len(read_pcapng(path).frames))
         if whole[-1]:
             server.stop()
 
-    monkeypatch.setattr(server.world, "flush", flushed)
+    monkeypatch.setattr(server.world, "hand_over", handed_over)
     try:
         result = server.run(PATIENCE_S)
     finally:

@@ -438,7 +438,7 @@ def test_whatever_becomes_of_a_client_closing_leaves_nothing(rig, tmp_path, monk
         server.close()
     other.close()
     assert not socket_path("t").exists()
-    assert len(os.listdir("/proc/self/fd")) == before - 6  # two of the client, listener, wake, spare, recording
+    assert len(os.listdir("/proc/self/fd")) == before - 7  # two of the client, listener, two to wake, spare, recording
     assert len(read(tmp_path / "r.pcapng").frames) == 0
 
 
