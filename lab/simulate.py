@@ -25,6 +25,7 @@ from coulombus.recording.output_file import check as check_output
 from coulombus.recording.output_file import open_new
 from coulombus.recording.pcapng_blocks import RecordingError
 from coulombus.recording.recorder import Recorder
+from coulombus.rigs.arguments import path_text, texts
 from coulombus.rigs.rig import Rig, load_rig
 from coulombus.sim_bus.faults.file import FaultPlan, read_faults
 from coulombus.sim_bus.faults.injection import Injection, controllers_of
@@ -142,7 +143,7 @@ class _VirtualRun(Course):
 
 
 def simulate(
-    rig: Rig | str = "bench",
+    rig: Rig | str | os.PathLike[str] = "bench",
     mode: str = "hybrid",
     seconds: float = 13.0,
     *,
@@ -186,8 +187,14 @@ def simulate(
         `record` or `truth` exists, and `force` was not given; nothing was run
     coulombus.sim_bus.faults.file.FaultError
         the fault file is wrong
+    coulombus.rigs.arguments.WrongCall
+        an argument is of a type that is not taken
     """
-    wrong = faults if faults is None or isinstance(faults, FaultPlan) else read_faults(Path(faults))
+    for name, one in (("record", record), ("truth", truth)):
+        if one is not None:
+            path_text(one, name, f'simulate({name}="run.{"npz" if name == "truth" else "pcapng"}")')
+    wrong = faults if faults is None or isinstance(faults, FaultPlan) else read_faults(_fault_file(faults))
+    overrides = texts(overrides, "overrides", "mode.active.F_s_Nm=1.0")
     chosen = rig.variant(*overrides) if isinstance(rig, Rig) else load_rig(rig, overrides)
     if mode not in chosen.modes:
         raise ValueError(f"mode {mode!r}: the rig has {', '.join(chosen.modes)}")
@@ -221,6 +228,10 @@ def simulate(
         force=force,
     )
     return _simulate_bus(order) if len(chosen.channels) == 1 else _simulate_buses(order)
+
+
+def _fault_file(faults: str | os.PathLike[str]) -> Path:
+    return Path(path_text(faults, "faults", 'simulate(faults="faults.csv")'))
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,10 @@ those signals alone are judged that have one.
 from __future__ import annotations
 
 import filecmp
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
 from types import MappingProxyType
 from typing import TypeAlias
@@ -21,6 +23,7 @@ import numpy.typing as npt
 
 from coulombus.recording.difference import Comparison, Difference, Pair
 from coulombus.recording.signals import Recording, Series, UnknownSignal, read
+from coulombus.rigs.arguments import WrongCall, path_text
 from coulombus.rigs.rig import Rig
 
 __all__ = ["compare"]
@@ -42,7 +45,11 @@ class _Span:
 
 
 def compare(
-    a: str | Path, b: str | Path, *, tolerances: Mapping[str, float] = NO_TOLERANCES, rig: Rig | str | None = None
+    a: str | os.PathLike[str],
+    b: str | os.PathLike[str],
+    *,
+    tolerances: Mapping[str, float] = NO_TOLERANCES,
+    rig: Rig | str | os.PathLike[str] | None = None,
 ) -> Comparison:
     """Compare two recordings.
 
@@ -62,7 +69,11 @@ def compare(
         A tolerance is for no signal of the recordings, and for no unit of theirs.
     coulombus.rigs.rig.RigError, coulombus.recording.pcapng_blocks.PcapngError
         See `read`.
+    coulombus.rigs.arguments.WrongCall
+        An argument is of a type that is not taken.
     """
+    a, b = (path_text(one, name, 'compare("a.pcapng", "b.pcapng")') for name, one in (("a", a), ("b", b)))
+    _check_types(tolerances)
     first, second = read(a, rig), read(b, rig)
     common = [name for name in first.signals if name in second.signals]
     units = {name: first.signals[name].unit for name in common}
@@ -82,6 +93,24 @@ def compare(
     equal = same or (all(one.equal for one in found) and not told and not wanting and not (lengths and not tolerances))
     remarks = (*texts, *_different(first, second), *wanting, *told, *lengths)
     return Comparison(str(a), str(b), same, equal, tuple(found), remarks, MappingProxyType(pairs))
+
+
+def _check_types(tolerances: Mapping[str, float]) -> None:
+    """Refuse what is no mapping of names to numbers."""
+    if isinstance(tolerances, Mapping):
+        wrong = next(((key, one) for key, one in tolerances.items() if not _is_number(one)), None)
+        if wrong is None:
+            return
+        raise WrongCall(f'tolerances[{wrong[0]!r}] is {wrong[1]!r}: expected a number, as in tolerances={{"Nm": 0.1}}')
+    meant = tolerances if _is_number(tolerances) else 0.1
+    raise WrongCall(
+        f"tolerances is {tolerances!r}: expected signals' names or units with a number each, as in "
+        f'tolerances={{"Nm": {meant!r}}}; tolerances={{"": {meant!r}}} is for every signal that has a unit'
+    )
+
+
+def _is_number(one: object) -> bool:
+    return isinstance(one, Real) and not isinstance(one, bool)
 
 
 def _check_tolerances(recording: Recording, tolerances: Mapping[str, float], units: Mapping[str, str]) -> None:

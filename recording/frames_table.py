@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from numbers import Real
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from coulombus.recording.extras import library
 from coulombus.recording.readable import Readable
 from coulombus.recording.samples import Array, Group, groups_of, stretches
+from coulombus.rigs.arguments import WrongCall
 
 if TYPE_CHECKING:
     import pandas
@@ -22,6 +24,8 @@ def _gathered(
     source: Readable, signals: Sequence[str] | None, grid_s: float | None
 ) -> list[tuple[Group, Array, Array, list[Array]]]:
     """Return for each group its rows' places, times [s] and values."""
+    if grid_s is not None and (not isinstance(grid_s, Real) or isinstance(grid_s, bool)):
+        raise WrongCall(f"grid_s is {grid_s!r}: expected a number of seconds, as in grid_s=0.001")
     grid_ns = None if grid_s is None else round(grid_s * 1e9)
     if grid_ns is not None and grid_ns < 1000:
         raise ValueError(f"grid_s is {grid_s}: expected at least 1e-6 s, as in grid_s=0.001")

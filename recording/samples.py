@@ -15,9 +15,10 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.recording.readable import Block, Readable
+from coulombus.rigs.arguments import texts
 from coulombus.rigs.signals import Signal
 
-__all__ = ["GRID", "Column", "Group", "NotNames", "Rows", "Stretch", "groups_of", "stretches"]
+__all__ = ["EXAMPLE", "GRID", "Column", "Group", "Rows", "Stretch", "groups_of", "stretches"]
 
 Array: TypeAlias = npt.NDArray[Any]
 Floats: TypeAlias = npt.NDArray[np.float64]
@@ -25,14 +26,10 @@ Integers: TypeAlias = npt.NDArray[np.int64]
 
 GRID = "signals"
 """The name of the one group that a grid has."""
+EXAMPLE = "motor.position_rad"
+"""A signal, as the messages name one."""
 MOST_ROWS = 1 << 16
 """Of a grid at a time, however fine it is."""
-
-
-class NotNames(TypeError):
-    """A text stands where a list of names is expected; the text says how to call."""
-
-    exit_status = 2
 
 
 @dataclass(frozen=True)
@@ -87,11 +84,10 @@ def groups_of(source: Readable, names: Sequence[str] | None, grid_ns: int | None
     ------
     coulombus.recording.signals.UnknownSignal
         The recording's rig has no such signal.
-    NotNames
-        `names` is one text.
+    coulombus.rigs.arguments.WrongCall
+        `names` is no list of texts.
     """
-    if isinstance(names, str):
-        raise NotNames(f"signals is {names!r}: expected a list of names, as in signals=[{names!r}]")
+    names = None if names is None else texts(names, "signals", EXAMPLE)
     for name in names or ():
         source.signal(name)
     chosen = {

@@ -21,6 +21,7 @@ of that, in a memory that does not grow with the run. `series` gathers single si
 from __future__ import annotations
 
 import difflib
+import os
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -37,6 +38,7 @@ from coulombus.recording.clock import CLOCK, META, attached_object
 from coulombus.recording.log_files import WALL_CLOCK_NS, LogError, is_log, read_log
 from coulombus.recording.pcapng_reader import Capture, iter_pcapng, read_pcapng
 from coulombus.recording.turns import POSITION, Turns, fastest, follow
+from coulombus.rigs.arguments import WrongCall, path_text
 from coulombus.rigs.rig import Rig, RigError, load_rig, load_rig_text
 from coulombus.rigs.signals import RigPdo, Signal
 from coulombus.wire.frame import Records
@@ -248,6 +250,8 @@ class Recording(Source):
 
     def __getitem__(self, name: str) -> Series:
         """Return a signal; `UnknownSignal`, a KeyError, names the nearest ones."""
+        if not isinstance(name, str):
+            raise WrongCall(_one_signal(name))
         if name not in self.signals:
             self.signal(name)
         return self.signals[name]
@@ -285,8 +289,8 @@ class Recording(Source):
         ------
         UnknownSignal
             A signal that the recording does not have.
-        coulombus.recording.samples.NotNames
-            `signals` is one text.
+        coulombus.rigs.arguments.WrongCall
+            `signals` is no list of texts.
         coulombus.recording.extras.MissingExtra
             pandas is not installed.
         """
@@ -314,14 +318,24 @@ class Recording(Source):
         ------
         UnknownSignal
             A signal that the recording does not have.
-        coulombus.recording.samples.NotNames
-            `signals` is one text.
+        coulombus.rigs.arguments.WrongCall
+            `signals` is no list of texts, or `span` no pair of times.
         coulombus.recording.span.SpanError
             There is no frame in the span.
         """
         from coulombus.recording.pictures.plot import plot
 
         return plot(self, signals, span)
+
+
+def _one_signal(name: Any) -> str:
+    """Say how a recording is asked for a signal, where `name` is no name."""
+    several = f"; of several: series(recording, {', '.join(map(repr, name))})" if _are_texts(name) else ""
+    return f"recording[{name!r}]: expected a signal's name, as in recording['motor.position_rad']{several}"
+
+
+def _are_texts(names: Any) -> bool:
+    return isinstance(names, (list, tuple)) and bool(names) and all(isinstance(name, str) for name in names)
 
 
 def _range(values: Array) -> tuple[float, float]:
@@ -385,7 +399,20 @@ def _markers_of(axis: str, rig: Rig, markers: list[tuple[float, str]]) -> list[t
 def series(source: Source, *names: str) -> tuple[Series, ...]:
     """Gather signals on one way through the recording: 16 bytes for each sample, at 1 kHz 16 kB for
     each second of each signal.
+
+    Raises
+    ------
+    UnknownSignal
+        A signal that the recording does not have.
+    coulombus.rigs.arguments.WrongCall
+        `source` is no recording, or a name is no text.
     """
+    if not isinstance(source, Source):
+        raise WrongCall(f"source is {source!r}: expected a recording, as in series(read('run.pcapng'), {names[:1]!r})")
+    if any(not isinstance(name, str) for name in names):
+        listed = names[0] if len(names) == 1 and _are_texts(names[0]) else ("motor.position_rad",)
+        call = ", ".join(map(repr, listed))
+        raise WrongCall(f"the names are {names!r}: expected one text each, as in series(recording, {call})")
     found = [[block[name] for name in names] for block in source]
     return tuple(
         Series(
@@ -395,7 +422,7 @@ def series(source: Source, *names: str) -> tuple[Series, ...]:
     )
 
 
-def read(path: str | Path, rig: Rig | str | None = None) -> Recording:
+def read(path: str | os.PathLike[str], rig: Rig | str | os.PathLike[str] | None = None) -> Recording:
     """Read a recording whole.
 
     Parameters
@@ -413,12 +440,15 @@ def read(path: str | Path, rig: Rig | str | None = None) -> Recording:
         No rig is attached and none is given, or the attached one cannot be read.
     coulombus.recording.pcapng_blocks.PcapngError, coulombus.recording.log_files.LogError
         The file is damaged, or is of another kind.
+    coulombus.rigs.arguments.WrongCall
+        `path` is no file's name, or `rig` is neither a rig nor its name.
     """
+    path = path_text(path, "path", 'read("run.pcapng")')
     capture = next(captures(path)) if is_log(path) else read_pcapng(path)
     return decode(capture, _attached_rig((capture,)) if rig is None else _rig(rig))
 
 
-def blocks(path: str | Path, rig: Rig | str | None = None) -> Blocks:
+def blocks(path: str | os.PathLike[str], rig: Rig | str | os.PathLike[str] | None = None) -> Blocks:
     """Return a recording to go through, as often as needed, in a memory that does not grow with it.
 
     Parameters and errors as `read`.
@@ -426,6 +456,7 @@ def blocks(path: str | Path, rig: Rig | str | None = None) -> Blocks:
     The file is read anew each time: it must stay as it is meanwhile, and a pipe is refused
     (LogError).
     """
+    path = path_text(path, "path", 'blocks("run.pcapng")')
     if Path(path).exists() and not Path(path).is_file() and not Path(path).is_dir():
         raise LogError(f"{path}: it is no file, and a recording is read more than once; save it to a file first")
     return Blocks(str(path), _attached_rig(captures(path)) if rig is None else _rig(rig))
@@ -439,8 +470,8 @@ def captures(path: str | Path) -> Iterator[Capture]:
     return iter_pcapng(path)
 
 
-def _rig(rig: Rig | str) -> Rig:
-    return load_rig(rig) if isinstance(rig, str) else rig
+def _rig(rig: Rig | str | os.PathLike[str]) -> Rig:
+    return rig if isinstance(rig, Rig) else load_rig(rig)
 
 
 def _epoch_ns(frames: Records) -> int:

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
-__all__ = ["SpanError", "parse_span"]
+from contextlib import suppress
+from numbers import Real
+from typing import Any
+
+from coulombus.rigs.arguments import WrongCall
+
+__all__ = ["SpanError", "checked_span", "parse_span"]
 
 
 class SpanError(Exception):
@@ -28,3 +34,26 @@ def parse_span(text: str) -> tuple[float | None, float | None]:
     if not right:
         raise ValueError(f"{text!r}: expected A:B in s, as in 3:5, 2.5: or :10, and B behind A")
     return found
+
+
+def checked_span(span: Any) -> tuple[float | None, float | None]:
+    """Return a part of a recording as a script gives it: two times [s], None for an end that is
+    left open.
+
+    Raises
+    ------
+    coulombus.rigs.arguments.WrongCall
+        It is something else.
+    """
+    if isinstance(span, (tuple, list)) and len(span) == 2 and all(one is None or _is_time(one) for one in span):
+        begin, end = (None if one is None else float(one) for one in span)
+        return begin, end
+    meant: tuple[float | None, float | None] = (3.0, 5.0)
+    if isinstance(span, str):
+        with suppress(ValueError):
+            meant = parse_span(span)
+    raise WrongCall(f"span is {span!r}: expected begin and end in s, as in span={meant!r}; None leaves an end open")
+
+
+def _is_time(one: Any) -> bool:
+    return isinstance(one, Real) and not isinstance(one, bool)

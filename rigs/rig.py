@@ -9,6 +9,7 @@ with ``file:line``, the key, what stands there, what is expected and the nearest
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import resources
@@ -19,6 +20,7 @@ from pydantic import ValidationError
 
 from coulombus.eds.reader import Description
 from coulombus.eds.regular_file import read_regular
+from coulombus.rigs.arguments import WrongCall, path_text, texts
 from coulombus.rigs.axes import check_axes, split_axes
 from coulombus.rigs.axis import Axis, Origin, Sections
 from coulombus.rigs.devices import Device
@@ -249,6 +251,9 @@ class Rig:
 
     def variant(self, *overrides: str) -> Rig:
         """Return the rig with further overrides, as ``--set`` takes them."""
+        wrong = next((one for one in overrides if not isinstance(one, str)), None)
+        if wrong is not None:
+            raise WrongCall(f"{wrong!r} is no override: expected texts, as in variant('mode.active.F_s_Nm=1.0')")
         if not overrides:
             return self
         attached = self.origin.attached
@@ -311,13 +316,13 @@ def known_rigs() -> tuple[str, ...]:
     )
 
 
-def load_rig(name_or_path: str, overrides: Sequence[str] = ()) -> Rig:
+def load_rig(name_or_path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Rig:
     """Load a rig by its name in the package, or from a file (a path has a separator or ends in
     .toml).
 
     Parameters
     ----------
-    name_or_path : str
+    name_or_path : str, os.PathLike
         "bench", "paper", or a path.
     overrides : sequence of str
         "SECTION.KEY=VALUE", a TOML value: "mode.active.F_s_Nm=1.0", "phase.1.duration_s=2" (phases
@@ -327,15 +332,20 @@ def load_rig(name_or_path: str, overrides: Sequence[str] = ()) -> Rig:
     ------
     RigError
         With every mistake that was found.
+    coulombus.rigs.arguments.WrongCall
+        `name_or_path` is neither a name nor a path, or `overrides` no list of texts.
     """
-    path = Path(name_or_path)
-    if not ("/" in name_or_path or name_or_path.endswith(".toml")):
+    if isinstance(name_or_path, Rig):
+        raise WrongCall(f"load_rig() is given the rig {name_or_path.name}, which is loaded already: use it as it is")
+    name = path_text(name_or_path, "the rig", 'load_rig("bench")')
+    overrides, path = texts(overrides, "overrides", "mode.active.F_s_Nm=1.0"), Path(name)
+    if isinstance(name_or_path, str) and not ("/" in name or name.endswith(".toml")):
         known = known_rigs()
-        if name_or_path not in known:
-            hint = nearest(name_or_path, known)
-            wanted = f"expected one of {', '.join(known)}, or a path such as ./{name_or_path or 'my-rig'}.toml"
-            raise RigError([f"--rig {name_or_path}: no rig of this name; {wanted}{hint}"])
-        path = packaged_rig(name_or_path)
+        if name not in known:
+            hint = nearest(name, known)
+            wanted = f"expected one of {', '.join(known)}, or a path such as ./{name or 'my-rig'}.toml"
+            raise RigError([f"--rig {name}: no rig of this name; {wanted}{hint}"])
+        path = packaged_rig(name)
     try:
         raw = read_regular(path, MOST_CHARACTERS)
     except OSError as error:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import logging
 import math
+import os
 import threading
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 from coulombus.recording.signals import signal_of
+from coulombus.rigs.arguments import WrongCall
 from coulombus.rigs.buses import one_bus
 from coulombus.rigs.rig import Rig, load_rig
 from coulombus.scope.live import values_of
@@ -149,7 +151,7 @@ class LiveBus:
             callback._take(t_ns / 1e9, values)
 
 
-def live(bus: str = "bench", rig: str = "bench", channel: str | None = None) -> LiveBus:
+def live(bus: str = "bench", rig: str | os.PathLike[str] = "bench", channel: str | None = None) -> LiveBus:
     """Listen to a bus, and call functions with its signals::
 
         with live("bench") as bus:
@@ -165,6 +167,10 @@ def live(bus: str = "bench", rig: str = "bench", channel: str | None = None) -> 
         There is no such bus.
     coulombus.wire.address.AddressError
         `bus` is no address, or the rig has several buses and `channel` is none of them.
+    coulombus.rigs.arguments.WrongCall
+        `bus` is no text, or `rig` is neither a rig's name nor a path.
     """
+    if not isinstance(bus, str):
+        raise WrongCall(f'bus is {bus!r}: expected a bus\' name or address, as in live("socketcan:can0")')
     found, address = one_bus(load_rig(rig), bus if ":" in bus else f"coulombus:{bus}", channel)
     return LiveBus(Client(address, Hello(Flags.LISTEN_ONLY)), found)

@@ -134,8 +134,12 @@ def diff(
     """
     with errors():
         from coulombus.recording.comparison import compare
-        from coulombus.recording.output_file import new_file
+        from coulombus.recording.output_file import new_file, reason_against
 
+        remedy = "choose another name by -o, or replace it with --force"
+        reason = None if out is None else reason_against(out, force=overwrite, remedy=remedy)
+        if reason is not None:  # before two long recordings are read
+            raise click.UsageError(reason)
         found = compare(a, b, tolerances=tolerances, rig=rig_name)
         if out is not None:
             from coulombus.recording.pictures.differences import draw_differences

@@ -5,6 +5,7 @@ A recording is gone through once, some seconds at a time, so the memory does not
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -24,6 +25,7 @@ from coulombus.recording.export.text_table import CsvWriter
 from coulombus.recording.output_file import new_file
 from coulombus.recording.samples import groups_of, stretches
 from coulombus.recording.signals import blocks, captures
+from coulombus.rigs.arguments import path_text
 from coulombus.rigs.rig import Rig
 
 __all__ = ["FRAMES", "KINDS", "SIGNALS", "Exported", "export"]
@@ -64,13 +66,13 @@ class Exported:
 
 
 def export(
-    path: str | Path,
-    out: str | Path,
+    path: str | os.PathLike[str],
+    out: str | os.PathLike[str],
     kind: str,
     *,
     signals: Sequence[str] | None = None,
     grid_ns: int | None = None,
-    rig: Rig | str | None = None,
+    rig: Rig | str | os.PathLike[str] | None = None,
     force: bool = False,
     progress: Callable[[float], None] = lambda t_s: None,
 ) -> Exported:
@@ -105,7 +107,11 @@ def export(
         A signal that the recording does not have.
     OSError
         The file cannot be written.
+    coulombus.rigs.arguments.WrongCall
+        An argument is of a type that is not taken.
     """
+    call = 'export("run.pcapng", "run.csv", "csv")'
+    path, out = path_text(path, "path", call), path_text(out, "out", call)
     if kind not in KINDS:
         raise ExportError(f"{kind!r}: expected one of {', '.join(KINDS)}")
     if kind in FRAMES:

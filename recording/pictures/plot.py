@@ -16,8 +16,9 @@ import numpy.typing as npt
 
 from coulombus.recording.pictures.style import COLOURS, DASHES, figure
 from coulombus.recording.readable import Readable
-from coulombus.recording.samples import NotNames
-from coulombus.recording.span import SpanError
+from coulombus.recording.samples import EXAMPLE
+from coulombus.recording.span import SpanError, checked_span
+from coulombus.rigs.arguments import texts
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -119,13 +120,12 @@ def traces_of(
     ------
     coulombus.recording.signals.UnknownSignal
         A signal that the recording does not have.
-    coulombus.recording.samples.NotNames
-        `signals` is one text.
+    coulombus.rigs.arguments.WrongCall
+        `signals` is no list of texts, or `span` no pair of times.
     SpanError
         The recording has no frame in the span.
     """
-    if isinstance(signals, str):
-        raise NotNames(f"signals is {signals!r}: expected a list of names, as in signals=[{signals!r}]")
+    signals, span = None if signals is None else texts(signals, "signals", EXAMPLE), checked_span(span)
     found = {signal.name: signal for pdo in source.rig.pdos() for signal in pdo.signals}
     names = [name for name, signal in found.items() if signal.unit] if signals is None else list(signals)
     units = {name: source.signal(name).unit for name in names}

@@ -8,9 +8,9 @@ from coulombus.recording.comparison import compare
 from coulombus.recording.extras import MissingExtra
 from coulombus.recording.pictures.differences import draw_differences
 from coulombus.recording.pictures.plot import BINS, MOST_SAMPLES, Envelope, plot, save_picture, traces_of
-from coulombus.recording.samples import NotNames
 from coulombus.recording.signals import Recording, UnknownSignal, blocks, read
 from coulombus.recording.span import SpanError, parse_span
+from coulombus.rigs.arguments import WrongCall
 
 
 @pytest.fixture(scope="module")
@@ -145,7 +145,7 @@ def test_a_plot_has_a_panel_for_each_unit_and_the_same_bytes_again(recording, tm
 
 
 def test_what_cannot_be_plotted_is_told(recording, tmp_path):
-    with pytest.raises(NotNames, match=r"expected a list of names, as in signals=\['motor.position_rad'\]"):
+    with pytest.raises(WrongCall, match=r"expected a list, as in signals=\['motor.position_rad'\]"):
         recording.plot("motor.position_rad")
     with pytest.raises(UnknownSignal, match=r"there is motor.position_rad"):
         recording.plot(["motor.positon_rad"])

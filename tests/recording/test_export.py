@@ -18,8 +18,8 @@ from coulombus.recording.export.errors import ExportError
 from coulombus.recording.export.export import FRAMES, KINDS, SIGNALS, export
 from coulombus.recording.export.hdf import _Place
 from coulombus.recording.extras import MissingExtra
-from coulombus.recording.samples import NotNames
 from coulombus.recording.signals import Recording, UnknownSignal, read
+from coulombus.rigs.arguments import WrongCall
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 
 LIBRARIES = {"parquet": "pyarrow", "mf4": "asammdf", "mcap": "zstandard", "hdf5": "h5py"}
@@ -253,7 +253,7 @@ def test_an_unknown_signal_is_told_with_the_nearest(source, tmp_path):
 
 
 def test_a_text_where_names_are_meant_is_told(source, tmp_path):
-    with pytest.raises(NotNames, match=r"signals=\['motor.position_rad'\]"):
+    with pytest.raises(WrongCall, match=r"signals=\['motor.position_rad'\]"):
         export(source, tmp_path / "out.csv", "csv", signals="motor.position_rad")
 
 

@@ -1,0 +1,66 @@
+"""What a script hands over, looked at where it comes in: an error names the right call."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from typing import Any
+
+__all__ = ["WrongCall", "path_text", "texts"]
+
+
+class WrongCall(TypeError):
+    """An argument is of a type that the call does not take; the text says how to call."""
+
+    exit_status = 2
+
+
+def path_text(value: Any, name: str, call: str) -> str:
+    """Return a file's name as text.
+
+    Parameters
+    ----------
+    value
+        A text, or any os.PathLike of one.
+    name, call
+        What the argument is called, and the right call: both are told.
+
+    Raises
+    ------
+    WrongCall
+        It is something else.
+    """
+    try:
+        found = os.fspath(value)
+    except TypeError:
+        found = None
+    if isinstance(found, str):
+        return found
+    has = f"; this one's name is its path: {value.path!r}" if isinstance(getattr(value, "path", None), str) else ""
+    raise WrongCall(f"{name} is {value!r}: expected a file's name, as in {call}{has}")
+
+
+def texts(values: Any, name: str, example: str) -> tuple[str, ...]:
+    """Return a list of texts as a tuple.
+
+    Parameters
+    ----------
+    values
+        The list.
+    name, example
+        What the argument is called, and an entry that it could have: both are told.
+
+    Raises
+    ------
+    WrongCall
+        It is one text, no list, or an entry is no text.
+    """
+    if isinstance(values, str):
+        raise WrongCall(f"{name} is {values!r}: expected a list, as in {name}=[{values!r}]")
+    found = tuple(values) if isinstance(values, Iterable) and not isinstance(values, (bytes, dict)) else None
+    if found is None:
+        raise WrongCall(f"{name} is {values!r}: expected a list, as in {name}=[{example!r}]")
+    wrong = next((one for one in found if not isinstance(one, str)), None)
+    if wrong is not None:
+        raise WrongCall(f"{name} has {wrong!r} in it: expected texts alone, as in {name}=[{example!r}]")
+    return found
