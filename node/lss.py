@@ -126,7 +126,8 @@ class Lss:
             return
         if answer is not None:
             ready_ns = t_ns + int(record["processing_ns"])
-            push(out, self._record["station"], ready_ns, CobId.LSS_TX, 8, data_word(answer.ljust(8, b"\0")))
+            word = data_word(answer.ljust(8, b"\0"))
+            push(out, self._record["station"], ready_ns, int(CobId.LSS_TX), 8, word)  # int: not compiled for an enum
         back_to_waiting = content[0] == LssService.SWITCH_STATE_GLOBAL and self.state is LssState.WAITING
         if back_to_waiting and was_unconfigured and self.pending_node_id != UNCONFIGURED:
             self._restart(t_ns, out)

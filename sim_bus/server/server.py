@@ -23,15 +23,20 @@ import numpy as np
 
 from coulombus.compiled.decorator import Entry
 from coulombus.eds.cia301 import CobId, NmtCommand
+from coulombus.eds.cia305 import UNCONFIGURED, LssService, LssState
+from coulombus.node import outbox
 from coulombus.sim_bus.copper.controller import link
-from coulombus.sim_bus.copper.cut import wire_of
+from coulombus.sim_bus.copper.cut import divide, wire_of
+from coulombus.sim_bus.copper.faults import NO_FRAME, fire
+from coulombus.sim_bus.copper.noise import next_noise
 from coulombus.sim_bus.copper.stations import attach, detach
 from coulombus.sim_bus.network.network import VirtualNetwork
 from coulombus.sim_bus.server.beside import Worker
 from coulombus.sim_bus.server.clients import BATCH, MESSAGE_FRAMES, SLOT, SLOTS, STATION, Clients, Need, State
 from coulombus.sim_bus.server.paced import PACE, Serve, serve
 from coulombus.wire.address import BusAddress, BusUnavailable, socket_path
-from coulombus.wire.frame import new_records
+from coulombus.wire.clock import own_ns, to_bus
+from coulombus.wire.frame import data_word, new_records
 from coulombus.wire.hello import MAX_FILTERS, SEND_BUFFER, Answer, Flags, Hello, Status, greet
 from coulombus.wire.mailbox import MAILBOX, ask_for_stamps, set_up
 from coulombus.wire.realtime import RealTime, ask_for_real_time, bus_cpu
@@ -478,16 +483,31 @@ def _warm_up(world: VirtualNetwork) -> None:
     its first call takes a second.
     """
     world.power_on()
-    for device in world.devices:
+    for row, device in enumerate(world.devices):
+        node_id = row + 1 if device.node_id == UNCONFIGURED else device.node_id
+        for request in (
+            (LssService.SWITCH_STATE_GLOBAL, LssState.CONFIGURATION),
+            (LssService.CONFIGURE_NODE_ID, node_id),
+            (LssService.SWITCH_STATE_GLOBAL, LssState.WAITING),
+        ):
+            device.service(0, CobId.LSS_RX, 8, data_word(bytes(request)), world.out)
         rx = CobId.SDO_RX + device.node_id
         # upload and download of 1017h, upload of 6041h, for which what is measured is brought up to
         # date
         for word in (0x0000_0000_0010_1740, 0x0000_0064_0010_172B, 0x0000_0000_0060_4140):
-            device.service(0, rx, 8, word, world._out)
+            device.service(0, rx, 8, word, world.out)
     for row in range(len(world.devices)):
         for command in (NmtCommand.START, NmtCommand.STOP, NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION):
             world.nmt_command(row, command)
         world.power_off(row)
+    bus, out = world.bus[0], world.out
+    rare: list[tuple[Callable[..., Any], tuple[Any, ...]]] = [(divide, (world.bus, out))]  # the cable is cut
+    for record in world.nodes[:1]:
+        rare += [(outbox.put, (record, 0, 0, 0, np.zeros(1, np.int64))), (outbox.forget, (record, 0))]  # SDO blocks
+        rare += [(own_ns, (record, 0)), (to_bus, (record, out, 0))]  # a clock that drifts
+    rare += [(fire, (bus, 0, 0, NO_FRAME)), (next_noise, (bus, 0))]
+    for function, arguments in rare:
+        Entry(function).load(*arguments)
 
 
 @contextmanager
