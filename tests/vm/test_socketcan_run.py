@@ -5,26 +5,21 @@ Slowed down fifty times, as an emulated machine is.
 
 from __future__ import annotations
 
-import json
 import signal
 import struct
 import subprocess
 import threading
 import time
-from contextlib import contextmanager
 
 import pytest
 
 from coulombus.recording.signals import read
-from coulombus.wire.address import parse_address
-from coulombus.wire.client import BusFull, BusUnavailable, Client, pack_frame
-from coulombus.wire.hello import Hello
-from vm_interfaces import INTERFACES, ROOT
-from warm_start import Warm
+from coulombus.wire.client import BusFull, BusUnavailable, pack_frame
+from vm_host import enabled, host, observer, result, until
+from vm_interfaces import INTERFACES
 
 pytestmark = pytest.mark.real_time
 
-PATIENCE_S = 300
 SLOW = (
     *(
         "bus.period_s=0.05",
@@ -47,59 +42,9 @@ def sim(start_sim):
     return start_sim("--mode", "passive", *SETS)
 
 
-@contextmanager
-def host(interface, *arguments, mode="passive", seconds=2.0):
-    process = Warm(
-        [
-            *("run", "--bus", f"socketcan:{interface}", "--mode", mode, "--json"),
-            *("--seconds", str(seconds), *SETS, *map(str, arguments)),
-        ],
-        cwd=ROOT,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        yield process
-    finally:
-        if process.poll() is None:
-            process.kill()
-        process.communicate()
-
-
-def result(process):
-    out, err = process.communicate(timeout=PATIENCE_S)
-    return process.returncode, json.loads(out) if out.strip() else None, err
-
-
-@contextmanager
-def observer(interface):
-    with Client(parse_address(f"socketcan:{interface}"), Hello()) as client:
-        yield client
-
-
-def until(client, condition, run=None):
-    """Read until `condition(can_id, data)` holds for a frame; return its stamp [s].
-
-    A `run` that ends before says what came of it.
-    """
-    deadline = time.monotonic() + PATIENCE_S
-    while time.monotonic() < deadline:
-        assert run is None or run.poll() is None, result(run)
-        client.wait(0.1)
-        for stamp, can_id, length, data in client.receive():
-            if condition(can_id, data[:length]):
-                return stamp * 1e-9
-    raise AssertionError("it did not come")
-
-
-def enabled(can_id, data):
-    return can_id == 0x181 and data[0] & 0x6F == 0x27
-
-
 def test_a_run(sim, interface, tmp_path):
     record = tmp_path / "r.pcapng"
-    with host(interface, "--record", record) as run:
+    with host(interface, *SETS, "--record", record) as run:
         status, data, err = result(run)
     assert status == 0, (err, data and data["trip"])
     assert data["bus"] == f"socketcan:{interface}"
@@ -109,14 +54,14 @@ def test_a_run(sim, interface, tmp_path):
 
 
 def test_no_torque_without_a_switch_or_a_word(sim, interface):
-    with host(interface, mode="active") as run:
+    with host(interface, *SETS, mode="active") as run:
         status, _, err = result(run)
     assert status == 7
     assert "host.deadman" in err
 
 
 def test_the_interface_goes_down_in_mid_run(sim, interface):
-    with observer(interface) as client, host(interface, seconds=60) as run:
+    with observer(interface) as client, host(interface, *SETS, seconds=60) as run:
         until(client, enabled, run)
         try:
             subprocess.run(["ip", "link", "set", interface, "down"], check=True)
@@ -134,7 +79,7 @@ def test_the_host_is_killed_under_a_flood(sim, interface):
     When it dies the nodes say so, and nobody sends SYNC.
     """
     over = threading.Event()
-    with observer(interface) as client, observer(interface) as flooder, host(interface, seconds=60) as run:
+    with observer(interface) as client, observer(interface) as flooder, host(interface, *SETS, seconds=60) as run:
 
         def flood():
             while not over.is_set():
@@ -173,7 +118,7 @@ def test_the_host_is_killed_under_a_flood(sim, interface):
 
 
 def test_it_runs_again_after_all_that(sim, interface):
-    with host(interface, seconds=0.5) as run:
+    with host(interface, *SETS, seconds=0.5) as run:
         status, data, err = result(run)
     assert status == 0, (err, data and data["trip"])
     assert INTERFACES
