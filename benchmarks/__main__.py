@@ -1,7 +1,7 @@
 """`make bench`: the project's figures of speed, each with what it is measured against.
 
 ``python -m benchmarks WHAT`` with one of `virtual`, `first`, `bus`, `nodes`, `eds`, `exports`,
-`network`, `bits`, `loss`, `realtime`, `lost`, `disturbed`, `faulty`; real time is
+`network`, `sweep`, `bits`, `loss`, `realtime`, `lost`, `disturbed`, `faulty`; real time is
 `benchmarks.realtime`.
 
 This machine's clock is not yours: every figure is a ratio (simulated to real time, or to a
@@ -199,6 +199,7 @@ def main() -> None:
             "eds",
             "exports",
             "network",
+            "sweep",
             "bits",
             "loss",
             "realtime",
@@ -247,6 +248,10 @@ def main() -> None:
         from benchmarks.network import network
 
         network(show)
+    if options.what in ("all", "sweep"):
+        from benchmarks.sweep import sweep
+
+        sweep(show)
     if options.what == "lost":
         from benchmarks.realtime import lost
 

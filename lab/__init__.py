@@ -1,1 +1,1 @@
-"""Host and virtual bus together: simulate, replay, demo."""
+"""Host and virtual bus together: simulate, sweep, replay, demo."""

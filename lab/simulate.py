@@ -17,10 +17,12 @@ from coulombus.host.cycle.demand import check_demand
 from coulombus.host.cycle.records import Trip
 from coulombus.host.laws.law_source import law_attachments
 from coulombus.host.run.buses import merged, path_on
-from coulombus.host.run.course import Course
+from coulombus.host.run.course import Course, Figures
 from coulombus.host.run.result import RunResult
 from coulombus.host.setup.bringup import check_plan, release, shut_down
 from coulombus.lab.bringup import switch_on
+from coulombus.recording.in_memory import MeasuredFrames
+from coulombus.recording.measures import Measures, measure
 from coulombus.recording.output_file import check as check_output
 from coulombus.recording.output_file import open_new
 from coulombus.recording.pcapng_blocks import RecordingError
@@ -54,17 +56,20 @@ class _VirtualRun(Course):
         recorder = None
         if order.record is not None:
             recorder = Recorder(order.record, rig, mode, seed, law=law_attachments(rig), force=order.force)
-        on_frames = None if recorder is None else self._write
+        on_frames = None if recorder is None and not order.measured else self._write
         self.world = VirtualRig(
             order.simulated, mode, believed=rig, seed=seed, truth=order.truth is not None, on_frames=on_frames
         )
         super().__init__(self.world.controllers, order.record, order.progress)
         self.recorder = recorder
+        self.measured = MeasuredFrames(rig) if order.measured else None
         if recorder is not None:
             self.world.on_host = self._write_host
         self.injection: Injection | None = None
 
     def _write(self, frames: Records) -> None:
+        if self.measured is not None:
+            self.measured.write(frames)
         self.record(lambda recorder: recorder.write(frames))
 
     def _write_host(self, had: Records, events: Records, sent: Records) -> None:
@@ -117,6 +122,20 @@ class _VirtualRun(Course):
         release(k, world)  # a few milliseconds: the nodes have not missed its heartbeat yet
         shut_down(world)
 
+    def mark(self, t_ns: int, text: str) -> None:
+        """Mark what is recorded or measured at `t_ns`."""
+        if self.measured is not None:
+            self.measured.mark(t_ns, text)
+        super().mark(t_ns, text)
+
+    def figures(self) -> Figures:
+        """Return the display's figures, of the frames in memory where they were kept."""
+        if self.measured is None:
+            return super().figures()
+        if self.enabled_ns is None:
+            return Figures([Measures() for _ in self.k], None)
+        return Figures([measure(one) for one in self.measured.recording().axes], None)
+
     def close(self) -> None:
         """Write what is left and close the recording."""
         self.world.flush()
@@ -156,6 +175,7 @@ def simulate(
     progress: Callable[[float], None] | None = None,
     force: bool = False,
     simulated: Rig | None = None,
+    measured: bool = False,
 ) -> RunResult:
     """Run the rig in virtual time and return what came of it.
 
@@ -175,6 +195,8 @@ def simulate(
     force : replace `record` and `truth` where they exist
     simulated : the rig as it truly is, where the host's `rig` believes something else of it: plant,
         hand and devices are this one's; same buses, same nodes
+    measured : compute the display's figures of the frames in memory, with or without a recording;
+        a file that is recorded beside has then no sum (`RunResult.recording_sha256`)
 
     Raises
     ------
@@ -226,6 +248,7 @@ def simulate(
         faults=wrong,
         progress=progress,
         force=force,
+        measured=measured,
     )
     return _simulate_bus(order) if len(chosen.channels) == 1 else _simulate_buses(order)
 
@@ -249,6 +272,7 @@ class _Order:
     faults: FaultPlan | None
     progress: Callable[[float], None] | None
     force: bool
+    measured: bool
 
     def on(self, channel: str, stop_ns: int | None) -> _Order:
         """Return what that is on one bus, whose host is stopped at `stop_ns`.
@@ -293,7 +317,9 @@ def _simulate_bus(order: _Order) -> RunResult:
     run = _VirtualRun(order)
     try:
         if order.faults is not None:
-            run.injection = Injection(run.world, order.faults, order.seed, run.mark if run.recorder else None)
+            run.injection = Injection(
+                run.world, order.faults, order.seed, run.mark if run.recorder or run.measured else None
+            )
         if order.script is not None:
             order.script(run.world)
         run.course(order.seconds)

@@ -21,10 +21,23 @@ import numpy.typing as npt
 
 from coulombus.recording.signals import Source
 
-__all__ = ["HOLD_LEAD_S", "HOLD_TAIL_S", "STICK_WINDOW_S", "Measures", "PhaseSpan", "measure", "phases", "velocity"]
+__all__ = [
+    "HOLD_LEAD_S",
+    "HOLD_TAIL_S",
+    "MEASURED",
+    "STICK_WINDOW_S",
+    "Measures",
+    "PhaseSpan",
+    "measure",
+    "phases",
+    "velocity",
+]
 
 Floats: TypeAlias = npt.NDArray[np.float64]
 Window: TypeAlias = tuple[float, float]
+
+MEASURED = ("motor.position_rad", "motor.target_torque_Nm", "brake.handle_torque_Nm")
+"""The signals of an axis that figures are computed from."""
 
 HOLD_LEAD_S, HOLD_TAIL_S = 0.8, 0.02
 STICK_WINDOW_S = (0.35, 0.95)

@@ -11,13 +11,14 @@ from pathlib import Path
 from types import MappingProxyType, TracebackType
 
 import numpy as np
+import numpy.typing as npt
 
 from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.recording.trace import NAME, SENT, pack, pack_sent
 from coulombus.rigs.rig import Rig
 from coulombus.wire.frame import Records
 
-__all__ = ["PACED", "Recorder", "project_version"]
+__all__ = ["PACED", "Markers", "Recorder", "project_version"]
 
 NO_LAW: Mapping[str, bytes] = MappingProxyType({})
 """What a bus attaches of the law: nobody asked it for one."""
@@ -37,6 +38,32 @@ def project_version() -> str:
         return version("coulombus")
     except PackageNotFoundError:
         return "0+unknown"
+
+
+class Markers:
+    """Markers that wait for their frames: each becomes the comment of the first one at or after its
+    time.
+    """
+
+    def __init__(self) -> None:
+        self._waiting: list[tuple[int, int, str]] = []
+        self._added = 0
+
+    def add(self, t_ns: int, text: str) -> None:
+        """Take a marker."""
+        heapq.heappush(self._waiting, (t_ns, self._added, text))
+        self._added += 1
+
+    def on(self, stamps: npt.NDArray[np.int64]) -> dict[int, str]:
+        """Return the comments of a batch of frames with these rising stamps, by their rows."""
+        comments: dict[int, str] = {}
+        due = []
+        while self._waiting and self._waiting[0][0] <= stamps[-1]:
+            due.append(heapq.heappop(self._waiting))
+        rows = np.searchsorted(stamps, [t_ns for t_ns, _, _ in due]).tolist()
+        for row, (_, _, text) in zip(rows, due, strict=True):
+            comments[row] = f"{comments[row]}\n{text}" if row in comments else text
+        return comments
 
 
 class Recorder:
@@ -79,8 +106,7 @@ class Recorder:
         self._attachments, self._comment = {**attachments, **more}, comment
         self._started_ns = started_ns
         self._open(path, force=force)
-        self._markers: list[tuple[int, int, str]] = []
-        self._marked = 0
+        self._markers = Markers()
         self._traces = self._sents = 0
         self._own: list[Records] = []
         self._rows: list[Records] = []
@@ -98,19 +124,11 @@ class Recorder:
 
     def mark(self, t_ns: int, text: str) -> None:
         """Let the first frame at or after `t_ns` carry the comment `text`."""
-        heapq.heappush(self._markers, (t_ns, self._marked, text))
-        self._marked += 1
+        self._markers.add(t_ns, text)
 
     def write(self, frames: Records) -> None:
         """Append a batch of frames with rising stamps."""
-        comments: dict[int, str] = {}
-        stamps, due = frames["t_ns"], []
-        while self._markers and self._markers[0][0] <= stamps[-1]:
-            due.append(heapq.heappop(self._markers))
-        rows = np.searchsorted(stamps, [t_ns for t_ns, _, _ in due]).tolist()
-        for row, (_, _, text) in zip(rows, due, strict=True):
-            comments[row] = f"{comments[row]}\n{text}" if row in comments else text
-        self._writer.write(frames, comments)
+        self._writer.write(frames, self._markers.on(frames["t_ns"]))
 
     def trace(self, own: Records, rows: Records, sent: Records | None = None) -> None:
         """Keep what `recording.trace` keeps: whether each frame of the batch just written was none

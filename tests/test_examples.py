@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+from coulombus.lab.sweep.file import read_sweep
+
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 
 
@@ -70,3 +72,8 @@ def test_virtual_network(tmp_path):
     assert out.count("boot-up of node") == 2
     assert "node 2 is of device type 0x00020192" in out
     assert "100 SYNCs, TPDO1 of node 1: 100, of node 2: 100" in out
+
+
+def test_every_sweep_file_can_be_read():
+    found = [read_sweep(path) for path in EXAMPLES.glob("sweep_*.toml")]
+    assert [sweep.runs for sweep in found] == [64]

@@ -32,13 +32,14 @@ from coulombus.verbs.sdo import sdo
 from coulombus.verbs.sim import node_command, sim
 from coulombus.verbs.simulate import demo, simulate_command
 from coulombus.verbs.status import status
+from coulombus.verbs.sweep import sweep_command
 from coulombus.verbs.systemd import systemd
 from coulombus.verbs.tools import tools
 
 __all__ = ["main"]
 
 VERBS = (
-    *(demo, simulate_command, sim, node_command),
+    *(demo, simulate_command, sweep_command, sim, node_command),
     *(run_command, status, stop, mark, watch, hz, pdo, decode, dbc, tools, replay, bridge),
     *(export_command, plot_command, diff),
     *(scan, lss, sdo, nmt),

@@ -23,7 +23,7 @@ from coulombus.rigs.signals import RigPdo, Signal
 from coulombus.rigs.switch import deadman_mask
 from coulombus.wire.frame import Records, new_records
 
-__all__ = ["AXIS", "TRIP_TEXT", "Controller"]
+__all__ = ["AXIS", "COUNTERS", "TRIP_TEXT", "Controller"]
 
 AXIS = np.dtype(
     [
@@ -38,6 +38,12 @@ AXIS = np.dtype(
     align=True,
 )
 """One axis as the kernels take it."""
+
+COUNTERS = (
+    *("lost_pdos", "missed_deadlines", "stray_frames", "malformed_pdos", "clipped_torque", "slowed_torque"),
+    *("limited_by_drive", "clipped_setpoints", "negative_setpoints"),
+)
+"""What `Controller.counters` counts."""
 
 TARGET_TORQUE, MAX_TORQUE = 0x6071, 0x6072
 BRAKE_LAG_S = 0.02
@@ -408,15 +414,4 @@ class Controller:
 
     def counters(self) -> dict[str, int]:
         """Return the cycle's counters."""
-        names = (
-            "lost_pdos",
-            "missed_deadlines",
-            "stray_frames",
-            "malformed_pdos",
-            "clipped_torque",
-            "slowed_torque",
-            "limited_by_drive",
-            "clipped_setpoints",
-            "negative_setpoints",
-        )
-        return {name: int(self.host[name][0]) for name in names}
+        return {name: int(self.host[name][0]) for name in COUNTERS}

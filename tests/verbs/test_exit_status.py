@@ -30,6 +30,7 @@ USAGE, CONFIGURATION, BUS = 2, 3, 4
 BASE = {
     "demo": "demo --virtual --out DIR/out",
     "simulate": "simulate --seconds 0.01",
+    "sweep": "sweep SWEEP -o DIR/sweep",
     "sim": "sim --bus coulombus:none --seconds 0.01",
     "run": "run --bus coulombus:none",
     "stop": "stop --bus coulombus:none",
@@ -175,6 +176,7 @@ def call(tmp_path, private_sockets, monkeypatch):
     with PcapngWriter(tmp_path / "recording.pcapng", attachments={}) as writer:
         writer.write(new_records(FRAME, 3))
     words = {"DIR": tmp_path, "RECORDING": tmp_path / "recording.pcapng", "EDS": ROOT / "eds" / "motor.eds"}
+    words["SWEEP"] = ROOT / "examples" / "sweep_hybrid.toml"
 
     def run(verb, more="", **replaced):
         text = f"{BASE[verb]} {more}"
@@ -241,6 +243,13 @@ def test_a_fault_file_or_script_that_is_none_is_a_configuration_error(call, tmp_
     result = call(verb, f"{option} DIR/file.toml", x=is_a(kind, tmp_path / "file.toml"))
     assert result.exit_code == CONFIGURATION, result.output
     assert "file.toml" in result.output
+
+
+@pytest.mark.parametrize("kind", NO_FILES)
+def test_a_sweep_file_that_is_none_is_a_configuration_error(call, tmp_path, kind):
+    result = call("sweep", SWEEP=is_a(kind, tmp_path / "their.toml"))
+    assert result.exit_code == CONFIGURATION, result.output
+    assert "their.toml" in result.output
 
 
 @pytest.mark.parametrize(("verb", "option", "suffix"), OUTPUTS)
@@ -315,6 +324,11 @@ def test_a_full_disk_is_a_usage_error_before_anything_is_armed(call, words):
             "analyse_map --workers 0",
             "analyse_map --axis x",
             "simulate --mode turbo",
+            "sweep --processes 0",
+            "sweep --keep-recordings some",
+            "sweep --processes 2 --dask tcp://127.0.0.1:1",
+            "sweep -o /dev/null/sweep",
+            "sweep -o /dev/null",
         ),
     ],
 )

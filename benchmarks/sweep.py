@@ -1,0 +1,71 @@
+"""A run of a sweep, set-up and figures included, on one core; and two processes against one.
+
+The reference is the cyclic kernel alone over the same display, which runs in between. CPU time of
+the thread is counted, so that what else the machine does counts little.
+"""
+
+from __future__ import annotations
+
+import statistics
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from coulombus.lab.bringup import switch_on
+from coulombus.lab.sweep.file import read_sweep
+from coulombus.lab.sweep.one_run import Job, carry_out, order_of
+from coulombus.lab.sweep.workers import on_processes
+from coulombus.rigs.rig import load_rig
+from coulombus.sim_bus.network.virtual_rig import VirtualRig
+
+__all__ = ["sweep"]
+
+DISPLAY_S = 13.0
+ROUNDS = 7
+SCALED_RUNS = 120
+FILE = f"""
+seconds = {DISPLAY_S}
+design = "random"
+runs = {SCALED_RUNS}
+[vary]
+operator.inertia_kg_m2 = {{ low = 1e-4, high = 0.02, scale = "log" }}
+plant.coulomb_Nm = {{ low = 0.03, high = 0.09 }}
+[rates]
+still = "hold_counts_p2p <= 2"
+"""
+
+
+def sweep(show: Callable[..., None]) -> None:
+    """Print the figures with `show`."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "sweep.toml"
+        path.write_text(FILE)
+        swept = read_sweep(path)
+    job = Job.of(swept)
+    orders = [order_of(swept, run) for run in range(swept.runs)]
+    world = VirtualRig(load_rig("bench"), "hybrid")
+    switch_on(world)
+    world.start_host()
+    world.wait_ns(2_000_000_000)
+    carry_out(job, orders[0])
+    runs, cycles = [], []
+    for k in range(ROUNDS):
+        runs.append(carry_out(job, orders[k]).cpu_s)
+        begin = time.thread_time()
+        world.wait_ns(round(DISPLAY_S * 1e9))
+        cycles.append(time.thread_time() - begin)
+    run_s, cycles_s = statistics.median(runs), statistics.median(cycles)
+    show(f"a run of {DISPLAY_S:g} s in a sweep, set-up and figures included", f"{DISPLAY_S / run_s:.0f} x", "600 x")
+    show("... as a multiple of its cycles alone", f"{run_s / cycles_s:.1f} x")
+    one, two = (_lasting(job, orders, count) for count in (1, 2))
+    show(f"{SCALED_RUNS} runs by two processes against one", f"{one / two:.2f} x", "1.9 x on two idle cores")
+
+
+def _lasting(job: Job, orders: list, count: int) -> float:
+    """Return how long the runs take once the processes have all begun [s]."""
+    begin = None
+    for done in on_processes(job, orders, count):
+        begin = begin if begin is not None else time.perf_counter()
+        assert done.row["error"] is None
+    return time.perf_counter() - (begin or 0.0)

@@ -1,0 +1,163 @@
+"""One run of a sweep: a rig with its values, simulated, as a row of the table.
+
+`carry_out` needs nothing but its arguments, and nothing it does depends on what was run before: a
+worker of any kind, on any machine, comes to the same row (on processors for which LLVM emits the
+same instructions).
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+from coulombus.host.run.result import RunResult
+from coulombus.lab.simulate import simulate
+from coulombus.lab.sweep.expressions import Condition
+from coulombus.lab.sweep.figures import Value, figures_of, known_figures
+from coulombus.lab.sweep.file import Sweep
+from coulombus.lab.sweep.points import seed_of
+from coulombus.lab.sweep.ranges import Vary
+from coulombus.rigs.rig import Rig
+
+__all__ = ["KEEP", "Done", "Job", "Keep", "Order", "carry_out", "failed_row", "order_of", "warm_up"]
+
+Keep: TypeAlias = Literal["none", "failing", "all"]
+KEEP: tuple[Keep, ...] = ("none", "failing", "all")
+
+TRIPPED = "trip: "
+
+
+@dataclass(frozen=True)
+class Job:
+    """What all runs of a sweep have in common."""
+
+    rig: Rig
+    seconds: float | None
+    vary: tuple[Vary, ...]
+    rates: Mapping[str, Condition]
+    keep: Keep = "none"
+
+    @classmethod
+    def of(cls, sweep: Sweep, keep: Keep = "none") -> Job:
+        """Return the job of a sweep."""
+        return cls(sweep.rig, sweep.seconds, sweep.vary, sweep.rates, keep)
+
+
+@dataclass(frozen=True)
+class Order:
+    """What is asked of one run."""
+
+    run: int
+    point: int
+    mode: str
+    seed: int
+    values: tuple[Any, ...]
+
+
+@dataclass(frozen=True)
+class Done:
+    """What came of a run.
+
+    Attributes
+    ----------
+    row : the table's
+    simulated_s, cpu_s : what was displayed, and what that took of one core, all set-up included
+    recording : its bytes, where it is kept
+    """
+
+    row: dict[str, Any]
+    simulated_s: float = 0.0
+    cpu_s: float = 0.0
+    recording: bytes | None = None
+
+
+def order_of(sweep: Sweep, run: int) -> Order:
+    """Return run number `run`: all modes of the first point, of the second ..."""
+    point, mode = divmod(run, len(sweep.modes))
+    return Order(run, point, sweep.modes[mode], seed_of(sweep.seed, point), sweep.points[point])
+
+
+def carry_out(job: Job, order: Order) -> Done:
+    """Simulate one run and return what came of it.
+
+    Whatever goes wrong with the run - a rig that is refused, a trip, a mistake of this program - is
+    the row's ``error``.
+
+    Raises
+    ------
+    OSError
+        its recording cannot be written
+    """
+    began = time.thread_time()
+    rig, result, error = _simulated(job, order)
+    figures: Mapping[str, Value] = dict.fromkeys(known_figures(job.rig))
+    if result is not None and rig is not None:
+        figures = figures_of(result, rig)
+        error = None if result.trip is None else TRIPPED + result.trip
+    row = {
+        **_head(job, order, error),
+        **figures,
+        **{f"rates.{name}": condition.holds(figures) for name, condition in job.rates.items()},
+        "rig": None if rig is None else rig.effective(),
+        "recording": None,
+    }
+    simulated_s = 0.0 if result is None else result.cycles * result.period_ns * 1e-9
+    cpu_s = time.thread_time() - began
+    failing = error is not None or not all(row[f"rates.{name}"] for name in job.rates)
+    recording = None
+    if rig is not None and result is not None and (job.keep == "all" or (job.keep == "failing" and failing)):
+        recording = _recorded(rig, order, _seconds(job, rig))
+    return Done(row, simulated_s, cpu_s, recording)
+
+
+def failed_row(job: Job, order: Order, error: str) -> dict[str, Any]:
+    """Return the row of a run of which nothing is known but why."""
+    return {
+        **_head(job, order, error),
+        **dict.fromkeys(known_figures(job.rig)),
+        **{f"rates.{name}": False for name in job.rates},
+        "rig": None,
+        "recording": None,
+    }
+
+
+def _head(job: Job, order: Order, error: str | None) -> dict[str, Any]:
+    values = dict(zip((one.key for one in job.vary), order.values, strict=True))
+    return {"run": order.run, "point": order.point, "mode": order.mode, "seed": order.seed, **values, "error": error}
+
+
+def _seconds(job: Job, rig: Rig) -> float:
+    return rig.schedule_s if job.seconds is None else job.seconds
+
+
+def _simulated(job: Job, order: Order) -> tuple[Rig | None, RunResult | None, str | None]:
+    """Return the rig, where it is one, what was simulated of it, and why it was not."""
+    rig = None
+    try:
+        rig = job.rig.variant(*(one.override(value) for one, value in zip(job.vary, order.values, strict=True)))
+        return rig, simulate(rig, order.mode, _seconds(job, rig), seed=order.seed, measured=True), None
+    except Exception as error:  # none of them ends the other runs
+        known = getattr(error, "exit_status", None) is not None
+        return rig, None, f"refused: {error}" if known else f"{type(error).__name__}: {error}"
+
+
+def _recorded(rig: Rig, order: Order, seconds: float) -> bytes:
+    """Return the recording of a run, which is run once more for it."""
+    with tempfile.TemporaryDirectory(prefix="coulombus-sweep-") as folder:
+        path = Path(folder) / "run.pcapng"
+        simulate(rig, order.mode, seconds, seed=order.seed, record=path, measured=True)
+        return path.read_bytes()
+
+
+def warm_up(job: Job) -> None:
+    """Load, or compile, what a run needs, so that no run pays for it; a rig that is refused says so
+    in its runs.
+    """
+    _simulated(
+        Job(job.rig, 1e-3, (), {}),
+        Order(0, 0, job.rig.modes[-1], 0, ()),
+    )

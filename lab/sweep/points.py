@@ -1,0 +1,56 @@
+"""The points of a sweep: which value each varied key has in each of them.
+
+Every design is a table of numbers from 0 to 1, a row for each point, made of the seed alone:
+
+- ``random``: independent and uniform; more runs add points, and change none.
+- ``latin_hypercube``: each key has one value in each of n equal parts of its range (McKay,
+  Beckman, Conover 1979, doi:10.2307/1268522).
+- ``sobol``: the low-discrepancy sequence (Joe, Kuo 2008, doi:10.1137/070709359), moved by one
+  random shift modulo 1 (Cranley, Patterson 1976, doi:10.1137/0713071); a power of 2 spreads best.
+
+A grid has every combination; its last key varies fastest.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from coulombus.lab.sweep.ranges import Vary
+
+__all__ = ["points", "seed_of"]
+
+Floats: TypeAlias = npt.NDArray[np.float64]
+
+
+def seed_of(seed: int, point: int) -> int:
+    """Return the seed of the simulations of a point."""
+    return int(np.random.SeedSequence([seed, point]).generate_state(1)[0])
+
+
+def points(design: str, vary: Sequence[Vary], runs: int, seed: int) -> list[tuple[Any, ...]]:
+    """Return the values of the keys `vary` in each point; of a grid all of them, of any other design
+    `runs`.
+    """
+    if design == "grid":
+        return list(itertools.product(*(one.grid() for one in vary)))
+    unit = _unit(design, runs, len(vary), seed)
+    return [tuple(one.at(float(u)) for one, u in zip(vary, row, strict=True)) for row in unit]
+
+
+def _unit(design: str, count: int, keys: int, seed: int) -> Floats:
+    """Return the design as numbers from 0 to below 1, shaped (`count`, `keys`)."""
+    random = np.random.default_rng(np.random.SeedSequence([seed, len(design)]))
+    if design == "random" or keys == 0:
+        return random.random((count, keys))
+    if design == "latin_hypercube":
+        columns = [(random.permutation(count) + random.random(count)) / count for _ in range(keys)]
+        return np.minimum(np.stack(columns, axis=1), np.nextafter(1.0, 0.0))
+    from scipy.stats import qmc  # takes half a second to load
+
+    sequence: Floats = qmc.Sobol(keys, scramble=False).random_base2(max(count - 1, 0).bit_length())
+    return (sequence[:count] + random.random(keys)) % 1.0
