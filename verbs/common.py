@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import signal
 import sys
 import textwrap
 import traceback
@@ -19,7 +20,7 @@ import click
 
 from coulombus.recording.output_file import is_stream, reason_against
 from coulombus.verbs.exit_status import FAULT, STATUSES
-from coulombus.wire.stopping import Stopped, as_exceptions, status_of
+from coulombus.wire.stopping import Stopped, as_exceptions, raised, status_of, told
 from coulombus.wire.verdict import abandon_stdout, printed, say, verdict
 
 if TYPE_CHECKING:
@@ -141,8 +142,10 @@ class Verbs(click.Group):
             except Stopped as stopped:
                 raise Failure(f"ended by {stopped}", status_of(stopped.number)) from None
             except KeyboardInterrupt:
-                raise Failure("interrupted", 130) from None
+                raise _by_signal(signal.SIGINT) from None
         except Failure as failure:
+            if failure.status == FAULT and raised():  # what became of the signal's own exception
+                failure = _by_signal(raised())
             tell(str(failure), failure.status)
             _end(failure)
         except click.ClickException as error:
@@ -193,6 +196,10 @@ def _failure(error: Exception) -> Failure:
     if isinstance(error, OSError):  # a file that cannot be read or written
         return Failure(f"{error.filename}: {error.strerror}" if error.filename else str(error), 2)
     return Failure(f"a mistake of this program, please report it: {type(error).__name__}: {error}", FAULT)
+
+
+def _by_signal(number: int) -> Failure:
+    return Failure(told(number), status_of(number))
 
 
 def _end(failure: Failure) -> NoReturn:

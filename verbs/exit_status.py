@@ -32,7 +32,7 @@ STATUSES: Mapping[int, str] = MappingProxyType(
         7: "safety: arming refused, or a trip led to the safe state (as when a recording can go on no more)",
         8: "deadlines or frames lost beyond the limit",
         FAULT: "a mistake of this program, told with a traceback: please report it",
-        129: "the terminal was closed (SIGHUP); `sim`, `node`, `watch` and `bridge` end with 0 by any of these signals",
+        129: "the terminal was closed (SIGHUP); `sim`, `node`, `watch` and `bridge` end with 0 by any of these signals once they run",
         130: "interrupted by Ctrl-C (SIGINT)",
         131: "interrupted by Ctrl-Backslash (SIGQUIT)",
         143: "terminated (SIGTERM)",

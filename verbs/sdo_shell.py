@@ -22,7 +22,7 @@ from coulombus.host.errors import HostError
 from coulombus.verbs.common import printable, say
 from coulombus.wire.address import BusUnavailable
 from coulombus.wire.bus_link import BusLink
-from coulombus.wire.stopping import Stopped
+from coulombus.wire.stopping import Stopped, forget
 
 __all__ = ["Shell", "run"]
 
@@ -144,6 +144,7 @@ class Shell(cmd.Cmd):
         except KeyboardInterrupt:
             if not self.interactive:
                 raise
+            forget()
             say("interrupted")
         return False
 
@@ -208,6 +209,7 @@ def run(shell: Shell) -> None:
             except Stopped:
                 raise
             except KeyboardInterrupt:  # at the prompt: the line is thrown away
+                forget()
                 click.echo()
     finally:
         write()

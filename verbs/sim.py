@@ -123,8 +123,8 @@ def sim(
 
     One process is bus, motor drive, MR brake, mechanics and the operator's hand. Clients attach
     with --bus (coulombus run, watch), as python-can interface "coulombus" (can_logger -i coulombus
-    -c bench), or on the SocketCAN interface. Prints one line when the bus is ready; ends with 0 on
-    Ctrl-C, SIGTERM, SIGHUP and SIGQUIT.
+    -c bench), or on the SocketCAN interface. Prints one line when the bus is ready; from
+    then on Ctrl-C, SIGTERM, SIGHUP and SIGQUIT end it with 0.
 
     \b
     Examples:

@@ -13,20 +13,37 @@ from __future__ import annotations
 import os
 import select
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
-from typing import Any, Self, TypeAlias
+from typing import Any, NoReturn, Self, TypeAlias
 
-__all__ = ["SIGNALS", "Signals", "StopSignals", "Stopped", "as_exceptions", "ignore", "status_of", "taken"]
+__all__ = [
+    "SIGNALS",
+    "Signals",
+    "StopSignals",
+    "Stopped",
+    "as_exceptions",
+    "at_once",
+    "end_at_once",
+    "forget",
+    "ignore",
+    "raised",
+    "status_of",
+    "taken",
+    "told",
+]
 
 SIGNALS: tuple[int, ...] = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 AGAIN_S = 1.0
 """A terminal that is closed sends SIGHUP by the shell and by the
 kernel: what comes so soon after the first one is the same wish.
 """
+
+SOON_S = 1e-3
 
 Handler: TypeAlias = Callable[[int, FrameType | None], None]
 
@@ -76,32 +93,108 @@ def taken(handler: Handler) -> Iterator[None]:
             signal.signal(number, signal.SIG_DFL if previous is None else previous)
 
 
+def told(number: int, when: str = "") -> str:
+    """Return how a verb tells that a signal has ended it."""
+    return "interrupted" if number == signal.SIGINT and not when else f"ended by {Stopped(number, when)}"
+
+
+def end_at_once(number: int, when: str = "") -> NoReturn:
+    """End the process by a signal's status and one line, whatever it does: for a handler, while
+    there is nothing yet to clean up.
+    """
+    with suppress(OSError):
+        os.write(2, f"coulombus: {told(number, when)}\n".encode())
+    os._exit(status_of(number))
+
+
+def at_once() -> None:
+    """Let each stop signal end the process at once, as long as nobody else takes it: an exception
+    in the midst of an import may be lost, or become another one.
+    """
+    for number in SIGNALS:
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, _at_once)
+
+
+def _at_once(number: int, frame: FrameType | None) -> NoReturn:
+    end_at_once(number)
+
+
+_raised = 0
+
+
+def raised() -> int:
+    """Return the signal that was raised last in this verb; 0: none, or nobody asks any more
+    (`forget`).
+
+    An exception that comes behind it may be what became of it: an import that it interrupts in C,
+    or a module that it left half made, fails in any way.
+    """
+    return _raised
+
+
+def forget() -> None:
+    """Go on behind a signal: it was meant for something else than the verb."""
+    global _raised
+    _raised = 0
+
+
+def _noted(number: int, when: str = "") -> KeyboardInterrupt:
+    """Return the exception of a signal that is raised now."""
+    global _raised
+    _raised = number
+    return KeyboardInterrupt() if number == signal.SIGINT and not when else Stopped(number, when)
+
+
 @contextmanager
 def as_exceptions() -> Iterator[None]:
-    """Let SIGTERM, SIGHUP and SIGQUIT raise `Stopped`, as SIGINT raises
-    KeyboardInterrupt; in other threads than the main one: nothing.
+    """Let SIGTERM, SIGHUP and SIGQUIT raise `Stopped`, and SIGINT KeyboardInterrupt; in other
+    threads than the main one: nothing.
+
+    Where Python cannot raise it, as in the call-back of a weak reference, it is raised soon
+    afterwards.
     """
-    last_s = -AGAIN_S
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    forget()
+    last_s, last = -AGAIN_S, KeyboardInterrupt()
 
     def stop(number: int, frame: FrameType | None) -> None:
-        nonlocal last_s
+        nonlocal last_s, last
         now = time.monotonic()
-        if now - last_s < AGAIN_S:
-            return
-        last_s = now
-        raise Stopped(number)
+        if number != signal.SIGINT:
+            if now - last_s < AGAIN_S:
+                return
+            last_s = now
+        last = _noted(number)
+        raise last
 
-    wanted: list[int] = []
+    def again(number: int, frame: FrameType | None) -> None:
+        nonlocal last
+        if _raised:
+            last = _noted(_raised)
+            raise last
+
+    def lost(unraisable: Any) -> None:
+        if unraisable.exc_value is last:
+            signal.setitimer(signal.ITIMER_REAL, SOON_S)
+        else:
+            hook(unraisable)
+
+    before: dict[int, Any] = {}
+    hook, sys.unraisablehook = sys.unraisablehook, lost
     try:
-        if threading.current_thread() is threading.main_thread():
-            for number in SIGNALS[1:]:
-                if signal.getsignal(number) is signal.SIG_DFL:
-                    wanted.append(number)
-                    signal.signal(number, stop)
+        for number in SIGNALS:
+            if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler, _at_once):
+                before[number] = signal.signal(number, stop)
+        before[signal.SIGALRM] = signal.signal(signal.SIGALRM, again)
         yield
     finally:
-        for number in wanted:
-            signal.signal(number, signal.SIG_DFL)
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        sys.unraisablehook = hook
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 class _First:
@@ -149,7 +242,7 @@ class Signals(_First):
     def stop(self) -> None:
         """Raise `Stopped` for the signal that has come, if one has."""
         if self.number:
-            raise Stopped(self.number, "before the run had begun")
+            raise _noted(self.number, "before the run had begun")
 
     def defer(self) -> None:
         """Let the course of the run look at `number` from now on, and end safely."""

@@ -135,7 +135,9 @@ def _loaded(count: int, folder: str) -> Iterator[None]:
     try:
         for number in range(count):
             words = _module("load", str(os.getpid()), str(number), folder)
-            started.append(subprocess.Popen(words, stdin=subprocess.DEVNULL, env=_environment()))
+            started.append(
+                subprocess.Popen(words, stdin=subprocess.DEVNULL, env=_environment(), start_new_session=True)
+            )
         yield
     finally:
         for one in started:
@@ -154,6 +156,7 @@ def _ran(words: Sequence[str], seconds: float, tick: Callable[[float], None]) ->
             stdout=out,
             stderr=err,
             env=_environment(),
+            start_new_session=True,  # the terminal's Ctrl-C is the parent's
             preexec_fn=lambda: die_with_parent(parent),
         )
         try:

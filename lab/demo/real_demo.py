@@ -42,7 +42,7 @@ class SimProcess:
     """
 
     def __init__(self, rig: str, address: BusAddress, mode: str, seed: int, overrides: Sequence[str]) -> None:
-        self.address = address
+        self.address, self._ready = address, False
         root = str(Path(__file__).parents[__name__.count(".")])
         path = os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH"))))
         sets = [part for override in overrides for part in ("--set", override)]
@@ -65,6 +65,7 @@ class SimProcess:
         assert self.process.stdout is not None
         if json.loads(self.process.stdout.readline() or "{}").get("event") != "ready":
             raise SimDied(f"coulombus sim on {self.address} ended with status {self.process.wait()}")
+        self._ready = True
 
     def __enter__(self) -> SimProcess:
         return self
@@ -72,7 +73,7 @@ class SimProcess:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.process.send_signal(signal.SIGTERM)
+        self.process.send_signal(signal.SIGTERM if self._ready else signal.SIGKILL)  # before, it would tell of it
         try:
             self.process.communicate(timeout=END_TIMEOUT_S)
         except subprocess.TimeoutExpired:

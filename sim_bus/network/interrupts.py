@@ -29,7 +29,7 @@ class InterruptsHeld:
 
     def __enter__(self) -> InterruptsHeld:
         if threading.current_thread() is threading.main_thread():
-            for number in SIGNALS:
+            for number in (*SIGNALS, signal.SIGALRM):  # which brings back one that Python has lost
                 before = signal.getsignal(number)
                 if callable(before):
                     self._before[number] = before

@@ -5,7 +5,6 @@ told and when.
 from __future__ import annotations
 
 import json
-import os
 import threading
 from collections.abc import Callable
 from dataclasses import asdict
@@ -14,7 +13,7 @@ from types import FrameType
 from coulombus.sim_bus.faults.lines import injected_lines
 from coulombus.sim_bus.server.server import BusServer, SimResult
 from coulombus.wire.notify import Notifier
-from coulombus.wire.stopping import taken
+from coulombus.wire.stopping import end_at_once, taken
 from coulombus.wire.verdict import printed, say, verdict
 
 __all__ = ["PRIORITY", "run_sim"]
@@ -38,7 +37,7 @@ def run_sim(
 
     A compiled loop does not see a signal, so it runs in a thread of its own and the main thread's
     handlers stop it. Until `make` has made the server (the first time it compiles for half a
-    minute) a signal ends the process at once: an exception might be swallowed by whatever it
+    minute) a signal ends the process at once, by its own status: an exception might be swallowed by whatever it
     interrupts, and there is nothing to clean up yet. `tell_ready` is called before the nodes are
     switched on; by default it tells of a bus.
     """
@@ -62,7 +61,7 @@ def run_sim(
 
     def on_signal(number: int, frame: FrameType | None) -> None:
         if not made:
-            os._exit(0)
+            end_at_once(number, "before the bus was ready")
         made[0].stop()
 
     try:
