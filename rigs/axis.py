@@ -210,15 +210,16 @@ class Axis(Sections):
     def mistake(self, key: str, expected: str) -> RigError:
         """Return the error that says where `key` stands, what stands there, and what was
         `expected`, for later checks.
+
+        A law's parameter may stand nowhere: then it has its default.
         """
         path: Key = tuple(key.split("."))
         source = self.origin.source(self.name)
         value: Any = self.model_dump(by_alias=True)
         for part in path:
-            value = value[part]
-        place = source.where(path)[1]
-        stands = f"{place}: {source.spelled(path)}: got '{shown(value)}', expected {source.said(expected)}"
-        return RigError([stands])
+            value = value.get(part, {}) if isinstance(value, dict) else value[part]
+        got = "by default" if value == {} else f"got '{shown(value)}'"
+        return RigError([f"{source.where(path)[1]}: {source.spelled(path)}: {got}, expected {source.said(expected)}"])
 
     def _identity(self) -> tuple[Any, ...]:
         values = tuple(getattr(self, key) for key in Sections.model_fields)

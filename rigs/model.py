@@ -172,12 +172,24 @@ class Mechanics(Section):
 
 
 class Law(Section):
-    """[law]: the friction law and its options."""
+    """[law]: the friction law and its options, and the tables of the laws' named parameters.
+
+    What stands in [law.NAME] is known to the law alone, which may be one of the user's own: the
+    host looks at it (`host.laws.parameters`).
+    """
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, dict[str, Any]] = Field(init=False)
+
+    @property
+    def tables(self) -> dict[str, dict[str, Any]]:
+        """The tables [law.NAME], as they stand in the file."""
+        return dict(self.__pydantic_extra__ or {})
 
     function: str = Field(
         pattern=LAW,
         description="the compiled friction law",
-        json_schema_extra={"expected": '"coulomb", "karnopp", "file.py:function" or "module:function"'},
+        json_schema_extra={"expected": 'a law of the project, as "karnopp", "file.py:function" or "module:function"'},
     )
     stick_entry: Literal["continuous", "paper"] = Field(
         "continuous", description="where x_stuck is set on entry to stick"

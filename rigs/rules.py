@@ -19,8 +19,8 @@ from coulombus.rigs.toml_lines import Key, Table
 __all__ = ["check", "check_roles", "remarks"]
 
 INT16_MAX = 32767
-WITHOUT_F_S = ("coulomb",)
-"""The project's laws that do not use F_s: what it is does not matter."""
+WITH_F_S = "karnopp"
+"""The project's law that uses the mode's F_s; a user's own law (FILE:NAME) may."""
 NODES = ("host", "motor", "brake")
 SIMULATION = ("plant", "operator")
 """Sections of a rig that is simulated; the host needs none of them."""
@@ -55,7 +55,7 @@ def _at_most(first: float, second: float) -> bool:
 
 
 def _at_most_of_law(first: float, second: float, law: str) -> bool:
-    return law.strip() in WITHOUT_F_S or first <= second
+    return (law.strip() != WITH_F_S and ":" not in law) or first <= second
 
 
 def _zero(value: float) -> bool:

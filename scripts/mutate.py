@@ -56,7 +56,8 @@ TARGETS = {
     ),
     "host/cycle/axes.py": Target(("test_host_axes",)),
     "eds/description.py": Target(("test_eds_reader",), ("Variable.admits", "Variable.largest")),
-    "host/laws/laws.py": Target(("test_law_edges",), ("karnopp", "coulomb")),
+    "host/laws/karnopp.py": Target(("test_law_edges",), ("karnopp",)),
+    "host/laws/coulomb.py": Target(("test_law_edges",), ("coulomb",)),
     "host/cycle/controller.py": Target(
         ("test_host_control", "test_host_roles"),
         ("_cycles", "Controller._new_control", "Controller.motor_limit_raw", "Controller.start", "Controller.stop"),

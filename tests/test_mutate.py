@@ -105,7 +105,7 @@ def test_a_sample_is_run_against_the_tests_of_its_module_and_found_again(tmp_pat
         sys.executable,
         SCRIPTS / "mutate.py",
         "--module",
-        "host/laws/laws.py",
+        "host/laws/karnopp.py",
         "--sample",
         "4",
         "--results",
@@ -114,5 +114,5 @@ def test_a_sample_is_run_against_the_tests_of_its_module_and_found_again(tmp_pat
     for _ in range(2):
         done = subprocess.run(command, capture_output=True, text=True, timeout=300, env={**os.environ})
         assert done.returncode == 0, done.stdout + done.stderr
-        assert "| `host/laws/laws.py` | 4 |" in done.stdout
+        assert "| `host/laws/karnopp.py` | 4 |" in done.stdout
         assert 1 <= len(results.read_text().splitlines()) <= 4

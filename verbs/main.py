@@ -18,6 +18,7 @@ from coulombus.verbs.eds_verb import eds
 from coulombus.verbs.export import export_command
 from coulombus.verbs.hz import hz, pdo
 from coulombus.verbs.init import init
+from coulombus.verbs.law import law
 from coulombus.verbs.look import dbc, decode, watch
 from coulombus.verbs.lss import lss
 from coulombus.verbs.mark import mark
@@ -44,7 +45,7 @@ VERBS = (
     *(export_command, plot_command, diff),
     *(scan, lss, sdo, nmt),
     *(init, doctor, systemd, check, measure, plan_command, commission),
-    *(eds, conformance, analyse, identify_command),
+    *(eds, conformance, analyse, identify_command, law),
 )
 
 

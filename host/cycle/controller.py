@@ -15,7 +15,8 @@ from coulombus.eds.own_devices import is_own, told_identity
 from coulombus.eds.pdo import fill
 from coulombus.host.cycle.demand import brake_end_Nm, brake_limit_raw
 from coulombus.host.cycle.records import CONTROL, DRIVE_PDOS, HOST, Image, Phase, SignResult, Trip
-from coulombus.host.laws.laws import LAW, LAW_STATE, MOTION, OWN_LAWS, LawError, load_law
+from coulombus.host.laws.laws import LAW, LAW_STATE, MOTION, OWN_LAWS, LawError, load_declared
+from coulombus.host.laws.parameters import axis_parameters
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.guarding import beats, is_guarded
 from coulombus.rigs.model import MOST_DEVICES
@@ -149,12 +150,16 @@ class Controller:
             wanted = f"{' or '.join(OWN_LAWS)}: any other law that only a recording names is a stranger's program, and is not run"
             raise axis.mistake("law.function", f"{wanted}; if you trust it, name it yourself: --law FILE.py:FUNCTION")
         try:
-            self.law_function: Any = load_law(axis.law.function, axis.law_directory)
+            loaded = load_declared(axis.law.function.strip(), axis.law_directory)
         except LawError as error:
             raise axis.mistake("law.function", f"a friction law; {error}") from error
+        self.law_function: Any = loaded.pointer
+        parameters = axis_parameters(axis, loaded.declaration)
         self.records = new_records(AXIS)
         self.motion["dt_s"] = axis.bus.period_s
         self.law[:] = self._new_law()
+        if loaded.declaration is not None and parameters is not None:
+            loaded.declaration.fill(self.law[0], parameters)
         pdos = axis.pdos()
         self.rpdos[:] = self._new_pdos([pdo for pdo in pdos if pdo.layout.direction == "rpdo"])
         self.tpdos[:] = self._new_pdos([pdo for pdo in pdos if pdo.layout.direction == "tpdo"])

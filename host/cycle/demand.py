@@ -1,8 +1,8 @@
 """What a law asks of motor and brake at most, held against what they can show: a law that a limit
 cuts off is refused before it is armed.
 
-Of the project's own laws the largest outputs follow from the mode's parameters
-(`host.laws.laws.OWN_LAWS`). Those of a law of the user's own are not known before it runs; what is
+Of the project's own laws the largest outputs follow from their parameters
+(`host.laws.law.Declaration.extremes`). Those of a law of the user's own are not known before it runs; what is
 cut off then is counted in every cycle (``clipped_torque``, ``clipped_setpoints``) and told at the
 end of the run.
 """
@@ -13,15 +13,15 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from coulombus.host.laws.laws import OWN_LAWS
+from coulombus.host.laws.parameters import axis_parameters
 from coulombus.rigs.axis import Axis
-from coulombus.rigs.model import Mode
 from coulombus.rigs.rig import Rig, RigError
 
 __all__ = ["brake_end_Nm", "brake_limit_raw", "check_demand", "cut_off"]
 
 
 class Demand(NamedTuple):
-    """One extreme of a law: the key of the mode that makes it, and its size [Nm]."""
+    """One extreme of a law: the key of the rig file that makes it, and its size [Nm]."""
 
     key: str
     torque_Nm: float
@@ -57,16 +57,16 @@ def _motor(axis: Axis, mode: str) -> Iterator[RigError]:
     """
     chosen, scale = axis.mode[mode], _scale(axis, "motor.target_torque_Nm")
     compensation = chosen.compensation * axis.mechanics.friction_Nm
-    wanted = [Demand("compensation", compensation)]
+    wanted = [Demand(f"mode.{mode}.compensation", compensation)]
     if mode == "active":  # in slip the compensation takes its share off
-        law = _law(axis, chosen)
-        wanted = [Demand(key, Nm - compensation if key == "F_d_Nm" else Nm) for key, Nm in law] + wanted
+        slip = f"mode.{mode}.F_d_Nm"
+        wanted = [Demand(key, Nm - compensation if key == slip else Nm) for key, Nm in _law(axis, mode)] + wanted
     limit, whose = axis.motor_limit_Nm(mode), f"mode.{mode}.motor_limit_Nm (the drive's 6072h)"
     if limit < chosen.motor_limit_Nm:
         whose = f"the motor in mode {mode} (1.2 x mechanics.friction_Nm)"
     for key, torque_Nm in wanted:
         if torque_Nm > limit + scale:
-            yield axis.mistake(f"mode.{mode}.{key}", _expected(limit, torque_Nm, whose))
+            yield axis.mistake(key, _expected(limit, torque_Nm, whose))
 
 
 def _brake(axis: Axis, mode: str) -> Iterator[RigError]:
@@ -84,15 +84,18 @@ def _brake(axis: Axis, mode: str) -> Iterator[RigError]:
         limit, whose = device_Nm, f"the brake's {entry.index:04X}h:{entry.subindex:02X} ({description.path}:{line})"
         if one.table:
             limit, whose = device_Nm, "role.brake_setpoint.table"
-    for key, torque_Nm in _law(axis, axis.mode[mode]):
+    for key, torque_Nm in _law(axis, mode):
         if torque_Nm > limit + scale:
-            yield axis.mistake(f"mode.{mode}.{key}", _expected(limit, torque_Nm, whose))
+            yield axis.mistake(key, _expected(limit, torque_Nm, whose))
 
 
-def _law(axis: Axis, mode: Mode) -> tuple[Demand, ...]:
+def _law(axis: Axis, mode: str) -> tuple[Demand, ...]:
     """Return what the rig's law displays at most in a mode; nothing where that is not known."""
     own = OWN_LAWS.get(axis.law.function.strip())
-    return () if own is None else tuple(Demand(key, getattr(mode, key)) for key in own.extremes)
+    if own is None:
+        return ()
+    values, place = axis_parameters(axis, own), f"mode.{mode}" if own.of_mode else f"law.{own.name}"
+    return tuple(Demand(f"{place}.{key}", getattr(values or axis.mode[mode], key)) for key in own.extremes)
 
 
 def _expected(limit_Nm: float, torque_Nm: float, whose: str) -> str:

@@ -8,7 +8,7 @@ in the order that each docstring names; none of them is in a rig file.
 
 from __future__ import annotations
 
-from coulombus.host.laws.laws import LawRecord, LawStateRecord, MotionRecord
+from coulombus.host.laws.law import LawRecord, LawStateRecord, MotionRecord
 
 __all__ = ["hold", "square", "stair", "sweep"]
 

@@ -26,8 +26,8 @@ SOURCE, SHA256 = "host.law.py", "host.law.sha256"
 class LawSource:
     """A law's name, and the text in which it stands.
 
-    That is a law's whole file, without what it imports; of the project's own laws the function
-    alone.
+    That is a law's whole file, without what it imports; of the project's own laws without named
+    parameters the function alone.
     """
 
     name: str
@@ -52,7 +52,9 @@ def law_source(rig: Rig) -> LawSource | None:
     name = rig.law_function
     place = name.rpartition(":")[0]
     if name in OWN_LAWS:
-        return LawSource(name, inspect.getsource(OWN_LAWS[name].function).encode())
+        own = OWN_LAWS[name]
+        text = inspect.getsource(own.function if own.of_mode else inspect.getmodule(own.function) or own.function)
+        return LawSource(name, text.encode())
     try:
         if place.endswith(".py"):
             return LawSource(name, read_regular(find_law(place, rig.law_directory), MOST_BYTES))

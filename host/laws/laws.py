@@ -1,7 +1,7 @@
 r"""Friction laws: what the display should feel like, as compiled functions of one fixed signature.
 
-A law is named in the rig file: ``karnopp`` or ``coulomb``, the laws of this module;
-``file.py:function``; or ``module:function``. It is one plain function::
+A law is named in the rig file: ``karnopp``, ``lugre`` or another of `OWN_LAWS`, a file of this
+folder each; ``file.py:function``; or ``module:function``. It is one plain function::
 
     def my_law(motion, law, state):
         state.brake_Nm = law.F_d                      # what the brake should bear, >= 0
@@ -10,8 +10,8 @@ A law is named in the rig file: ``karnopp`` or ``coulomb``, the laws of this mod
 motion : `MOTION` record
     measured: angle, speed, speed in encoder counts a cycle, cycle time, handle torque
 law : `LAW` record
-    parameters of the mode: K_p, F_s, F_d, the velocity band, and ``user``, 16 numbers of the rig
-    file
+    parameters of the mode: K_p, F_s, F_d, the velocity band, and those that the law names
+    (`host.laws.law.friction_law`); of a law that names none ``user``, 16 numbers of the rig file
 state : `LAW_STATE` record
     what the law keeps from cycle to cycle, and its second output ``brake_Nm``
 returns
@@ -36,63 +36,46 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
-
-import numpy as np
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 from coulombus.compiled.decorator import JIT_DISABLED, cached
+from coulombus.host.laws.coulomb import COULOMB, coulomb
+from coulombus.host.laws.dahl import dahl
+from coulombus.host.laws.karnopp import KARNOPP, karnopp
+from coulombus.host.laws.law import (
+    LAW,
+    LAW_STATE,
+    MOTION,
+    Declaration,
+    LawRecord,
+    LawStateRecord,
+    MotionRecord,
+    declaration_of,
+)
+from coulombus.host.laws.lugre import lugre
 
 import numba  # isort: skip  (after compiled.decorator, which names the cache directory)
 
-__all__ = ["LAW", "LAW_STATE", "MOTION", "OWN_LAWS", "LawError", "coulomb", "find_law", "karnopp", "load_law"]
+__all__ = [
+    "LAW",
+    "LAW_STATE",
+    "MOTION",
+    "OWN_LAWS",
+    "LawError",
+    "LoadedLaw",
+    "coulomb",
+    "find_law",
+    "karnopp",
+    "load_declared",
+    "load_law",
+]
 
 OLD_PLACE = "host.laws"
 """What stood before their names in earlier rig files."""
 
 EXERCISES = "coulombus.host.laws.exercises"
 """The module of the exercises of commissioning, which are the project's own, too."""
-
-MotionRecord: TypeAlias = Any
-"""What a law sees: a record of `MOTION`; mypy knows none of its fields."""
-LawRecord: TypeAlias = Any
-"""A law's parameters: a record of `LAW`."""
-LawStateRecord: TypeAlias = Any
-"""What a law keeps from cycle to cycle: a record of `LAW_STATE`."""
-
-MOTION = np.dtype(
-    [
-        ("x_rad", np.float64),
-        ("v_rad_s", np.float64),  # backward difference of the position
-        ("v_counts", np.float64),  # the same in encoder counts a cycle
-        ("dt_s", np.float64),
-        ("handle_Nm", np.float64),  # torque transducer, the hand's torque on the handle
-    ],
-    align=True,
-)
-
-LAW = np.dtype(
-    [
-        ("K_p", np.float64),  # Nm/rad
-        ("F_s", np.float64),  # Nm
-        ("F_d", np.float64),  # Nm
-        ("velocity_band_counts", np.float64),  # Delta v, in encoder counts a cycle
-        ("paper_entry", np.int64),  # 1: x_stuck = x at stick entry, as printed in the paper
-        ("brake_spring", np.int64),  # 1: the brake shows |K_p (x - x_stuck)| when stuck, as printed in the paper
-        ("user", np.float64, (16,)),
-    ],
-    align=True,
-)
-
-LAW_STATE = np.dtype(
-    [
-        ("stuck", np.int64),
-        ("x_stuck", np.float64),  # rad
-        ("psi_Nm", np.float64),  # what the law returned last; kept by the host
-        ("brake_Nm", np.float64),  # the law's set-point for the brake, >= 0
-        ("user", np.float64, (16,)),
-    ],
-    align=True,
-)
 
 
 class LawError(Exception):
@@ -101,77 +84,34 @@ class LawError(Exception):
     exit_status = 3
 
 
-def karnopp(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
-    r"""Karnopp's stick-slip friction, as corrected from the paper's eq. (20).
+NAMED = (dahl, lugre)
+"""The laws with named parameters, a file of this folder each."""
 
-    .. math::
-
-        \psi = \begin{cases} F_d\,\mathrm{sgn}(v) & |v| > \Delta v \\
-               \mathrm{sgn}(F_a)\,\min(|F_a|, F_s) & |v| \le \Delta v \end{cases}
-        \qquad F_a = K_p\,(x - x_{stuck})
-
-    At stick entry and on saturation :math:`x_{stuck} = x - F/K_p`, so the torque neither jumps nor
-    winds up. ``paper_entry`` takes the paper's :math:`x_{stuck} = x` at entry instead. The brake
-    bears F_s whenever stuck and F_d in slip; with ``brake_spring`` it shows the spring, which on an
-    encoder is a coarse switch (K_p = 10000 Nm/rad is 0.8 Nm a count).
-
-    Source: the paper, section 5; D. Karnopp, J. Dyn. Sys. Meas. Control 107(1), 1985,
-    doi:10.1115/1.3140698.
-    """
-    if abs(motion.v_counts) > law.velocity_band_counts:
-        state.stuck = 0
-        state.brake_Nm = law.F_d
-        return law.F_d if motion.v_counts > 0.0 else -law.F_d
-    if state.stuck == 0:
-        state.stuck = 1
-        if law.paper_entry:
-            state.x_stuck = motion.x_rad
-        else:
-            state.x_stuck = motion.x_rad - state.psi_Nm / law.K_p
-    force = law.K_p * (motion.x_rad - state.x_stuck)
-    if abs(force) > law.F_s:
-        force = law.F_s if force > 0.0 else -law.F_s
-        state.x_stuck = motion.x_rad - force / law.K_p
-    state.brake_Nm = abs(force) if law.brake_spring else law.F_s
-    return force
-
-
-def coulomb(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
-    r"""Coulomb friction, eq. (4): :math:`\psi(v) = c\,\mathrm{sgn}(v)` with :math:`c = F_d` and
-    :math:`\mathrm{sgn}(0) = 0`.
-
-    Within the velocity band (0 counts for the paper's own simulation) psi is 0; the brake bears c
-    at any speed. Describing function: :math:`\Psi(a) = 4c/(\pi a)`, eq. (5).
-    """
-    state.brake_Nm = law.F_d
-    if abs(motion.v_counts) <= law.velocity_band_counts:
-        state.stuck = 1
-        return 0.0
-    state.stuck = 0
-    return law.F_d if motion.v_counts > 0.0 else -law.F_d
-
-
-class OwnLaw(NamedTuple):
-    """A law of the project's own, and the keys of the mode that say how much it displays at most,
-    stuck and in slip [Nm].
-    """
-
-    function: Callable[[Any, Any, Any], float]
-    extremes: tuple[str, ...]
-
-
-OWN_LAWS: Mapping[str, OwnLaw] = {
-    "karnopp": OwnLaw(karnopp, ("F_s_Nm", "F_d_Nm")),  # the spring ends at F_s
-    "coulomb": OwnLaw(coulomb, ("F_d_Nm",)),
-}
+OWN_LAWS: Mapping[str, Declaration] = MappingProxyType(
+    {one.name: one for one in (KARNOPP, COULOMB, *filter(None, map(declaration_of, NAMED)))}
+)
 """The project's own laws by their names: of all laws that a recording may name these alone run
 without being named again.
 """
 
 
-def _signature() -> Any:
-    records = (numba.from_dtype(dtype) for dtype in (MOTION, LAW, LAW_STATE))
-    return numba.float64(*records)
+def _signature(declared: Declaration | None = None) -> Any:
+    """Return the one signature of a law; of one with named parameters, with their names in the
+    records.
+    """
+    named = (LAW, LAW_STATE) if declared is None else (declared.law_dtype, declared.state_dtype)
+    return numba.float64(*map(numba.from_dtype, (MOTION, *named)))
+
+
+class _Pointer(numba.core.types.CompileResultWAP):  # type: ignore[misc]  # mypy follows no import of numba
+    """A compiled law as a function pointer of the one signature.
+
+    A record is a pointer in it, and its names are only another view of the same bytes.
+    """
+
+    def signature(self) -> Any:
+        """Return the signature that every law has."""
+        return _signature()
 
 
 @contextmanager
@@ -204,23 +144,25 @@ def compile_law(function: Callable[..., Any], cache: bool = False) -> Any:
         except Exception:
             return math.nan
 
+    declared = declaration_of(function)
     if JIT_DISABLED:
-        inner = function
+        inner = function if declared is None else declared.plain()
         return guarded
+    signature = _signature(declared)
     options = {"nogil": True, "error_model": "numpy"}
     if cache:
         dispatcher = cached(numba.njit(**options)(function))
-        dispatcher.compile(_signature().args)
+        dispatcher.compile(signature.args)
     else:
         with _bounds_checked():
             inner = numba.njit(**options)(function)
-            inner.compile(_signature().args)
+            inner.compile(signature.args)
             returned = inner.nopython_signatures[0].return_type
             if not isinstance(returned, numba.types.Float | numba.types.Integer | numba.types.Boolean):
                 kind = str(returned).partition("(")[0]
                 raise TypeError(f"a law returns a number, psi [Nm], on every path; what this one returns is {kind}")
-            dispatcher = numba.njit(_signature(), **options)(guarded)
-    return numba.core.types.CompileResultWAP(dispatcher.overloads[dispatcher.signatures[0]])
+            dispatcher = numba.njit(signature, **options)(guarded)
+    return _Pointer(dispatcher.overloads[dispatcher.signatures[0]])
 
 
 def _line(function: Any, line: int | None = None) -> str:
@@ -237,7 +179,9 @@ def _unknown_field(function: Any, name: str) -> str | None:
         tree = ast.parse(Path(function.__code__.co_filename).read_text(encoding="utf-8"))
     except (OSError, ValueError, SyntaxError):
         return None
-    arguments = dict(zip(inspect.signature(function).parameters, (MOTION, LAW, LAW_STATE), strict=False))
+    declared = declaration_of(function)
+    named = (LAW, LAW_STATE) if declared is None else (declared.law_dtype, declared.state_dtype)
+    arguments = dict(zip(inspect.signature(function).parameters, (MOTION, *named), strict=False))
     uses = [node for node in ast.walk(tree) if isinstance(node, ast.Attribute) and node.attr == name]
     if not uses:
         return None
@@ -290,6 +234,15 @@ def find_law(place: str, directory: Path | None) -> Path:
     return found
 
 
+class LoadedLaw(NamedTuple):
+    """A law that is ready to be asked."""
+
+    pointer: Any
+    """The compiled function, as kernels take it."""
+    declaration: Declaration | None
+    """Its named parameters; None of a law that has none."""
+
+
 def load_law(name: str, directory: Path | None = None) -> Any:
     """Return the compiled law called `name`: one of `OWN_LAWS`, ``file.py:function`` in `directory`
     or the current folder, or ``module:function``.
@@ -299,17 +252,30 @@ def load_law(name: str, directory: Path | None = None) -> Any:
     LawError
         the module, file or function does not exist, or it does not compile with a law's signature
     """
+    return load_declared(name, directory).pointer
+
+
+def load_declared(name: str, directory: Path | None = None) -> LoadedLaw:
+    """Return the compiled law called `name`, as `load_law` does, with its declaration."""
     place, _, attribute = name.rpartition(":")
     alike = difflib.get_close_matches(attribute, OWN_LAWS, 1)
     if place == OLD_PLACE and alike:
         raise LawError(f"law {name!r} is an old name; the law is called {alike[0]!r} now")
     if not place and attribute in OWN_LAWS:
-        place = __name__
+        declared: Declaration | None = OWN_LAWS[attribute]
+        return LoadedLaw(_compiled(name, OWN_LAWS[attribute].function, own_law=True), declared)
     if not place or not attribute:
         hint = f"; did you mean {alike[0]!r}?" if alike else ""
         names = ", ".join(map(repr, OWN_LAWS))
         raise LawError(f"law {name!r}: expected {names}, 'file.py:function' or 'module:function'{hint}")
     own_law = place in (__name__, EXERCISES)
+    plain = _function(name, place, attribute, directory, own_law=own_law)
+    declared = next((one for one in OWN_LAWS.values() if one.function is plain), declaration_of(plain))
+    return LoadedLaw(_compiled(name, plain, own_law=own_law), declared)
+
+
+def _function(name: str, place: str, attribute: str, directory: Path | None, *, own_law: bool) -> Any:
+    """Return the plain Python function that `name` says."""
     checked = (
         nullcontext() if own_law or JIT_DISABLED else _bounds_checked()
     )  # a decorator with a signature compiles at once
@@ -352,6 +318,10 @@ def load_law(name: str, directory: Path | None = None) -> Any:
         raise LawError(
             f"law {name!r}: {where}a law takes three arguments, (motion, law, state); this one takes ({given})"
         )
+    return plain
+
+
+def _compiled(name: str, plain: Any, *, own_law: bool) -> Any:
     try:
         return compile_law(plain, cache=own_law)
     except Exception as error:  # numba raises many kinds

@@ -90,7 +90,7 @@ def test_coulomb_is_equation_4():
 
 
 @pytest.mark.parametrize("paper", [0, 1])
-@pytest.mark.parametrize("name", OWN_LAWS)
+@pytest.mark.parametrize("name", ["karnopp", "coulomb"])
 def test_compiled_law_gives_what_the_plain_one_gives(name, paper):
     compiled, plain = load_law(name), OWN_LAWS[name].function
     assert compiled is not plain
@@ -121,7 +121,7 @@ def test_a_law_of_ones_own_is_one_function_in_a_file(tmp_path):
 @pytest.mark.parametrize(
     ("name", "text"),
     [
-        ("stribeck", "expected '(karnopp|coulomb)', '(karnopp|coulomb)', 'file.py:function' or 'module:function'$"),
+        ("stickiness", "expected 'karnopp', 'coulomb', .*, 'file.py:function' or 'module:function'$"),
         ("karnop", "did you mean 'karnopp'"),
         ("math:karnop", "no function 'karnop'; it has"),
         (OLD + "karnopp", "is an old name; the law is called 'karnopp' now"),
@@ -151,7 +151,7 @@ def test_a_law_that_raises_gives_no_number_and_one_is_not_cached(tmp_path):
     assert math.isnan(own(motion, law, state))
     if CACHE_DIR is not None and not JIT_DISABLED:
         load_law("karnopp")
-        assert list(CACHE_DIR.rglob("laws.karnopp-*.nbi"))
+        assert list(CACHE_DIR.rglob("karnopp.karnopp-*.nbi"))
         assert not list(CACHE_DIR.rglob("own.f-*"))
         assert not list(CACHE_DIR.rglob("*guarded*"))
 

@@ -105,7 +105,7 @@ WRONG_VALUES = {
     ),
     "law": (
         ('"karnopp"', '"laws.karnopp"'),
-        'law.function: got \'"laws.karnopp"\', expected "coulomb", "karnopp", "file.py:function" or "module:function"',
+        'law.function: got \'"laws.karnopp"\', expected a law of the project, as "karnopp", "file.py:function" or "module:function"',
     ),
     "law with a digit": (('"karnopp"', '"laws:2nd"'), "law.function: got '\"laws:2nd\"', expected"),
     "too many numbers": (("user = []", f"user = {[0] * 17}"), "law.user: got '[0, 0, 0"),

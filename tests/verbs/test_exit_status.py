@@ -74,6 +74,7 @@ BASE = {
     "analyse hold": "analyse hold",
     "analyse map": "analyse map",
     "identify": "identify RECORDING",
+    "law": "law lugre --motion sine",
 }
 WITH_RIG = (
     "demo",

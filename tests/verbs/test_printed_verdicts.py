@@ -60,6 +60,8 @@ ENDS = {
     "tools": ("tools /dev/null/tools", 2),
     "identify": ("identify RECORDING --rig bench", 1),
     "analyse": ("analyse fig10 --window 0.1", 0),
+    "law": ("law dahl --motion OTHER", 3),
+    "law list": ("law", 0),
 }
 """Name -> a call, and what it ends with."""
 

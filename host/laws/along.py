@@ -1,0 +1,155 @@
+r"""A law along a motion that is given: sample after sample, by the very function that the cycle asks.
+
+Between two samples the angle is a straight line. So the speed of a sample is the slope of the
+interval that ends there, as it is in the cycle,
+
+.. math:: v_k = \frac{x_k - x_{k-1}}{t_k - t_{k-1}}, \quad v_0 = 0
+
+and the torque of a sample is :math:`\psi` at the end of that interval: positive against a positive
+speed. A law that keeps something begins relaxed, stuck where the motion begins.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coulombus.compiled.decorator import kernel
+from coulombus.compiled.records import Record, Records, new_records
+from coulombus.host.laws.law import LAW, LAW_STATE, MOTION, Declaration, Parameters
+from coulombus.host.laws.laws import LawError, load_declared
+from coulombus.host.laws.parameters import set_parameters
+
+__all__ = ["COUNT_RAD", "SAMPLE", "Driven", "GivenLaw", "given_law"]
+
+Floats = npt.NDArray[np.float64]
+
+COUNT_RAD = 2 * math.pi / 8192 / 9.587
+"""An encoder count at the handle of the rig ``bench`` [rad]."""
+
+SAMPLE = np.dtype(
+    [
+        ("t_s", np.float64),
+        ("x_rad", np.float64),
+        ("v_rad_s", np.float64),
+        ("torque_Nm", np.float64),
+        ("brake_Nm", np.float64),  # the law's set-point for the brake
+    ],
+    align=True,
+)
+
+ASKED = np.dtype([("motion", MOTION), ("law", LAW), ("state", LAW_STATE), ("count_rad", np.float64)], align=True)
+
+
+@kernel
+def _drive(asked: Record, law_function: Any, samples: Records) -> int:
+    """Ask the law at each of `samples`; return the first whose torque is no finite number, -1 where
+    there is none.
+    """
+    motion, state = asked.motion, asked.state
+    state.stuck = 1
+    state.x_stuck = samples[0].x_rad
+    for k in range(len(samples)):
+        one = samples[k]
+        before = samples[k - 1] if k > 0 else one
+        motion.dt_s = one.t_s - before.t_s if k > 0 else samples[1].t_s - one.t_s
+        motion.x_rad = one.x_rad
+        motion.v_rad_s = (one.x_rad - before.x_rad) / motion.dt_s
+        motion.v_counts = (one.x_rad - before.x_rad) / asked.count_rad
+        psi_Nm = law_function(motion, asked.law, state)
+        one.v_rad_s = motion.v_rad_s
+        one.torque_Nm = psi_Nm
+        one.brake_Nm = state.brake_Nm
+        if not math.isfinite(psi_Nm) or not math.isfinite(state.brake_Nm):
+            return k
+        state.psi_Nm = psi_Nm
+    return -1
+
+
+@dataclass(frozen=True)
+class Driven:
+    """What a law displays along a motion.
+
+    samples : array of `SAMPLE`
+    """
+
+    samples: Records
+
+    @property
+    def peak_Nm(self) -> float:
+        """The largest torque, of either sign."""
+        return float(np.abs(self.samples["torque_Nm"]).max())
+
+    @property
+    def work_J(self) -> Floats:
+        r"""The work that the law has taken up by each sample, :math:`\int \psi\,dx` by the
+        trapezium rule; negative where it has given more than it took.
+        """
+        torque, x = self.samples["torque_Nm"], self.samples["x_rad"]
+        steps = 0.5 * (torque[1:] + torque[:-1]) * np.diff(x)
+        return np.concatenate(([0.0], np.cumsum(steps)))
+
+
+@dataclass(frozen=True)
+class GivenLaw:
+    """A compiled law with its parameters."""
+
+    name: str
+    pointer: Any
+    declaration: Declaration | None
+    parameters: Parameters | None
+
+    def along(self, t_s: Floats, x_rad: Floats, count_rad: float = COUNT_RAD) -> Driven:
+        """Drive the law along a motion, from its relaxed state.
+
+        Parameters
+        ----------
+        t_s : times that grow [s], two or more
+        x_rad : angles there [rad]
+        count_rad : what the encoder resolves [rad], for laws that compare counts
+
+        Raises
+        ------
+        coulombus.host.laws.laws.LawError
+            it returned no finite number
+        """
+        asked, samples = new_records(ASKED), new_records(SAMPLE, len(t_s))
+        samples["t_s"], samples["x_rad"] = t_s, x_rad
+        asked[0]["count_rad"] = count_rad
+        if self.declaration is not None and self.parameters is not None:
+            self.declaration.fill(asked[0]["law"], self.parameters)
+        wrong = _drive(asked[0], self.pointer, samples)
+        if wrong >= 0:
+            one = samples[wrong]
+            raise LawError(
+                f"law {self.name!r} returned {one['torque_Nm']:g} Nm and {one['brake_Nm']:g} Nm for the brake at "
+                f"t_s={one['t_s']:g}, x_rad={one['x_rad']:g}; expected finite numbers: on a rig this trips (LAW)"
+            )
+        return Driven(samples)
+
+
+def given_law(name: str, overrides: Sequence[str] = (), directory: Path | None = None) -> GivenLaw:
+    """Return a law by its name, with its defaults but for "KEY=VALUE".
+
+    Raises
+    ------
+    coulombus.host.laws.laws.LawError
+        there is no such law
+    coulombus.rigs.rig.RigError
+        a parameter is none of this law's, or its value is refused
+    """
+    loaded = load_declared(name, directory)
+    if loaded.declaration is None:
+        if overrides:
+            raise LawError(
+                f"--set {overrides[0]}: the law {name} names no parameters; declare them with "
+                "coulombus.host.laws.law.friction_law (docs/laws.md)"
+            )
+        return GivenLaw(name, loaded.pointer, None, None)
+    return GivenLaw(name, loaded.pointer, loaded.declaration, set_parameters(loaded.declaration, overrides))

@@ -1,0 +1,313 @@
+r"""What a friction law is: a function of one fixed signature, its records, and its declaration.
+
+`friction_law` declares a law's named parameters - a model with unit, range, default and meaning of
+each, as those of the rig file - and the state that it keeps::
+
+    class MyLaw(Parameters):
+        F_c_Nm: float = Field(1.0, gt=0, le=1e4, description="Coulomb friction")
+
+    @friction_law(MyLaw, state=("z_rad",))
+    def my_law(motion, law, state):
+        return law.F_c_Nm * math.copysign(1.0, motion.v_rad_s)
+
+They stand in ``[law.my_law]`` of the rig file. In the records `LAW` and `LAW_STATE` they lie where
+``user`` lies: the names are another view of the same 16 numbers, so that one signature does for
+every law, and a recording, a replay and the shared memory know nothing of them.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, ClassVar, TypeAlias, TypeVar, get_args
+
+import numpy as np
+from pydantic import Field
+
+from coulombus.rigs.model import Section
+from coulombus.rigs.words import accepted_range, unit_of
+
+__all__ = [
+    "LAW",
+    "LAW_STATE",
+    "MOTION",
+    "Declaration",
+    "Field",
+    "LawRecord",
+    "LawStateRecord",
+    "MotionRecord",
+    "Parameters",
+    "declaration_of",
+    "described",
+    "friction_law",
+]
+
+MotionRecord: TypeAlias = Any
+"""What a law sees: a record of `MOTION`; mypy knows none of its fields."""
+LawRecord: TypeAlias = Any
+"""A law's parameters: a record of `LAW`."""
+LawStateRecord: TypeAlias = Any
+"""What a law keeps from cycle to cycle: a record of `LAW_STATE`."""
+
+MOTION = np.dtype(
+    [
+        ("x_rad", np.float64),
+        ("v_rad_s", np.float64),  # backward difference of the position
+        ("v_counts", np.float64),  # the same in encoder counts a cycle
+        ("dt_s", np.float64),
+        ("handle_Nm", np.float64),  # torque transducer, the hand's torque on the handle
+    ],
+    align=True,
+)
+
+USER = 16
+"""Numbers that a law has for parameters of its own, and as many for its state."""
+
+LAW = np.dtype(
+    [
+        ("K_p", np.float64),  # Nm/rad
+        ("F_s", np.float64),  # Nm
+        ("F_d", np.float64),  # Nm
+        ("velocity_band_counts", np.float64),  # Delta v, in encoder counts a cycle
+        ("paper_entry", np.int64),  # 1: x_stuck = x at stick entry, as printed in the paper
+        ("brake_spring", np.int64),  # 1: the brake shows |K_p (x - x_stuck)| when stuck, as printed in the paper
+        ("user", np.float64, (USER,)),
+    ],
+    align=True,
+)
+
+LAW_STATE = np.dtype(
+    [
+        ("stuck", np.int64),
+        ("x_stuck", np.float64),  # rad
+        ("psi_Nm", np.float64),  # what the law returned last; kept by the host
+        ("brake_Nm", np.float64),  # the law's set-point for the brake, >= 0
+        ("user", np.float64, (USER,)),
+    ],
+    align=True,
+)
+
+FIELD_OF_MODE: Mapping[str, str] = MappingProxyType(
+    {
+        "K_p_Nm_rad": "K_p",
+        "F_s_Nm": "F_s",
+        "F_d_Nm": "F_d",
+        "velocity_band_counts": "velocity_band_counts",
+        "stick_entry": "paper_entry",
+        "brake_stick": "brake_spring",
+    }
+)
+"""Keys of [mode.*] and [law] -> fields of `LAW`."""
+
+
+class Parameters(Section):
+    """A law's named parameters: as frozen and as strict as the sections of the rig file.
+
+    A parameter is a number, its unit at the end of its name, or a choice of words (`Literal`), of
+    which the law sees the place, from 0.
+    """
+
+    at_least: ClassVar[Mapping[str, str]] = MappingProxyType({})
+    """Parameter -> the one that it is not to be less than."""
+    above: ClassVar[Mapping[str, str]] = MappingProxyType({})
+    """Parameter -> the one that it must exceed."""
+
+
+F = TypeVar("F", bound=Callable[..., float])
+
+
+def _view(base: np.dtype[Any], names: Iterable[tuple[str, int]]) -> np.dtype[Any]:
+    """Return `base` with names in the place of its field ``user``."""
+    assert base.fields is not None
+    assert base.names is not None
+    shared = [name for name in base.names if name != "user"]
+    offset = base.fields["user"][1]
+    fields = {name: (base.fields[name][0], base.fields[name][1]) for name in shared}
+    for name, size in names:
+        fields[name] = (np.dtype((np.float64, (size,))) if size > 1 else np.dtype(np.float64), offset)
+        offset += 8 * size
+    return np.dtype(
+        {
+            "names": list(fields),
+            "formats": [kind for kind, _ in fields.values()],
+            "offsets": [place for _, place in fields.values()],
+            "itemsize": base.itemsize,
+        },
+        align=True,
+    )
+
+
+class _Named:
+    """A record seen through the names of a declaration: what plain Python sees where compiled code
+    has a type of its own.
+    """
+
+    __slots__ = ("_places", "_record")
+
+    def __init__(self, record: Any, places: Mapping[str, tuple[int, int]]) -> None:
+        object.__setattr__(self, "_record", record)
+        object.__setattr__(self, "_places", places)
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in self._places:
+            return getattr(self._record, name)
+        first, size = self._places[name]
+        return self._record.user[first : first + size] if size > 1 else float(self._record.user[first])
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name not in self._places:
+            setattr(self._record, name, value)
+        else:
+            self._record.user[self._places[name][0]] = value
+
+
+def _places(names: Iterable[tuple[str, int]]) -> dict[str, tuple[int, int]]:
+    found, first = {}, 0
+    for name, size in names:
+        found[name] = first, size
+        first += size
+    return found
+
+
+@dataclass(frozen=True)
+class Declaration:
+    """A law: its function, its parameters by name, and what it keeps.
+
+    Attributes
+    ----------
+    function : the plain Python function
+    parameters : the model of its parameters
+    state : names of what it keeps, with how many numbers each has
+    extremes : the parameters that say how much it displays at most [Nm]; none where that depends on
+        the motion
+    of_mode : the parameters are keys of [mode.*] and [law], as those of the first two laws are
+    """
+
+    function: Callable[..., float]
+    parameters: type[Parameters]
+    state: tuple[tuple[str, int], ...] = ()
+    extremes: tuple[str, ...] = ()
+    of_mode: bool = False
+
+    def __post_init__(self) -> None:
+        names, kept = self.names, sum(size for _, size in self.state)
+        taken = {*(LAW.names or ()), *(LAW_STATE.names or ())} & {*names, *(name for name, _ in self.state)}
+        if not self.of_mode and (len(names) > USER or kept > USER or taken):
+            what = f"{', '.join(sorted(taken))}: taken" if taken else f"{len(names)} parameters and {kept} numbers kept"
+            raise ValueError(f"law {self.name}: {what}; expected names of its own, at most {USER} numbers of each kind")
+
+    @property
+    def name(self) -> str:
+        """The function's name: the table of its parameters is [law.NAME]."""
+        return self.function.__name__
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of its parameters."""
+        return tuple(self.parameters.model_fields)
+
+    @property
+    def law_dtype(self) -> np.dtype[Any]:
+        """`LAW` with the parameters' names."""
+        return LAW if self.of_mode else _view(LAW, ((name, 1) for name in self.names))
+
+    @property
+    def state_dtype(self) -> np.dtype[Any]:
+        """`LAW_STATE` with the names of what it keeps."""
+        return _view(LAW_STATE, self.state) if self.state else LAW_STATE
+
+    @property
+    def title(self) -> str:
+        """The first sentence of its docstring."""
+        lines = (inspect.getdoc(self.function) or "").partition("\n\n")[0].splitlines()
+        return re.split(r"\.(?=\s+[A-Z])|: :math|[.:]$", " ".join(map(str.strip, lines)))[0]
+
+    @property
+    def dois(self) -> tuple[str, ...]:
+        """The sources that its docstring names."""
+        return tuple(doi.rstrip(".,;") for doi in re.findall(r"doi:(\S+)", inspect.getdoc(self.function) or ""))
+
+    def numbers(self, values: Parameters) -> dict[str, float]:
+        """Return the parameters as the law sees them: of a choice, its place."""
+        found = {}
+        for name, info in self.parameters.model_fields.items():
+            value = getattr(values, name)
+            found[name] = float(get_args(info.annotation).index(value) if isinstance(value, str) else value)
+        return found
+
+    def fill(self, record: Any, values: Parameters) -> None:
+        """Write the parameters into a record of `LAW`."""
+        for k, (name, number) in enumerate(self.numbers(values).items()):
+            if self.of_mode:
+                record[FIELD_OF_MODE[name]] = number
+            else:
+                record["user"][k] = number
+
+    def plain(self) -> Callable[..., float]:
+        """Return the law as a plain Python function of records without these names."""
+        if self.of_mode:
+            return self.function
+        of_law, of_state = _places((name, 1) for name in self.names), _places(self.state)
+
+        def law(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
+            return self.function(motion, _Named(law, of_law), _Named(state, of_state))
+
+        return law
+
+
+def friction_law(
+    parameters: type[Parameters], state: Iterable[str | tuple[str, int]] = (), extremes: Iterable[str] = ()
+) -> Callable[[F], F]:
+    """Declare a friction law with named parameters.
+
+    Parameters
+    ----------
+    parameters : the model of its parameters
+    state : names of what the law keeps from cycle to cycle; ("F_Nm", 4) is an array
+    extremes : the parameters that say how much the law displays at most [Nm]
+
+    Raises
+    ------
+    ValueError
+        more than 16 numbers, or a name that the records have already
+    """
+    kept = tuple((one, 1) if isinstance(one, str) else one for one in state)
+
+    def declare(function: F) -> F:
+        function.declaration = Declaration(function, parameters, kept, tuple(extremes))  # type: ignore[attr-defined]
+        return function
+
+    return declare
+
+
+def declaration_of(function: Any) -> Declaration | None:
+    """Return what a law declares; None of one without named parameters."""
+    found = getattr(function, "declaration", None)
+    return found if isinstance(found, Declaration) else None
+
+
+def described(law: Declaration) -> dict[str, Any]:
+    """Return what a law declares as plain values, for tables and JSON."""
+    parameters = [
+        {
+            "name": name,
+            "default": info.default,
+            "unit": unit_of(name),
+            "accepted": accepted_range(info),
+            "meaning": info.description,
+        }
+        for name, info in law.parameters.model_fields.items()
+    ]
+    for one in parameters:
+        for words, others in (("at least", law.parameters.at_least), ("more than", law.parameters.above)):
+            if one["name"] in others:
+                one["accepted"] = f"{one['accepted']}, {words} {others[one['name']]}"
+    return {
+        "title": law.title,
+        "doi": list(law.dois),
+        "section": "mode.NAME and law" if law.of_mode else f"law.{law.name}",
+        "parameters": parameters,
+    }

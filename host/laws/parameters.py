@@ -1,0 +1,126 @@
+"""The tables [law.NAME] of a rig file, held against what the laws declare."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from pydantic import Field, ValidationError, create_model
+
+from coulombus.host.laws.law import Declaration, Parameters
+from coulombus.host.laws.laws import OWN_LAWS
+from coulombus.rigs.axis import Axis
+from coulombus.rigs.mistakes import Source, nearest, shown
+from coulombus.rigs.model import Section
+from coulombus.rigs.text import apply_override
+from coulombus.rigs.toml_lines import read_toml
+from coulombus.rigs.words import explain
+
+__all__ = ["axis_parameters", "law_parameters", "set_parameters"]
+
+
+def axis_parameters(axis: Axis, law: Declaration | None) -> Parameters | None:
+    """Return the parameters of an axis' law; None of a law that names none.
+
+    The tables of the project's other laws are looked at, too. A table of another law of the user's
+    own is left alone: what it may hold is not known while that law is not loaded.
+
+    Raises
+    ------
+    coulombus.rigs.rig.RigError
+        with every mistake that was found, with ``file:line``
+    """
+    found = law_parameters(axis.law.tables, law, axis.origin.source(axis.name))
+    return None if law is None or law.of_mode else found[law.name]
+
+
+def law_parameters(
+    tables: Mapping[str, Mapping[str, Any]], law: Declaration | None, source: Source
+) -> dict[str, Parameters]:
+    """Return the parameters of the laws that have tables, and of `law`, by their names.
+
+    Raises
+    ------
+    coulombus.rigs.rig.RigError
+        with every mistake that was found
+    """
+    declared = {name: one for name, one in OWN_LAWS.items() if not one.of_mode}
+    if law is not None and (not law.of_mode or law is not OWN_LAWS.get(law.name)):
+        declared[law.name] = law
+    known: dict[str, dict[str, Any]] = {}
+    for name, table in tables.items():
+        if name in declared:
+            known[name] = dict(table)
+        elif name in OWN_LAWS:
+            source.say(
+                ("law", name, *list(table)[:1]),
+                f"the law {name} has no table: its parameters stand in [mode.NAME] and [law]",
+            )
+        elif hint := nearest(name, declared):
+            source.say(("law", name, *list(table)[:1]), f"there is no law '{name}'{hint}")
+    if law is not None and law.name in declared:
+        known.setdefault(law.name, {})
+    values = _validated(known, declared, source)
+    source.raise_all()
+    return values
+
+
+def set_parameters(law: Declaration, overrides: Sequence[str]) -> Parameters:
+    """Return a law's parameters, defaults but for "KEY=VALUE", as ``--set`` takes them.
+
+    Raises
+    ------
+    coulombus.rigs.rig.RigError
+        with every mistake that was found
+    """
+    source = Source("", read_toml(""))
+    values: dict[str, dict[str, Any]] = {"law": {law.name: {}}}
+    for override in overrides:
+        key = override.removeprefix(f"law.{law.name}.")
+        apply_override(values, f"law.{law.name}.{key}", source)
+    source.overrides = {key: text.removeprefix(f"law.{law.name}.") for key, text in source.overrides.items()}
+    source.found = [
+        (0.0, f"--set {override}: cannot be read; expected KEY=VALUE, such as {law.names[0]}=1.0")
+        for override in overrides
+        if not override.partition("=")[2].strip()
+    ] or source.found
+    source.raise_all()
+    found = _validated(values["law"], {law.name: law}, source)
+    source.raise_all()
+    return found[law.name]
+
+
+def _validated(
+    known: Mapping[str, Mapping[str, Any]], declared: Mapping[str, Declaration], source: Source
+) -> dict[str, Parameters]:
+    """Return the parameters by the laws' names; mistakes are noted in `source`."""
+    models: dict[str, Any] = {
+        name: (declared[name].parameters, Field(description=declared[name].title)) for name in known
+    }
+    section = create_model("Laws", __base__=Section, **models)
+    schema = create_model("File", __base__=Section, law=(section, Field(description="the laws")))
+    try:
+        found = schema.model_validate({"law": known})
+    except ValidationError as error:
+        explain(error, {"law": known}, schema, source)
+        return {}
+    values: dict[str, Parameters] = {name: getattr(found.law, name) for name in known}  # type: ignore[attr-defined]
+    for name, one in values.items():
+        _hold_together(name, one, source)
+    return values
+
+
+def _hold_together(name: str, values: Parameters, source: Source) -> None:
+    """Note which parameters are not what another one of the same law asks of them."""
+    relations = [(first, second, "at least") for first, second in values.at_least.items()]
+    relations += [(first, second, "more than") for first, second in values.above.items()]
+    for first, second, words in relations:
+        one, other = getattr(values, first), getattr(values, second)
+        if one > other or (one == other and words == "at least"):
+            continue
+        told = first if first in values.model_fields_set or second not in values.model_fields_set else second
+        if told == first:
+            source.stands(("law", name, first), one, f"{words} {second}, which is {shown(other)}")
+        else:
+            wanted = "at most" if words == "at least" else "less than"
+            source.stands(("law", name, second), other, f"{wanted} {first}, which is {shown(one)}")

@@ -1,0 +1,97 @@
+"""Motions along which a law is driven: a CSV file, a sine, a ramp."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from coulombus.eds.regular_file import read_regular
+
+__all__ = ["MotionFileError", "MotionPath", "ramp", "read_motion", "sine"]
+
+COLUMNS = ("t_s", "x_rad")
+MOST_ERRORS = 10
+
+
+class MotionFileError(Exception):
+    """A motion file cannot be used; each line says where, what, and what is expected."""
+
+    exit_status = 3
+
+
+class MotionPath(NamedTuple):
+    """Angles over time."""
+
+    t_s: npt.NDArray[np.float64]
+    x_rad: npt.NDArray[np.float64]
+
+
+def sine(amplitude_rad: float, frequency_Hz: float, seconds: float, rate_Hz: float) -> MotionPath:
+    r"""Return :math:`x = A \sin(2\pi f t)`, sampled at `rate_Hz`."""
+    t_s = np.arange(round(seconds * rate_Hz) + 1) / rate_Hz
+    return MotionPath(t_s, amplitude_rad * np.sin(2 * math.pi * frequency_Hz * t_s))
+
+
+def ramp(speed_rad_s: float, seconds: float, rate_Hz: float) -> MotionPath:
+    """Return x = v t, sampled at `rate_Hz`."""
+    t_s = np.arange(round(seconds * rate_Hz) + 1) / rate_Hz
+    return MotionPath(t_s, speed_rad_s * t_s)
+
+
+def read_motion(path: Path) -> MotionPath:
+    """Read a CSV file with the columns t_s [s] and x_rad [rad]; further columns are left alone, so
+    are empty lines and those that begin with #.
+
+    Raises
+    ------
+    MotionFileError
+        with the first mistakes, each with ``file:line``
+    """
+    wanted = "a CSV file with the columns t_s,x_rad"
+    try:
+        lines = read_regular(path).decode("utf-8-sig").splitlines()
+    except OSError as error:
+        raise MotionFileError(f"{path}: cannot be read ({error.strerror}); expected {wanted}") from error
+    except UnicodeDecodeError as error:
+        raise MotionFileError(f"{path}:1: no UTF-8; expected {wanted}") from error
+    rows = [(n, line) for n, line in enumerate(lines, 1) if line.strip() and not line.lstrip().startswith("#")]
+    if not rows:
+        raise MotionFileError(f"{path}:1: the file is empty; expected {wanted}")
+    number, head = rows[0]
+    names = [cell.strip().strip('"') for cell in head.split(",")]
+    if any(names.count(column) != 1 for column in COLUMNS):
+        raise MotionFileError(
+            f"{path}:{number}: got '{head[:60].strip()}', expected a header with the columns t_s,x_rad"
+        )
+    places = [names.index(column) for column in COLUMNS]
+    values, mistakes, before = [], [], -math.inf
+    for number, line in rows[1:]:
+        cells = line.split(",")
+        row = [_number(cells[place]) for place in places] if len(cells) == len(names) else [math.nan]
+        if not all(map(math.isfinite, row)):
+            mistakes.append(
+                f"{path}:{number}: got '{line[:60].strip()}', expected finite numbers in {len(names)} columns"
+            )
+            continue
+        if row[0] <= before:
+            mistakes.append(f"{path}:{number}: t_s: got {row[0]:g} after {before:g}, expected times that grow")
+        before = row[0]
+        values.append(row)
+    if len(rows) < 3:
+        mistakes.append(f"{path}:{rows[-1][0]}: {len(rows) - 1} samples; expected two or more")
+    if mistakes:
+        more = [f"{path}: {len(mistakes) - MOST_ERRORS} further lines are wrong"] if len(mistakes) > MOST_ERRORS else []
+        raise MotionFileError("\n".join(mistakes[:MOST_ERRORS] + more))
+    table = np.array(values)
+    return MotionPath(table[:, 0].copy(), table[:, 1].copy())
+
+
+def _number(cell: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        return math.nan
