@@ -4,8 +4,8 @@ world of `sim_bus.network.kernel`.
 The world's time is CLOCK_MONOTONIC minus its start. The loop sleeps in ppoll(2) until the world's
 next event or a client's message, lets the world run up to the present and hands out what the bus
 has carried, each frame at its end of frame. Python is entered for what is rare: a client that
-comes, greets or goes, and the services of the nodes (`sim_bus.network.kernel.Exit`,
-`sim_bus.server.clients.Need`, `Serve`).
+comes, greets or goes (`sim_bus.network.kernel.Exit`, `sim_bus.server.clients.Need`, `Serve`). The
+services of a simulated rig's nodes are done beside this loop (`sim_bus.server.beside`).
 
 A frame is ready when the kernel took it from its sender (SO_TIMESTAMPNS), not when this loop came
 to see it. So what waited in a socket while this process could not run is on the wire, and handled
