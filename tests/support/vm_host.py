@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import time
 from contextlib import contextmanager
+
+import pytest
 
 from coulombus.wire.address import parse_address
 from coulombus.wire.client import Client
@@ -16,6 +19,9 @@ from warm_start import Warm
 PATIENCE_S = 300
 NO_SWITCH = ("--set", 'host.deadman="none"')
 """No hand is on a simulated handle."""
+STEADY = pytest.mark.skipif(
+    os.environ.get("COULOMBUS_TEST_STEADY") != "1", reason="this machine's clock is not steady (COULOMBUS_TEST_STEADY)"
+)
 
 
 @contextmanager

@@ -8,7 +8,6 @@ bring-up to the end does.
 
 from __future__ import annotations
 
-import os
 import signal
 import struct
 import subprocess
@@ -19,16 +18,10 @@ import pytest
 
 from coulombus.recording.signals import read
 from coulombus.wire.client import BusFull, BusUnavailable, pack_frame
-from vm_host import NO_SWITCH, enabled, host, observer, result, until
+from vm_host import NO_SWITCH, STEADY, enabled, host, observer, result, until
 from vm_interfaces import INTERFACES
 
-pytestmark = [
-    pytest.mark.real_time,
-    pytest.mark.skipif(
-        os.environ.get("COULOMBUS_TEST_STEADY") != "1",
-        reason="this machine's clock is not steady (COULOMBUS_TEST_STEADY)",
-    ),
-]
+pytestmark = [pytest.mark.real_time, STEADY]
 
 STOPPED = {0x8130, 0x8250, 0x8700}
 """EMCY codes of a node whose host is gone: heartbeat, set-point's age, SYNC."""
