@@ -40,9 +40,15 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from coulombus.compiled.decorator import JIT_DISABLED, cached
+from coulombus.host.laws.bliman_sorine import bliman_sorine
 from coulombus.host.laws.coulomb import COULOMB, coulomb
 from coulombus.host.laws.dahl import dahl
+from coulombus.host.laws.detent import detent
+from coulombus.host.laws.elastoplastic import elastoplastic
+from coulombus.host.laws.gms import gms
+from coulombus.host.laws.inertia import inertia
 from coulombus.host.laws.karnopp import KARNOPP, karnopp
+from coulombus.host.laws.kikuuwe import kikuuwe
 from coulombus.host.laws.law import (
     LAW,
     LAW_STATE,
@@ -54,6 +60,11 @@ from coulombus.host.laws.law import (
     declaration_of,
 )
 from coulombus.host.laws.lugre import lugre
+from coulombus.host.laws.regularised import regularised
+from coulombus.host.laws.stribeck import stribeck
+from coulombus.host.laws.texture import texture
+from coulombus.host.laws.viscous import viscous
+from coulombus.host.laws.wall import wall
 
 import numba  # isort: skip  (after compiled.decorator, which names the cache directory)
 
@@ -84,7 +95,10 @@ class LawError(Exception):
     exit_status = 3
 
 
-NAMED = (dahl, lugre)
+NAMED = (
+    *(stribeck, regularised, dahl, lugre, elastoplastic, gms, bliman_sorine, kikuuwe),
+    *(wall, detent, texture, viscous, inertia),
+)
 """The laws with named parameters, a file of this folder each."""
 
 OWN_LAWS: Mapping[str, Declaration] = MappingProxyType(

@@ -1,0 +1,41 @@
+"""A virtual wall: the motor's stiffness and the brake's damping."""
+
+from __future__ import annotations
+
+from coulombus.host.laws.law import Field, LawRecord, LawStateRecord, MotionRecord, Parameters, friction_law
+
+__all__ = ["wall"]
+
+
+class WallParameters(Parameters):
+    """[law.wall]."""
+
+    x_wall_rad: float = Field(0.0, ge=-1e6, le=1e6, description="angle at which the wall begins, from the start")
+    K_Nm_rad: float = Field(20.0, ge=0, le=1e7, description="stiffness, the motor's part")
+    B_Nms_rad: float = Field(0.02, ge=0, le=1e6, description="damping within, the brake's part")
+    most_Nm: float = Field(1.2, ge=0, le=1e4, description="the torque at which it ends")
+
+
+@friction_law(WallParameters, extremes=("most_Nm",))
+def wall(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
+    r"""A virtual wall: stiffness by the motor, damping by the brake, the paper's Fig. 8.
+
+    Within, for :math:`p = x - x_{wall} > 0`:
+
+    .. math:: \psi = \mathrm{sat}\left(\max(K p + B v, 0)/\tau_{max}\right)\tau_{max}, \quad
+        \tau_{brake} = \min(B |v|, \tau_{max})
+
+    Outside both are 0. The wall never pulls. Mode active shows :math:`\psi`, damping included; the
+    brake of the modes passive and hybrid bears the damping alone, as it cannot push.
+
+    Source: the paper, Fig. 8; of what stiffness a sampled wall bears, J. J. Abbott, A. M. Okamura,
+    Effects of position quantization and sampling rate on virtual-wall passivity, IEEE Trans.
+    Robotics 21(5), 2005, doi:10.1109/TRO.2005.851377.
+    """
+    p = motion.x_rad - law.x_wall_rad
+    if p <= 0.0:
+        state.brake_Nm = 0.0
+        return 0.0
+    damping = law.B_Nms_rad * motion.v_rad_s
+    state.brake_Nm = min(abs(damping), law.most_Nm)
+    return float(min(max(law.K_Nm_rad * p + damping, 0.0), law.most_Nm))
