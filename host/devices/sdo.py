@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from typing import Generic, TypeVar
+from typing import Generic, TypeVar, cast
 
 from coulombus.eds.cia301 import Abort, CobId
 from coulombus.eds.sdo_frames import where
@@ -14,9 +14,11 @@ from coulombus.host.devices.transfers import (
     MOST_BYTES,
     Nonsense,
     Progress,
+    Refused,
     SdoSilent,
     Step,
     Transfer,
+    Twins,
     abort,
     download,
     named,
@@ -163,6 +165,7 @@ class SdoClient:
         hear: Callable[[Frame], None] = lambda frame: None,
     ) -> None:
         self.link, self.node_id, self.timeout_s, self._hear = link, node_id, timeout_s, hear
+        self._ended: tuple[int, int] | None = None  # the object of the transfer before, which the node has answered
 
     def upload(
         self,
@@ -180,6 +183,8 @@ class SdoClient:
             (exit status 5) the node does not answer
         SdoAborted
             (6) it aborted the transfer, or answered nonsense
+        Twins
+            (3) it answered the transfer before once more: two devices have its node id
         """
         return self._do(upload(index, subindex, most=most, progress=progress))
 
@@ -191,14 +196,49 @@ class SdoClient:
 
     def _do(self, transfer: Transfer[T]) -> T:
         while (stale := self.link.receive(self.link.now_ns())) is not None:
+            if stale.can_id == CobId.SDO_TX + self.node_id and stale.length == LENGTH:
+                self._look(stale.data)
             self._hear(stale)  # a late answer, too, which is nobody's any more
         found: list[T | HostError] = []
         talk_to_all(
-            self.link, {self.node_id: iter((transfer,))}, self.timeout_s, lambda _, one: found.append(one), self._hear
+            self.link,
+            {self.node_id: iter((self._watched(transfer),))},
+            self.timeout_s,
+            lambda _, one: found.append(one),
+            self._hear,
         )
         if isinstance(found[0], HostError):
+            if isinstance(found[0], SdoSilent):  # what it answers late is no second answer
+                self._ended = None
             raise found[0]
         return found[0]
+
+    def _watched(self, transfer: Transfer[T]) -> Transfer[T]:
+        """Do a transfer, and look at each answer whether it is one to the transfer before."""
+        try:
+            step = next(transfer)
+            place = named(step.messages[0])
+            if place == self._ended:
+                self._ended = None
+            while True:
+                answer = yield step
+                if answer:
+                    self._look(answer)
+                step = transfer.send(answer)
+        except (StopIteration, Refused) as end:
+            self._ended = place
+            if isinstance(end, Refused):
+                raise
+            return cast("T", end.value)
+
+    def _look(self, answer: bytes) -> None:
+        """Refuse a second answer to the transfer before."""
+        if answer[0] >> 5 in (2, 3, 4) and named(answer) == self._ended:
+            raise Twins(
+                f"two devices answer as node {self.node_id} (SDO of {where(*named(answer))}): take one off the bus, "
+                "and give the other another id (coulombus lss)",
+                Abort.GENERAL,
+            )
 
 
 def store_parameters(link: FrameLink, node_id: int, part: int = 1) -> None:

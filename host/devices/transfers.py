@@ -15,7 +15,7 @@ from typing import NamedTuple, TypeAlias, TypeVar
 
 from coulombus.eds.cia301 import Abort, abort_text
 from coulombus.eds.sdo_frames import crc16, head, where
-from coulombus.host.errors import NodeMissing, SdoAborted
+from coulombus.host.errors import DeviceMismatch, NodeMissing, SdoAborted
 
 __all__ = [
     "ABORT",
@@ -26,6 +26,7 @@ __all__ = [
     "SdoSilent",
     "Step",
     "Transfer",
+    "Twins",
     "abort",
     "download",
     "named",
@@ -77,6 +78,12 @@ class Nonsense(SdoAborted):
     def __init__(self, text: str, code: int) -> None:
         super().__init__(text)
         self.code = code
+
+
+class Twins(Nonsense):
+    """Two devices have one node id."""
+
+    exit_status = DeviceMismatch.exit_status
 
 
 def abort(index: int, subindex: int, code: int = Abort.GENERAL) -> bytes:

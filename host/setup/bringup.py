@@ -9,6 +9,7 @@ is collected and told at once, too. With any of them the host refuses to go on.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from typing import Protocol
@@ -23,7 +24,7 @@ from coulombus.eds.reader import Value, Variable
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.demand import check_demand
 from coulombus.host.cycle.records import Image
-from coulombus.host.errors import DeviceMismatch, NodeMissing, SdoAborted
+from coulombus.host.errors import DeviceMismatch, HostError, NodeMissing, SdoAborted
 from coulombus.host.setup.device_plan import DevicePlan, device_plans, missing_mode
 from coulombus.host.setup.settings import Setting, encoded, number_of
 from coulombus.rigs.guarding import beats, is_guarded
@@ -62,6 +63,41 @@ class ControlPlane(Protocol):
         """
 
 
+class _Answers:
+    """Counts what a node is asked for and how often it answers that: once, or two devices have its
+    node id. Of the answers those that end a transfer are counted.
+    """
+
+    def __init__(self, network: canopen.Network, client: canopen.sdo.SdoClient) -> None:
+        self._requests: Counter[bytes] = Counter()
+        self._answers: Counter[bytes] = Counter()
+        self._whole: dict[bytes, bool] = {}  # by object: the request that was sent last has the data in itself
+        self._send = client.send_request
+        client.send_request = self.send
+        network.subscribe(client.tx_cobid, self.hear)
+
+    def send(self, request: bytes) -> None:
+        if request[0] >> 5 in (1, 2):
+            place = bytes(request[1:4])
+            self._requests[place] += 1
+            self._whole[place] = request[0] >> 5 == 1 and bool(request[0] & 0x02)
+        self._send(request)
+
+    def hear(self, can_id: int, data: bytearray, stamp: float) -> None:
+        """Take an SDO response."""
+        if len(data) != 8:
+            return
+        command, place = data[0] >> 5, bytes(data[1:4])
+        ends = command == 4 or (command == 2 and data[0] & 0x02) or (command == 3 and self._whole.get(place))
+        if ends and place in self._requests:
+            self._answers[place] += 1
+
+    @property
+    def twice(self) -> bool:
+        """Whether one request was answered twice."""
+        return any(count > self._requests[place] for place, count in self._answers.items())
+
+
 class _Device:
     """SDO access to one node, with sizes from its EDS and errors in words."""
 
@@ -73,6 +109,7 @@ class _Device:
         self.losses: list[str] = []
         plane.network.add_node(self.node)
         self.node.sdo.RESPONSE_TIMEOUT = plane.sdo_timeout_s
+        self.answers = _Answers(plane.network, self.node.sdo)
 
     def _where(self, index: int, subindex: int) -> str:
         try:
@@ -277,11 +314,26 @@ def configure(found: Sequence[DevicePlan], plane: ControlPlane) -> tuple[str, ..
     plane.network.nmt.send_command(NmtCommand.ENTER_PRE_OPERATIONAL)
     plane.wait_ns(SETTLE_NS)
     devices = [_Device(plane, plan) for plan in found]
-    _refuse([text for device in devices for text in device.identify()])
-    for device in devices:
-        device.check_modes()
-    _refuse([text for device in devices for text in device.configure()])
+    try:
+        _refuse([text for device in devices for text in device.identify()])
+        for device in devices:
+            device.check_modes()
+        _refuse([text for device in devices for text in device.configure()])
+    except HostError:
+        plane.wait_ns(SETTLE_NS)  # the answer of a second device of one node id may come yet, which explains the rest
+        _refuse_twins(devices)
+        raise
+    _refuse_twins(devices)
     return tuple(text for device in devices for text in (*device.plan.losses, *device.losses))
+
+
+def _refuse_twins(devices: Sequence[_Device]) -> None:
+    _refuse(
+        f"two devices answer as node {device.node_id} ({device.name}): take one off the bus, and give the other "
+        "another id (coulombus lss)"
+        for device in devices
+        if device.answers.twice
+    )
 
 
 def wait_operational(found: Sequence[DevicePlan], plane: ControlPlane) -> None:

@@ -18,7 +18,7 @@ from click.testing import CliRunner
 from coulombus.eds.reader import parse_eds
 from coulombus.host.cycle.controller import Controller
 from coulombus.host.cycle.controllers import Controllers
-from coulombus.host.errors import DeviceMismatch, SdoAborted
+from coulombus.host.errors import DeviceMismatch, NodeMissing, SdoAborted
 from coulombus.host.setup import bringup
 from coulombus.host.setup.bringup import bring_up, plans_of
 from coulombus.host.setup.settings import encoded
@@ -129,13 +129,34 @@ def test_a_maker_s_own_objects_are_written_where_file_and_device_are_ours(eds, r
 def test_a_device_that_is_not_ours_gets_nothing_of_ours_whatever_the_plan_says():
     """The last line of defence: the gate is at the download, too."""
     (plan, _) = plans_of(Controllers(rig_of(), "hybrid"))
-    device = bringup._Device(
-        SimpleNamespace(network=SimpleNamespace(add_node=lambda node: None), sdo_timeout_s=0.1), plan
-    )
+    network = SimpleNamespace(add_node=lambda node: None, subscribe=lambda *_: None)
+    device = bringup._Device(SimpleNamespace(network=network, sdo_timeout_s=0.1), plan)
     device.node = SimpleNamespace(sdo=None)
     device.identity = (0x4C0, 0x403)
     with pytest.raises(DeviceMismatch, match=r"2002h.*not ours.*0x00000403"):
         device.write(next(s for s in plan.writes if s.index == 0x2002))
+
+
+@pytest.mark.parametrize("after_ns", [1_000, 60_000, 300_000, 5_000_000])
+@pytest.mark.parametrize("answer", [b"\x43%b\x92\x01\x00\x00", b"\x80%b\x00\x00\x02\x06"], ids=["value", "abort"])
+def test_two_devices_of_one_node_id_are_told_whoever_answers_first(answer, after_ns):
+    wire = Wire(rig_of())
+
+    def twin(frame):
+        if frame.data[0] >> 5 == 2:
+            station.send(0x581, answer % frame.data[1:4], at_ns=frame.t_ns + after_ns)
+
+    station = wire.world.station({0x601}, twin)
+    with pytest.raises(DeviceMismatch, match=r"^two devices answer as node 1 \(motor\): take one off .*coulombus lss"):
+        wire.bring_up()
+
+
+def test_a_device_that_answers_late_is_no_second_device():
+    """canopen asks once more; then both answers come."""
+    wire = Wire(rig_of())
+    wire.world.sdo_timeout_s = 15e-6
+    with pytest.raises(NodeMissing, match="does not answer SDO"):
+        wire.bring_up()
 
 
 def test_what_an_own_device_lacks_is_told_too():
@@ -242,9 +263,8 @@ class Other:
 )
 def test_read_backs_are_compared_whole(server, value, difference):
     (plan, _) = plans_of(Controllers(rig_of(), "hybrid"))
-    device = bringup._Device(
-        SimpleNamespace(network=SimpleNamespace(add_node=lambda node: None), sdo_timeout_s=0.1), plan
-    )
+    network = SimpleNamespace(add_node=lambda node: None, subscribe=lambda *_: None)
+    device = bringup._Device(SimpleNamespace(network=network, sdo_timeout_s=0.1), plan)
     device.identity, device.node = (0x4C0, OURS), SimpleNamespace(sdo=server)
     object.__setattr__(plan, "writes", tuple(bringup.Setting(0x6071, 0, value) for _ in range(2)))
     object.__setattr__(plan, "read_backs", (((0x6071, 0), value),))
@@ -415,9 +435,8 @@ def test_what_the_host_can_do_without_and_the_device_refuses_is_lost():
             super().download(index, subindex, data)
 
     (plan, _) = plans_of(Controllers(rig_of(), "hybrid"))
-    device = bringup._Device(
-        SimpleNamespace(network=SimpleNamespace(add_node=lambda node: None), sdo_timeout_s=0.1), plan
-    )
+    network = SimpleNamespace(add_node=lambda node: None, subscribe=lambda *_: None)
+    device = bringup._Device(SimpleNamespace(network=network, sdo_timeout_s=0.1), plan)
     device.node = SimpleNamespace(sdo=Refusing(2, 2, True))
     settings = (bringup.Setting(0x6071, 0, 1), bringup.Setting(0x6007, 0, 2, soft=True, lost="its own reaction stays"))
     object.__setattr__(plan, "writes", settings)

@@ -11,7 +11,7 @@ import canopen
 import pytest
 
 from coulombus.host.devices.sdo import SdoClient, load_defaults, store_parameters
-from coulombus.host.devices.transfers import Nonsense, Refused, SdoSilent
+from coulombus.host.devices.transfers import Nonsense, Refused, SdoSilent, Twins
 from coulombus.host.errors import HostError
 from devices_bench import EDS, DevicesLink, Server, eds
 
@@ -95,6 +95,34 @@ def test_a_node_that_is_not_there_is_told_and_nobody_waits_longer():
     assert caught.value.exit_status == 5
     assert link.t < 0.3 * S
     assert link.sent[-1][1] == b"\x80" + HEAD + b"\x00\x00\x04\x05"
+
+
+def _read_identity(client):
+    for subindex in (1, 2, 3, 4):
+        with suppress(Refused):
+            client.upload(0x1018, subindex)
+
+
+@pytest.mark.parametrize("answer", [b"\x43%b\x92\x01\x00\x00", b"\x80%b\x00\x00\x02\x06"], ids=["value", "abort"])
+@pytest.mark.parametrize("after_ns", [10_000, 30_000])
+def test_a_second_answer_to_one_request_is_a_second_device(answer, after_ns):
+    link, client = motor()
+    Server(link, 1, lambda request: [(answer % request[1:4], after_ns)] if request[0] == 0x40 else [])
+    told = r"two devices answer as node 1 \(SDO of 1018h:0\d\): .*coulombus lss"
+    with pytest.raises(Twins, match=told) as caught:
+        _read_identity(client)
+    assert caught.value.exit_status == 3
+
+
+def test_a_late_answer_is_no_second_device():
+    link = DevicesLink()
+    late = iter((2 * S, 0, 0))
+    Server(link, 5, lambda request: [(b"\x43" + request[1:4] + bytes(4), next(late))] if request[0] == 0x40 else [])
+    client = SdoClient(link, 5)
+    with pytest.raises(SdoSilent):
+        client.upload(0x1018, 1)
+    link.receive(link.now_ns() + S - 1000)
+    assert client.upload(0x1018, 2) == client.upload(0x1018, 1) == bytes(4)
 
 
 def upload_of(*segments, size=None):
