@@ -65,6 +65,7 @@ class _VirtualRun(Course):
         self.measured = MeasuredFrames(rig) if order.measured else None
         if recorder is not None:
             self.world.on_host = self._write_host
+        self.world.on_change = lambda change: self.mark(self.world.t_ns, change.marker)
         self.injection: Injection | None = None
 
     def _write(self, frames: Records) -> None:

@@ -4,7 +4,8 @@ replay needs.
 The step is a function of frames and times. In virtual time both are in the recording, since all
 happens at the stamps' own times. In real time a frame that came while the loop was computing is
 older than the RPDO that the loop sent then, and yet the step saw it only in the next cycle; a
-window that ended by time leaves no trace on the bus, nor does a wish to stop. So the loop keeps a
+window that ended by time leaves no trace on the bus, nor does a wish to stop, nor the cycle from
+which on a parameter is another one (which, the markers tell: `host.cycle.parameters`). So the loop keeps a
 row for each `Moment`, and the recording carries them as attachments (``host.trace.0``,
 ``host.trace.1`` ...; `pack`, `unpack`).
 
@@ -46,6 +47,7 @@ class Moment(IntEnum):
     ARRIVED = 2  # an axis' TPDOs had all come: `host.cycle.axes.finish` at `t_ns`; `value`: why all were asked to stop
     WINDOW = 3  # the window was over, or nothing was left to wait for: `finish`, of all that wait; `value` as before
     END = 4  # the cycle is over, the safe set-points follow
+    SET = 5  # the parameters of order `value` are wanted from the cycle on that begins next (marker "set")
 
 
 TRACE = np.dtype(
@@ -68,6 +70,7 @@ class Event(IntEnum):
     START = 0  # the cycle begins with the first period at `t_ns` of the host's clock
     CLOCK = 1  # the host's clock runs fast by `value` 1e-9 from `t_ns` of the bus on
     STOP = 2  # the host is asked to stop; `value`: why (`host.cycle.records.Trip`)
+    SET = 3  # the parameters of order `value` are wanted from the next cycle on (marker "set")
 
 
 EVENT = np.dtype(

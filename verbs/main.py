@@ -30,6 +30,7 @@ from coulombus.verbs.replay import bridge, replay
 from coulombus.verbs.run import run_command, stop
 from coulombus.verbs.scan import scan
 from coulombus.verbs.sdo import sdo
+from coulombus.verbs.set_verb import set_command
 from coulombus.verbs.sim import node_command, sim
 from coulombus.verbs.simulate import demo, simulate_command
 from coulombus.verbs.status import status
@@ -41,7 +42,7 @@ __all__ = ["main"]
 
 VERBS = (
     *(demo, simulate_command, sweep_command, sim, node_command),
-    *(run_command, status, stop, mark, watch, hz, pdo, decode, dbc, tools, replay, bridge),
+    *(run_command, status, stop, mark, set_command, watch, hz, pdo, decode, dbc, tools, replay, bridge),
     *(export_command, plot_command, diff),
     *(scan, lss, sdo, nmt),
     *(init, doctor, systemd, check, measure, plan_command, commission),

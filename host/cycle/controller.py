@@ -14,6 +14,7 @@ from coulombus.eds.codec import PDO
 from coulombus.eds.own_devices import is_own, told_identity
 from coulombus.eds.pdo import fill
 from coulombus.host.cycle.demand import brake_end_Nm, brake_limit_raw
+from coulombus.host.cycle.live import LIVE
 from coulombus.host.cycle.records import CONTROL, DRIVE_PDOS, HOST, Image, Phase, SignResult, Trip
 from coulombus.host.laws.laws import LAW, LAW_STATE, MOTION, OWN_LAWS, LawError, load_declared
 from coulombus.host.laws.parameters import axis_parameters
@@ -35,6 +36,7 @@ AXIS = np.dtype(
         ("motion", MOTION),  # what the law is told
         ("law", LAW),  # its parameters
         ("state", LAW_STATE),  # what it keeps
+        ("live", LIVE),  # the changes of its parameters
     ],
     align=True,
 )
@@ -135,6 +137,8 @@ class Controller:
     ----------
     axis : one-record array of AXIS; `control`, `host`, `rpdos` and so on are views of its parts
     law_function : the friction law as a function pointer
+    declaration, parameters : what the law declares, and the values of its named parameters; None of
+        one that names none
 
     Raises
     ------
@@ -154,7 +158,8 @@ class Controller:
         except LawError as error:
             raise axis.mistake("law.function", f"a friction law; {error}") from error
         self.law_function: Any = loaded.pointer
-        parameters = axis_parameters(axis, loaded.declaration)
+        self.declaration = loaded.declaration
+        self.parameters = parameters = axis_parameters(axis, loaded.declaration)
         self.records = new_records(AXIS)
         self.motion["dt_s"] = axis.bus.period_s
         self.law[:] = self._new_law()
@@ -210,6 +215,12 @@ class Controller:
     def state(self) -> Records:
         """What the law keeps: an array of one record."""
         part: Records = self.records["state"]
+        return part
+
+    @property
+    def live(self) -> Records:
+        """The changes of its parameters: an array of one record."""
+        part: Records = self.records["live"]
         return part
 
     def _new_law(self) -> Records:

@@ -17,7 +17,15 @@ from coulombus.host.laws.parameters import axis_parameters
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig, RigError
 
-__all__ = ["brake_end_Nm", "brake_limit_raw", "check_demand", "cut_off"]
+__all__ = [
+    "brake_end_Nm",
+    "brake_limit",
+    "brake_limit_raw",
+    "check_demand",
+    "cut_off",
+    "motor_limit",
+    "torque_step_Nm",
+]
 
 
 class Demand(NamedTuple):
@@ -51,19 +59,42 @@ def brake_end_Nm(axis: Axis) -> float:
     return one.table[-1][1] if one.table else float(brake_limit_raw(axis) * one.scale)
 
 
+def motor_limit(axis: Axis, mode: str) -> tuple[float, str]:
+    """Return the motor's largest torque in a mode [Nm], and whose limit that is."""
+    limit = axis.motor_limit_Nm(mode)
+    if limit < axis.mode[mode].motor_limit_Nm:
+        return limit, f"the motor in mode {mode} (1.2 x mechanics.friction_Nm)"
+    return limit, f"mode.{mode}.motor_limit_Nm (the drive's 6072h)"
+
+
+def brake_limit(axis: Axis) -> tuple[float, str]:
+    """Return the brake's largest torque [Nm], and whose limit that is."""
+    one, device_Nm = axis.allocation.bound["brake_setpoint"], brake_end_Nm(axis)
+    if device_Nm >= axis.limits.brake_torque_Nm:
+        return axis.limits.brake_torque_Nm, "limits.brake_torque_Nm"
+    if one.table:
+        return device_Nm, "role.brake_setpoint.table"
+    description = axis.description(one.node)
+    line = description.variable(one.entry.index, one.entry.subindex).line
+    return device_Nm, f"the brake's {one.entry.index:04X}h:{one.entry.subindex:02X} ({description.path}:{line})"
+
+
+def torque_step_Nm(axis: Axis) -> float:
+    """Return the motor's torque of one count of its set-point [Nm]."""
+    return _scale(axis, "motor.target_torque_Nm")
+
+
 def _motor(axis: Axis, mode: str) -> Iterator[RigError]:
     """Yield what the motor's limit cuts off: of the law in mode active, of the compensation in
     each.
     """
-    chosen, scale = axis.mode[mode], _scale(axis, "motor.target_torque_Nm")
+    chosen, scale = axis.mode[mode], torque_step_Nm(axis)
     compensation = chosen.compensation * axis.mechanics.friction_Nm
     wanted = [Demand(f"mode.{mode}.compensation", compensation)]
     if mode == "active":  # in slip the compensation takes its share off
         slip = f"mode.{mode}.F_d_Nm"
         wanted = [Demand(key, Nm - compensation if key == slip else Nm) for key, Nm in _law(axis, mode)] + wanted
-    limit, whose = axis.motor_limit_Nm(mode), f"mode.{mode}.motor_limit_Nm (the drive's 6072h)"
-    if limit < chosen.motor_limit_Nm:
-        whose = f"the motor in mode {mode} (1.2 x mechanics.friction_Nm)"
+    limit, whose = motor_limit(axis, mode)
     for key, torque_Nm in wanted:
         if torque_Nm > limit + scale:
             yield axis.mistake(key, _expected(limit, torque_Nm, whose))
@@ -75,15 +106,7 @@ def _brake(axis: Axis, mode: str) -> Iterator[RigError]:
     """
     if mode == "active":
         return
-    scale, one = _scale(axis, "brake.setpoint_Nm"), axis.allocation.bound["brake_setpoint"]
-    description, entry = axis.description(one.node), one.entry
-    device_Nm, own_Nm = brake_end_Nm(axis), axis.limits.brake_torque_Nm
-    limit, whose = own_Nm, "limits.brake_torque_Nm"
-    if device_Nm < own_Nm:
-        line = description.variable(entry.index, entry.subindex).line
-        limit, whose = device_Nm, f"the brake's {entry.index:04X}h:{entry.subindex:02X} ({description.path}:{line})"
-        if one.table:
-            limit, whose = device_Nm, "role.brake_setpoint.table"
+    scale, (limit, whose) = _scale(axis, "brake.setpoint_Nm"), brake_limit(axis)
     for key, torque_Nm in _law(axis, mode):
         if torque_Nm > limit + scale:
             yield axis.mistake(key, _expected(limit, torque_Nm, whose))

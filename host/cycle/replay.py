@@ -9,6 +9,7 @@ frames received, and their stamps         the recording, and which of its frames
 which of them the step saw in a cycle     virtual time: their stamps; real time: the trace
 when a cycle was due and when it ended    the same; skipped periods let the position age, which divides the velocity
 the wish to stop, the dead man's switch   the trace; in virtual time so are the changes of the host's clock, on which its deadlines are
+changed parameters                        the markers "set" (`host.cycle.parameters`), and the trace in which cycle they were taken
 rig, mode, law                            attached (a law of the user's own: its file beside the recording)
 ========================================  =======================================================================================
 
@@ -17,8 +18,8 @@ Nothing else enters: no clock, and no period but `CONTROL.period_ns`.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,6 +27,8 @@ import numpy.typing as npt
 
 from coulombus.host.cycle import axes
 from coulombus.host.cycle.controllers import Controllers
+from coulombus.host.cycle.live import offer
+from coulombus.host.cycle.parameters import Order
 from coulombus.host.cycle.records import Trip
 from coulombus.recording.trace import EVENT, Event, Moment
 from coulombus.wire.clock import CLOCK_FIELDS, bus_ns, own_ns, set_clock
@@ -60,10 +63,12 @@ class Inputs:
     frames : FRAME records that the host received
     trace : rows of `recording.trace.TRACE`; or of EVENT: virtual time, where a frame is handled at
     its stamp and the host at its deadline
+    orders : changed parameters, by their numbers in the trace
     """
 
     frames: Records
     trace: npt.NDArray[Any]
+    orders: Mapping[int, Order] = field(default_factory=dict)
 
     @property
     def virtual(self) -> bool:
@@ -85,6 +90,7 @@ class _Replay:
         self.clock = new_records(np.dtype(CLOCK_FIELDS))[0]
         self.out = new_queue()
         self.axes, self.host, self.law_function = controllers.axes, controllers.host, controllers.law_function
+        self.orders = inputs.orders
         self.frames = inputs.frames[["t_ns", "can_id", "length", "word"]]
         self.row = self.first = 0
         self.ahead: list[tuple[int, ...]] = []
@@ -112,6 +118,13 @@ class _Replay:
         for frame in self.out.frames[:count].tolist():
             yield Sent(cycle, frame[0], until_ns, refusable, *frame[1:4])
 
+    def _want(self, number: int) -> None:
+        """Let the step want an order from the next cycle on."""
+        order = self.orders[number]
+        live = self.axes["live"][order.axis]
+        offer(live, number, order.values, order.cycles)
+        live["wanted"] = number
+
     def by_trace(self, trace: npt.NDArray[Any]) -> Iterator[Sent]:
         """Do what the loop of `host.realtime.loop` did."""
         period_ns = int(self.k.control["period_ns"][0])
@@ -126,6 +139,9 @@ class _Replay:
                 continue
             while self.row < received:
                 self._feed()
+            if kind == Moment.SET:
+                self._want(value)
+                continue
             if kind == Moment.BEGIN:
                 cycle += 1
                 self.host["position_age"] += (t_ns - due_ns) // period_ns - 1
@@ -165,6 +181,8 @@ class _Replay:
                 set_clock(self.clock, t_ns, value)
             elif kind == Event.STOP:
                 self.k.stop(Trip(value))
+            elif kind == Event.SET:
+                self._want(value)
 
 
 def _rows(trace: npt.NDArray[Any]) -> Iterator[tuple[int, ...]]:

@@ -19,6 +19,7 @@ from __future__ import annotations
 from coulombus.compiled.decorator import kernel
 from coulombus.eds.cia301 import CobId, NmtState
 from coulombus.eds.codec import pack, unpack
+from coulombus.host.cycle.live import follow
 from coulombus.host.cycle.phases import advance
 from coulombus.host.cycle.records import AxisRecord, ControlRecord, HostRecord, Image, LawFunction, Phase, Trip
 from coulombus.host.cycle.watch import measure, watch
@@ -81,13 +82,14 @@ def _node(c: ControlRecord, node_id: int) -> int:
 
 @kernel
 def begin(axis: AxisRecord, t_ns: int, out: Queue) -> None:
-    """Begin the cycle that is due at `t_ns`: count what the last one lost, send SYNC (the host's
-    heartbeat and what guards nodes when due).
+    """Begin the cycle that is due at `t_ns`: count what the last one lost, go on towards other
+    parameters, send SYNC (the host's heartbeat and what guards nodes when due).
     """
     c, h = axis.control, axis.host
     if h.cycle > 0 and h.phase < Phase.SAFE and h.arrived & c.every_cycle != c.every_cycle:
         h.lost_pdos += 1
     h.arrived &= c.by_timer
+    follow(axis)
     h.waiting = 1
     h.sync_ns = t_ns
     h.cycle += 1

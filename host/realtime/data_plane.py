@@ -227,6 +227,12 @@ class DataPlane:
         """Let the dead man's key count as held until CLOCK_MONOTONIC = `until_ns`."""
         self.shared.plane["deadman_ns"] = until_ns
 
+    def order(self, axis: int, number: int) -> None:
+        """Let the axis follow order `number`, which is in its buffer, from the next cycle on."""
+        plane = self.shared.plane
+        plane["order_axis"] = axis
+        plane["order"] = number
+
     def end_cycle(self) -> None:
         """End the cycle, with set-points of zero torque last, and listen on."""
         self.shared.plane["command"] = Command.LISTEN

@@ -91,7 +91,7 @@ def _offset(name: str) -> int:
 AT_COMMAND, AT_STATUS, AT_STOP = _offset("command"), _offset("status"), _offset("stop")
 AT_DEADMAN, AT_HEAD, AT_TAIL = _offset("deadman_ns"), _offset("log_head"), _offset("log_tail")
 AT_TRACE_HEAD, AT_TRACE_TAIL = _offset("trace_head"), _offset("trace_tail")
-AT_CYCLES, AT_PARENT = _offset("cycles"), _offset("parent_ns")
+AT_CYCLES, AT_PARENT, AT_ORDER = _offset("cycles"), _offset("parent_ns"), _offset("order")
 
 LISTEN_NS = 5_000_000  # how soon a command is seen while listening
 DRAIN_MESSAGES = 512  # bound of what one cycle takes from a bus that is flooded
@@ -340,8 +340,8 @@ def _drain(b: Buffers) -> int:
 
 @kernel
 def _obey(b: Buffers) -> None:
-    """Do what the parent asks for: the safe state, the dead man's key; and look whether it is
-    there.
+    """Do what the parent asks for: the safe state, the dead man's key, other parameters; and look
+    whether it is there.
     """
     p, axes, base = b.plane[0], b.axes, b.plane.ctypes.data
     _stop(p, axes, load_acquire(base + AT_STOP))
@@ -350,6 +350,11 @@ def _obey(b: Buffers) -> None:
         held = 1 if now_ns() < load_acquire(base + AT_DEADMAN) else 0
         for k in range(axes.shape[0]):
             axes[k].host.deadman_ok = held
+    order = load_acquire(base + AT_ORDER)
+    if order != p.ordered:
+        p.ordered = order
+        axes[p.order_axis].live.wanted = order
+        _trace(b.plane, b.trace, Moment.SET, now_ns(), order)
 
 
 @kernel

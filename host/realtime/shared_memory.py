@@ -67,12 +67,15 @@ PLANE = np.dtype(
         ("log_tail", np.int64),  # frames that the parent has taken from the ring
         ("trace_tail", np.int64),  # and rows from the trace
         ("packed", np.int64),  # 1: one message may carry several frames
+        ("order", np.int64),  # number of the newest order of parameters (`host.cycle.live`)
+        ("order_axis", np.int64),  # ... and whose it is
         # written by the data plane
         ("status", np.int64),
         ("error", np.int64),
         ("log_head", np.int64),
         ("trace_head", np.int64),
         ("rx_ns", np.int64),  # stamp of the frame that was received last
+        ("ordered", np.int64),  # number of the order that was wanted last
         ("asked", np.int64),  # the reason for which all axes were asked to stop
         ("cycles", np.int64),
         ("missed_deadlines", np.int64),  # periods at whose end their RPDOs were not out

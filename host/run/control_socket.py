@@ -4,7 +4,9 @@ stop, ``coulombus status`` for its state, and by which a second host knows of it
 The asker sends ``stop``. The host answers ``accepted`` as soon as it has read it, and at its end
 what came of it, as JSON. Only after ``accepted`` is the end of the connection the end of the host;
 before, it may be anything, and the rig may be armed still. Who sends ``status`` gets one JSON
-object at once; so does who sends ``mark TEXT``, by which ``coulombus mark`` marks the recording.
+object at once; so does who sends ``mark TEXT``, by which ``coulombus mark`` marks the recording,
+and who sends ``set`` with a JSON object, by which ``coulombus set`` and the page change parameters
+(`host.run.changes`).
 """
 
 from __future__ import annotations
@@ -24,8 +26,10 @@ from coulombus.wire.address import BusAddress, socket_path
 __all__ = [
     "HostSocket",
     "NoHost",
+    "NotChanged",
     "NotMarked",
     "StopRequest",
+    "ask_change",
     "ask_mark",
     "ask_status",
     "control_path",
@@ -35,7 +39,7 @@ __all__ = [
 
 STOP_TIMEOUT_S = 30.0
 MESSAGE_BYTES = 1 << 16
-STOP, ACCEPTED, STATUS, MARK = b"stop", b"accepted", b"status", b"mark "
+STOP, ACCEPTED, STATUS, MARK, SET = b"stop", b"accepted", b"status", b"mark ", b"set "
 STATUS_TIMEOUT_S = 3.0
 ASKERS = 16
 """Who may be connected at a time.
@@ -58,6 +62,12 @@ class NoHost(HostError):
 
 class NotMarked(HostError):
     """The host runs and marks nothing; the text says why."""
+
+    exit_status = 2
+
+
+class NotChanged(HostError):
+    """The host runs and changes no parameter; the text says why."""
 
     exit_status = 2
 
@@ -100,7 +110,7 @@ class _Asker:
         connection.setblocking(False)
         self.connection, self.since, self.accepted = connection, time.monotonic(), False
 
-    def asks(self, status: Callable[[], bytes], mark: Callable[[str], bytes]) -> bool | None:
+    def asks(self, door: HostSocket) -> bool | None:
         """Tell whether a stop is asked for now; None: it has gone, has its answer, talks nonsense,
         or has said nothing for too long.
         """
@@ -111,9 +121,10 @@ class _Asker:
         except OSError:
             return None
         if message == STATUS:
-            self.tell(status())
-        if message.startswith(MARK):
-            self.tell(mark(message[len(MARK) :].decode(errors="replace")))
+            self.tell(door.status())
+        for verb, answer in ((MARK, door.mark), (SET, door.change)):
+            if message.startswith(verb):
+                self.tell(answer(message[len(verb) :].decode(errors="replace")))
         if message != STOP:
             return None
         self.accepted = True
@@ -129,7 +140,8 @@ class HostSocket:
     """Claims the bus at `address` for this process.
 
     `status` makes the answer to who asks for the state, `mark` marks the recording with a text and
-    makes the answer to that; both may be set later.
+    makes the answer to that, `change` changes parameters as a JSON text says and makes the answer;
+    all may be set later.
 
     Raises
     ------
@@ -142,6 +154,7 @@ class HostSocket:
         self._askers: list[_Asker] = []
         self.status: Callable[[], bytes] = lambda: b"{}"
         self.mark: Callable[[str], bytes] = lambda text: b"{}"
+        self.change: Callable[[str], bytes] = lambda text: b"{}"
         heard = _heard_at(self._path)
         if heard:
             raise SafetyTrip(_occupied(address))
@@ -167,7 +180,7 @@ class HostSocket:
         self._let_in()
         wanted = False
         for asker in list(self._askers):
-            asks = asker.asks(self.status, self.mark)
+            asks = asker.asks(self)
             wanted = wanted or bool(asks)
             if asks is None:
                 self._let_go(asker)
@@ -338,6 +351,27 @@ def ask_mark(address: BusAddress, text: str, timeout_s: float = STATUS_TIMEOUT_S
     if "error" in found:
         raise NotMarked(f"the host on bus {address}: {found['error']}")
     return found
+
+
+def ask_change(address: BusAddress, order: dict[str, Any], timeout_s: float = STATUS_TIMEOUT_S) -> dict[str, Any]:
+    """Ask the host on a bus for other parameters, and return what it tells (`host.run.changes`).
+
+    Raises
+    ------
+    NoHost
+        none runs there, or it gives no answer that is one
+    NotChanged
+        it refuses; nothing is changed
+    """
+    message = SET + json.dumps(order).encode(errors="replace")
+    deadline = time.monotonic() + timeout_s
+    while True:
+        found = _ask(address, message, timeout_s)
+        if "error" not in found:
+            return found
+        if not found.get("again") or time.monotonic() > deadline:
+            raise NotChanged(f"the host on bus {address}: {found['error']}")
+        time.sleep(RETRY_S)
 
 
 def _ask(address: BusAddress, message: bytes, timeout_s: float) -> dict[str, Any]:

@@ -24,6 +24,7 @@ import numpy as np
 
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.demand import check_demand
+from coulombus.host.cycle.parameters import Change, LiveParameters
 from coulombus.host.cycle.records import Phase, Trip
 from coulombus.host.cycle.step import SOURCE_HOST
 from coulombus.host.errors import SafetyTrip
@@ -31,6 +32,7 @@ from coulombus.host.laws.law_source import law_attachments
 from coulombus.host.realtime.data_plane import PRIORITY, DataPlane
 from coulombus.host.realtime.shared_memory import Status
 from coulombus.host.run.axis_state import axis_state
+from coulombus.host.run.changes import Changes, new_arm_key
 from coulombus.host.run.control_socket import HostSocket
 from coulombus.host.run.course import SAFE_TIMEOUT_NS, Course, Figures
 from coulombus.host.run.deadman import Switch, deadman_of
@@ -106,11 +108,14 @@ class _RealRun(Course):
             self.door = HostSocket(address)
             self._stack.callback(lambda: self.door.close(self._outcome))
             self.door.status, self.door.mark = self._answer, self._mark_asked
+            self.door.change = self._change_asked
             if outputs.status is not None:
                 self.teller = StatusSocket(outputs.status, self.status)
                 self._stack.callback(self.teller.close)
             self.plane = DataPlane(self.k, address, priority=priority, cpu=cpu)
             self._stack.callback(self.plane.close)
+            parameters = LiveParameters(self.k)  # in the memory that is shared by now
+            self.changes = Changes(parameters, new_arm_key(address), self._apply, self._why_no_change)
             self.control = RealControlPlane(rig, address)
             self._stack.callback(self.control.close)
             if outputs.record is not None:
@@ -142,7 +147,11 @@ class _RealRun(Course):
             "sync_to_rpdo_us": latency and latency.as_dict(),
             "counters": plane.counters(),
             "recording": None if self.path is None else str(self.path),
-            "axes": [axis_state(controller) for controller in self.k],
+            "arm_key": bool(self.changes.arm_key),
+            "axes": [
+                {**axis_state(controller), "parameters": rows}
+                for controller, rows in zip(self.k, self.changes.rows(), strict=True)
+            ],
         }
 
     def _answer(self) -> bytes:
@@ -197,6 +206,23 @@ class _RealRun(Course):
             return encoded({"error": str(error)})
         self.mark(self.now_ns, marker)
         return encoded({"marker": marker, "recording": str(self.path)})
+
+    def _change_asked(self, text: str) -> bytes:
+        """Change parameters as somebody asks; return the answer for who asks at the door."""
+        try:
+            return encoded(self.changes.answer(text))
+        except Exception as error:
+            return encoded({"error": f"{type(error).__name__}: {error}"})
+
+    def _why_no_change(self) -> str | None:
+        if self.plane.status is not Status.CYCLING:
+            return "the host does not cycle yet"
+        return "the host ends: it is in its safe state" if self.k.ending else None
+
+    def _apply(self, change: Change) -> None:
+        """Let the step follow a change from the next cycle on; mark it."""
+        self.plane.order(change.index, change.number)
+        self.mark(self.now_ns, change.marker)
 
     def _watch_keys(self) -> None:
         """Let the keys 1 to 9 set markers, where a terminal is there and something is recorded."""
@@ -296,6 +322,8 @@ class _RealRun(Course):
             self._watch_keys()
         if switch is not None:
             self._await_hand(switch)
+        if self.changes.arm_key:
+            self.say(f"arm key, which coulombus set and the page need to change a parameter: {self.changes.arm_key}")
         self.signals.defer()
         self.signals.stop()
         if not self.plane.alive or self.plane.status in (Status.LOST, Status.ENDED):

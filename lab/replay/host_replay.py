@@ -13,7 +13,7 @@ of it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,6 +21,7 @@ import numpy as np
 
 from coulombus.eds.cia301 import CobId
 from coulombus.host.cycle.controllers import Controllers
+from coulombus.host.cycle.parameters import Order, orders_of
 from coulombus.host.cycle.replay import Inputs, Sent, replay
 from coulombus.host.laws.law_source import law_source, recorded_sha256
 from coulombus.host.laws.laws import OWN_LAWS
@@ -121,6 +122,7 @@ def host_replay(path: str | Path, overrides: Sequence[str] = (), rig: Rig | None
         raise ReplayError(f"{path}: the overrides change the PDOs, whose recorded words would mean something else")
     controllers = Controllers(chosen, mode)
     known = _known(recording, controllers)
+    known = known._replace(inputs=replace(known.inputs, orders=_orders(recording, controllers, known.inputs)))
     law_remarks, same_law = _compare_laws(recording, chosen)
     others = [text for text in overrides if text.partition("=")[0].strip() != "law.function"]
     check = _Check(recording, controllers, known, keep=bool(overrides))
@@ -146,6 +148,18 @@ def _compare_laws(recording: Recording, chosen: Rig) -> tuple[tuple[str, ...], b
         return (), True
     text = f"{recording.path}: the law is {chosen.law_function} with the SHA-256 {now.sha256}, recorded was {name} with {recorded}"
     return (text,), False
+
+
+def _orders(recording: Recording, controllers: Controllers, inputs: Inputs) -> dict[int, Order]:
+    """Return the changed parameters that the markers tell; all that the trace has must be there."""
+    orders = orders_of((text for _, text in recording.markers), controllers)
+    kinds = inputs.trace["kind"] == (Event.SET if inputs.virtual else Moment.SET)
+    missing = set(inputs.trace["value"][kinds].tolist()) - set(orders)
+    if missing:
+        raise ReplayError(
+            f"{recording.path}: parameters were changed (order {min(missing)}), and the marker 'set' that tells which is not in it"
+        )
+    return orders
 
 
 class _Known(NamedTuple):

@@ -15,6 +15,7 @@ import numpy as np
 
 from coulombus.eds.cia305 import UNCONFIGURED
 from coulombus.host.cycle.controllers import Controllers
+from coulombus.host.cycle.parameters import OVER_S, Change, LiveParameters
 from coulombus.host.cycle.records import Trip
 from coulombus.node.device import Device
 from coulombus.node.emcy import DEVICE_FAULTS, FIRST_DEVICE_CAUSE
@@ -96,6 +97,9 @@ class VirtualRig(VirtualNetwork):
         """Called with each batch, after `on_frames`: which of its frames the host received, rows of
         `recording.trace.EVENT`, what the host asked for.
         """
+        self.parameters = LiveParameters(self.controllers)
+        self.on_change: Callable[[Change], None] | None = None
+        """Called with each change of a parameter."""
         self._waiting: list[Planned] = []
 
         n = len(rig.axes)
@@ -297,6 +301,27 @@ class VirtualRig(VirtualNetwork):
         """Ask the host for the safe state: the normal end, or for the reason `trip`."""
         self._note(Event.STOP, self.t_ns, trip)
         self.controllers.stop(trip)
+
+    def set_parameters(self, values: Mapping[str, float], axis: str = "", over_s: float = OVER_S) -> Change:
+        """Let the host's law and compensation have other values, as ``coulombus set`` does.
+
+        Raises
+        ------
+        coulombus.host.cycle.parameters.Refused
+            nothing is changed; the text says why
+        """
+        return self._want(self.parameters.change(values, axis, over_s))
+
+    def undo_parameters(self, over_s: float = OVER_S) -> Change:
+        """Take the last change back, as ``coulombus set --undo`` does."""
+        return self._want(self.parameters.undo(over_s))
+
+    def _want(self, change: Change) -> Change:
+        self._note(Event.SET, self.t_ns, change.number)
+        self.controllers.axes["live"]["wanted"][change.index] = change.number
+        if self.on_change is not None:
+            self.on_change(change)
+        return change
 
     def set_host_clock(self, ppb: int) -> None:
         """Let the host's clock run fast by `ppb` (1e-9) from now on."""

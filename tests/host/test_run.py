@@ -14,11 +14,13 @@ import threading
 import time
 
 import pytest
+from click.testing import CliRunner
 
 from coulombus.compiled.decorator import JIT_DISABLED
 from coulombus.lab.replay.host_replay import host_replay
 from coulombus.recording.signals import read
 from coulombus.rigs.overrides import SHARED_MACHINE
+from coulombus.verbs.main import main
 from coulombus.wire.client import pack_frame
 from real_bench import HOLD, PATIENCE_S, Observer, command, host, result, simulation, start
 
@@ -278,3 +280,30 @@ def test_the_demo(tmp_path):
     assert {path.name for path in (tmp_path / "demo").iterdir()} >= {
         *("active.pcapng", "hybrid.pcapng", "demo.json", "demo.png", "active-timing.png")
     }
+
+
+def test_parameters_are_changed_while_the_law_displays_and_replayed(tmp_path):
+    """Bit for bit, from the recording alone; what is refused changes nothing."""
+    record, overrides = tmp_path / "r.pcapng", (f"phase={HOLD}",)
+    calls = ("F_s=2.5 F_d=2.0 --over 0.2s", "K_p=500", "F_s=999", "--undo")
+    with (
+        simulation(BUS, overrides=overrides),
+        host(BUS, "--record", record, seconds=60, overrides=overrides) as run,
+        Observer(BUS) as observer,
+    ):
+        observer.until(run, lambda can_id, data: can_id == 0x202 and int.from_bytes(data, "little") > 100)
+        done = [CliRunner().invoke(main, ["set", *words.split(), "--bus", BUS]) for words in (*calls, "--json")]
+        assert CliRunner().invoke(main, ["stop", "--bus", BUS]).exit_code == 0
+        ended, data, err = result(run)
+    assert (ended, data["trip"]) == (0, None), err
+    assert [one.exit_code for one in done] == [0, 0, 2, 0, 0]
+    wanted = {row["name"]: row["value"] for row in json.loads(done[-1].stdout)["parameters"][0]}
+    assert wanted == {"K_p_Nm_rad": 10000.0, "F_s_Nm": 2.5, "F_d_Nm": 2.0, "compensation": 0.97}
+    told = [text.partition(" [")[0] for _, text in read(record).markers if text.startswith("set ")]
+    assert told == [
+        "set F_s_Nm 3.5 -> 2.5 Nm, F_d_Nm 3 -> 2 Nm in 0.2 s",
+        "set K_p_Nm_rad 10000 -> 500 Nm/rad in 0.5 s",
+        "set K_p_Nm_rad 500 -> 10000 Nm/rad in 0.5 s (undo)",
+    ]
+    again = host_replay(record)
+    assert (again.difference, again.unchecked, again.computed_trip) == (None, 0, None)

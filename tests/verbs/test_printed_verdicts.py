@@ -31,6 +31,7 @@ ENDS = {
     "status": ("status --bus coulombus:none", 4),
     "watch": ("watch --bus coulombus:none", 4),
     "mark": ("mark grasp --bus coulombus:none", 4),
+    "set": ("set F_s=2.0 --bus coulombus:none", 4),
     "replay": ("replay RECORDING --bus coulombus:none", 4),
     "bridge": ("bridge coulombus:none coulombus:other", 4),
     "conformance": (f"conformance --bus coulombus:none --node 1 --eds {EDS}", 4),
