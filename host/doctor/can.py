@@ -7,12 +7,16 @@ import os
 import re
 import shlex
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from coulombus.host.doctor.finding import Check, Outcome
-from coulombus.host.doctor.machine import CannotRead, Machine
+from coulombus.host.doctor.kernel import preempt_rt
+from coulombus.host.doctor.machine import Absent, CannotRead, Machine, nonsense
+from coulombus.host.doctor.rights import PRIORITY
 
 __all__ = ["Link", "checks"]
 
@@ -22,6 +26,10 @@ SHORTEST_QUEUE, LONGEST_QUEUE = 16, 256
 more wait in it.
 """
 RESTART_MS = 100
+IRQ_PRIORITY = 90
+"""Of SCHED_FIFO, for the thread of the card's interrupt: above the host's."""
+RT_PRIORITY = 40 - 3
+"""Field rt_priority of /proc/PID/stat, counted from the first one behind the name (proc(5))."""
 SAMPLE_POINTS = {1_000_000: (0.75, 0.90), 800_000: (0.75, 0.90)}
 SAMPLE_POINT, BEST_SAMPLE_POINT = (0.85, 0.90), 0.875
 """CiA 301, bit timing: the range of the sample point, which is wider at 800 and 1000 kbit/s."""
@@ -106,7 +114,17 @@ def checks(machine: Machine, name: str, bitrate_bit_s: int | None = None) -> lis
     if not _is_can(machine, name):  # of nothing else anything is to be mended
         return [("can.interface", partial(interface, link))]
     general = (interface, driver, up, txqueuelen)
-    of_controller = (state, mode, bitrate, sample_point, restart_ms, berr_reporting, error_counters, timestamps)
+    of_controller = (
+        irq_thread,
+        state,
+        mode,
+        bitrate,
+        sample_point,
+        restart_ms,
+        berr_reporting,
+        error_counters,
+        timestamps,
+    )
     found: list[Check] = [(f"can.{one.__name__}", partial(one, link)) for one in general]
     return found + [(f"can.{one.__name__}", partial(_of_controller, link, one)) for one in of_controller]
 
@@ -184,6 +202,63 @@ def txqueuelen(link: Link) -> Outcome:
     if length > LONGEST_QUEUE:
         return Outcome(False, f"{length} frames: a bus that stands still fills it with old set-points", fix)
     return Outcome(True, f"{length} frames")
+
+
+def irq_thread(link: Link) -> Outcome:
+    """A PREEMPT_RT kernel empties the card's receive buffer in a thread, by default of priority 50:
+    below the host's it waits while the host polls, and frames are lost.
+    """
+    machine = link.machine
+    if not preempt_rt(machine).ok:
+        return Outcome(True, "no PREEMPT_RT kernel: the card's interrupt goes before any thread")
+    numbers = _interrupts(link)
+    found: dict[str, int] = {}
+    for pid in filter(str.isdecimal, machine.names("/proc")):
+        try:
+            name = machine.text(f"/proc/{pid}/comm")
+            if (thread := re.match(r"irq/(\d+)-", name)) and thread[1] in numbers:
+                found[name] = _priority(machine, pid)
+        except Absent:  # it has ended meanwhile
+            continue
+    if not found:
+        return Outcome(True, f"no interrupt of {link.name} has a thread")
+    text = ", ".join(f"{name}: SCHED_FIFO {priority}" for name, priority in sorted(found.items()))
+    fix = "\n".join(f"sudo chrt -f -p {IRQ_PRIORITY} $(pgrep -x {shlex.quote(name)})" for name in sorted(found))
+    if min(found.values()) > PRIORITY:
+        return Outcome(True, text)
+    return Outcome(False, f"{text}; the host polls at {PRIORITY}, and the receive buffer overflows meanwhile", fix)
+
+
+def _interrupts(link: Link) -> set[str]:
+    """Return the numbers of the interrupts that have the interface's name, or are of its device: a
+    USB card's are those of the USB controller.
+    """
+    machine = link.machine
+    numbers = [name for name in machine.names("/proc/irq") if name.isdecimal()]
+    named = {number for number in numbers if machine.path(f"/proc/irq/{number}/{link.name}").is_dir()}
+    if named:
+        return named
+    device, root = (
+        Path(os.path.realpath(one)) for one in (machine.path(f"/sys/class/net/{link.name}/device"), machine.root)
+    )
+    for place in (device, *device.parents):
+        if place == root:
+            break
+        own = {one.name for one in place.glob("msi_irqs/*")}
+        with suppress(OSError):
+            own |= {(place / "irq").read_text().strip()}
+        if own := own & set(numbers):
+            return own
+    return set()
+
+
+def _priority(machine: Machine, pid: str) -> int:
+    """Return the real-time priority of a thread; 0: it has none."""
+    text = machine.text(f"/proc/{pid}/stat")
+    try:
+        return int(text.rpartition(")")[2].split()[RT_PRIORITY])
+    except (ValueError, IndexError):
+        raise nonsense(f"/proc/{pid}/stat", text, "the numbers of a thread") from None
 
 
 def state(link: Link) -> Outcome:

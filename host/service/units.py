@@ -166,10 +166,11 @@ def _unit(
 
 
 def _host(service: Service) -> str:
-    after = ""
+    after = raised = ""
     if service.bus.startswith("socketcan:") and not service.user:
         device = f"sys-subsystem-net-devices-{_escaped(service.interface)}.device"
         after = f"After={device}\nBindsTo={device}\n"
+        raised = RAISED.format(name=service.interface)
     else:
         after = "After=coulombus-sim.service\n"
     stop_s = round(SAFE_S + service.ending_s)
@@ -182,7 +183,7 @@ def _host(service: Service) -> str:
     if service.user:
         lines = lines.replace("OOMScoreAdjust=-900\n", "")  # only the system's manager may
     else:
-        lines += "DeviceAllow=/dev/cpu_dma_latency rw\n"
+        lines += f"{raised}DeviceAllow=/dev/cpu_dma_latency rw\n"
         lines += "# the dead man's switch, where host.deadman is a GPIO line\nDeviceAllow=char-gpiochip r\n"
     recorded = () if service.user else ("--record", "runs", "--rotate", "1h", "--keep", "20GB")
     command = service.command("run", "--rig", service.rig, "--bus", service.bus, "--mode", service.mode, *recorded)
@@ -231,6 +232,10 @@ OriginalName={name}
 [Link]
 TransmitQueueLength=64
 """
+RAISED = """\
+# on a PREEMPT_RT kernel the card's interrupt is a thread, of priority 50 each time the interface comes up
+ExecStartPre=+-/bin/sh -c 'for pid in $$(pgrep "^irq/[0-9]+-{name}$$"); do chrt -f -p 90 $$pid; done'
+"""
 UP = """\
 #!/bin/sh
 # made by `coulombus systemd`: the same by hand, where systemd-networkd does not run
@@ -239,6 +244,7 @@ ip link set {name} down
 ip link set {name} type can bitrate {rate} sample-point 0.875 restart-ms 100
 ip link set {name} type can berr-reporting on || true  # not every card can
 ip link set {name} txqueuelen 64 up
+for pid in $(pgrep '^irq/[0-9]+-{name}$'); do chrt -f -p 90 "$pid"; done  # PREEMPT_RT: before the host
 """
 SYSUSERS = f"""\
 # made by `coulombus systemd`

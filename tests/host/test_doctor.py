@@ -40,6 +40,13 @@ WANTED = Wanted.of(load_rig("bench"))
 CPUS = "sys/devices/system/cpu"
 LIMITS = "Limit  Soft  Hard  Units\nMax locked memory         {memlock} {memlock} bytes\nMax realtime priority     {rtprio} {rtprio}\n"
 
+
+def stat(rt_priority):
+    """/proc/PID/stat of a thread whose name has a blank and a bracket (proc(5))."""
+    head = "210 (irq/24-can0 x) S 2 0 0 0 -1 2129984 0 0 0 0 0 0 0 0"
+    return f"{head} -91 0 1 0 85 0 0 18446744073709551615 0 0 0 0 0 0 0 2147483647 0 0 0 0 17 3 {rt_priority} 1 0 0 0"
+
+
 GOOD = {
     "proc/version": "Linux version 6.1.0-18-rt-amd64 (x@y) #1 SMP PREEMPT_RT Debian 6.1.76-1",
     "sys/kernel/realtime": "1",
@@ -61,6 +68,11 @@ GOOD = {
     "proc/irq/24/can0/x": "",
     "proc/irq/24/smp_affinity_list": "3",
     "proc/irq/25/eth0/x": "",
+    "proc/210/comm": "irq/24-can0",
+    "proc/210/stat": stat(90),
+    "proc/211/comm": "irq/25-eth0",
+    "proc/211/stat": stat(50),
+    "proc/212/comm": "python",
     "proc/irq/25/effective_affinity_list": "0-2",
     "proc/irq/26/smp_affinity_list": "0-3",  # has no handler
     "proc/self/limits": LIMITS.format(memlock="unlimited", rtprio="95"),
@@ -100,6 +112,7 @@ BAD = {
     "proc/irq/25/effective_affinity_list": "3",
     "proc/self/limits": LIMITS.format(memlock="8388608", rtprio="0"),
     "dev/cpu_dma_latency": None,
+    "proc/210/stat": stat(50),
     "sys/class/net/can0/flags": "0x40080",
     "sys/class/net/can0/tx_queue_len": "10",
     "sys/devices/pci0/usb1/1-2/power/control": "auto",
@@ -174,7 +187,7 @@ def test_a_good_machine_has_nothing_to_mend(examined):
 def test_on_a_bad_machine_everything_is_to_mend_with_a_command(examined):
     found = examined(BAD, link_with(**BAD_LINK))
     fine = {name for name, one in found.items() if one.ok}
-    assert fine == {"kernel.container", "can.interface", "can.driver", "can.timestamps"}
+    assert fine == {"kernel.container", "can.interface", "can.driver", "can.irq_thread", "can.timestamps"}
     for one in found.values():
         assert one.ok or one.fix, one
     assert "linux-image-rt" in found["kernel.preempt_rt"].fix
@@ -198,6 +211,9 @@ def test_on_a_bad_machine_everything_is_to_mend_with_a_command(examined):
         ("cpu.isolated", {f"{CPUS}/isolated": "0-2"}, {}),
         ("rights.rtprio", {"proc/self/limits": LIMITS.format(memlock="unlimited", rtprio="79")}, {}),
         ("rights.memlock", {"proc/self/limits": LIMITS.format(memlock="8388608", rtprio="95")}, {}),
+        ("can.irq_thread", {"proc/210/stat": stat(50)}, {}),
+        ("can.irq_thread", {"proc/210/stat": stat(80)}, {}),
+        ("can.irq_thread", {"proc/210/stat": stat(0)}, {}),
         ("can.txqueuelen", {"sys/class/net/can0/tx_queue_len": "1000"}, {}),
         ("can.state", {}, {"state": "BUS-OFF"}),
         ("can.sample_point", {}, {"bittiming": {"bitrate": 1000000, "sample_point": "0.700"}}),
@@ -208,6 +224,37 @@ def test_on_a_bad_machine_everything_is_to_mend_with_a_command(examined):
 def test_each_fault_alone_is_one_finding(examined, check, files, info):
     found = examined(files, link_with(**info))
     assert [name for name, one in found.items() if not one.ok] == [check]
+
+
+def test_the_thread_of_the_cards_interrupt_is_raised_above_the_host(examined):
+    found = examined({"proc/210/stat": stat(50)})["can.irq_thread"]
+    assert found.found.startswith("irq/24-can0: SCHED_FIFO 50; the host polls at 80")
+    assert found.fix == "sudo chrt -f -p 90 $(pgrep -x irq/24-can0)"
+
+
+def test_a_usb_cards_interrupt_is_the_usb_controllers(examined):
+    files = {
+        "proc/irq/24/can0/x": None,
+        "proc/irq/24/xhci_hcd/x": "",
+        "sys/devices/pci0/msi_irqs/24": "msi",
+        "proc/210/comm": "irq/24-xhci_hcd",
+    }
+    assert examined(files)["can.irq_thread"].ok
+    low = examined(files | {"proc/210/stat": stat(50)})["can.irq_thread"]
+    assert low.fix == "sudo chrt -f -p 90 $(pgrep -x irq/24-xhci_hcd)"
+
+
+@pytest.mark.parametrize(
+    ("files", "told"),
+    [
+        ({"proc/210/comm": "python"}, "no interrupt of can0 has a thread"),
+        ({"proc/version": BAD["proc/version"], "sys/kernel/realtime": None}, "no PREEMPT_RT kernel"),
+    ],
+)
+def test_where_no_thread_empties_the_card_none_is_to_raise(examined, files, told):
+    found = examined({"proc/210/stat": stat(50), **files})["can.irq_thread"]
+    assert found.ok
+    assert told in found.found
 
 
 def test_a_capability_stands_for_the_limits(examined):
