@@ -23,6 +23,7 @@ from coulombus.verbs.common import (
     say,
     seed_option,
     set_option,
+    verdict,
 )
 
 if TYPE_CHECKING:
@@ -316,6 +317,26 @@ def map_command(**options: Any) -> None:
     """
     with errors():
         _map(_rig(options), options)
+
+
+@analyse.command("laws", epilog=EXIT_STATUS, short_help="The friction laws held against the literature.")
+@json_option
+def laws_command(as_json: bool) -> None:
+    """Compute the published benchmarks of the friction laws, their describing functions (v = 1 rad/s,
+    1 Hz) and what they give back.
+
+    Ends with 1 when a law does not give what the literature says.
+    """
+    with errors():
+        from coulombus.analysis.loop.law_benchmarks import benchmarks, lines, plain, sweep
+
+        with _steps(2) as step:
+            step("benchmarks")
+            found = benchmarks()
+            step("describing functions")
+            swept = sweep()
+        with verdict(0 if all(one.ok for one in found) else 1):
+            _tell(as_json, lambda: plain(found, swept), lambda: lines(found, swept))
 
 
 def _all(options: dict[str, Any]) -> None:

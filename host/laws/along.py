@@ -105,7 +105,7 @@ class GivenLaw:
     declaration: Declaration | None
     parameters: Parameters | None
 
-    def along(self, t_s: Floats, x_rad: Floats, count_rad: float = COUNT_RAD) -> Driven:
+    def along(self, t_s: npt.NDArray[Any], x_rad: npt.NDArray[Any], count_rad: float = COUNT_RAD) -> Driven:
         """Drive the law along a motion, from its relaxed state.
 
         Parameters
