@@ -32,6 +32,8 @@ class Communication:
         self._dictionary = dictionary
         self._node = node
         self.pdos = Pdos(dictionary, node, profile)
+        described = dictionary.description.objects  # looked at often, and an EDS has one server, or two
+        self._servers = [(k, index) for k, index in enumerate(SDO_SERVERS) if k == 0 or index in described]
 
     def sdo_servers(self) -> list[tuple[int, int, int]]:
         """Return the SDO servers that are valid: (number from 0,
@@ -39,7 +41,7 @@ class Communication:
         """
         number, node_id = self._dictionary.number, self._dictionary.node_id
         servers = []
-        for k, index in enumerate(SDO_SERVERS):
+        for k, index in self._servers:
             default = (CobId.SDO_RX + node_id, CobId.SDO_TX + node_id) if k == 0 else (INVALID, INVALID)
             rx, tx = number(index, 1, default[0]), number(index, 2, default[1])
             if not (rx | tx) & INVALID and rx & 0x7FF and tx & 0x7FF:
@@ -126,10 +128,11 @@ class Communication:
         node = self._node
         entries = [self._dictionary.number(0x1016, k + 1) for k in range(MAX_CONSUMERS)]
         watched = [entry if entry >> 16 & 0xFF and entry & 0xFFFF else 0 for entry in entries]
+        ids, times_ns, states = node["consumer_id"], node["consumer_ns"], node["consumer_state"]
         for k in range(MAX_CONSUMERS) if subindex == 0 else (subindex - 1,):
-            node["consumer_id"][k] = watched[k] >> 16 & 0xFF
-            node["consumer_ns"][k] = (watched[k] & 0xFFFF) * 1_000_000
-            node["consumer_state"][k] = 0
+            ids[k] = watched[k] >> 16 & 0xFF
+            times_ns[k] = (watched[k] & 0xFFFF) * 1_000_000
+            states[k] = 0
         node["consumers_used"] = max((k + 1 for k, entry in enumerate(watched) if entry), default=0)
 
     def _refresh_heartbeat(self, subindex: int, t_ns: int) -> None:

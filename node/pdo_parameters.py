@@ -51,6 +51,12 @@ class Pdos:
         self._node = node
         self._profile = profile
         self._changing = CHANGING | {row.index for row in profile.objects if row.changing}
+        described = sorted(dictionary.description.objects)
+        self._beyond = {
+            direction: [index for index in described if first + MAX_PDOS <= index < first + 512]
+            for direction, first in COMMUNICATION.items()
+        }
+        """The communication parameters that the core has no room for."""
 
     def locate(self, index: int) -> tuple[Direction, int, bool] | None:
         """Return (direction, number from 0, whether it is a mapping) of a PDO parameter,
@@ -226,6 +232,6 @@ class Pdos:
             for k in range(MAX_PDOS):
                 if self._dictionary.description.has(COMMUNICATION[direction] + k):
                     self.refresh(direction, k, t_ns)
-            for index in range(COMMUNICATION[direction] + MAX_PDOS, COMMUNICATION[direction] + 512):
+            for index in self._beyond[direction]:
                 if (index, 1) in self._dictionary:
                     self._dictionary[index, 1] = self._dictionary.number(index, 1) | COB_ID_INVALID

@@ -40,11 +40,14 @@ class MeasuredFrames:
 
     def write(self, frames: Records) -> None:
         """Append a batch of frames with rising stamps."""
+        frames = frames.view(np.ndarray)  # a plain array answers faster than a recarray
         comments = self._markers.on(frames["t_ns"])
-        kept = np.isin(frames["can_id"], self._wanted)
+        can_id = frames["can_id"]
+        kept = np.zeros(len(frames), np.bool_)
+        for wanted in self._wanted:  # a few: faster than np.isin
+            kept |= can_id == wanted
         kept[list(comments)] = True
-        places = self._count + np.cumsum(kept) - 1
-        self._comments += [(int(places[row]), text) for row, text in comments.items()]
+        self._comments += [(self._count + int(np.count_nonzero(kept[:row])), text) for row, text in comments.items()]
         self._parts.append(frames[kept])
         self._count += len(self._parts[-1])
 

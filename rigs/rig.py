@@ -12,6 +12,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -247,6 +248,10 @@ class Rig:
 
     def effective(self) -> str:
         """Return the configuration after overrides as TOML text; loading it gives an equal rig."""
+        return self._effective
+
+    @cached_property
+    def _effective(self) -> str:
         return self._spelled or _emitted(self.axes[0])
 
     def variant(self, *overrides: str) -> Rig:

@@ -8,6 +8,7 @@ session of its own, out of the terminal's reach, and ends with its parent.
 from __future__ import annotations
 
 import sys
+import threading
 from multiprocessing.connection import Connection
 
 from coulombus.lab.sweep.one_run import Job, Order, carry_out, warm_up
@@ -21,6 +22,12 @@ def main(fd: int, parent: int) -> None:
     """Carry out orders until there are no more."""
     ignore()
     die_with_parent(parent)
+    runs = threading.Thread(target=_carry_out, args=(fd,))  # beside the main thread no kernel holds signals back
+    runs.start()
+    runs.join()
+
+
+def _carry_out(fd: int) -> None:
     with Connection(fd) as line:
         job = line.recv()
         assert isinstance(job, Job)

@@ -130,6 +130,7 @@ class VirtualRig(VirtualNetwork):
                 *(Host(k.axes, k.owner), k.law_function),
             ),
         )
+        self._outputs = self.nodes.view(np.ndarray), self.plant.view(np.ndarray)  # as plain arrays, see `_axes`
         self.nodes["coil_A_Nm"][self._axes["brake"]] = [one.brake.coil_A_Nm for one in rig.axes]
         rows: dict[int, tuple[int, Device]] = {}
         for device in (*(one for found in devices for one in found[:2]), *(one for _, one in sensors.values())):
@@ -196,9 +197,10 @@ class VirtualRig(VirtualNetwork):
         advanced to the present.
         """
         motors, brakes = self._axes["motor"], self._axes["brake"]
-        self.plant["reverse_A"] = self.nodes["out_reverse_A"][brakes]
-        self.plant["motor_pm"] = self.nodes["out_torque_pm"][motors]
-        self.plant["brake_Nm"] = self.nodes["out_brake_Nm"][brakes]
+        outputs, plant = self._outputs
+        plant["reverse_A"] = outputs["out_reverse_A"][brakes]
+        plant["motor_pm"] = outputs["out_torque_pm"][motors]
+        plant["brake_Nm"] = outputs["out_brake_Nm"][brakes]
         for a in np.flatnonzero(self._axes["foreign"]):
             self.plant[a]["brake_Nm"] = brake_torque(self.axes[a], self.nodes[int(brakes[a])])
 
