@@ -48,6 +48,7 @@ __all__ = ["demo", "simulate_command"]
 @seed_option
 @faults_option
 @set_option
+@click.option("--law", metavar="NAME", help="Display this law: one of `coulombus law`, or FILE.py:FUNCTION.")
 @click.option(
     "--truth",
     type=OutputFile(),
@@ -65,6 +66,7 @@ def simulate_command(
     seed: int,
     faults: Path | None,
     overrides: tuple[str, ...],
+    law: str | None,
     truth: Path | None,
     script: Path | None,
     as_json: bool,
@@ -82,6 +84,7 @@ def simulate_command(
       coulombus simulate --faults faults.toml --record run.pcapng --json
       coulombus simulate --truth truth.npz --record run.pcapng --seed 7
       coulombus simulate --script script.toml --record run.pcapng
+      coulombus simulate --law lugre --set law.lugre.F_s_Nm=1.4 --mode active --record lugre.pcapng
     """
     with errors():
         from coulombus.lab.simulate import simulate
@@ -89,6 +92,8 @@ def simulate_command(
         from coulombus.sim_bus.network.script import read_script
 
         rig = load(rig_name, overrides)
+        if law is not None:
+            rig = rig.with_law(law)
         check_mode(rig, rig_name, mode)
         total = display_s(rig, seconds)
         entries = () if script is None else read_script(script, [node.name for node in rig.nodes])

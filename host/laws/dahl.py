@@ -49,7 +49,7 @@ def dahl(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
         path = law.sigma_Nm_rad * abs(step) / law.F_c_Nm
         if law.alpha == 1.0:
             u *= math.exp(-path)
-        elif u > 0.0:
+        elif u > 1e-30:  # less is none, and its powers would not be finite
             power = 1.0 - law.alpha
             left = u**power - power * path
             u = left ** (1.0 / power) if left > 0.0 else 0.0

@@ -65,7 +65,7 @@ def elastoplastic(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -
     width = z_ss - z_ba
     scale, middle = math.pi / width, 0.5 * (z_ss + z_ba)
     if left > 0.0 and y < z_ss:
-        steps = min(math.ceil(left * STEPS / width), MOST_STEPS)
+        steps = math.ceil(min(left * STEPS / width, MOST_STEPS))
         h = min(left / steps, width / STEPS)
         for _ in range(steps):
             k_1 = 1.0 - 0.5 * (math.sin(scale * (y - middle)) + 1.0) * y / z_ss
