@@ -77,7 +77,7 @@ def as_dict(plan: Plan, rig: Rig) -> dict[str, Any]:
             "bitrates": list(bitrates_that_fit(rig, plan)),
             "shortest_period_us": None if shortest is None else shortest / 1e3,
             "axes": largest_axes(rig, plan),
-            "period": None if plan.fits else _change(longer_period(rig, plan)),
+            "period": None if plan.fits else _change(longer_period(rig, plan, shortest)),
             "without": None if plan.fits else _change(without_roles(rig, plan)),
         },
         "roles": role_rows(plan, rig),

@@ -15,7 +15,7 @@ from coulombus.rigs.axis import Axis
 from coulombus.rigs.mistakes import RigError
 from coulombus.rigs.model import to_ns
 from coulombus.rigs.plan.response_times import bit_ns
-from coulombus.rigs.plan.rig_plan import Plan, plan_again, shortest_period_ns
+from coulombus.rigs.plan.rig_plan import Plan, plan_again
 from coulombus.rigs.rig import Rig
 from coulombus.rigs.roles import ROLES, Kind
 from coulombus.rigs.signals import RigPdo
@@ -113,11 +113,12 @@ def _saved_ns(axis: Axis, role: str, whole_ns: int, rate: int) -> int | None:
     return None if other.allocation.problems else whole_ns - _busy_ns(other.pdos(), rate)
 
 
-def longer_period(rig: Rig, found: Plan) -> Change | None:
+def longer_period(rig: Rig, found: Plan, shortest: int | None) -> Change | None:
     """Return the shortest period of the raster at which the plan would fit, the TPDO window's share
     of it kept and nothing else changed; None where there is none.
+
+    `shortest` is what `shortest_period_ns` gives.
     """
-    shortest = shortest_period_ns(rig, found)
     if shortest is None:
         return None
     steps = [to_ns(axis.plant.step_s) for axis in rig.axes if axis.plant is not None]

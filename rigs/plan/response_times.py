@@ -27,8 +27,11 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import Literal
+
+import numpy as np
 
 from coulombus.wire.bits import worst_case_bits
 from coulombus.wire.can_id import CAN_EFF_FLAG, CAN_RTR_FLAG
@@ -85,7 +88,12 @@ class Message:
     axis: int = 0
     emergency: bool = False
 
-    @property
+    @cached_property
+    def key(self) -> int:
+        """Its priority: the lower one wins the bus."""
+        return arbitration_key(self.can_id)
+
+    @cached_property
     def bits(self) -> int:
         """Longest frame, stuffing and inter-frame space included."""
         return worst_case_bits(0 if self.can_id & CAN_RTR_FLAG else self.length, bool(self.can_id & CAN_EFF_FLAG))
@@ -163,7 +171,7 @@ def response_times(messages: Sequence[Message], bitrate_bit_s: int, errors: Erro
     ValueError
         Two messages of one identifier, or `follows` names none of them.
     """
-    order = sorted(messages, key=lambda message: arbitration_key(message.can_id))
+    order = sorted(messages, key=lambda message: message.key)
     for one, other in pairwise(order):
         if one.can_id == other.can_id:
             raise ValueError(f"{one.name} and {other.name} both have the identifier {one.can_id:X}h: give each its own")
@@ -204,6 +212,12 @@ def _response(
     tau = bit_ns(1, bitrate_bit_s)
     m, own = order[rank], frames[rank]
     higher = [(k.period_ns, k.jitter_ns, c) for k, c in zip(order[:rank], frames, strict=False)]
+    periods, jitters, durations = np.array(higher, np.int64).reshape(-1, 3).T
+
+    def interference(window_ns: int) -> int:
+        """Return what is sent of higher priority that is released within a window."""
+        return int(-(-(window_ns + jitters) // periods) @ durations)
+
     blocking = max(frames[rank + 1 :], default=0)
     each = bit_ns(ERROR_FRAME_BITS, bitrate_bit_s) + max(frames[: rank + 1])
     load = sum(c / t for t, _, c in higher) + errors.count * each / errors.interval_ns
@@ -216,7 +230,7 @@ def _response(
         t = max(own, int(below * (1 - 1e-9)))
         while t <= MAX_INSTANCES * m.period_ns:
             after = errors.cost_ns(t, each) + blocking
-            after += sum(-(-(t + j) // period) * c for period, j, c in everyone)
+            after += interference(t) + -(-(t + m.jitter_ns) // m.period_ns) * own
             if after <= t:
                 break
             t = after
@@ -227,7 +241,7 @@ def _response(
     for q in range(instances if bounded else 1):
         while True:
             after = errors.cost_ns(w + own, each) + blocking + q * own
-            after += sum(-(-(w + j + tau) // period) * c for period, j, c in higher)
+            after += interference(w + tau)
             if after <= w or (not bounded and m.jitter_ns + after + own > m.deadline_ns):
                 break
             w = after

@@ -26,7 +26,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from coulombus.rigs.plan.response_times import ERROR_FRAME_BITS, NO_ERRORS, Errors, Message, bit_ns
-from coulombus.wire.frame import arbitration_key
 
 __all__ = ["Bar", "Cycle", "CycleFrame", "Timing", "worst_cycle"]
 
@@ -111,7 +110,7 @@ def worst_cycle(messages: Sequence[Message], timing: Timing, errors: Errors = NO
     from outside just as long, so that the next cycle's bounds stay as they are; an RPDO that is
     longer than any such frame is due before.
     """
-    order = sorted(messages, key=lambda message: arbitration_key(message.can_id))
+    order = sorted(messages, key=lambda message: message.key)
     chain = _in_order([m for m in order if m.stage])
     others = [m for m in order if not m.stage]
     found = [_Case(m, chain, others, timing, errors) for m in chain]
@@ -139,7 +138,7 @@ def _in_order(cyclic: Sequence[Message]) -> list[Message]:
         pending = {m.axis for m in waiting if m.stage == "tpdo"}
         waiting += [m for m in held if m.axis not in pending]
         held = [m for m in held if m.axis in pending]
-        gone.append(min(waiting, key=lambda m: arbitration_key(m.can_id)))
+        gone.append(min(waiting, key=lambda m: m.key))
         waiting.remove(gone[-1])
     return gone
 
@@ -153,25 +152,22 @@ class _Case:
         self.m, self.timing = m, timing
         rate = timing.bitrate_bit_s
         self.tau = bit_ns(1, rate)
-        lowest = arbitration_key(m.can_id)
+        lowest = m.key
         if m.stage == "rpdo":
-            lowest = max(
-                [lowest, *(arbitration_key(k.can_id) for k in chain if k.stage == "tpdo" and k.axis == m.axis)]
-            )
-        self.higher = [k for k in others if arbitration_key(k.can_id) < lowest]
-        self.blocking = self._longest(k for k in others if k not in self.higher)
+            lowest = max([lowest, *(k.key for k in chain if k.stage == "tpdo" and k.axis == m.axis)])
+        self.higher = [k for k in others if k.key < lowest]
+        self.blocking = self._longest(k for k in others if k.key >= lowest)
         self.before = list(chain[: chain.index(m)])
         waits = {"tpdo": timing.node_ns, "rpdo": timing.host_ns}
         stages = {"sync": (), "tpdo": ("tpdo",), "rpdo": ("tpdo", "rpdo")}[m.stage or "sync"]
         gaps = {stage: waits[stage] - INTER_FRAME_BITS * self.tau for stage in stages}
         gaps = {stage: length for stage, length in gaps.items() if length > 0}
-        later = [
-            k for k in chain if k.stage == "rpdo" and k.axis == m.axis and k not in self.before
-        ]  # m may be of them
-        rest = [k for k in chain if k is not m and k not in self.before and k not in later]
+        behind_m = chain[len(self.before) + 1 :]
+        rest = [k for k in behind_m if not (k.stage == "rpdo" and k.axis == m.axis)]
         if gaps:
-            self.before += [k for k in rest if arbitration_key(k.can_id) < lowest]
-        behind = self._longest(k for k in [*others, *rest] if k not in self.higher and k not in self.before)
+            self.before += [k for k in rest if k.key < lowest]
+            rest = [k for k in rest if k.key >= lowest]
+        behind = self._longest(k for k in [*others, *rest] if k.key >= lowest)
         self.gaps = {stage: (length, behind) for stage, length in gaps.items()}  # and the frame that may begin in it
         self.frame_ns = self._duration(m)
         each = bit_ns(ERROR_FRAME_BITS, rate) + max(self._duration(k) for k in [*self.before, *self.higher, m])

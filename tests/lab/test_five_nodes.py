@@ -13,7 +13,7 @@ from coulombus.host.errors import DeviceMismatch
 from coulombus.lab.simulate import simulate
 from coulombus.recording.signals import read
 from coulombus.rigs.plan.by_role import longer_period
-from coulombus.rigs.plan.rig_plan import plan
+from coulombus.rigs.plan.rig_plan import plan, shortest_period_ns
 from coulombus.rigs.rig import RigError, load_rig, load_rig_text
 from coulombus.verbs.main import main
 from foreign_eds import BRAKE, MOTOR, U8, edited, with_array
@@ -105,7 +105,7 @@ def test_eight_nodes_are_refused_with_the_numbers_and_a_ninth_is_none():
     assert sum("heartbeat" in message.name for message in found.messages) == 9  # the host's, too
     assert not found.fits
     assert any("host heartbeat (77Fh) takes" in reason for reason in found.reasons)
-    change = longer_period(rig, found)
+    change = longer_period(rig, found, shortest_period_ns(rig, found))
     assert change is not None
     assert plan(rig.variant(*change.overrides)).fits
     with pytest.raises(RigError, match="got 7 sensors, expected at most 6"):

@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from coulombus.rigs.plan.by_role import longer_period, role_costs, without_roles
-from coulombus.rigs.plan.rig_plan import Assumptions, plan
+from coulombus.rigs.plan.rig_plan import Assumptions, plan, shortest_period_ns
 from coulombus.rigs.rig import load_rig, load_rig_text
 from coulombus.verbs.main import main
 from eds_edit import fixed, mapped
@@ -62,8 +62,9 @@ def test_a_role_of_a_fixed_map_saves_nothing_and_its_other_entries_are_told():
 def test_a_period_is_proposed_that_the_rig_file_takes_and_that_fits():
     slow = ["motor.response_us=250", "brake.response_us=250", "host.compute_s=50e-6"]
     rig = load_rig("bench", slow)
-    assert not plan(rig).fits
-    change = longer_period(rig, plan(rig))
+    found = plan(rig)
+    assert not found.fits
+    change = longer_period(rig, found, shortest_period_ns(rig, found))
     assert change is not None
     changed = rig.variant(*change.overrides)
     assert plan(changed).fits
@@ -72,7 +73,8 @@ def test_a_period_is_proposed_that_the_rig_file_takes_and_that_fits():
     shorter = change.period_ns - 50_000
     assert not plan(rig, period_ns=shorter).fits
     grid = load_rig("bench", [*slow, "plant.step_s=2e-4", "bus.period_s=1e-3"])
-    change = longer_period(grid, plan(grid))
+    found = plan(grid)
+    change = longer_period(grid, found, shortest_period_ns(grid, found))
     assert change is not None
     assert change.period_ns % 200_000 == 0
 
