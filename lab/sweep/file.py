@@ -31,6 +31,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from coulombus.eds.regular_file import read_regular
+from coulombus.host.laws.law_source import law_attachments
 from coulombus.lab.sweep.expressions import Condition, ConditionError
 from coulombus.lab.sweep.figures import known_figures
 from coulombus.lab.sweep.points import points
@@ -128,6 +129,7 @@ class Sweep:
             "version": project_version(),
             "rig": self.rig.effective(),
             "eds": dict(self.rig.eds_texts),
+            "law": {name: hashlib.sha256(source).hexdigest() for name, source in law_attachments(self.rig).items()},
             "modes": self.modes,
             "seconds": self.seconds,
             "seed": self.seed,

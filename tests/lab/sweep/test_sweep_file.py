@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -223,6 +224,17 @@ def test_a_file_that_is_none_is_told(tmp_path):
     (tmp_path / "latin.toml").write_bytes(b'rig = "bench"\n# \xe9\n')
     with pytest.raises(SweepError, match=r"latin.toml:2: byte E9h is not UTF-8"):
         read_sweep(tmp_path / "latin.toml")
+
+
+def test_a_fingerprint_knows_the_source_of_a_law(write, tmp_path):
+    law = tmp_path / "law.py"
+    law.write_text((Path(__file__).parents[3] / "examples" / "own_law.py").read_text())
+    rig = packaged_rig("bench").read_text().replace('"karnopp"', '"law.py:stribeck"')
+    (tmp_path / "mine.toml").write_text(rig.replace("user = []", "user = [0.5]"))
+    sweep = read_sweep(write('rig = "mine.toml"\n' + GOOD.partition("\n")[2]))
+    before = sweep.fingerprint()
+    law.write_text(law.read_text() + "\n# another one\n")
+    assert sweep.fingerprint() != before
 
 
 def test_a_fingerprint_knows_what_the_runs_depend_on_and_no_comment(write):
