@@ -117,7 +117,7 @@ def serve_page(
     ----------
     beside : another verb began this process, and holds the other end of stdin
     """
-    from coulombus.host.run.control_socket import ask_status, stop_host
+    from coulombus.host.run.control_socket import ask_change, ask_mark, ask_status, stop_host
     from coulombus.host.run.runbook import anchor
     from coulombus.scope.web import WebError
     from coulombus.wire.address import socket_path
@@ -135,7 +135,13 @@ def serve_page(
         click.echo(json.dumps({"event": "ready", "url": url}) if as_json else f"page: {url}")
 
     kept = f"{address.kind}-{address.name}".replace("/", "_") + ".web-token"
-    door = HostDoor(lambda: ask_status(address, 1.0), lambda: stop_host(address), anchor)
+    door = HostDoor(
+        status=lambda: ask_status(address, 1.0),
+        stop=lambda: stop_host(address),
+        advice=anchor,
+        change=lambda order: ask_change(address, order, 1.0),
+        mark=lambda text: ask_mark(address, text, 1.0),
+    )
     serve(
         *(rig, address, door, kept_token(socket_path(kept)), ready),
         host=page.web_host,

@@ -8,7 +8,7 @@ stamps. Nothing that the bus carries raises.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -236,14 +236,16 @@ class Capture:
             return None
         return v, f[np.clip(np.searchsorted(t_f, t_v), 0, len(t_f) - 1)]
 
-    def law_curve(self, axis: Axis, mode: str) -> Curve | None:
-        """Return what the law displays in a mode, from the rig file: F_s at rest, F_d in motion.
+    def law_curve(self, axis: Axis, mode: str, live: Mapping[str, float] | None = None) -> Curve | None:
+        """Return what the law displays in a mode: F_s at rest, F_d in motion; the values that are
+        `live`, else those of the rig file.
 
         None of a law of a user's own, and of an unknown mode.
         """
         if axis.law.function not in ("karnopp", "coulomb") or mode not in axis.mode:
             return None
         said = axis.mode[mode]
-        F_d, F_s = said.F_d_Nm, said.F_s_Nm if axis.law.function == "karnopp" else said.F_d_Nm
+        F_d = (live or {}).get("F_d_Nm", said.F_d_Nm)
+        F_s = (live or {}).get("F_s_Nm", said.F_s_Nm) if axis.law.function == "karnopp" else F_d
         far = axis.limits.speed_rad_s
         return Curve((-far, 0.0, 0.0, 0.0, 0.0, far), (-F_d, -F_d, -F_s, F_s, F_d, F_d))

@@ -2,7 +2,7 @@
 // The page: STOP, the words and tables, and the plots. It needs nothing from the network but its own server.
 
 const BINS_PER_S = 50, BINS = 500;
-const AGAIN_MS = 1000;
+const AGAIN_MS = 1000, SAID_MS = 5000;
 const one = (name) => document.querySelector(`[data-signal="${name}"]`);
 const action = (name) => document.querySelector(`[data-action="${name}"]`);
 
@@ -33,6 +33,8 @@ window.addEventListener("keydown", (event) => {
 }, true);
 window.addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.altKey || event.metaKey || event.repeat) return;
+  if (event.target.matches && event.target.matches("input:not([type=range])")) return;
+  if (/^[1-9]$/.test(event.key)) tell(`mark ${event.key}`);
   if (event.key === "f" || event.key === "F") freeze();
   if (event.key === "z" || event.key === "Z") unzoom();
 });
@@ -45,7 +47,66 @@ function freeze() {
 }
 action("freeze").addEventListener("click", freeze);
 action("reset").addEventListener("click", unzoom);
-action("control").addEventListener("click", () => socket && socket.readyState === 1 && socket.send("control"));
+action("control").addEventListener("click", () => tell("control"));
+action("undo").addEventListener("click", () => order({undo: true}));
+
+function tell(text) {
+  if (socket && socket.readyState === 1) socket.send(text);
+}
+
+// The live parameters: a slider and a field for each. The host judges every value.
+
+const WINDOW = 20;  // a range that is so many times the value: the slider shows ten times the value
+let held = null;    // the slider that somebody moves
+
+function order(what) {
+  const key = action("arm-key").value;
+  tell(`set ${JSON.stringify(key ? {...what, key: key} : what)}`);
+}
+
+function sliders(all, axis, controls, needsKey) {
+  const shown = all.filter((one) => one.axis === axis), place = document.getElementById("sliders");
+  document.getElementById("live").hidden = !shown.length;
+  action("arm-key").hidden = !needsKey;
+  action("undo").disabled = !controls;
+  if (place.dataset.names !== shown.map((one) => one.name).join()) {
+    place.dataset.names = shown.map((one) => one.name).join();
+    place.replaceChildren(...shown.map(slider));
+  }
+  for (const one of shown) {
+    const range = action(`set:${one.name}`), field = action(`value:${one.name}`);
+    for (const input of [range, field]) input.disabled = !controls;
+    if (held !== range) {
+      range.max = one.high > WINDOW * one.value && one.value > 0 ? 10 * one.value : one.high;
+      range.value = one.value;
+    }
+    if (document.activeElement !== field) field.value = one.value;
+    put(`set:${one.name}`, Number(one.now.toPrecision(4)));
+  }
+}
+
+function slider(one) {
+  const made = document.createElement("label"), words = made.appendChild(document.createElement("span"));
+  words.append(`${one.name} `);
+  words.appendChild(document.createElement("b")).dataset.signal = `set:${one.name}`;
+  const high = one.high >= 1e5 ? one.high.toExponential() : one.high;
+  words.append(` ${one.unit} (${one.low} to ${high})`);
+  const [field, range] = ["number", "range"].map((kind) => {
+    const input = made.appendChild(document.createElement("input"));
+    Object.assign(input, {type: kind, step: "any", min: one.low, max: one.high});
+    input.setAttribute("aria-label", one.name);
+    input.addEventListener("change", () => {
+      held = null;
+      const value = kind === "range" ? Number(Number(input.value).toPrecision(4)) : Number(input.value);
+      if (input.value !== "") order({values: {[one.name]: value}});
+    });
+    return input;
+  });
+  field.dataset.action = `value:${one.name}`;
+  range.dataset.action = `set:${one.name}`;
+  range.addEventListener("input", () => { held = range; });
+  return made;
+}
 
 // What is known of the signals.
 
@@ -214,6 +275,14 @@ function words(head) {
   put("lost", state.lost);
   put("role", head.controls ? "control" : "look on");
   action("control").hidden = head.controls;
+  sliders(host.parameters, head.axis, head.controls, host.arm_key);
+  for (const name of ["wakeup_us", "sync_to_rpdo_us"]) {
+    put(name, host[name] && `${host[name].map((us) => us.toFixed(0)).join(" / ")} us`);
+  }
+  if (head.answer) {
+    say(head.answer);
+    if (/^(set|mark) /.test(head.answer)) setTimeout(() => one("said").textContent === head.answer && say(""), SAID_MS);
+  }
   if (head.refused) say("another page controls; close it first");
   const trip = one("trip");
   const text = host.trip ? `Trip: ${host.trip}${host.advice ? `. Likely causes, and what to do: ${host.advice}` : ""}` : "";

@@ -5,7 +5,8 @@ All addresses begin with the token; all others are 403::
     GET  /TOKEN/            the page (?axis=NAME of a rig that has several)
     GET  /TOKEN/static/F    its style, its script, and Bokeh's script from Bokeh's own wheel
     GET  /TOKEN/plots       the empty plots (?theme=dark)
-    GET  /TOKEN/data        WebSocket: batches there (`scope.web.batch`), "took N" and "control" here
+    GET  /TOKEN/data        WebSocket: batches there (`scope.web.batch`), "took N", "control", "set {...}" and
+                            "mark N" here
     POST /TOKEN/stop        a safe stop: what ``coulombus stop`` asks for
 
 Nothing that a browser sends reaches the bus. The stop needs neither plots nor WebSocket.
@@ -16,12 +17,13 @@ from __future__ import annotations
 import asyncio
 import errno
 import itertools
+import json
 import os
 import re
 import socket
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from html import escape
@@ -55,10 +57,13 @@ STATE_S = 0.1
 SESSIONS = 16
 STOPS = 8
 """Requests to stop that may be under way."""
-MESSAGE_BYTES = 64
+MESSAGE_BYTES = 512
+QUESTIONS = 4
+"""Changes and markers that may be under way."""
 RUBBISH = 100
 """Messages that mean nothing, after which a page is let go."""
 TOOK = re.compile(r"took ([0-9]{1,15})")
+MARK = re.compile(r"mark ([1-9])")
 RETRY_S = 0.5
 TYPES = {".css": "text/css", ".js": "text/javascript", ".html": "text/html"}
 POLICY = "; ".join(
@@ -88,6 +93,8 @@ class Page:
         self.numbers = itertools.count(1)
         self.stops = ThreadPoolExecutor(STOPS, "stop")
         self.stopping = 0
+        self.questions = ThreadPoolExecutor(1, "question")  # a stop does not wait behind them
+        self.asking = 0
         self._told_s = -1.0
         self._state: dict[str, Any] | None = None
         self._version = 0
@@ -124,6 +131,25 @@ class Page:
             self.host.ended(result)
         trip = result.get("trip")
         return {"ok": True, "text": f"the host had tripped: {trip}" if trip else "the host stopped safely"}
+
+    async def ask(self, session: Data, what: str, question: Callable[[], Mapping[str, Any]]) -> None:
+        """Ask the host for a change or a marker, as the page that controls; the answer goes to that
+        page as words.
+        """
+        if self.seat.holder != session.number:
+            session.answer = f"{what}: this page looks on; take control first"
+            return
+        if self.asking >= QUESTIONS:
+            session.answer = f"{what}: too many are under way; again in a moment"
+            return
+        self.asking += 1
+        try:
+            told = await asyncio.get_running_loop().run_in_executor(self.questions, question)
+            session.answer = str(told.get("marker", what)).partition(" [")[0]
+        except Exception as error:
+            session.answer = f"{what}: {error}"
+        finally:
+            self.asking -= 1
 
 
 class _Handler(tornado.web.RequestHandler):
@@ -218,6 +244,8 @@ class Data(tornado.websocket.WebSocketHandler):
         """Keep what all pages share."""
         self.page, self.flow = page, Flow()
         self.number, self.rubbish, self.version, self.refused = next(page.numbers), 0, 0, False
+        self.answer = ""
+        self._tasks: set[asyncio.Task[None]] = set()
 
     def prepare(self) -> None:
         """Refuse who has not the token, comes from another page, or is one too many."""
@@ -251,9 +279,22 @@ class Data(tornado.websocket.WebSocketHandler):
         if text == "control":
             self.refused = not self.page.seat.take(self.number)
             return
+        mark = MARK.fullmatch(text)
+        if mark is not None:
+            self._ask(f"mark {mark[1]}", lambda: self.page.door.mark(mark[1]))
+            return
+        order = order_of(text, self.axis.name)
+        if order is not None:
+            self._ask("not changed", lambda: self.page.door.change(order))
+            return
         self.rubbish += 1
         if self.rubbish > RUBBISH:
             self.close(1008, "what this page says means nothing")
+
+    def _ask(self, what: str, question: Callable[[], Mapping[str, Any]]) -> None:
+        task = asyncio.get_running_loop().create_task(self.page.ask(self, what, question))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
 
     def send(self, state: dict[str, Any] | None, version: int) -> None:
         """Send the next batch, with the state where the page does not have it yet."""
@@ -262,7 +303,8 @@ class Data(tornado.websocket.WebSocketHandler):
             self.version = version
             controls = self.page.seat.holder == self.number
             more = {"state": state, "controls": controls, "refused": self.refused and not controls}
-            more["law"] = self._law()
+            more |= {"law": self._law(), "axis": self.axis.name, "answer": self.answer}
+            self.answer = ""
         try:
             sent = self.write_message(batch(self.page.capture, self.axis, self.flow, more), binary=True)
             sent.add_done_callback(lambda done: done.exception())  # a page that has gone: on_close comes
@@ -270,8 +312,22 @@ class Data(tornado.websocket.WebSocketHandler):
             pass
 
     def _law(self) -> dict[str, Any] | None:
-        curve = self.page.capture.law_curve(self.axis, self.page.host.mode)
+        curve = self.page.capture.law_curve(self.axis, self.page.host.mode, self.page.host.live(self.axis.name))
         return None if curve is None else {"v": curve.velocity_rad_s, "f": curve.friction_Nm}
+
+
+def order_of(message: str, axis: str) -> dict[str, Any] | None:
+    """Return the order for the host that a page's message ``set {...}`` asks for; None where it is
+    none. A page changes the parameters of the axis that it shows.
+    """
+    verb, _, content = message.partition(" ")
+    try:
+        found = json.loads(content) if verb == "set" else None
+    except (ValueError, RecursionError):
+        return None
+    if not isinstance(found, dict) or not found.keys() <= {"values", "undo", "key"}:
+        return None
+    return {**found, "axis": axis}
 
 
 def application(page: Page) -> tornado.web.Application:
@@ -408,6 +464,7 @@ async def _serve(
         server.stop()
         await server.close_all_connections()
         page.stops.shutdown(wait=False)
+        page.questions.shutdown(wait=False, cancel_futures=True)
         if reader.failure is not None:
             raise reader.failure
 

@@ -34,7 +34,8 @@ PHASES = {
 @dataclass(frozen=True)
 class HostDoor:
     """How the page reaches the host: `status` asks for its state, `stop` asks for a safe stop and
-    waits for its end; both raise OSError or an error with a text.
+    waits for its end, `change` asks for other parameters, `mark` for a marker; all raise OSError or
+    an error with a text.
 
     Attributes
     ----------
@@ -44,6 +45,8 @@ class HostDoor:
     status: Callable[[], Mapping[str, Any]]
     stop: Callable[[], Mapping[str, Any]]
     advice: Callable[[str], str | None]
+    change: Callable[[dict[str, Any]], Mapping[str, Any]]
+    mark: Callable[[str], Mapping[str, Any]]
 
 
 class HostView:
@@ -76,10 +79,19 @@ class HostView:
         if trip := text(result.get("trip")):
             self._trip = trip
 
+    def _axes(self) -> list[Mapping[str, Any]]:
+        return [one for one in _list((self._status or {}).get("axes")) if isinstance(one, Mapping)]
+
+    def _parameters(self) -> list[dict[str, Any]]:
+        return [row for one in self._axes() for row in map(_parameter, _list(one.get("parameters"))) if row]
+
+    def live(self, axis: str) -> dict[str, float]:
+        """Return the live parameters of an axis as they are now, by their names."""
+        return {row["name"]: row["now"] for row in self._parameters() if row["axis"] == axis}
+
     def as_dict(self) -> dict[str, Any]:
         """Return what the page shows of the host."""
-        status = self._status or {}
-        axes = [one for one in _list(status.get("axes")) if isinstance(one, Mapping)]
+        status, axes = self._status or {}, self._axes()
         words = [(text(one.get("axis")), text(one.get("phase"))) for one in axes]
         phases = [f"{axis} {PHASES.get(phase, phase)}".strip() for axis, phase in words]
         return {
@@ -91,6 +103,10 @@ class HostView:
             "trip": self._trip or "",
             "advice": (self._advice(self._trip) or "") if self._trip else "",
             "recording": text(status.get("recording")),
+            "parameters": self._parameters(),
+            "arm_key": status.get("arm_key") is True,
+            "wakeup_us": _spread(status.get("wakeup_us")),
+            "sync_to_rpdo_us": _spread(status.get("sync_to_rpdo_us")),
         }
 
 
@@ -144,6 +160,21 @@ def _list(value: object) -> list[Any]:
 def _number(value: object) -> float | None:
     right = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
     return value if right else None  # type: ignore[return-value]  # mypy does not follow `right`
+
+
+def _parameter(row: object) -> dict[str, Any] | None:
+    """Return a live parameter as the page takes it; None for what is none."""
+    if not isinstance(row, Mapping):
+        return None
+    found = {name: text(row.get(name)) for name in ("axis", "name", "unit")}
+    numbers = {name: _number(row.get(name)) for name in ("value", "now", "low", "high")}
+    return {**found, **numbers} if found["name"] and None not in numbers.values() else None
+
+
+def _spread(spread: object) -> list[float] | None:
+    """Return median, 99th percentile and maximum of a time [us]; None where they are not told."""
+    found = [_number(spread.get(name)) for name in ("p50", "p99", "max")] if isinstance(spread, Mapping) else [None]
+    return None if None in found else found  # type: ignore[return-value]  # mypy does not see that none is None
 
 
 def _pdo(capture: Capture, row: PdoRow, now_ns: int) -> dict[str, Any]:

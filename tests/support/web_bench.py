@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import struct
 import threading
 from contextlib import asynccontextmanager
@@ -9,6 +10,9 @@ from typing import Any
 
 from tornado.httpserver import HTTPServer
 
+from coulombus.host.cycle.controllers import Controllers
+from coulombus.host.cycle.parameters import Change, LiveParameters
+from coulombus.host.run.changes import Changes
 from coulombus.rigs.rig import load_rig
 from coulombus.scope.web.capture import Capture
 from coulombus.scope.web.server import Page, application, listening
@@ -23,6 +27,9 @@ STATUS = {
     "trip": None,
     "axes": [{"axis": "", "phase": "run"}],
     "recording": "/tmp/run.pcapng",
+    "arm_key": False,
+    "wakeup_us": {"p50": 12.0, "p99": 40.0, "max": 95.0},
+    "sync_to_rpdo_us": None,
     "display_s": 2.5,
 }
 
@@ -46,11 +53,40 @@ def cycles(first: int, count: int) -> list[tuple[int, int, int, bytes]]:
 
 
 class Door:
-    """A host that runs until it is asked to stop."""
+    """A host that runs until it is asked to stop, whose parameters are live."""
 
-    def __init__(self) -> None:
+    def __init__(self, arm_key: str = "") -> None:
         self.stops = 0
-        self.door = HostDoor(lambda: STATUS, self.stop, lambda trip: f"docs/runbook.md#{trip.split(':')[0].lower()}")
+        self.marks: list[str] = []
+        self.orders: list[dict[str, Any]] = []
+        self.controllers = Controllers(load_rig("bench"), "hybrid")
+        self.changes = Changes(LiveParameters(self.controllers), arm_key, self._apply, lambda: None)
+        self.door = HostDoor(
+            status=self.status,
+            stop=self.stop,
+            advice=lambda trip: f"docs/runbook.md#{trip.split(':')[0].lower()}",
+            change=self.change,
+            mark=self.mark,
+        )
+
+    def _apply(self, change: Change) -> None:
+        live = self.controllers.axes["live"]
+        live["wanted"][change.index] = live["taken"][change.index] = change.number
+
+    def status(self) -> dict[str, Any]:
+        axes = [{"axis": "", "phase": "run", "parameters": self.changes.rows()[0]}]
+        return {**STATUS, "axes": axes, "arm_key": bool(self.changes.arm_key)}
+
+    def change(self, order: dict[str, Any]) -> dict[str, Any]:
+        self.orders.append(order)
+        found = self.changes.answer(json.dumps(order))
+        if "error" in found:
+            raise OSError(found["error"])
+        return found
+
+    def mark(self, text: str) -> dict[str, Any]:
+        self.marks.append(text)
+        return {"marker": f"mark {text}"}
 
     def stop(self) -> dict[str, Any]:
         self.stops += 1
@@ -61,8 +97,9 @@ def page(rig: str = "bench", door: Door | None = None) -> Page:
     """Return a page with nothing on its bus yet."""
     capture = Capture(load_rig(rig))
     capture.snapshot(BEGIN_NS)
-    found = Page(capture, (door or Door()).door, TOKEN, lambda: FACTS, threading.Lock())
-    found.host.tell(STATUS)
+    door = door or Door()
+    found = Page(capture, door.door, TOKEN, lambda: FACTS, threading.Lock())
+    found.host.tell(door.status())
     return found
 
 

@@ -82,9 +82,70 @@ def test_the_page_shows_the_bus_stops_the_host_and_comes_back(tmp_path):
     asyncio.run(run())
 
 
-async def tick(shown):
+def moved(name, value):
+    """What a script does that moves a slider."""
+    place = f"action('{name}')"
+    return f"{place}.value = {value}, {place}.dispatchEvent(new Event('change'))"
+
+
+def test_sliders_change_parameters_and_keys_mark(tmp_path):
+    door = Door(arm_key="004711")
+
+    async def run():
+        shown = page(door=door)
+        shown.capture.take(cycles(0, 400))
+        async with served(shown) as url:
+            ticking = asyncio.create_task(tick(shown, door))
+            async with Browser(url, str(tmp_path / "profile")) as browser:
+                await browser.until("action('set:F_s_Nm') && !action('set:F_s_Nm').disabled")
+                slider = "['min', 'max', 'value'].map((name) => Number(action('set:F_s_Nm')[name]))"
+                assert await browser.evaluate(slider) == [0, 4.5, 3.5]
+                assert await browser.evaluate("Number(action('set:K_p_Nm_rad').max)") == 1e5  # ten times the value
+                assert await browser.text("set:F_s_Nm") == "3.5"
+                assert await browser.text("wakeup_us") == "12 / 40 / 95 us"
+
+                await browser.evaluate(moved("set:F_s_Nm", 3.2))
+                await browser.until("one('said').textContent.includes('a change needs the arm key')")
+                await browser.until("Number(action('set:F_s_Nm').value) === 3.5")  # as it was: nothing is changed
+                await browser.evaluate("action('arm-key').value = '004711'")
+                await browser.evaluate(moved("set:F_s_Nm", 3.2))
+                await browser.until("one('said').textContent === 'set F_s_Nm 3.5 -> 3.2 Nm in 0.5 s'")
+                door.controllers.axes["law"]["F_s"] = 3.25  # on its way
+                await browser.until("Math.max(...law.f) === 3.25 && one('set:F_s_Nm').textContent === '3.25'")
+                await browser.evaluate(moved("value:K_p_Nm_rad", 250000))
+                await browser.until("one('said').textContent.includes('K_p_Nm_rad 10000 -> 250000')")
+                await browser.until("Number(action('set:K_p_Nm_rad').max) === 2.5e6")
+                await browser.evaluate(moved("set:F_d_Nm", 4.4))
+                await browser.until("one('said').textContent.includes('expected F_d_Nm at most F_s_Nm')")
+                for _ in range(2):
+                    await browser.evaluate("action('undo').click()")
+                await browser.until("Number(action('value:F_s_Nm').value) === 3.5")
+                assert [sorted(order) for order in door.orders[-2:]] == [["axis", "key", "undo"]] * 2
+
+                await browser.press("3", 51)
+                await browser.until("one('said').textContent === 'mark 3'")
+                await browser.evaluate("action('value:F_s_Nm').focus()")
+                await browser.press("4", 52)  # typed into a field
+                asked = len(door.orders)
+                async with Browser(url, str(tmp_path / "second")) as other:
+                    await other.until("action('set:F_s_Nm') && action('set:F_s_Nm').disabled")
+                    await other.evaluate(moved("set:F_s_Nm", 3.3))
+                    await other.until("one('said').textContent.includes('this page looks on')")
+                    await other.press("5", 53)
+                    await other.until("one('said').textContent.startsWith('mark 5: this page looks on')")
+                assert (door.marks, len(door.orders)) == (["3"], asked)
+                assert browser.errors == []
+            ticking.cancel()
+
+    asyncio.run(run())
+
+
+async def tick(shown, door=None):
     k = 0
     while True:
+        if door is not None:
+            with shown.lock:
+                shown.host.tell(door.status())
         shown.tick(BEGIN_NS + (400 + 120 * k) * MS)
         k += 1
         await asyncio.sleep(0.033)

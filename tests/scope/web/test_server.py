@@ -1,9 +1,11 @@
 """The page's server over HTTP and WebSocket, as a browser and as one who means no good."""
 
 import asyncio
+import dataclasses
 import json
 import random
 import socket
+import threading
 
 import pytest
 
@@ -14,7 +16,7 @@ from tornado.websocket import WebSocketClosedError, websocket_connect
 
 from coulombus.scope.web import WebError
 from coulombus.scope.web.batch import IN_FLIGHT, unpacked
-from coulombus.scope.web.server import RUBBISH, listening
+from coulombus.scope.web.server import QUESTIONS, RUBBISH, listening, order_of
 from web_bench import BEGIN_NS, MS, Door, cycles, page, served
 
 
@@ -144,6 +146,86 @@ def test_a_second_page_looks_on_until_the_first_has_gone():
             second.close()
 
     asyncio.run(run())
+
+
+async def answer_of(shown, connection, message, k):
+    """Send what a page says, and return the words that come back with the next state."""
+    await connection.write_message(message)
+    while not any(session.answer for session in shown.sessions):
+        await asyncio.sleep(0.001)
+    shown.tick(BEGIN_NS + 1000 * k * MS)
+    head, _ = unpacked(await connection.read_message())
+    await connection.write_message(f"took {head['n']}")
+    return head["answer"]
+
+
+def test_only_the_page_that_controls_changes_parameters_and_marks():
+    door = Door()
+
+    async def run():
+        shown = page(door=door)
+        async with served(shown) as url:
+            first = await socket_of(url)
+            order = 'set {"values": {"F_s_Nm": 3.2}}'
+            assert await answer_of(shown, first, order, 1) == "set F_s_Nm 3.5 -> 3.2 Nm in 0.5 s"
+            told = await answer_of(shown, first, 'set {"values": {"F_s_Nm": 9}}', 2)
+            assert told.startswith("not changed: F_s_Nm=9: expected from 0 to 4.5 Nm")
+            assert await answer_of(shown, first, "mark 7", 3) == "mark 7"
+            assert [order["axis"] for order in door.orders] == ["", ""]
+            first.close()
+        door.orders.clear()
+        shown = page(door=door)
+        async with served(shown) as url:
+            first, second = await socket_of(url), await socket_of(url)
+            for k, message in enumerate((order, 'set {"undo": true}', "mark 5")):
+                assert "this page looks on; take control first" in await answer_of(shown, second, message, k + 1)
+                head, _ = unpacked(await first.read_message())
+                assert head["answer"] == ""
+                await first.write_message(f"took {head['n']}")
+            assert (door.orders, door.marks) == ([], ["7"])
+            first.close()
+            second.close()
+
+    asyncio.run(run())
+
+
+def test_a_change_that_the_host_is_slow_to_answer_holds_up_no_stop():
+    door, going = Door(), threading.Event()
+
+    async def run():
+        shown = page(door=door)
+        async with served(shown) as url:
+            first = await socket_of(url)
+            for k in range(1, QUESTIONS + 1):
+                await first.write_message(f"mark {k}")
+            while shown.asking < QUESTIONS:
+                await asyncio.sleep(0.001)
+            assert "too many are under way" in await answer_of(shown, first, "mark 9", 1)
+            request = HTTPRequest(url + "stop", method="POST", body="", headers=origin(url))
+            assert json.loads((await AsyncHTTPClient().fetch(request)).body)["ok"]
+            assert (door.stops, door.marks) == (1, [])
+            going.set()
+            while shown.asking:
+                await asyncio.sleep(0.001)
+            assert door.marks == ["1", "2", "3", "4"]
+            first.close()
+
+    mark = door.mark
+
+    def slowly(text):
+        going.wait()
+        return mark(text)
+
+    door.door = dataclasses.replace(door.door, mark=slowly)
+    asyncio.run(run())
+
+
+@pytest.mark.parametrize(
+    "message",
+    ["set", "set {", "set []", "set 3", 'set {"axis": "y"}', "mark 0", "mark 12", "mark x", "set" + " {" * 200],
+)
+def test_what_is_no_order_is_rubbish(message):
+    assert order_of(message, "") is None
 
 
 def test_rubbish_ends_its_session_and_nothing_else():
