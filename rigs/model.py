@@ -169,6 +169,15 @@ class Mechanics(Section):
         ge=0, le=1e3, description="identified Coulomb friction, coil off; the motor compensates it"
     )
     viscous_Nms_rad: float = Field(ge=0, le=1e3, description="identified viscous friction")
+    cogging_Nm: float = Field(
+        0.0,
+        ge=0,
+        le=1e3,
+        description="identified amplitude of the motor's cogging at the handle; nothing compensates it",
+    )
+    cogging_periods: int = Field(
+        0, ge=0, le=1000, description="identified periods of the cogging in one revolution of the motor; 0: none"
+    )
 
 
 class Law(Section):

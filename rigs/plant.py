@@ -40,6 +40,8 @@ class Plant(Section):
         gt=0, le=1000, description="saturation of the motor's torque, times the rated torque"
     )
     motor_lag_s: float = Field(ge=0, le=1, description="time constant of the motor's torque; 0: none")
+    cogging_Nm: float = Field(0.0, ge=0, le=1e3, description="amplitude of the motor's cogging at the handle")
+    cogging_periods: int = Field(12, ge=1, le=1000, description="periods of the cogging in one revolution of the motor")
     brake_max_Nm: float = Field(gt=0, le=1e4, description="largest torque of the brake")
     brake_off_state_Nm: float = Field(ge=0, le=1e3, description="the brake's torque without current")
     brake_gain: float = Field(

@@ -1,5 +1,5 @@
-r"""The device's own friction, by the motor alone: Coulomb, viscous, inertia, and Coulomb by sectors
-of the angle.
+r"""The device's own friction, by the motor alone: Coulomb, viscous, inertia, Coulomb by sectors of
+the angle, and the motor's cogging.
 
 While the handle slides, motor and hand bear the device's friction together:
 
@@ -14,7 +14,7 @@ ramp and of reversals are left out (`recording.friction.sliding`).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -34,9 +34,10 @@ from coulombus.host.commission.step import (
     exercise,
     lacks_roles,
 )
+from coulombus.recording.friction.cogging import Cogging, find_cogging
 from coulombus.recording.friction.friction_fit import Estimate
-from coulombus.recording.friction.identify import identify
-from coulombus.recording.friction.sliding import IdentifyError, Sliding, equations, sliding
+from coulombus.recording.friction.identify import Identification, identify
+from coulombus.recording.friction.sliding import Floats, IdentifyError, Sliding, equations, sliding
 from coulombus.rigs.axis import HYBRID_MARGIN, Axis
 from coulombus.rigs.rig import Rig
 
@@ -126,7 +127,11 @@ class Friction(Step):
             ) from error
         basis = f"{found.samples} samples that slide, motor's sweep, coil off"
         coulomb, viscous = found.device.coulomb_Nm, found.device.viscous_Nms_rad
-        edges, sectors = _by_sector(slides, viscous, found.device.inertia_kg_m2)
+        cogging = find_cogging(slides, axis.mechanics.ratio)
+        if cogging is not None:
+            coulomb, viscous = cogging.coulomb_Nm, cogging.viscous_Nms_rad
+        wave = None if cogging is None else cogging.wave(axis.mechanics.ratio)
+        edges, sectors = _by_sector(slides, found, viscous, wave)
         remarks: list[str] = []
         value = coulomb.value
         told = [one for one in sectors if math.isfinite(one)]
@@ -156,8 +161,9 @@ class Friction(Step):
             old, new = mechanics.inertia_kg_m2, float(f"{inertia.value:.3g}")
             findings.append(_finding("mechanics.inertia_kg_m2", "inertia", old, new, "kg m2", inertia, basis))
         findings += _limit(axis, friction)
+        findings += _cogging(axis, cogging, basis)
         middles = 0.5 * (edges[:-1] + edges[1:])
-        curves = (
+        curves: tuple[Curve, ...] = (
             Curve(
                 "Friction against speed",
                 "speed [rad/s]",
@@ -171,6 +177,8 @@ class Friction(Step):
                 {"sector": (middles.tolist(), [one if math.isfinite(one) else 0.0 for one in sectors], "o-")},
             ),
         )
+        if cogging is not None:
+            curves = (*curves, _cogging_curve(cogging, axis.mechanics.ratio))
         return Outcome(tuple(findings), (*remarks, *found.remarks), curves)
 
 
@@ -193,28 +201,69 @@ def _limit(axis: Axis, friction_Nm: float) -> list[Finding]:
     ]
 
 
-def _by_sector(slides: Sliding, viscous: Estimate | None, inertia: Estimate | None) -> tuple[Any, list[float]]:
+def _cogging(axis: Axis, found: Cogging | None, basis: str) -> list[Finding]:
+    """Return amplitude and periods; nothing where none stands out and none was believed."""
+    mechanics = axis.mechanics
+    if found is None and mechanics.cogging_Nm == 0:
+        return []
+    amplitude, periods, reach = 0.0, 0, None
+    if found is not None:
+        amplitude, periods, reach = round(found.amplitude_Nm, 5), found.periods, found.reach_Nm
+    return [
+        Finding(
+            *("mechanics.cogging_Nm", "motor's cogging", mechanics.cogging_Nm, amplitude, "Nm", reach, basis),
+            changed=abs(amplitude - mechanics.cogging_Nm) > max(reach or 0.0, LEAST_CHANGE * amplitude),
+        ),
+        Finding(
+            *("mechanics.cogging_periods", "its periods a revolution", mechanics.cogging_periods, periods, "", None),
+            basis,
+            changed=periods != mechanics.cogging_periods,
+        ),
+    ]
+
+
+def _cogging_curve(found: Cogging, ratio: float) -> Curve:
+    """Return the cogging against the motor's angle, all revolutions one above the other."""
+    turn = np.mod(found.x_rad * ratio, 2 * math.pi)
+    angle = np.linspace(0, 2 * math.pi, 200)
+    fit = found.wave(ratio)(angle / ratio)
+    return Curve(
+        "Cogging by the motor's angle",
+        "motor's angle [rad]",
+        "motor + hand, friction and inertia taken off [Nm]",
+        {"samples": (*thinned(turn, found.torque_Nm), "."), "fit": (angle.tolist(), fit.tolist(), "-")},
+    )
+
+
+def _by_sector(
+    slides: Sliding, found: Identification, viscous: Estimate | None, wave: Callable[[Floats], Floats] | None
+) -> tuple[Floats, list[float]]:
     """Return the edges of the angle's sectors, and the Coulomb friction in each; NaN where there
     are hardly any samples.
+
+    `wave`: the cogging at an angle, which is taken off.
     """
     rows = equations(slides.slides, slides.period_s, slides.count_rad)
     x = rows.smooth([one.x_rad - one.x_rad[0] for one in slides.slides])
     start = np.array([slide.x_rad[0] for slide in slides.slides])
     x = x / rows.weight.sum() + start[rows.slide]
+    inertia = found.device.inertia_kg_m2
     torque = rows.hand_Nm + rows.motor_Nm
     torque = (
         torque
         - (0.0 if viscous is None else viscous.value) * rows.v
         - (0.0 if inertia is None else inertia.value) * rows.a
     )
+    if wave is not None:
+        torque = torque - rows.smooth([wave(one.x_rad) for one in slides.slides])
     edges = np.linspace(x.min(), x.max(), SECTORS + 1)
-    found = []
+    by_sector = []
     for k in range(SECTORS):
         inside = (x >= edges[k]) & (x <= edges[k + 1])
         ways = [torque[inside & (np.sign(rows.v) == sign)] * sign for sign in (1, -1)]
         enough = min(map(len, ways)) >= LEAST_SECTOR
-        found.append(float(np.mean([np.mean(way) for way in ways])) if enough else math.nan)
-    return edges, found
+        by_sector.append(float(np.mean([np.mean(way) for way in ways])) if enough else math.nan)
+    return edges, by_sector
 
 
 def _device(slides: Sliding, found: Any) -> tuple[Any, Any]:

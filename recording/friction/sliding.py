@@ -38,7 +38,7 @@ from scipy.signal import savgol_coeffs, savgol_filter
 from coulombus.eds.cia402 import STATE_OF_STATUSWORD, PowerState
 from coulombus.recording.signals import Series, Source, series
 
-__all__ = ["Equations", "IdentifyError", "Slide", "Sliding", "equations", "sliding"]
+__all__ = ["Equations", "Floats", "IdentifyError", "Slide", "Sliding", "equations", "sliding"]
 
 Floats: TypeAlias = npt.NDArray[np.float64]
 Flags: TypeAlias = npt.NDArray[np.bool_]

@@ -21,7 +21,9 @@ torque times the step's mean speed, so the energy balance
 
 closes to rounding in every step, whatever the step's length.
 
-The motor follows its command with a first-order lag. The brake's torque capacity follows its
+The motor follows its command with a first-order lag. Its cogging, :math:`-A\sin(k i x)` with
+:math:`k` periods in one of the :math:`i` revolutions of the motor for one of the handle, is part of
+its torque; over a step it is that of the step's begin. The brake's torque capacity follows its
 command through two first-order lags in series, the coil and the fluid; its off-state torque is
 always there.
 
@@ -81,6 +83,8 @@ PLANT = np.dtype(
         ("motor_decay", np.float64),  # exp(-h / lag)
         ("motor_Nm_pm", np.float64),  # torque at the handle for one per mille, with the true polarity
         ("motor_peak_pm", np.float64),
+        ("cogging", np.float64),  # amplitude at the handle
+        ("cogging_rad", np.float64),  # periods for one radian at the handle, times 2 pi
         ("coil_decay", np.float64),
         ("fluid_decay", np.float64),
         ("brake_max", np.float64),
@@ -166,6 +170,7 @@ def new_plant(axis: Axis, seed: int = 0) -> Records:
     r["fluid_decay"] = _decay(p.step_s, p.brake_fluid_lag_s)
     r["motor_Nm_pm"] = p.motor_polarity * p.motor_rated_torque_Nm * p.ratio / 1000
     r["motor_peak_pm"] = 1000 * p.motor_peak_ratio
+    r["cogging"], r["cogging_rad"] = p.cogging_Nm, p.cogging_periods * p.ratio
     r["coil_A_Nm"] = axis.brake.coil_A_Nm
     r["counts_rad"] = p.encoder_polarity * p.encoder_counts_rev * p.ratio / (2 * math.pi)
     r["noise"], r["transducer_polarity"] = p.transducer_noise_Nm, p.transducer_polarity
@@ -309,6 +314,8 @@ def advance(p: Any, f_h: Any, per_knot: int, first: int, steps: int, truth: Any,
     for k in range(steps):
         motor = target + (p.motor - target) * p.motor_decay
         torque = 0.5 * (p.motor + motor)
+        if p.cogging > 0.0:
+            torque -= p.cogging * math.sin(p.cogging_rad * p.x)
         p.motor = motor
         p.coil = coil_target + (p.coil - coil_target) * p.coil_decay
         square += p.coil * p.coil

@@ -79,6 +79,22 @@ def test_a_friction_that_is_too_large_in_the_belief_is_found_as_well(afternoon):
     assert found(done, "mechanics.friction_Nm").new == pytest.approx(0.06, rel=0.02)
 
 
+@pytest.mark.parametrize(("amplitude_Nm", "periods"), [(0.01, 12), (0.02, 7), (0.03, 24)])
+def test_cogging_is_told_from_friction(afternoon, amplitude_Nm, periods):
+    """What depends on the angle has no part in the friction, and friction none in it."""
+    cogging = (f"plant.cogging_Nm={amplitude_Nm}", f"plant.cogging_periods={periods}")
+    _, (done,) = afternoon("friction", truth=(*TRUTH, *cogging))
+    assert found(done, "mechanics.friction_Nm").new == pytest.approx(0.20, rel=0.05)
+    assert found(done, "mechanics.cogging_Nm").new == pytest.approx(amplitude_Nm, rel=0.1)
+    assert found(done, "mechanics.cogging_periods").new == periods
+    assert "Cogging by the motor's angle" in [curve.title for curve in done.outcome.curves]
+
+
+def test_a_motor_without_cogging_has_none(afternoon):
+    _, (done,) = afternoon("friction", truth=TRUTH)
+    assert not [one for one in done.outcome.findings if "cogging" in one.key]
+
+
 def test_where_the_friction_is_uneven_the_smallest_sector_is_written(afternoon, monkeypatch):
     edges, sectors = np.linspace(-0.6, 0.6, 9), [0.20] * 4 + [0.17] + [0.22] * 3
     monkeypatch.setattr("coulombus.host.commission.friction._by_sector", lambda *_: (edges, sectors))
