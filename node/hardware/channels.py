@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
-__all__ = ["Claim", "HardwareError", "Input", "Order", "Output", "SysfsFile", "finite", "put"]
+__all__ = ["Claim", "HardwareError", "Input", "Order", "Output", "SysfsFile", "finite", "put", "told"]
 
 MOST_BYTES = 64
 _INTEGER = re.compile(r"[+-]?\d{1,20}")
@@ -60,7 +60,8 @@ class Output(Protocol):
 
 
 @contextmanager
-def _told(path: str) -> Iterator[None]:
+def told(path: str) -> Iterator[None]:
+    """Let what the system refuses be a HardwareError that names the file."""
     try:
         yield
     except OSError as error:
@@ -88,7 +89,7 @@ def put(path: str, text: str) -> None:
     HardwareError
         The file is not there, or refuses.
     """
-    with _told(path):
+    with told(path):
         descriptor = os.open(path, os.O_WRONLY | os.O_TRUNC | os.O_CLOEXEC | os.O_NONBLOCK)
         try:
             os.write(descriptor, text.encode())
@@ -106,7 +107,7 @@ class SysfsFile:
 
     def count(self) -> float:
         """Return the number in the file."""
-        with _told(self.path):
+        with told(self.path):
             descriptor = os.open(self.path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
             try:
                 data = os.read(descriptor, MOST_BYTES + 1)
@@ -155,7 +156,7 @@ class Claim:
     """
 
     def __init__(self, path: str) -> None:
-        with _told(path):
+        with told(path):
             self.descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
         try:
             fcntl.flock(self.descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -123,6 +123,11 @@ class IioInput(_Input, _Iio):
     """[[input]] of kind "iio": an ADC, or a quadrature counter (in_count0)."""
 
     channel: str = Field(pattern=r"^in_\w+$", description='as "in_voltage0"')
+    buffered: bool = Field(
+        False,
+        description="all such channels of the device are sampled together, by its trigger and buffer where it has them",
+        json_schema_extra={"expected": "true or false"},
+    )
 
 
 class CounterInput(_Input):

@@ -14,14 +14,17 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Protocol
 
 from coulombus.eds.cia301 import DATA_TYPES, NmtState
 from coulombus.node import emcy
 from coulombus.node.device import Device
+from coulombus.node.hardware import converters
 from coulombus.node.hardware.board import Board, BoardInput, BoardOutput
 from coulombus.node.hardware.channels import Claim, HardwareError, Input, Order, Output, finite
-from coulombus.node.hardware.converters import PwmOutput, counter, iio
+from coulombus.node.hardware.converters import PwmOutput, counter, find, iio
+from coulombus.node.hardware.iio_buffer import BufferedInput, IioBuffer, NoBuffer
 from coulombus.node.hardware.io_file import CounterInput, IioInput, IioOutput, Line, Plan
 from coulombus.node.hardware.io_file import PwmOutput as PwmChannel
 
@@ -79,6 +82,7 @@ class Pump:
     """Periods that were left out because reading and writing took longer."""
     _outputs: list[_End] = field(default_factory=list)
     _inputs: list[tuple[Line, Input]] = field(default_factory=list)
+    _buffers: dict[str, IioBuffer] = field(default_factory=dict)
     _board: Board | None = None
     _watchdog: Watched | None = None
     _device: Device | None = None
@@ -133,6 +137,8 @@ class Pump:
         if self._watchdog is not None:
             self._watchdog.close()
             self._watchdog = None
+        for buffer in self._buffers.values():
+            buffer.close()
         for end in self._outputs:
             if end.claim is not None:
                 end.claim.close()
@@ -166,6 +172,8 @@ class Pump:
     def _read(self, device: Device, t_ns: int) -> None:
         if self._board is not None:
             self._board.refresh()
+        for buffer in self._buffers.values():
+            buffer.refresh(t_ns)
         changed = False
         for line, channel in self._inputs:
             value, wire = self._value(line, channel), line.terminal
@@ -251,7 +259,21 @@ class Pump:
             elif not isinstance(channel, BoardOutput):
                 raise HardwareError(f"{line.where}: {path} is an output already")
             self._outputs.append(end)
+        self._find_buffers()
         self._inputs = [(line, self._input(line)) for line in plan.inputs]
+
+    def _find_buffers(self) -> None:
+        """Prepare a buffer for each device with channels that ask for one; tell where there is none."""
+        wanted: dict[str, list[str]] = {}
+        for one in (line.channel for line in self.plan.inputs):
+            if isinstance(one, IioInput) and one.buffered:
+                wanted.setdefault(str(find(converters.IIO, one.device)), []).append(one.channel)
+        for folder, channels in wanted.items():
+            stale_ns = round(self.plan.file.loop.watchdog_s * 1e9)
+            try:
+                self._buffers[folder] = IioBuffer(Path(folder), dict.fromkeys(channels), stale_ns)
+            except NoBuffer as error:
+                self.tell(f"{error}; its channels are read one by one")
 
     def _output(self, line: Line) -> tuple[Output, str]:
         """Return the channel of a line, and the file that is claimed."""
@@ -268,7 +290,9 @@ class Pump:
     def _input(self, line: Line) -> Input:
         one = line.channel
         if isinstance(one, IioInput):
-            return iio(one.device, one.channel, scaled=one.scaled)
+            file = iio(one.device, one.channel, scaled=one.scaled)
+            buffer = self._buffers.get(str(find(converters.IIO, one.device))) if one.buffered else None
+            return file if buffer is None else BufferedInput(buffer, one.channel, file.scale, file.offset)
         if isinstance(one, CounterInput):
             return counter(one.device, one.channel)
         assert self._board is not None
@@ -285,6 +309,8 @@ class Pump:
                 raise HardwareError(f"{end.line.where}: the safe value {wanted:g} was written, {got:g} is read back")
         if self._board is not None:
             self._board.refresh()
+        for buffer in self._buffers.values():
+            buffer.open(self.plan.file.loop.watchdog_s / 2)
         for line, channel in self._inputs:
             self._value(line, channel)
 

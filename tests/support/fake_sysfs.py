@@ -4,7 +4,10 @@ below a folder of the test.
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
+
+from coulombus.node.hardware.channels import HardwareError
 
 BRAKE_IO = """
 [loop]
@@ -56,7 +59,8 @@ class FakeSysfs:
     def mend(self) -> None:
         """Put everything as it is at first."""
         for folder in (self.folder / "adc").glob("*/"):
-            folder.rmdir()
+            if not any(folder.iterdir()):
+                folder.rmdir()
         self.put("dac/name", "mcp4725")
         self.put("dac/out_voltage0_raw", "4095")
         self.put("adc/name", "mcp3208")
@@ -68,6 +72,22 @@ class FakeSysfs:
         self.put("pwmchip0/pwm0/duty_cycle", "0")
         self.put("pwmchip0/pwm0/enable", "0")
         self.put("counter0/count0/count", "123456")
+
+    def buffered(self, trigger: str = "rtc", **types: str) -> None:
+        """Give the ADC a buffer; `types` are its channels' types in a scan, in their order.
+
+        ``dev/adc`` is the FIFO behind it.
+        """
+        for index, (channel, kind) in enumerate(types.items()):
+            self.put(f"adc/scan_elements/{channel}_en", "0")
+            self.put(f"adc/scan_elements/{channel}_index", str(index))
+            self.put(f"adc/scan_elements/{channel}_type", kind)
+        self.put("adc/scan_elements/in_timestamp_en", "1")
+        self.put("adc/buffer/length", "0")
+        self.put("adc/buffer/enable", "0")
+        self.put("adc/trigger/current_trigger", trigger)
+        (self.folder / "dev").mkdir(exist_ok=True)
+        os.mkfifo(self.folder / "dev" / "adc")
 
     def put(self, name: str, text: str) -> None:
         path = self.folder / name
@@ -89,3 +109,20 @@ class FakeSysfs:
         path = self.folder / "io.toml"
         path.write_text(text.replace("{folder}", str(self.folder)))
         return path
+
+
+class FakeGuard:
+    """A watchdog that only counts."""
+
+    def __init__(self, watchdog_s, orders, claims):
+        self.watchdog_s, self.orders, self.claims = watchdog_s, list(orders), list(claims)
+        self.fed, self.closed, self.trouble = 0, 0, ""
+
+    def feed(self):
+        self.fed += 1
+        if self.trouble:
+            trouble, self.trouble = self.trouble, ""
+            raise HardwareError(trouble)
+
+    def close(self):
+        self.closed += 1

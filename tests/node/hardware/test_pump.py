@@ -12,25 +12,10 @@ from coulombus.node.hardware.channels import HardwareError, SysfsFile
 from coulombus.node.hardware.io_file import read_io_file
 from coulombus.node.hardware.pump import Pump
 from coulombus.node.kinds import GENERIC
-from fake_sysfs import BRAKE_IO, FakeSysfs
+from fake_sysfs import BRAKE_IO, FakeGuard, FakeSysfs
 from node_bench import MS, Bench, description
 
 SAFE = 10  # the DAC's count at 0 Nm
-
-
-class FakeGuard:
-    def __init__(self, watchdog_s, orders, claims):
-        self.watchdog_s, self.orders, self.claims = watchdog_s, list(orders), list(claims)
-        self.fed, self.closed, self.trouble = 0, 0, ""
-
-    def feed(self):
-        self.fed += 1
-        if self.trouble:
-            trouble, self.trouble = self.trouble, ""
-            raise HardwareError(trouble)
-
-    def close(self):
-        self.closed += 1
 
 
 class Rig:

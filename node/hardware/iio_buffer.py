@@ -1,0 +1,200 @@
+"""The buffer of an IIO device: all its channels sampled together, at the device's own trigger.
+
+    DEVICE/scan_elements/CHANNEL_en, CHANNEL_index, CHANNEL_type    what stands in a scan, and how
+    DEVICE/trigger/current_trigger                                  what starts a scan, where it is needed
+    DEVICE/buffer/length, buffer/enable                             the kernel's FIFO
+    /dev/iio:deviceN                                                the scans
+
+A scan has the channels that are switched on in the order of their index, each aligned to its own
+size, and is a multiple of the largest (Linux: Documentation/iio/iio_devbuf.rst). A type reads
+``le:s12/16>>4``: byte order, sign, bits that count, bits that are stored, shift to the right.
+
+The newest scan counts. One that has stood for `stale_ns` is a fault: a trigger that stops must not
+look like a torque that stays.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import select
+from collections.abc import Iterable
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from coulombus.node.hardware.channels import HardwareError, SysfsFile, put, told
+
+__all__ = ["DEV", "BufferedInput", "IioBuffer", "NoBuffer"]
+
+DEV = Path("/dev")
+LENGTH = 64
+"""Scans that the kernel keeps."""
+MOST_READ = 1 << 16
+_TYPE = re.compile(r"([bl]e):([su])(\d+)/(\d+)(?:X(\d+))?>>(\d+)")
+
+
+class NoBuffer(HardwareError):
+    """The device has no buffer that could be used; its channels can be read one by one."""
+
+
+@dataclass(frozen=True)
+class Element:
+    """A channel in a scan."""
+
+    index: int
+    big_endian: bool
+    signed: bool
+    bits: int
+    size: int
+    """Bytes that are stored."""
+    shift: int
+    offset: int = 0
+    """Of its first byte in the scan."""
+
+    def value(self, scan: bytes) -> int:
+        """Return the channel's count in a scan."""
+        stored = int.from_bytes(scan[self.offset : self.offset + self.size], "big" if self.big_endian else "little")
+        count = stored >> self.shift & (1 << self.bits) - 1
+        return count - (1 << self.bits) if self.signed and count >> self.bits - 1 else count
+
+
+class IioBuffer:
+    """The buffer of one device, and the channels that are read from it.
+
+    Parameters
+    ----------
+    folder : the device's, in sysfs
+    channels : as ``in_voltage0``, each once
+    stale_ns : how long a scan may stand for the present
+
+    Raises
+    ------
+    NoBuffer
+        the device has no buffer, or no trigger is set
+    HardwareError
+        a channel has no place in its scans, or says it in words that nobody knows
+    """
+
+    def __init__(self, folder: Path, channels: Iterable[str], stale_ns: int) -> None:
+        self.folder, self.channels, self.stale_ns = folder, tuple(channels), stale_ns
+        self._fd = -1
+        self._scan = b""
+        self._rest = b""
+        self._scan_ns: int | None = None
+        if not (folder / "buffer" / "enable").exists() or not (folder / "scan_elements").is_dir():
+            raise NoBuffer(f"{folder}: it has no buffer")
+        trigger = folder / "trigger" / "current_trigger"
+        if trigger.exists() and not trigger.read_text(errors="replace").strip():
+            raise NoBuffer(f"{trigger}: no trigger is set; write the name of one to it")
+        self.elements, self.size = self._layout()
+
+    def _layout(self) -> tuple[dict[str, Element], int]:
+        """Return the channels' places, and the size of a scan."""
+        found = sorted(((self._element(one), one) for one in self.channels), key=lambda pair: pair[0].index)
+        placed, offset, largest = {}, 0, 1
+        for element, channel in found:
+            offset = -(-offset // element.size) * element.size
+            placed[channel] = replace(element, offset=offset)
+            offset += element.size
+            largest = max(largest, element.size)
+        return placed, -(-offset // largest) * largest
+
+    def _element(self, channel: str) -> Element:
+        scans = self.folder / "scan_elements"
+        path = scans / f"{channel}_type"
+        with told(str(path)):
+            text = path.read_text(errors="replace").strip()
+        match = _TYPE.fullmatch(text)
+        if match is None or match[5] not in (None, "1"):
+            raise HardwareError(f"{path}: got {text[:64]!r}, expected a type as 'le:s12/16>>4'")
+        bits, stored, shift = int(match[3]), int(match[4]), int(match[6])
+        if stored not in (8, 16, 32, 64) or not 1 <= bits <= stored - shift:
+            raise HardwareError(f"{path}: got {text!r}; {bits} bits and a shift of {shift} do not fit {stored} bits")
+        index = int(SysfsFile(str(scans / f"{channel}_index")).count())
+        return Element(index, match[1] == "be", match[2] == "s", bits, stored // 8, shift)
+
+    # life
+
+    def open(self, wait_s: float) -> None:
+        """Switch the buffer on with these channels alone, and wait for the first scan.
+
+        Raises
+        ------
+        HardwareError
+            what the device refuses, or that no scan came
+        """
+        self.close()
+        put(str(self.folder / "buffer" / "enable"), "0\n")
+        for path in sorted((self.folder / "scan_elements").glob("*_en")):
+            put(str(path), f"{int(path.name.removesuffix('_en') in self.elements)}\n")
+        put(str(self.folder / "buffer" / "length"), f"{LENGTH}\n")
+        put(str(self.folder / "buffer" / "enable"), "1\n")
+        node = DEV / self.folder.resolve().name
+        with told(str(node)):
+            self._fd = os.open(node, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        self._rest, self._scan, self._scan_ns = b"", b"", None
+        select.select([self._fd], [], [], wait_s)
+        self._take()
+        if not self._scan:
+            raise HardwareError(f"{node}: no scan within {wait_s:g} s; does the trigger run?")
+
+    def close(self) -> None:
+        """Switch the buffer off, whatever the device says to it."""
+        if self._fd >= 0:
+            os.close(self._fd)
+            self._fd = -1
+            with suppress(HardwareError):
+                put(str(self.folder / "buffer" / "enable"), "0\n")
+
+    # the present
+
+    def refresh(self, t_ns: int) -> None:
+        """Take the newest scan.
+
+        Raises
+        ------
+        HardwareError
+            the device is gone, or its last scan is too old
+        """
+        if self._take() or self._scan_ns is None:
+            self._scan_ns = t_ns
+        elif t_ns - self._scan_ns > self.stale_ns:
+            raise HardwareError(
+                f"{self.folder}: no scan for {(t_ns - self._scan_ns) * 1e-6:.0f} ms; the trigger stopped"
+            )
+
+    def count(self, channel: str) -> int:
+        """Return a channel's count in the newest scan."""
+        return self.elements[channel].value(self._scan)
+
+    def _take(self) -> bool:
+        """Read what there is; tell whether a whole scan came."""
+        came = False
+        with told(str(self.folder)):
+            while True:
+                try:
+                    data = os.read(self._fd, MOST_READ)
+                except BlockingIOError:
+                    return came
+                if not data:
+                    return came
+                data = self._rest + data
+                whole = len(data) // self.size * self.size
+                self._rest = data[whole:]
+                if whole:
+                    self._scan, came = data[whole - self.size : whole], True
+
+
+@dataclass(frozen=True)
+class BufferedInput:
+    """A channel of a buffer: value = (count + offset) * scale."""
+
+    buffer: IioBuffer
+    channel: str
+    scale: float = 1.0
+    offset: float = 0.0
+
+    def read(self) -> float:
+        """Return the value in the newest scan."""
+        return (self.buffer.count(self.channel) + self.offset) * self.scale
