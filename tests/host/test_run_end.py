@@ -184,6 +184,7 @@ def marked(tmp_path, monkeypatch, *, slow_batch=1, trip=Trip.NONE, rig="bench", 
     run.deadman, run._seen = "none", (0, 0.0)
     run.signals = Signals()
     run.door = SimpleNamespace(stop_wanted=lambda: False)
+    run.changes = SimpleNamespace(arm_key="")
     run.course(5.0)
     run.drain()
     return [(round(t_s * 1000), text.partition(":")[0]) for t_s, text in read(tmp_path / "r.pcapng").markers]
