@@ -51,7 +51,10 @@ $(VENV)/bin/python:
 	@test -n "$(PYTHON)" || { echo "make: Python 3.11 or newer is needed; name one with PYTHON=/path/to/python3.11" >&2; exit 1; }
 	@"$(PYTHON)" -c '$(NEEDED)' || { echo "make: $(PYTHON) is older than 3.11" >&2; exit 1; }
 	@echo "creating $(VENV) with $$("$(PYTHON)" --version)"
-	@"$(PYTHON)" -m venv $(VENV) || { echo "make: cannot create a virtual environment (Debian: apt install python3-venv)" >&2; exit 1; }
+	@"$(PYTHON)" -m venv $(VENV) || { \
+		if "$(PYTHON)" -c 'import venv, ensurepip' 2>/dev/null; \
+		then echo "make: cannot write $(VENV) in $(CURDIR): the folder must be yours to write, with 1 GB free" >&2; \
+		else echo "make: cannot create a virtual environment (Debian: apt install python3-venv)" >&2; fi; exit 1; }
 
 $(VENV)/.run: $(VENV)/bin/python pyproject.toml
 	@echo "installing (once) ..."

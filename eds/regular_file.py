@@ -6,15 +6,20 @@ may have none at all, and opening some devices does something.
 
 from __future__ import annotations
 
+import difflib
+import itertools
 import os
+import re
 import stat
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
-__all__ = ["MOST_BYTES", "NoRegularFile", "naming", "read_regular", "require_regular"]
+__all__ = ["MOST_BYTES", "NoRegularFile", "mode_of", "naming", "read_regular", "require_regular"]
 
 MOST_BYTES = 1 << 26
+MOST_NAMES = 10_000
+"""Of a folder in which a missing file's name is looked for."""
 
 KINDS = (
     (stat.S_ISDIR, "a directory"),
@@ -42,13 +47,45 @@ def naming(path: str | Path) -> Iterator[None]:
         raise
 
 
-def require_regular(path: str | Path) -> None:
-    """Raise what `read_regular` raises of anything but a regular file; open nothing."""
+def mode_of(path: str | Path) -> int:
+    """Return the mode of what stands there, as `os.stat` tells it.
+
+    Raises
+    ------
+    FileNotFoundError
+        Nothing stands there; `strerror` also says what may have been meant.
+    OSError
+        It cannot be looked at.
+    """
     try:
-        mode = os.stat(path).st_mode
+        return os.stat(path).st_mode
+    except FileNotFoundError as error:
+        raise FileNotFoundError(error.errno, f"{error.strerror}{_meant(str(path))}", str(path)) from None
     except ValueError:
         raise NoRegularFile(0, "has a zero in its name", str(path)) from None
-    _require_regular(path, mode)
+
+
+def _meant(path: str) -> str:
+    """Return what may have been meant by a path where nothing stands, behind a semicolon."""
+    if "\\" in path:
+        drive = re.match(r"([A-Za-z]):\\", path)
+        wsl = f", under WSL /mnt/{drive[1].lower()}/{path[3:]}".replace("\\", "/") if drive else ""
+        return f"; it reads as a path of Windows: write / between the folders{wsl}"
+    if re.search(r"[*?\[]", path):
+        return "; no file fits this pattern, which the shell then hands on as it stands"
+    folder, name = os.path.split(path)
+    if not os.path.isdir(folder or "."):
+        return f"; there is no folder {folder}"
+    names: list[str] = []
+    with suppress(OSError), os.scandir(folder or ".") as entries:
+        names = sorted(entry.name for entry in itertools.islice(entries, MOST_NAMES))
+    near = difflib.get_close_matches(name, names, 1, 0.7)
+    return f"; did you mean '{os.path.join(folder, near[0])}'?" if near else ""
+
+
+def require_regular(path: str | Path) -> None:
+    """Raise what `read_regular` raises of anything but a regular file; open nothing."""
+    _require_regular(path, mode_of(path))
 
 
 def read_regular(path: str | Path, most_bytes: int = MOST_BYTES) -> bytes:

@@ -15,6 +15,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from coulombus.eds.regular_file import naming
+
 __all__ = ["check", "is_stream", "new_file", "open_new", "reason_against"]
 
 FORCE = "choose another name, or replace it with --force (in Python: force=True)"
@@ -84,11 +86,13 @@ def new_file(path: Path, *, force: bool) -> Iterator[Path]:
     """
     check(path, force=force)
     if is_stream(path):
-        yield path
+        with naming(path):
+            yield path
         return
     beside = path.with_name(f".{path.stem}-{os.getpid()}-{os.urandom(4).hex()}{path.suffix}")
     try:
-        yield beside
+        with naming(path):
+            yield beside
         if not beside.exists():
             return
         if force:

@@ -12,11 +12,15 @@ from typing import Any
 from coulombus.rigs.problem import Problem
 from coulombus.rigs.toml_lines import Document, Key
 
-__all__ = ["RigError", "Source", "dotted", "nearest", "shown", "toml_value"]
+__all__ = ["RigError", "Source", "dotted", "nearest", "number_hint", "shown", "toml_value"]
 
 LONGEST = 60
 _KEY = re.compile(r"(?<![\w.])(?:bus|host|motor|brake|sensor|role|mechanics|law|mode|limits|plant|operator)(?:\.\w+)+")
 """What reads as a key of the rig file in a text."""
+_WITH_UNIT = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([A-Za-z\u00b5\u03bc%\u00b0][^\d]*)")
+_WITH_COMMA = re.compile(r"[+-]?\d+,\d+")
+PREFIXES = {"": 1.0, "n": 1e-9, "u": 1e-6, "\u00b5": 1e-6, "\u03bc": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6}
+"""SI prefix -> factor."""
 
 
 class RigError(Exception):
@@ -152,6 +156,31 @@ def shown(value: Any) -> str:
 
 def nearest(given: str, known: Iterable[str]) -> str:
     """Return "; did you mean ...?" for the known word nearest to `given`, or nothing."""
-    by_small = {word.lower(): word for word in known}
-    found = difflib.get_close_matches(given.lower(), by_small, 1, 0.6)
+    by_small, small = {word.lower(): word for word in known}, given.lower()
+    found = difflib.get_close_matches(small, by_small, 1, 0.6)
+    found = found or [word for word in by_small if len(small) > 2 and word.startswith(small)]  # a name without its unit
     return f"; did you mean '{by_small[found[0]]}'?" if found else ""
+
+
+def number_hint(given: str, unit: str) -> str:
+    """Return "; ..." that says how to write a number which is given with a unit or a decimal comma;
+    nothing where it is neither.
+
+    Parameters
+    ----------
+    given : the text that stands where a number is meant
+    unit : in which the number is; "" where it has none
+    """
+    text = given.strip()
+    if _WITH_COMMA.fullmatch(text):
+        return f"; write {text.replace(',', '.')}, with a decimal point"
+    found = _WITH_UNIT.fullmatch(text)
+    if found is None:
+        return ""
+    number, own = found[1], found[2].strip()
+    prefix = own if own in ("k", "M") else own.removesuffix(unit)
+    if prefix in PREFIXES and (unit or prefix):
+        return f"; leave the unit off: {float(number) * PREFIXES[prefix]:.12g}" if prefix else (
+            f"; leave the unit off: {number}"
+        )
+    return "; leave the unit off" + (f": the number is in {unit}" if unit else "")

@@ -45,7 +45,7 @@ _HINTS = (
     (r"(?i:true|false|yes|no|on|off)\b", "true or false, in small letters"),
     (r"[+-]?\.\d|[+-]?\d+\.(\D|$)", "digits on both sides of the decimal point"),
     (r"[+-]?0\d", "a number without leading zeros"),
-    (r"[+-]?[\d._]+(e[+-]?\d+)?\s*[A-Za-z%°µ]", "a number alone: the unit stands in the key's name"),
+    (r"[+-]?[\d._]+(e[+-]?\d+)?\s*[A-Za-z%°µ]", "a number alone: leave the unit off, which stands in the key's name"),
     (r"[A-Za-z_./~]", "a text in double quotes"),
     (r"\[", "a list of values with commas between them and a closing ]"),
     (r"\"|'", "a text with a closing quote"),

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from coulombus.rigs.frozen_map import FrozenMap
-from coulombus.rigs.mistakes import Source, dotted, nearest
+from coulombus.rigs.mistakes import Source, dotted, nearest, number_hint
 from coulombus.rigs.toml_lines import Key, Table
 
 __all__ = ["accepted_range", "expected", "explain", "fields_of", "kinds_of", "named_in", "unit_of"]
@@ -154,7 +154,10 @@ def explain(error: ValidationError, values: Table, schema: type[BaseModel], sour
             elif not source.is_wrong((*key, "kind")):
                 source.say((*key, "kind"), f"missing in [[{name}]]; expected {wanted}")
         else:
-            source.stands(key, _value(values, key), expected(name, info), _choices(info))
+            given, wanted = _value(values, key), expected(name, info)
+            if info.annotation in (int, float) and isinstance(given, str):
+                wanted += number_hint(given, unit_of(name))
+            source.stands(key, given, wanted, _choices(info))
 
 
 def _value(values: Any, key: Key) -> Any:

@@ -1,8 +1,10 @@
-"""Property tests draw the same examples in every run.
+"""Property tests draw the same examples in every run. Signals do what they do at a terminal, in a
+background job, too.
 
 Real-time tests are done again if the machine stood still when they failed.
 """
 
+import signal
 import sys
 from pathlib import Path
 
@@ -30,6 +32,11 @@ class OneName:
 
 
 sys.meta_path.insert(0, OneName)
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as a shell starts what stands before an &
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+if signal.getsignal(signal.SIGQUIT) is signal.SIG_IGN:
+    signal.signal(signal.SIGQUIT, signal.SIG_DFL)
 
 watchers = pytest.StashKey[Watchers]()
 

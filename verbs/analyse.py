@@ -12,6 +12,7 @@ import click
 from coulombus.verbs.common import (
     EXIT_STATUS,
     PICTURE,
+    InputPath,
     OutputDirectory,
     errors,
     force_option,
@@ -395,7 +396,7 @@ def _map(rig: Rig, options: dict[str, Any]) -> None:
 
 
 @click.command("identify", epilog=EXIT_STATUS)
-@click.argument("file", type=click.Path(exists=True, path_type=Path))
+@click.argument("file", type=InputPath())
 @click.option("--rig", "rig_name", metavar="R", help="Decode with this rig instead of the attached one.")
 @click.option("--figure", type=PICTURE, metavar="F", help="Write the plot there (.png, .svg, .pdf).")
 @force_option

@@ -31,11 +31,13 @@ if TYPE_CHECKING:
     from coulombus.wire.address import BusAddress
 
 __all__ = [
+    "BIT_RATE",
     "CPU",
     "EXIT_STATUS",
     "MODES",
     "PICTURE",
     "SECONDS",
+    "InputPath",
     "OutputDirectory",
     "OutputFile",
     "RecordingPlace",
@@ -139,6 +141,9 @@ class Verbs(click.Group):
             try:
                 with as_exceptions(), _failures():
                     return super().invoke(ctx)
+            except click.UsageError as error:
+                error.message += _option_meant(error)
+                raise
             except Stopped as stopped:
                 raise Failure(f"ended by {stopped}", status_of(stopped.number)) from None
             except KeyboardInterrupt:
@@ -151,6 +156,25 @@ class Verbs(click.Group):
         except click.ClickException as error:
             tell(error.format_message(), error.exit_code)
             raise
+
+
+def _option_meant(error: click.UsageError) -> str:
+    """Return which option an argument too many is of, behind a semicolon; nothing where that is not
+    known.
+    """
+    found = re.fullmatch(r"Got unexpected extra arguments? \((\S+).*\)", error.message)
+    if found is None or error.ctx is None:
+        return ""
+    word = found[1]
+    kinds = (
+        ("--bus", re.match(r"(coulombus|socketcan):", word)),
+        ("--record", word.endswith(".pcapng")),
+        ("--mode", word in MODES),
+        ("--rig", word.endswith(".toml") or word in ("bench", "paper", "two_axes")),
+    )
+    known = {option for param in error.ctx.command.params for option in param.opts}
+    meant = next((option for option, fits in kinds if fits and option in known), None)
+    return f"; did you mean {meant} {word}?" if meant else ""
 
 
 @contextmanager
@@ -285,6 +309,28 @@ def print_json(value: Any) -> None:
         context.meta[RESULT] = True
 
 
+class InputPath(click.Path):
+    """A file or a folder that is read.
+
+    One that is not there ends the verb as a missing rig file does, and says what may be meant.
+    """
+
+    def __init__(self, *, file_okay: bool = True) -> None:
+        super().__init__(file_okay=file_okay, exists=True, path_type=Path)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the path; `Failure` where nothing stands, BadParameter where it is of no use."""
+        from coulombus.eds.regular_file import mode_of
+
+        try:
+            mode_of(value)
+        except FileNotFoundError as error:
+            raise Failure(f"{value}: cannot be read ({error.strerror})", 3) from None
+        except OSError as error:
+            self.fail(f"{value}: {error.strerror}", param, ctx)
+        return super().convert(value, param, ctx)
+
+
 class OutputFile(click.Path):
     """A file that will be written: what forbids it is told before anything is run for it.
 
@@ -340,9 +386,14 @@ class OutputDirectory(click.Path):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the path; BadParameter says what is wrong with it."""
-        path = Path(str(super().convert(value, param, ctx)))
+        path = Path(value)
+        if path.suffix.lower() == ".toml" and not path.is_dir():
+            self.fail(f"{path}: expected a folder, and this is the name of a rig file: --rig {path}", param, ctx)
+        super().convert(value, param, ctx)
         try:
             path.mkdir(parents=True, exist_ok=True)
+        except FileExistsError:
+            self.fail(f"{path}: expected a folder, and it is none", param, ctx)
         except OSError as error:
             self.fail(f"{path}: cannot be made: {error.strerror}", param, ctx)
         return path
@@ -397,9 +448,23 @@ class _Cpu(click.ParamType):  # type: ignore[type-arg]
         return int(value)
 
 
+class _BitRate(click.ParamType):  # type: ignore[type-arg]
+    """A bit rate in bit/s; k and M stand for a thousand and a million."""
+
+    name = "bit rate"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        found = re.fullmatch(r"(\d{1,9}(?:\.\d{1,6})?)\s*([kM]?)(?:bit/s|bps)?", str(value))
+        rate = float(found[1]) * {"": 1, "k": 1e3, "M": 1e6}[found[2]] if found else 0.0
+        if not (10_000 <= rate <= 20_000_000 and rate == int(rate)):
+            self.fail(f"{value!r}: expected a bit rate from 10k to 20M, such as 1000000, 500k or 1M", param, ctx)
+        return int(rate)
+
+
 YEAR_S = 31_557_600
 SECONDS = _Seconds()
 CPU = _Cpu()
+BIT_RATE = _BitRate()
 
 mode_option = click.option(
     "--mode", type=click.Choice(MODES), default="hybrid", show_default=True, help="Who displays the friction."
@@ -413,7 +478,7 @@ seconds_option = click.option(
 record_option = click.option(
     "--record", type=OutputFile(".pcapng"), metavar="F.pcapng", help="Record every frame there, in a new file."
 )
-recording_argument = click.argument("file", type=click.Path(exists=True, path_type=Path))
+recording_argument = click.argument("file", type=InputPath())
 signals_option = click.option(
     "--signals",
     "signals",

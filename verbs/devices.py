@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from coulombus.verbs.common import SECONDS, load, say
+from coulombus.verbs.common import SECONDS, InputPath, load, say
 
 if TYPE_CHECKING:
     from coulombus.host.devices.device import Device
@@ -36,7 +36,7 @@ beside_option = click.option(
 eds_folder_option = click.option(
     "--eds",
     "eds_folder",
-    type=click.Path(path_type=Path, file_okay=False, exists=True),
+    type=InputPath(file_okay=False),
     metavar="FOLDER",
     help="EDS and DCF files, in which those of the devices are looked for by 1018h.",
 )

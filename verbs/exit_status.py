@@ -25,7 +25,7 @@ STATUSES: Mapping[int, str] = MappingProxyType(
         0: "ok",
         1: "a check failed",
         2: "usage: a wrong option or argument, a recording that cannot be read, a file that cannot be written, no memory left",
-        3: "configuration: rig, EDS, law, motion, fault or script file missing or wrong, or a device that is not what they say",
+        3: "configuration: any file missing; rig, EDS, law, motion, fault or script file wrong; a device that is not what they say",
         4: "bus unavailable",
         5: "a node is missing",
         6: "a node aborted an SDO transfer",

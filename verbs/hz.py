@@ -11,6 +11,7 @@ from click.core import ParameterSource
 from coulombus.verbs.common import (
     EXIT_STATUS,
     SECONDS,
+    InputPath,
     bus_option,
     errors,
     json_option,
@@ -35,7 +36,7 @@ one_channel_option = click.option("--channel", metavar="C", help="Which bus of a
 
 
 @click.command(epilog=EXIT_STATUS)
-@click.argument("file", required=False, type=click.Path(exists=True, path_type=Path))
+@click.argument("file", required=False, type=InputPath())
 @rig_option
 @set_option
 @bus_option

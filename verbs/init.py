@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from coulombus.verbs.common import EXIT_STATUS, OutputFile, errors, say, verdict
+from coulombus.verbs.common import EXIT_STATUS, InputPath, OutputFile, errors, say, verdict
 
 if TYPE_CHECKING:
     from coulombus.rigs.rig import Rig
@@ -32,7 +32,7 @@ NODE_ID = click.IntRange(1, 127)
 @click.option("--bus", "bus_name", metavar="B", help="Ask who is on coulombus:NAME or socketcan:IF.")
 @click.option(
     "--eds-folder",
-    type=click.Path(path_type=Path, file_okay=False, exists=True),
+    type=InputPath(file_okay=False),
     help="Where the EDS files of devices that answer on the bus are; our own devices' are known.",
 )
 @click.option("--rehearse", is_flag=True, help="With a simulated rig, for `coulombus simulate`; never for a real bus.")

@@ -13,6 +13,7 @@ from click.core import ParameterSource
 from coulombus.verbs.common import (
     EXIT_STATUS,
     SECONDS,
+    InputPath,
     OutputFile,
     bus_option,
     errors,
@@ -37,7 +38,7 @@ one_channel_option = click.option("--channel", metavar="C", help="Which bus of a
 
 
 @click.command(epilog=EXIT_STATUS)
-@click.argument("file", type=click.Path(exists=True, path_type=Path))
+@click.argument("file", type=InputPath())
 @click.option("--rig", "rig_name", metavar="R", help="Decode with this rig instead of the attached one.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line to stdout.")
 def decode(file: Path, rig_name: str | None, as_json: bool) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from coulombus.verbs.common import EXIT_STATUS, errors, json_option, print_json, verdict
+from coulombus.verbs.common import BIT_RATE, EXIT_STATUS, errors, json_option, print_json, verdict
 from coulombus.verbs.devices import LiveLine, beside_option, devices_bus_option, eds_folder_option, open_link
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ class IdentityType(click.ParamType):  # type: ignore[type-arg]  # generic to som
     metavar="V:P:R:S",
     help="The device of this identity (1018h, hexadecimal), with a node id or without.",
 )
-@click.option("--bitrate", type=int, metavar="BIT/S", help="Give the device this bit rate; needs --store.")
+@click.option("--bitrate", type=BIT_RATE, metavar="BIT/S", help="Give the device this bit rate; needs --store.")
 @click.option("--store", is_flag=True, help="Let the device keep it when it is switched off.")
 @beside_option
 @json_option

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from coulombus.verbs.common import (
+    BIT_RATE,
     EXIT_STATUS,
     PICTURE,
     errors,
@@ -244,7 +245,7 @@ def _errors_option(ctx: click.Context, param: click.Parameter, value: str) -> An
 @rig_option
 @set_option
 @json_option
-@click.option("--bitrate", type=click.IntRange(10_000, 20_000_000), help="Bit rate, bit/s.  [default: the rig's]")
+@click.option("--bitrate", type=BIT_RATE, metavar="BIT/S", help="Bit rate, such as 500k.  [default: the rig's]")
 @click.option(
     "--period-us",
     type=click.FloatRange(100, 1e6),

@@ -11,6 +11,7 @@ import click
 from coulombus.verbs.common import (
     EXIT_STATUS,
     PICTURE,
+    InputPath,
     errors,
     force_option,
     json_option,
@@ -98,8 +99,8 @@ def _tolerances(ctx: click.Context, param: click.Parameter, texts: tuple[str, ..
 
 
 @click.command("diff", epilog=EXIT_STATUS)
-@click.argument("a", type=click.Path(exists=True, path_type=Path))
-@click.argument("b", type=click.Path(exists=True, path_type=Path))
+@click.argument("a", type=InputPath())
+@click.argument("b", type=InputPath())
 @click.option(
     "--tolerance",
     "tolerances",

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import click
 
 from coulombus.verbs.bundle import bundle
-from coulombus.verbs.common import EXIT_STATUS, errors, json_option, printed, remark, say, verdict
+from coulombus.verbs.common import EXIT_STATUS, InputPath, errors, json_option, printed, remark, say, verdict
 
 if TYPE_CHECKING:
     from coulombus.lab.replay.host_replay import HostReplay
@@ -99,7 +99,7 @@ playing_options = bundle(
 
 
 @click.command("replay", epilog=EXIT_STATUS)
-@click.argument("file", type=click.Path(exists=True, path_type=Path))
+@click.argument("file", type=InputPath())
 @click.option("--bus", "bus_name", metavar="B", help="Play it there: coulombus:NAME or socketcan:IF.")
 @click.option("--host", "as_host", is_flag=True, help="Feed the host with it: do its outputs come out again?")
 @click.option("--virtual", is_flag=True, help="Feed the bus with it in virtual time: do its frames come out again?")

@@ -27,15 +27,19 @@ SECONDS = {"": 1.0, "s": 1.0, "ms": 1e-3}
 
 def _values(ctx: click.Context, param: click.Parameter, texts: tuple[str, ...]) -> dict[str, float]:
     """Return NAME=VALUE as numbers by name."""
+    from coulombus.rigs.mistakes import number_hint
+
     found: dict[str, float] = {}
     for text in texts:
         name, equals, number = (part.strip() for part in text.partition("="))
+        reason = f"{name} is given twice" if name in found else ""
         try:
             value = float(number)
         except ValueError:
-            value = None
-        if not equals or not name or value is None or name in found:
-            reason = f"{name} is given twice" if name in found else "expected NAME=VALUE, as in F_s=2.0"
+            value, reason = float("nan"), f"'{number}' is no number{number_hint(number, '')}"
+        if not equals or not name:
+            reason = "expected NAME=VALUE, as in F_s=2.0"
+        if reason:
             raise click.BadParameter(f"{text!r}: {reason}")
         found[name] = value
     return found

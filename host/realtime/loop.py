@@ -301,11 +301,17 @@ def _look_after_parent(p: Any, base: int, axes: AxisRecords) -> None:
     orphan = p.parent != 0 and getppid() != p.parent
     if orphan or 0 < until < now_ns():
         _stop(p, axes, Trip.HOST)
-    if orphan:
-        for k in range(axes.shape[0]):
-            if axes[k].host.phase != Phase.DONE:
-                return
+    if orphan and _all_done(axes):
         store_release(base + AT_COMMAND, Command.QUIT)
+
+
+@kernel
+def _all_done(axes: AxisRecords) -> bool:
+    """Tell whether all axes are done: from then on the nodes may be told to send no TPDO."""
+    for k in range(axes.shape[0]):
+        if axes[k].host.phase != Phase.DONE:
+            return False
+    return True
 
 
 @kernel
@@ -433,6 +439,7 @@ def _cycle(b: Buffers, law_function: LawFunction) -> int:
             return 1
         _obey(b)
         _trace(b.plane, b.trace, Moment.BEGIN, t, axes[0].host.deadman_ok)
+        displays = not _all_done(axes)
         begin(axes, t, b.out)
         if _transmit(b, 0) != 0:
             return 1
@@ -440,8 +447,9 @@ def _cycle(b: Buffers, law_function: LawFunction) -> int:
         if _collect(b, law_function, sync + c.window_ns) != 0:
             return 1
         done = now_ns()
-        _count(b.latency_bins, done - sync)
-        p.latency_max_ns = max(p.latency_max_ns, done - sync)
+        if displays:
+            _count(b.latency_bins, done - sync)
+            p.latency_max_ns = max(p.latency_max_ns, done - sync)
         p.full_in_a_row = p.full_in_a_row + 1 if p.tx_full > full else 0
         if p.full_in_a_row >= missed_cycles:
             _stop(p, axes, Trip.TRANSMIT)

@@ -167,6 +167,19 @@ def test_without_nodes_it_trips_and_its_last_set_points_are_zero():
         assert plane.plane["cpu_ns"][0] > 0
 
 
+def test_the_time_from_sync_to_rpdo_is_not_counted_once_all_axes_are_done():
+    """The nodes send no TPDO any more: the whole window, of 49 cycles, was the p99 of a short run."""
+    with running() as plane:
+        plane.cycle()
+        plane.wait(lambda: plane.k.done)
+        cycles = plane.plane["cycles"][0]
+        plane.wait(lambda: plane.plane["cycles"][0] > cycles + 1)
+        counted = plane.shared.latency_bins.sum()
+        assert counted > 0
+        plane.wait(lambda: plane.plane["cycles"][0] > cycles + 20)
+        assert plane.shared.latency_bins.sum() == counted
+
+
 @pytest.mark.parametrize(("kind", "ramped"), [("402", True), ("401", True), ("own", False)])
 def test_a_brake_that_does_not_ramp_by_itself_is_ramped_off_before_the_loop_ends(tmp_path, kind, ramped):
     file, overrides = written(tmp_path, drive("own"), brake(kind))

@@ -161,7 +161,7 @@ WRONG_TOML = {
     "a unit": (
         ("hold_s = 0.100 ", "hold_s = 100ms "),
         "brake.hold_s: '100ms' ",
-        "a number alone: the unit stands in the key's name",
+        "a number alone: leave the unit off, which stands in the key's name",
     ),
     "no digit before the point": (
         ("hold_s = 0.100 ", "hold_s = .1 "),

@@ -225,9 +225,9 @@ def test_an_override_that_is_none_is_a_configuration_error(call, verb, text):
 
 @pytest.mark.parametrize("kind", NO_FILES)
 @pytest.mark.parametrize("verb", WITH_RECORDING)
-def test_a_recording_that_is_none_is_a_usage_error(call, tmp_path, verb, kind):
+def test_a_recording_that_is_none_is_a_usage_error_and_a_missing_one_a_missing_file(call, tmp_path, verb, kind):
     result = call(verb, RECORDING=is_a(kind, tmp_path / "theirs.pcapng"))
-    assert result.exit_code == USAGE, result.output
+    assert result.exit_code == (CONFIGURATION if kind == "missing" else USAGE), result.output
     assert "theirs.pcapng" in re.sub(r"\W*\n\W*", "", result.output)
 
 
