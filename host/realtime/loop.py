@@ -308,10 +308,10 @@ def _look_after_parent(p: Any, base: int, axes: AxisRecords) -> None:
 @kernel
 def _all_done(axes: AxisRecords) -> bool:
     """Tell whether all axes are done: from then on the nodes may be told to send no TPDO."""
+    done = 0
     for k in range(axes.shape[0]):
-        if axes[k].host.phase != Phase.DONE:
-            return False
-    return True
+        done += 1 if axes[k].host.phase == Phase.DONE else 0
+    return done == axes.shape[0]
 
 
 @kernel
