@@ -180,7 +180,9 @@ def number_hint(given: str, unit: str) -> str:
     number, own = found[1], found[2].strip()
     prefix = own if own in ("k", "M") else own.removesuffix(unit)
     if prefix in PREFIXES and (unit or prefix):
-        return f"; leave the unit off: {float(number) * PREFIXES[prefix]:.12g}" if prefix else (
-            f"; leave the unit off: {number}"
+        return (
+            f"; leave the unit off: {float(number) * PREFIXES[prefix]:.12g}"
+            if prefix
+            else (f"; leave the unit off: {number}")
         )
     return "; leave the unit off" + (f": the number is in {unit}" if unit else "")

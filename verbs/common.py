@@ -142,8 +142,8 @@ class Verbs(click.Group):
                 with as_exceptions(), _failures():
                     return super().invoke(ctx)
             except click.UsageError as error:
-                error.message += _option_meant(error)
-                raise
+                meant = _option_meant(error)
+                raise click.UsageError(f"{error.message}{meant}", error.ctx) if meant else error from None
             except Stopped as stopped:
                 raise Failure(f"ended by {stopped}", status_of(stopped.number)) from None
             except KeyboardInterrupt:

@@ -61,6 +61,7 @@ class Plane:
         self.thread = threading.Thread(target=lambda: setattr(self, "status", run_plane(buffers, self.k.law_function)))
 
     def cycle(self):
+        self.wait(lambda: self.plane["status"][0] == Status.LISTENING, 120, read=False)  # the loop is loaded
         at = time.monotonic_ns() + 5_000_000
         self.k.start(at)
         self.plane["start_ns"] = at

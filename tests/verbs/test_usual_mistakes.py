@@ -22,7 +22,11 @@ USUAL = [
     # a file that is not there: one status, whatever it is
     ("check --rig my-rgi.toml", 3, f"my-rgi.toml: {MISSING}; did you mean 'my-rig.toml'?"),
     ("simulate --rig rigs/my-rig.toml", 3, f"{MISSING}; there is no folder rigs"),
-    ("simulate --rig C:\\\\rigs\\\\bench.toml", 3, "a path of Windows: write / between the folders, under WSL /mnt/c/rigs/"),
+    (
+        "simulate --rig C:\\\\rigs\\\\bench.toml",
+        3,
+        "a path of Windows: write / between the folders, under WSL /mnt/c/rigs/",
+    ),
     ("decode runn.pcapng", 3, f"runn.pcapng: {MISSING}; did you mean 'run.pcapng'?"),
     ("decode runs\\\\run.pcapng", 3, "it reads as a path of Windows: write / between the folders)"),
     ("plot out/run.pcapng", 3, f"{MISSING}; there is no folder out)"),
@@ -46,7 +50,11 @@ USUAL = [
     ("check --set bus.bitrate_bit_s=500k", 3, "; leave the unit off: 500000"),
     ("check --set mode.active.F_s_Nm=3,5", 3, "; write 3.5, with a decimal point"),
     ("law dahl --motion sine --set sigma_Nm_rad=30Nm", 3, "; leave the unit off: the number is in Nm/rad"),
-    ("law dahl --motion sine --set sigma=30", 3, "law.dahl.sigma: unknown key; expected one of the keys of [law.dahl]: "),
+    (
+        "law dahl --motion sine --set sigma=30",
+        3,
+        "law.dahl.sigma: unknown key; expected one of the keys of [law.dahl]: ",
+    ),
     ("law dahl --motion sine --set sigma=30", 3, "; did you mean 'sigma_Nm_rad'?"),
     ("set F_s=2,0 --bus coulombus:none", 2, "'F_s=2,0': '2,0' is no number; write 2.0, with a decimal point"),
     ("set F_s=2Nm --bus coulombus:none", 2, "'2Nm' is no number; leave the unit off"),
