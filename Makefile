@@ -10,7 +10,7 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python3.14; 
 
 unexport PYTHONDONTWRITEBYTECODE  # without bytecode each of a thousand starts of the tests compiles all sources anew
 
-.PHONY: demo test fast check bench coverage wheel clean help
+.PHONY: demo test fast check docs bench coverage wheel clean help
 .DEFAULT_GOAL := demo
 
 help:  ## this list
@@ -44,6 +44,10 @@ wheel: $(VENV)/.dev  ## build the wheel, install it somewhere else, and run it t
 check: $(VENV)/.dev  ## lint, format, types, import contracts
 	@scripts/check
 
+docs: $(VENV)/.docs  ## the site of the documents, in out/site; fails on a warning
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
+	@echo "built without a warning: out/site/index.html"
+
 bench: $(VENV)/.dev  ## the figures of speed, as ratios
 	@$(BIN)/python -m benchmarks
 
@@ -63,7 +67,12 @@ $(VENV)/.run: $(VENV)/bin/python pyproject.toml
 
 $(VENV)/.dev: $(VENV)/bin/python pyproject.toml
 	@echo "installing with the development tools (once) ..."
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,docs]'
+	@touch $@ $(VENV)/.run $(VENV)/.docs
+
+$(VENV)/.docs: $(VENV)/bin/python pyproject.toml
+	@echo "installing what builds the site (once) ..."
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
 	@touch $@ $(VENV)/.run
 
 clean:  ## remove what was made here

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from pathlib import Path
 
 import click
@@ -23,7 +24,7 @@ from coulombus.verbs.exit_status import STATUSES
 from coulombus.verbs.main import main
 
 ROOT = Path(__file__).resolve().parent.parent
-DOCS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+DOCS = [ROOT / "README.md", ROOT / "SECURITY.md", *sorted((ROOT / "docs").rglob("*.md"))]
 NAMES = [str(path.relative_to(ROOT)) for path in DOCS]
 LINK = re.compile(r"!?\[[^]]*\]\(([^)\s]+)\)")
 SPAN = re.compile(r"`([^`\n]+)`")
@@ -199,6 +200,12 @@ def test_devices_show_the_pdos_the_objects_and_the_emergencies():
 @pytest.mark.parametrize("name", NAMES)
 def test_no_machine_path(name):
     assert not re.search(r"(?<!\.)/(work|tmp|home|root)/", text_of(name))
+
+
+def test_the_version_is_the_same_everywhere():
+    version = tomllib.loads(text_of("pyproject.toml"))["project"]["version"]
+    assert re.search(rf"^version: {re.escape(version)}$", text_of("CITATION.cff"), re.M)
+    assert re.search(rf"^## {re.escape(version)} - \d{{4}}-\d\d-\d\d$", text_of("CHANGELOG.md"), re.M)
 
 
 def test_the_settings_for_a_shared_machine_are_those_of_the_option():

@@ -1,0 +1,264 @@
+"""What `make docs` does besides MkDocs: pages made from the code, links out of docs/, diagrams.
+
+- `reference/verbs.md` from click, `reference/rig-keys.md` from the rig file's models,
+  `reference/python.md` for mkdocstrings from the list `PYTHON`;
+- CHANGELOG, CONTRIBUTING, SECURITY, and each source file that a page links to, as pages;
+- notebooks as pages; Mermaid's text as SVG (`site_diagrams`);
+- a page that would load something from the network ends the build.
+"""
+
+from __future__ import annotations
+
+import inspect
+import json
+import os
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import click
+from mkdocs.exceptions import PluginError
+from mkdocs.structure.files import File, Files
+from pydantic import BaseModel
+from pydantic_core import PydanticUndefined
+
+from coulombus.rigs.axis import Sections
+from coulombus.rigs.words import accepted_range, fields_of, kinds_of, named_in, unit_of
+from coulombus.verbs.exit_status import STATUSES
+from coulombus.verbs.main import VERBS
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT / "scripts"))
+from site_diagrams import svg  # noqa: E402  # a file beside this one
+
+PROJECT = ("CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md")
+LINK = re.compile(r"(!?\[[^]]*\])\(([^)\s]+)\)")
+MERMAID = re.compile(r"^```mermaid\n(.*?)^```$", re.M | re.S)
+LOADED = re.compile(
+    r"""<(?:script|img|iframe|link(?![^>]*rel="canonical"))\b[^>]*\b(?:src|href)=["']?(?:https?:)?//[^>]*>"""
+)
+
+PYTHON = {
+    "Run and read": (
+        "lab.simulate.simulate",
+        "recording.signals.read",
+        "recording.signals.Recording",
+        "recording.signals.Series",
+    ),
+    "Rigs": ("rigs.rig.load_rig", "rigs.rig.Rig"),
+    "Laws": ("host.laws.law.friction_law", "host.laws.law.Parameters"),
+    "Buses and devices": (
+        *("scope.callbacks.live", "scope.callbacks.LiveBus"),
+        *("sim_bus.server.own_device.Device", "sim_bus.network.network.VirtualNetwork"),
+    ),
+    "Theory": (
+        *("analysis.loop.describing.coulomb_psi", "analysis.loop.describing.karnopp_psi"),
+        *("analysis.loop.describing.numeric", "analysis.loop.bounds.bounds", "analysis.loop.crossings.crossings"),
+    ),
+}
+"""What `reference/python.md` shows, without `coulombus.`."""
+
+
+def verbs_page() -> str:
+    """Return the reference of the command line, from click."""
+    parts = [
+        "# The verbs\n\nAfter this page you know each verb of `coulombus`, its options and its examples. The page is",
+        "made from the program itself: `coulombus VERB --help` says the same.\n\n## Exit statuses\n",
+        "| status | meaning |\n|---|---|",
+        *(f"| {status} | {_cell(text)} |" for status, text in STATUSES.items()),
+    ]
+    for verb in VERBS:
+        parts += _verb(verb, f"coulombus {verb.name}", "##")
+    return "\n".join(parts) + "\n"
+
+
+def _cell(text: str) -> str:
+    return re.sub(r"\s+", " ", text).replace("|", "\\|").replace("<", "&lt;").replace("[", "\\[")
+
+
+def _verb(command: click.Command, name: str, head: str) -> Iterator[str]:
+    context = click.Context(command, info_name=name)
+    yield f"\n{head} `{name}`\n"
+    yield f"    {name} {' '.join(command.collect_usage_pieces(context))}\n"
+    for paragraph in inspect.cleandoc(command.help or "").split("\n\n"):
+        if paragraph.startswith("\b"):
+            first, *rest = paragraph[1:].strip("\n").splitlines()
+            yield f"{first}\n" if first.endswith(":") else f"    {first}"
+            yield "\n".join(f"    {line.strip()}" for line in rest) + "\n"
+        else:
+            yield _cell(paragraph).replace("\\|", "|") + "\n"
+    records = [record for p in command.get_params(context) if (record := p.get_help_record(context)) is not None]
+    if records:
+        yield "| option | what it does |\n|---|---|"
+        yield from (f"| `{names.replace('|', chr(92) + '|')}` | {_cell(text)} |" for names, text in records)
+        yield ""
+    for sub in getattr(command, "commands", {}).values():
+        yield from _verb(sub, f"{name} {sub.name}", "###")
+
+
+def rig_keys_page() -> str:
+    """Return all keys of the rig file, from its models."""
+    parts = [
+        "# The keys of the rig file\n\nAfter this page you can look up any key: what it accepts, its unit, its default. The page is",
+        "made from the models that check the file. What a key is for stands in [the rig file](../rig-file.md).\n",
+    ]
+    for section, model in _sections(Sections, ()):
+        parts += [f"\n## `{section}`\n\n| key | unit | accepted | default | meaning |\n|---|---|---|---|---|"]
+        for key, info in fields_of(model).items():
+            if kinds_of(info) or named_in(info):
+                continue
+            default = "required" if info.is_required() else f"`{_default(info)}`"
+            accepted = accepted_range(info) or ("text" if info.annotation is str else "")
+            cells = (f"`{key}`", unit_of(key), _cell(accepted), default, _cell(info.description or ""))
+            parts.append("| " + " | ".join(cells) + " |")
+    return "\n".join(parts) + "\n"
+
+
+def _default(info: Any) -> str:
+    value = info.get_default(call_default_factory=True)
+    return json.dumps(list(value) if isinstance(value, tuple) else value) if value is not PydanticUndefined else ""
+
+
+def _sections(model: type[BaseModel], above: tuple[str, ...]) -> Iterator[tuple[str, type[BaseModel]]]:
+    for key, info in fields_of(model).items():
+        named, kinds = named_in(info), kinds_of(info)
+        path = (*above, key)
+        if named is not None:
+            yield f"[{'.'.join(path)}.NAME]", named
+        for kind, found in kinds.items():
+            many = "tuple" in str(info.annotation)
+            brackets = ("[[", "]]") if many else ("[", "]")
+            if any(not kinds_of(field) and named_in(field) is None for field in fields_of(found).values()):
+                yield f"{brackets[0]}{'.'.join(path)}{brackets[1]}" + (f" of kind {kind}" if kind else ""), found
+            yield from _sections(found, path)
+
+
+def python_page() -> str:
+    """Return the page that mkdocstrings fills with signatures, units, shapes and sources."""
+    parts = [
+        "# Python\n\nAfter this page you know what a script may import, with units, shapes and errors. The page is made from",
+        "the docstrings. The six names of `import coulombus` are `Device`, `VirtualNetwork`, `live`,",
+        "`load_rig`, `read` and `simulate`; the others are imported from where they stand here.",
+    ]
+    for title, names in PYTHON.items():
+        parts += [f"\n## {title}\n", *(f"::: coulombus.{name}\n" for name in names)]
+    return "\n".join(parts) + "\n"
+
+
+def notebook_page(path: Path) -> str:
+    """Return a notebook's cells as a page."""
+    parts = []
+    for cell in json.loads(path.read_text())["cells"]:
+        text = "".join(cell["source"])
+        parts.append(text if cell["cell_type"] == "markdown" else f"```python\n{text}\n```")
+    return "\n\n".join(parts) + "\n"
+
+
+def source_page(path: Path) -> str:
+    """Return a file of the repository as a page."""
+    name = path.relative_to(ROOT)
+    language = {".py": "python", ".toml": "toml", ".eds": "ini"}.get(path.suffix, "text")
+    fence = "~~~~"
+    return f"# {name}\n\nThe file `{name}` of the repository.\n\n{fence}{language}\n{path.read_text()}\n{fence}\n"
+
+
+def place_of(path: Path) -> str:
+    """Return where a file of the repository is on the site."""
+    name = path.relative_to(ROOT)
+    if name.parts[0] == "docs":
+        return str(Path(*name.parts[1:]))
+    if str(name) in PROJECT:
+        return f"project/{name}"
+    return "index.md" if str(name) == "README.md" else f"repository/{name}.md"
+
+
+def _pages() -> Iterator[tuple[Path, str]]:
+    """Yield every page that people wrote, with its text."""
+    for path in [*(ROOT / "docs").rglob("*.md"), *(ROOT / name for name in PROJECT)]:
+        yield path, path.read_text()
+    for path in (ROOT / "docs").rglob("*.ipynb"):
+        yield path, notebook_page(path)
+
+
+def _target(path: Path, link: str) -> Path | None:
+    """Return the file that a link of a page names, where it is one of the repository."""
+    name = link.partition("#")[0]
+    if not name or "://" in link or link.startswith("mailto:"):
+        return None
+    found = (path.parent / name).resolve()
+    return found if found.is_relative_to(ROOT) else None
+
+
+def on_files(files: Files, config: Any) -> Files:
+    """Add the pages that nobody wrote."""
+    made = {
+        "reference/verbs.md": verbs_page(),
+        "reference/rig-keys.md": rig_keys_page(),
+        "reference/python.md": python_page(),
+        **{f"project/{name}": (ROOT / name).read_text() for name in PROJECT},
+    }
+    for path, text in _pages():
+        for _, link in LINK.findall(text):
+            found = _target(path, link)
+            if found is not None and found.is_file() and place_of(found).startswith("repository/"):
+                made[place_of(found)] = source_page(found)
+        if path.suffix == ".ipynb":
+            place = place_of(path)
+            files.remove(files.get_file_from_path(place))
+            made[place.removesuffix(".ipynb") + ".md"] = notebook_page(path)
+    for place, text in made.items():
+        file = File.generated(config, place, content=text)
+        if place.startswith("repository/"):
+            file.inclusion = file.inclusion.NOT_IN_NAV
+        files.append(file)
+    return files
+
+
+def on_config(config: Any) -> Any:
+    """Name notebooks as the pages that they become."""
+    config["nav"] = json.loads(json.dumps(config["nav"]).replace(".ipynb", ".md"))
+    return config
+
+
+def on_page_markdown(text: str, page: Any, config: Any, files: Files) -> str:
+    """Turn links to files of the repository into links of the site, and diagrams into SVG."""
+    place = page.file.src_path
+    if place.startswith(("repository/", "reference/")):
+        return text
+    written = ROOT / "docs" / place
+    if place.startswith("project/"):
+        written = ROOT / Path(place).name
+    elif not written.exists():
+        written = written.with_suffix(".ipynb")
+
+    def link(found: re.Match[str]) -> str:
+        target = _target(written, found[2])
+        if target is None:
+            return found[0]
+        if not target.is_file():  # a folder: the site has none
+            return found[1].strip("[]")
+        there = place_of(target)
+        there = there.removesuffix(".ipynb") + ".md" if there.endswith(".ipynb") else there
+        hash_ = found[2].partition("#")[1] + found[2].partition("#")[2]
+        return f"{found[1]}({os.path.relpath(there, Path(place).parent)}{hash_})"
+
+    text = MERMAID.sub(lambda found: f"<div>{svg(found[1])}</div>\n", text)
+    pieces = re.split(r"(^```.*?^```$|`[^`\n]+`)", text, flags=re.M | re.S)
+    return "".join(piece if n % 2 else LINK.sub(link, piece) for n, piece in enumerate(pieces))
+
+
+def on_post_page(output: str, page: Any, config: Any) -> str:
+    """Refuse a page that loads from the network."""
+    if found := LOADED.search(output):
+        raise PluginError(f"{page.file.src_path} loads from the network: {found[0]}")
+    return output
+
+
+def on_post_build(config: Any) -> None:
+    """Write the index of the search as a script, too: a page that is opened from the disk may read
+    no other kind of file.
+    """
+    folder = Path(config["site_dir"]) / "search"
+    (folder / "search_index.js").write_text(f"var __index = {(folder / 'search_index.json').read_text()}")

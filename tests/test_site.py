@@ -1,0 +1,93 @@
+"""The site's pages that are made from the code, its diagrams, and its list of pages."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import sys
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+import yaml
+from mkdocs.exceptions import PluginError
+
+import coulombus
+from coulombus.rigs.axis import Sections
+from coulombus.rigs.words import fields_of
+from coulombus.verbs.main import VERBS
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT / "scripts"))
+hooks = importlib.import_module("site_hooks")
+diagrams = importlib.import_module("site_diagrams")
+
+
+def test_every_verb_and_every_option_is_on_the_page():
+    text = hooks.verbs_page()
+    for verb in VERBS:
+        section = text.partition(f"\n## `coulombus {verb.name}`\n")[2].partition("\n## ")[0]
+        assert section.count("coulombus") > 0, verb.name
+        seen = [parameter for parameter in verb.params if not getattr(parameter, "hidden", False)]
+        for name in [name for parameter in seen for name in parameter.opts if name.startswith("--")]:
+            assert name in section, f"{verb.name} {name}"
+
+
+def test_every_section_of_the_rig_file_is_on_the_page():
+    text = hooks.rig_keys_page()
+    sections = re.findall(r"^## `\[+([a-z]+)", text, re.M)
+    assert set(fields_of(Sections)) == set(sections)
+    assert "| `period_s` | s | 0.0001 to 1 | required | SYNC period, one cycle of the law |" in text
+
+
+def test_every_public_name_of_the_package_is_on_the_page():
+    shown = {name.rpartition(".")[2] for names in hooks.PYTHON.values() for name in names}
+    assert set(dir(coulombus)) <= shown
+    for name in [name for names in hooks.PYTHON.values() for name in names]:
+        module, _, what = name.rpartition(".")
+        assert hasattr(importlib.import_module(f"coulombus.{module}"), what)
+
+
+@pytest.mark.parametrize("name", ["architecture.md", "devices.md", "index.md", "safety.md"])
+def test_every_diagram_is_drawn_with_all_its_words(name):
+    found = hooks.MERMAID.findall((ROOT / "docs" / name).read_text())
+    assert found
+    for text in found:
+        drawn = ET.fromstring(diagrams.svg(text))
+        words = " ".join(drawn.itertext())
+        for label in re.findall(r'^[^"\n]*: (.+)$|"([^"]+)"', text, re.M):
+            assert all(part in words for part in "".join(label).split("<br/>")), label
+
+
+def test_what_cannot_be_drawn_ends_the_build():
+    for text in ("pie\n  a: 1", "stateDiagram-v2\n  a => b", "sequenceDiagram\n  loop"):
+        with pytest.raises(ValueError, match=r"^no "):
+            diagrams.svg(text)
+
+
+@pytest.mark.parametrize("tag", ['<script src="https://x.org/a.js">', '<link rel="stylesheet" href="//x.org/a.css">'])
+def test_a_page_that_loads_from_the_network_ends_the_build(tag):
+    page = SimpleNamespace(file=SimpleNamespace(src_path="x.md"))
+    with pytest.raises(PluginError, match=r"x\.md loads from the network"):
+        hooks.on_post_page(f"<html>{tag}</html>", page, None)
+    assert hooks.on_post_page('<a href="https://x.org">', page, None) == '<a href="https://x.org">'
+
+
+def test_every_page_is_in_the_list_of_pages():
+    class Loader(yaml.SafeLoader):
+        pass
+
+    Loader.add_multi_constructor("tag:yaml.org,2002:python/", lambda *_: None)
+    listed = re.findall(r"'([\w/.-]+\.(?:md|ipynb))'", str(yaml.load((ROOT / "mkdocs.yml").read_text(), Loader)["nav"]))
+    written = {
+        str(path.relative_to(ROOT / "docs")) for end in ("md", "ipynb") for path in (ROOT / "docs").rglob(f"*.{end}")
+    }
+    made = {
+        "reference/verbs.md",
+        "reference/python.md",
+        "reference/rig-keys.md",
+        *(f"project/{name}" for name in hooks.PROJECT),
+    }
+    assert len(listed) == len(set(listed))
+    assert set(listed) == written | made
