@@ -1,0 +1,131 @@
+"""Each tutorial as it is printed, from an empty folder: its files, its commands, what it shows."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shlex
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from real_bench import PATIENCE_S, end
+from warm_start import Warm
+
+ROOT = Path(__file__).resolve().parent.parent
+TUTORIALS = ROOT / "docs" / "tutorials"
+NOT_RUN = ("dask ", "coulombus sweep still.toml -o out --dask")
+"""Commands of a cluster: tests/lab runs a sweep on one."""
+READY = ("is ready", "is on bus")
+
+pytestmark = pytest.mark.slow
+
+
+def pieces(page):
+    """Yield what a page has, in its order: ("file", name, text), ("command", line), ("shows", lines)."""
+    text = re.sub(r" \\\n\s+", " ", (TUTORIALS / page).read_text())
+    for piece in re.finditer(r'^```(\w*)(?: title="([^"]+)")?\n(.*?)^```$|^    (\S[^\n]*)$', text, re.M | re.S):
+        language, title, inside, command = piece.groups()
+        if command is not None:
+            yield "command", command
+        elif title is not None:
+            yield "file", title, inside
+        elif not language:
+            yield "shows", inside.splitlines()
+
+
+class Reader:
+    """Who follows a page in a folder: `coulombus` starts warm, everything else in a shell."""
+
+    def __init__(self, folder):
+        self.folder, self.beside, self.printed = folder, [], ""
+        path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+        self.environment = {**os.environ, "PATH": path, "COLUMNS": "100"}
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        for process in self.beside:
+            end(process)
+
+    def start(self, line, out, beside):
+        given = {"cwd": self.folder, "env": self.environment, "stdout": out, "stderr": subprocess.STDOUT}
+        words = shlex.split(line, comments=True)
+        if words[0] == "coulombus" and not set(words) & {"|", "<", ">"}:
+            return Warm(words[1:], **given)
+        return subprocess.Popen(["bash", "-o", "pipefail", "-c", f"exec {line}" if beside else line], **given)
+
+    def command(self, line):
+        wanted = re.search(r"# exit status (\d+)", line)
+        out = self.folder / f".out-{len(self.beside)}"
+        with out.open("w") as file:
+            process = self.start(line.removesuffix(" &"), file, line.endswith(" &"))
+        if line.endswith(" &"):
+            self.beside.append(process)
+            deadline = time.monotonic() + PATIENCE_S
+            while not any(word in out.read_text() for word in READY):
+                assert process.poll() is None, out.read_text()
+                assert time.monotonic() < deadline, out.read_text()
+                time.sleep(0.02)
+        else:
+            status = process.wait(PATIENCE_S)
+            assert status == int(wanted[1] if wanted else 0), f"{line}: {status}\n{out.read_text()}"
+        self.printed = out.read_text()
+
+    def shows(self, lines):
+        """Each line that the page shows is a part of a line that was printed, but for blanks."""
+        there = [" ".join(line.split()) for line in self.printed.splitlines()]
+        for line in lines:
+            assert any(" ".join(line.split()) in one for one in there), f"{line!r} is not in:\n{self.printed}"
+
+
+def follow(page, folder):
+    shown = 0
+    with Reader(folder) as reader:
+        for kind, *what in pieces(page):
+            if kind == "file":
+                (folder / what[0]).write_text(what[1])
+            elif kind == "shows":
+                reader.shows(*what)
+                shown += 1
+            elif not what[0].startswith(NOT_RUN):
+                reader.command(what[0])
+    assert shown
+
+
+@pytest.mark.parametrize("page", ["first-experiment.md", "first-rig.md", "sweep.md"])
+def test_a_tutorial_in_virtual_time(page, tmp_path):
+    follow(page, tmp_path)
+
+
+@pytest.mark.real_time
+@pytest.mark.parametrize("page", ["can-tour.md", "own-device.md"])
+def test_a_tutorial_on_a_live_bus(page, tmp_path, private_sockets):
+    folder = tmp_path / "desk"
+    folder.mkdir()
+    follow(page, folder)
+
+
+@pytest.mark.parametrize("name", ["own-law.ipynb", "recording.ipynb"])
+def test_a_notebook_runs_from_its_first_cell_to_its_last(name, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    cells = json.loads((TUTORIALS / name).read_text())["cells"]
+    scope = {"__name__": "__main__"}
+    for cell in cells:
+        if cell["cell_type"] == "code":
+            assert cell["outputs"] == []  # nothing recorded is kept
+            exec(compile("".join(cell["source"]), f"{name}:{cell['id']}", "exec"), scope)
+    assert capsys.readouterr().out
+
+
+def test_every_tutorial_is_followed():
+    found = {path.name for path in TUTORIALS.iterdir()}
+    assert found == {
+        *("index.md", "first-experiment.md", "first-rig.md", "sweep.md", "can-tour.md", "own-device.md"),
+        *("own-law.ipynb", "recording.ipynb"),
+    }
