@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -177,6 +178,20 @@ def demo(rig_name: str, overrides: tuple[str, ...], seed: int, out: Path, virtua
                 for criterion in result.criteria:
                     print_verdict(criterion.holds, f"{criterion.text}: {criterion.found}")
                 click.echo(f"\nfigure and recordings: {out}/ (demo.png, active.pcapng, hybrid.pcapng, demo.json)")
+                click.echo("\ntry next:")
+                for command, why in next_steps(rig_name, out):
+                    click.echo(f"  {command}\n      {why}")
+
+
+def next_steps(rig_name: str, out: Path) -> tuple[tuple[str, str], ...]:
+    """Return the three commands that the demo ends with, each with what it is for."""
+    rig = "" if rig_name == "bench" else f"--rig {shlex.quote(rig_name)} "
+    active = shlex.quote(str(out / "active.pcapng"))
+    return (
+        (f"coulombus plot {active} --span 2:2.2", "the motor's oscillation, sample by sample"),
+        (f"coulombus simulate {rig}--law lugre --record lugre.pcapng", "another friction, in seconds: `coulombus law`"),
+        (f"coulombus sim {rig}--web", "the rig in a browser; then, in another terminal, `coulombus run`"),
+    )
 
 
 def _real_demo(rig_name: str, overrides: tuple[str, ...], seed: int, out: Path, total: float, as_json: bool) -> Demo:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -16,6 +17,7 @@ from click.testing import CliRunner
 
 from coulombus.recording.signals import read
 from coulombus.verbs.main import main
+from coulombus.verbs.simulate import next_steps
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 
@@ -246,3 +248,18 @@ def test_a_verb_does_not_load_the_library_of_python_cans_mf4_reader(tmp_path):
         timeout=60,
     )
     assert done.stdout == "whoever asks gets it\n", done.stderr
+
+
+def test_what_the_demo_names_next_can_be_done(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    schedule = 'phase=[{kind="rest", duration_s=2.2}]'
+    shown = call("demo", "--virtual", "--out", "the demo", "--set", schedule).output
+    commands = [shlex.split(command)[1:] for command, _ in next_steps("bench", Path("the demo"))]
+    assert [shlex.split(line)[1:] for line in shown.splitlines() if line.startswith("  coulombus ")] == commands
+    drawn, another, live = commands
+    assert call(*drawn).exit_code == 0
+    assert call(*another, "--seconds", "0.5").exit_code == 0
+    assert {option for option in live if option.startswith("--")} <= {
+        name for parameter in main.commands[live[0]].params for name in parameter.opts
+    }
+    assert "--rig my-rig.toml " in next_steps("my-rig.toml", Path("out"))[1][0]
