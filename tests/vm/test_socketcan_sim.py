@@ -60,13 +60,15 @@ def answer(raw, can_id, wait_s):
     raise TimeoutError(f"no frame {can_id:03X}h in {wait_s} s")
 
 
-def upload(raw, node, index, subindex):
-    """Read an object by SDO, again and again while the interface is not quite up."""
+def upload(raw, node, index, subindex, wait_s=5.0):
+    """Read an object by SDO, again and again while the interface is not quite up, or its controller
+    loses frames.
+    """
     deadline = time.monotonic() + TIMEOUT_S
     while time.monotonic() < deadline:
         with contextlib.suppress(TimeoutError, OSError):
             raw.send(FRAME.pack(0x600 + node, 8, struct.pack("<BHB4x", 0x40, index, subindex)))
-            return answer(raw, 0x580 + node, 5.0)[4:]
+            return answer(raw, 0x580 + node, wait_s)[4:]
     raise TimeoutError(f"no answer of node {node}")
 
 
@@ -126,7 +128,8 @@ def test_a_flood_of_unknown_identifiers(sim, interface):
         with can_socket(interface) as raw:
             accept = struct.pack("=II", 0x581, 0x7FF)
             raw.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, accept)
-            assert upload(raw, 1, 0x1000, 0) == struct.pack("<I", 0x00020192)
+            # a controller of five frames' buffer loses most requests while the guest's processor is slow
+            assert upload(raw, 1, 0x1000, 0, wait_s=0.5) == struct.pack("<I", 0x00020192)
     finally:
         over.set()
         thread.join()
