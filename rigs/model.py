@@ -36,6 +36,8 @@ MOST_DEVICES = 8
 """Nodes of an axis that the host watches at most."""
 WORK_WINDOW_CYCLES = 4096
 """Cycles that the host's net-work watch can look back."""
+WINDOW_CYCLES = 64
+"""Cycles that the estimate of a slow velocity can look back."""
 CIA_301_BIT_RATES = (10_000, 20_000, 50_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
 CHANNEL = r"^[a-z0-9_]{0,16}$"
 DEADMAN = r"^(|none|key|object:[0-9A-Fa-f]{4}:[0-9A-Fa-f]{1,2}(:0x[0-9A-Fa-f]{1,16})?|gpio:gpiochip\d+:\d+(:low)?|socket:/.+)$"
@@ -204,7 +206,15 @@ class Law(Section):
         "continuous", description="where x_stuck is set on entry to stick"
     )
     brake_stick: Literal["hold", "spring"] = Field("hold", description="the brake's set-point while stuck")
-    velocity_band_counts: int = Field(ge=0, le=2**31 - 1, description="stuck at or below this many counts a cycle")
+    velocity_band_counts: int = Field(
+        ge=0, le=2**31 - 1, description="stuck at or below this many counts in velocity_window_cycles"
+    )
+    velocity_window_cycles: int = Field(
+        1, ge=1, le=WINDOW_CYCLES, description="cycles that the velocity is estimated over at most; 1: a difference"
+    )
+    level: Literal["brake", "felt"] = Field(
+        "brake", description="what the law says: what the brake bears, or what the hand feels"
+    )
     gain_ramp_s: float = Field(0.5, ge=0, le=60, description="the law's gain ramps in over this time")
     user: tuple[float, ...] = Field((), strict=False, max_length=16, description="numbers for a law of your own")
 
@@ -251,6 +261,9 @@ class Limits(Section):
     encoder_jump_counts: int = Field(ge=1, le=2**31 - 1, description="trip above this many counts in one cycle")
     net_work_J: float = Field(gt=0, le=1e6, description="trip above this net work of the motor on the handle ...")
     net_work_window_s: float = Field(gt=0, le=60, description="... in this window")
+    passivity_J: float = Field(
+        0.01, gt=0, le=1e6, description="energy that the compensation may owe before the motor gives less of it"
+    )
     travel_rad: Annotated[float, Field(gt=0, le=1e6)] | Literal["unlimited"] = Field(
         description="trip beyond +- this angle from the start",
         json_schema_extra={

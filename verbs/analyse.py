@@ -288,6 +288,19 @@ def hold(**options: Any) -> None:
         _hold(_rig(options), options["figures"], options["as_json"])
 
 
+@analyse.command(epilog=EXIT_STATUS, short_help="How right the display is, and what that depends on.")
+@rig_option
+@set_option
+@seed_option
+@json_option
+def felt(**options: Any) -> None:
+    """Measure break-away and sliding friction at the hand against F_s and F_d, with the law's level as
+    the brake's set-point and with law.level = "felt", and the error budget.
+    """
+    with errors():
+        _felt(_rig(options), options["seed"], options["as_json"])
+
+
 @analyse.command("map", epilog=EXIT_STATUS)
 @rig_option
 @set_option
@@ -364,6 +377,14 @@ def _hold(rig: Rig, figures: Path | None, as_json: bool) -> None:
         from coulombus.analysis.figures.rig import write_fig12, write_fig14, write_stick_figure
 
         _tell_paths(write_fig12(figures) + write_fig14(figures, found) + write_stick_figure(figures, found))
+
+
+def _felt(rig: Rig, seed: int, as_json: bool) -> None:
+    from coulombus.analysis.rig.felt import felt_study
+
+    with _bar("felt") as report:
+        found = felt_study(rig, seed=seed, progress=report)
+    _tell(as_json, lambda: found, found.lines)
 
 
 def _map(rig: Rig, options: dict[str, Any]) -> None:

@@ -44,7 +44,7 @@ AXIS = np.dtype(
 
 COUNTERS = (
     *("lost_pdos", "missed_deadlines", "stray_frames", "malformed_pdos", "clipped_torque", "slowed_torque"),
-    *("limited_by_drive", "clipped_setpoints", "negative_setpoints"),
+    *("limited_by_drive", "clipped_setpoints", "negative_setpoints", "withheld_compensation"),
 )
 """What `Controller.counters` counts."""
 
@@ -172,6 +172,7 @@ class Controller:
         for name in ("enabled_ns", "armed_ns", "full_gain_ns", "heard_ns"):
             self.host[name] = -1
         self.host["deadman_ok"] = 1
+        self.host["share"] = 1.0
         constants = [one.value for pdo in pdos for one in pdo.constants]
         self.host["image"][0, Image.CONSTANT : Image.CONSTANT + len(constants)] = constants
 
@@ -228,7 +229,7 @@ class Controller:
         record = new_records(LAW)
         r = record[0]
         r["K_p"], r["F_s"], r["F_d"] = mode.K_p_Nm_rad, mode.F_s_Nm, mode.F_d_Nm
-        r["velocity_band_counts"] = law.velocity_band_counts
+        r["velocity_band_counts"] = law.velocity_band_counts / law.velocity_window_cycles
         r["paper_entry"] = law.stick_entry == "paper"
         r["brake_spring"] = law.brake_stick == "spring"
         r["user"][: len(law.user)] = law.user
@@ -269,6 +270,11 @@ class Controller:
         c["compensation_Nm"] = mode.compensation * axis.mechanics.friction_Nm
         c["viscous"] = axis.mechanics.viscous_Nms_rad
         c["velocity_band_counts"] = axis.law.velocity_band_counts
+        c["slide_band_counts"] = axis.law.velocity_band_counts / axis.law.velocity_window_cycles
+        c["window_cycles"], c["felt"] = axis.law.velocity_window_cycles, axis.law.level == "felt"
+        c["inertia"] = axis.mechanics.inertia_kg_m2
+        for name, lag_s in (("coil_step", axis.brake.coil_lag_s), ("fluid_step", axis.brake.fluid_lag_s)):
+            c[name] = 1.0 - math.exp(-T / lag_s) if lag_s > 0 else 0.0
         c["gain_step"] = T / axis.law.gain_ramp_s if axis.law.gain_ramp_s > 0 else 1.0
 
         c["motor_limit_raw"] = self.motor_limit_raw(float(c["motor_Nm_raw"]))
@@ -280,6 +286,8 @@ class Controller:
         c["net_work_cycles"] = _cycles(limits.net_work_window_s, T)
         c["travel_rad"] = math.inf if limits.travel_rad == "unlimited" else float(limits.travel_rad)
         handle = axis.allocation.bound.get("handle_torque") is not None
+        observed = handle and self.mode == "hybrid"
+        c["passivity_J"] = limits.passivity_J if observed else math.inf
         c["mismatch_Nm"] = limits.handle_mismatch_Nm if handle else math.inf
         c["mismatch_cycles"] = _cycles(limits.handle_mismatch_s, T)
         c["missed_cycles"] = limits.missed_tpdo_cycles

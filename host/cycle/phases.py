@@ -14,6 +14,7 @@ import math
 
 from coulombus.compiled.decorator import kernel
 from coulombus.eds.cia402 import INTERNAL_LIMIT, PowerState
+from coulombus.host.cycle.felt import brake_level, lead, observe, slide_velocity
 from coulombus.host.cycle.records import (
     AxisRecord,
     ControlRecord,
@@ -67,6 +68,7 @@ def enter(axis: AxisRecord, phase: int, t_ns: int) -> None:
         state.psi_Nm = 0.0
         state.brake_Nm = 0.0
         h.gain = 0.0
+        h.share, h.port_J, h.track_length = 1.0, 0.0, 0
         h.armed_ns = t_ns
     _begin(h, phase)
 
@@ -204,15 +206,20 @@ def settle(c: ControlRecord, h: HostRecord) -> tuple[float, int]:
 def split_law(axis: AxisRecord) -> float:
     """Split the law by mode: the brake bears it, or the motor shows it.
 
-    The motor compensates the inherent friction in slip.
+    The motor compensates the inherent friction in slip, as far as the balance at the hand's port
+    allows; what it must not give, the brake bears.
 
     Returns the motor's torque [Nm].
     """
     c, h = axis.control, axis.host
     h.gain = min(h.gain + c.gain_step, 1.0)
-    torque_Nm = 0.0
-    if abs(h.v_counts) > c.velocity_band_counts:
-        torque_Nm = c.compensation_Nm if h.v_counts * c.rad_count > 0.0 else -c.compensation_Nm
+    torque_Nm, given_Nm, withheld_Nm = 0.0, 0.0, 0.0
+    if abs(h.slide_counts) > c.slide_band_counts:
+        given_Nm = h.share * c.compensation_Nm
+        withheld_Nm = c.compensation_Nm - given_Nm
+        torque_Nm = given_Nm if h.slide_counts * c.rad_count > 0.0 else -given_Nm
+        if withheld_Nm > 0.0:
+            h.withheld_compensation += 1
     if c.motor_active:
         torque_Nm -= axis.state.psi_Nm
     if c.brake_active:
@@ -220,11 +227,14 @@ def split_law(axis: AxisRecord) -> float:
         if not setpoint >= 0.0:  # negative or NaN
             h.negative_setpoints += 1
             setpoint = 0.0
-        h.brake_Nm = h.gain * setpoint
-        if h.brake_Nm > c.brake_limit_Nm:
-            if h.brake_Nm > c.brake_limit_Nm + c.brake_Nm_raw:  # less than a count is rounding
+        if c.felt:
+            setpoint = brake_level(c, h, setpoint, given_Nm)
+        setpoint = h.gain * setpoint + withheld_Nm
+        if setpoint > c.brake_limit_Nm:
+            if setpoint > c.brake_limit_Nm + c.brake_Nm_raw:  # less than a count is rounding
                 h.clipped_setpoints += 1
-            h.brake_Nm = c.brake_limit_Nm
+            setpoint = c.brake_limit_Nm
+        h.brake_Nm = lead(c, h, setpoint)
     return h.gain * torque_Nm
 
 
@@ -233,8 +243,11 @@ def run(axis: AxisRecord, law_function: LawFunction, t_ns: int) -> tuple[float, 
     """RUN: ask the law, and split what it returns between motor and brake."""
     c, h, motion, state = axis.control, axis.host, axis.motion, axis.state
     motion.x_rad = h.counts * c.rad_count
-    motion.v_counts = h.v_counts * (1.0 if c.rad_count > 0.0 else -1.0)
-    motion.v_rad_s = h.v_counts * c.rad_count * 1e9 / c.period_ns
+    slide_velocity(c, h)
+    if c.passivity_J < math.inf:
+        h.share = observe(c, h)
+    motion.v_counts = h.slide_counts * (1.0 if c.rad_count > 0.0 else -1.0)
+    motion.v_rad_s = h.slide_counts * c.rad_count * 1e9 / c.period_ns
     motion.handle_Nm = h.handle_Nm
     psi_Nm = law_function(motion, axis.law, state)
     if not math.isfinite(psi_Nm):

@@ -14,13 +14,14 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from coulombus.rigs.devices import TABLE_POINTS
-from coulombus.rigs.model import MOST_DEVICES, WORK_WINDOW_CYCLES
+from coulombus.rigs.model import MOST_DEVICES, WINDOW_CYCLES, WORK_WINDOW_CYCLES
 from coulombus.rigs.pdo_maps import MOST_CONSTANTS, MOST_PDOS
 
 __all__ = [
     "CONTROL",
     "DRIVE_PDOS",
     "HOST",
+    "TRACK",
     "AxisRecord",
     "AxisRecords",
     "ControlRecord",
@@ -125,6 +126,8 @@ class Image(IntEnum):
 
 
 IMAGE_SLOTS = Image.CONSTANT + MOST_CONSTANTS
+TRACK = WINDOW_CYCLES
+"""Positions that the estimate of a slow velocity looks back at, at most."""
 DRIVE_PDOS = MOST_PDOS
 """PDOs that the host's tables have room for, each way."""
 
@@ -169,7 +172,15 @@ CONTROL = np.dtype(
         ("compensation_Nm", np.float64),
         ("viscous", np.float64),
         ("velocity_band_counts", np.float64),
+        ("slide_band_counts", np.float64),  # the band of the estimate over `window_cycles`
         ("gain_step", np.float64),  # a cycle
+        # what the hand feels (`host.cycle.felt`)
+        ("window_cycles", np.int64),  # of the estimate of a slow velocity; 1: a backward difference
+        ("felt", np.int64),  # 1: the law says what the hand feels, and not what the brake bears
+        ("inertia", np.float64),
+        ("coil_step", np.float64),  # share of the way that the coil goes in a cycle, as believed; 0: no lead
+        ("fluid_step", np.float64),
+        ("passivity_J", np.float64),  # inf: the motor's compensation is not observed
         # limits
         ("motor_limit_raw", np.int64),  # in counts of the set-point; of 6071h the same number as the drive's 6072h
         ("motor_rate_Nm", np.float64),  # a cycle
@@ -247,6 +258,10 @@ HOST = np.dtype(
         ("fresh", np.int64),  # 1: this cycle's position is fresh
         ("reference_counts", np.int64),  # of the phase: where the handle was still, where the sign check began
         ("v_counts", np.float64),
+        ("slide_counts", np.float64),  # the estimate by which the law slides or is stuck
+        ("track", np.int64, (TRACK,)),  # the positions behind it
+        ("track_row", np.int64),
+        ("track_length", np.int64),
         ("handle_Nm", np.float64),
         ("drive", np.int64),  # PowerState that the statusword tells; -1: none
         ("brake_drive", np.int64),  # the brake's; of one without power states the drive's
@@ -255,6 +270,12 @@ HOST = np.dtype(
         ("torque_Nm", np.float64),  # the motor's
         ("brake_Nm", np.float64),
         ("brake_lagged_Nm", np.float64),
+        ("coil_Nm", np.float64),  # the lead's belief of what the coil's current stands for ...
+        ("fluid_Nm", np.float64),  # ... and of what the fluid bears
+        ("share", np.float64),  # of its compensation that the motor may give
+        ("port_J", np.float64),  # balance at the hand's port; at most 0
+        ("port_kinetic_J", np.float64),  # of the cycle before
+        ("port_handle_Nm", np.float64),
         ("safe_from_Nm", np.float64),
         ("ramp_cycle", np.int64),  # of the safe state's brake ramp; 0: not begun
         ("handle_before_Nm", np.float64),  # sums of the handle torque before and in the sign check
@@ -287,6 +308,7 @@ HOST = np.dtype(
         ("limited_by_drive", np.int64),  # the drive told of a limit of its own (statusword bit 11) in phase RUN
         ("clipped_setpoints", np.int64),  # the brake's set-point was more than its limit
         ("negative_setpoints", np.int64),
+        ("withheld_compensation", np.int64),  # the observer let the motor give less than its compensation
     ],
     align=True,
 )

@@ -9,6 +9,7 @@ from __future__ import annotations
 from coulombus.compiled.decorator import kernel
 from coulombus.eds.cia301 import NmtState
 from coulombus.eds.cia402 import STATE_OF_STATUSWORD, VOLTAGE_ENABLED, PowerState
+from coulombus.host.cycle.felt import expect
 from coulombus.host.cycle.records import ControlRecord, HostRecord, Image, Phase, Trip
 
 __all__ = ["measure", "watch", "watch_devices", "watch_motion", "watch_switch"]
@@ -78,7 +79,7 @@ def watch_motion(c: ControlRecord, h: HostRecord) -> int:
 
     # The hand's torque must be what brake, friction and motor make of it: exactly so in slip, at
     # most so when stuck.
-    h.brake_lagged_Nm = h.brake_Nm + (h.brake_lagged_Nm - h.brake_Nm) * c.brake_lag_decay
+    expect(c, h)
     level = h.brake_lagged_Nm + c.friction_Nm
     if abs(h.v_counts) > c.velocity_band_counts:
         sign = 1.0 if v > 0.0 else -1.0

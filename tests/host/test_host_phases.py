@@ -416,10 +416,10 @@ def test_the_law_begins_stuck_where_the_handle_is_with_gain_0(sign):
 def split(mode, counts, encoder=1, psi=0.5, brake=0.75, gain=1.0):
     bench = standing(Phase.RUN, mode=mode)
     c, h, law = bench.c, bench.h, bench.k.state[0]
-    c.rad_count, c.velocity_band_counts, c.compensation_Nm = encoder * 2.0**-6, 2.0, 0.125
+    c.rad_count, c.slide_band_counts, c.compensation_Nm = encoder * 2.0**-6, 2.0, 0.125
     c.gain_step, c.brake_limit_Nm, h.gain, law.brake_Nm = 0.25, 1.0, gain, brake
     law.psi_Nm = psi
-    h.v_counts, h.brake_Nm, h.negative_setpoints = counts, 0.0625, 3
+    h.slide_counts, h.brake_Nm, h.negative_setpoints = counts, 0.0625, 3
     return bench, split_law(bench.axis)
 
 

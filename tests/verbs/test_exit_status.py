@@ -73,6 +73,7 @@ BASE = {
     "conformance": "conformance --bus coulombus:none --node 1 --eds EDS",
     "analyse": "analyse",
     "analyse hold": "analyse hold",
+    "analyse felt": "analyse felt",
     "analyse map": "analyse map",
     "identify": "identify RECORDING",
     "law": "law lugre --motion sine",
@@ -99,7 +100,7 @@ WITH_RIG = (
     "systemd",
     "plan",
 )
-WITH_RIG += ("analyse", "analyse hold", "analyse map", "identify")
+WITH_RIG += ("analyse", "analyse hold", "analyse felt", "analyse map", "identify")
 WITH_SET = (
     "demo",
     "simulate",
@@ -117,6 +118,7 @@ WITH_SET = (
     "plan",
     "analyse",
     "analyse hold",
+    "analyse felt",
     "analyse map",
 )
 WITH_RECORDING = (

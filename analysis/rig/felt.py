@@ -1,0 +1,240 @@
+r"""How right the display is: what the hand feels against what the law says, by simulation.
+
+Two experiments, each a run through bus, nodes and PDOs, judged by the plant's true course - by the
+torque between hand and handle, not by what the host believes:
+
+- *breakaway*: a hand without a spring pushes a stuck handle with a ramp of so many Nm/s. What
+  counts is the hand's torque when the handle has come to `SLIDES_RAD_S`, against F_s.
+- *sliding*: a damped hand draws the handle at a constant speed, one way and back. What counts is
+  the mean torque once the brake has settled, against F_d.
+
+The control ``brake`` is the law's level as the brake's set-point, with the paper's band of
+velocity. The control ``felt`` takes the device's own friction off it, estimates slow velocities, and
+leads the brake's lags. The error budget is the control ``felt`` with one belief wrong at a time.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from coulombus.analysis.rig.runs import need_modes
+from coulombus.host.errors import SafetyTrip
+from coulombus.lab.simulate import simulate
+from coulombus.recording.measures import phases
+from coulombus.recording.signals import blocks
+from coulombus.rigs.rig import Rig, load_rig
+from coulombus.sim_bus.rig.plant import TRUTH_COLUMNS
+
+__all__ = ["Felt", "FeltStudy", "broke_away", "felt_control", "felt_study", "slid"]
+
+Floats: TypeAlias = npt.NDArray[np.float64]
+
+LEVELS_NM = (1.0, 2.0, 4.0)
+RATES_NM_S = (1.0, -1.0, 30.0, -30.0)
+SPEEDS_RAD_S = (0.02, 0.05, 0.2, 1.0)
+BUDGET_NM = 2.0
+SLIDES_RAD_S = 1e-4
+WINDOW_CYCLES = 32
+REST_S = 1.5
+HAND_NMS_RAD = 5.0
+SETTLE_S, SLIDE_S = 1.0, 1.0
+
+
+@dataclass(frozen=True)
+class Felt:
+    """One figure: what was wanted, and what the hand felt."""
+
+    control: str
+    """``brake`` or ``felt``; behind it what is believed wrongly."""
+    experiment: str
+    of: float
+    """Rate of the push [Nm/s], or speed [rad/s]; negative: in the negative sense."""
+    wanted_Nm: float
+    felt_Nm: float
+
+    @property
+    def error(self) -> float:
+        """Relative error."""
+        return self.felt_Nm / self.wanted_Nm - 1.0
+
+
+@dataclass(frozen=True)
+class FeltStudy:
+    """What the hand feels with either control, and the error budget."""
+
+    rig: str
+    rows: tuple[Felt, ...]
+
+    def worst(self) -> dict[tuple[str, str], float]:
+        """Return the largest relative error of each control and experiment, by its size."""
+        found: dict[tuple[str, str], float] = {}
+        for row in self.rows:
+            key = row.control, row.experiment
+            found[key] = max(found.get(key, 0.0), abs(row.error))
+        return found
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values."""
+        return {"rig": self.rig, "rows": [{**asdict(row), "error": row.error} for row in self.rows]}
+
+    def lines(self) -> Iterator[str]:
+        """Yield the largest errors for people."""
+        yield f"rig {self.rig}; largest error of what the hand feels, as a share of F_s or F_d"
+        yield f"{'control':<34} {'breakaway':>10} {'sliding':>10}"
+        worst = self.worst()
+        for control in dict.fromkeys(row.control for row in self.rows):
+            yield f"{control:<34} {worst[control, 'breakaway']:>10.2%} {worst[control, 'sliding']:>10.2%}"
+
+
+def felt_control(rig: Rig) -> Rig:
+    """Return `rig` with the control that makes what the hand feels right; the brake's lags are
+    believed as the simulated rig has them.
+    """
+    plant = rig.one_axis().simulation.plant
+    return rig.variant(
+        'law.level="felt"',
+        f"law.velocity_window_cycles={WINDOW_CYCLES}",
+        f"brake.coil_lag_s={plant.brake_coil_lag_s}",
+        f"brake.fluid_lag_s={plant.brake_fluid_lag_s}",
+    )
+
+
+def _wrong_beliefs(rig: Rig) -> dict[str, tuple[str, ...]]:
+    """Return what is wrong in each row of the error budget: the truth is moved, the belief stays."""
+    plant = rig.one_axis().simulation.plant
+    friction_Nm = 0.1 * (plant.coulomb_Nm + plant.brake_off_state_Nm)
+    return {
+        "friction 10 % more": (f"plant.coulomb_Nm={plant.coulomb_Nm + friction_Nm}",),
+        "friction 10 % less": (f"plant.coulomb_Nm={max(plant.coulomb_Nm - friction_Nm, 0.0)}",),
+        "viscous friction doubled": (f"plant.viscous_Nms_rad={2 * plant.viscous_Nms_rad}",),
+        "brake 2 % stronger": (f"plant.brake_gain={1.02 * plant.brake_gain}",),
+        "brake's lags 30 % longer": (
+            f"plant.brake_coil_lag_s={1.3 * plant.brake_coil_lag_s}",
+            f"plant.brake_fluid_lag_s={1.3 * plant.brake_fluid_lag_s}",
+        ),
+        "iron remembers 2 %": ("plant.brake_remanence=0.02",),
+        "cogging of 0.01 Nm": ("plant.cogging_Nm=0.01",),
+    }
+
+
+def _truth(rig: Rig, seconds: float, seed: int) -> dict[str, Floats]:
+    """Return the plant's true course in the last phase of a run in mode hybrid; t_s counts from its
+    begin.
+    """
+    with tempfile.TemporaryDirectory(prefix="coulombus-") as directory:
+        path, recording = Path(directory) / "truth.npz", Path(directory) / "run.pcapng"
+        result = simulate(rig, "hybrid", seconds, truth=path, record=recording, seed=seed)
+        if result.trip is not None:
+            raise SafetyTrip(f"rig {rig.name!r}, mode hybrid: the run tripped: {result.trip}")
+        last = phases(blocks(recording))[-1]
+        with np.load(path) as file:
+            inside = (file["t_s"] > last.begin_s) & (file["t_s"] <= last.end_s)
+            truth = {name: np.asarray(file[name][inside], np.float64) for name in TRUTH_COLUMNS}
+        truth["t_s"] -= last.begin_s
+        return truth
+
+
+def _levels(rig: Rig, F_s_Nm: float, F_d_Nm: float, *more: str) -> Rig:
+    return rig.variant(
+        f"mode.hybrid.F_s_Nm={F_s_Nm}",
+        f"mode.hybrid.F_d_Nm={F_d_Nm}",
+        "operator.stiffness_Nm_rad=0.0",
+        "operator.tremor_Nm=0.0",
+        "limits.speed_rad_s=100.0",
+        "limits.net_work_J=5.0",
+        "limits.sign_check_counts=4",  # a hand as damped as this lets it move no further
+        *more,
+    )
+
+
+def _torque(points: Iterable[tuple[float, float]]) -> str:
+    t, torque = zip(*points, strict=True)
+    times, torques = ", ".join(f"{one:.9g}" for one in t), ", ".join(f"{one:.9g}" for one in torque)
+    return f'{{kind="file", duration_s={t[-1]:.9g}, t_s=[{times}], torque_Nm=[{torques}]}}'
+
+
+def broke_away(rig: Rig, F_s_Nm: float, rate_Nm_s: float, *, seed: int = 0) -> float:
+    """Return the hand's torque [Nm] at which a stuck handle came to slide under a ramp of
+    `rate_Nm_s`; negative: pushed in the negative sense. NaN: it never did.
+    """
+    ramp_s = 1.3 * F_s_Nm / abs(rate_Nm_s)
+    phase = _torque([(0.0, 0.0), (ramp_s, rate_Nm_s * ramp_s)])
+    pushed = _levels(rig, F_s_Nm, 0.9 * F_s_Nm, f'phase=[{{kind="rest", duration_s={REST_S}}}, {phase}]')
+    # what it does once it is free is of no interest: the hand's damping keeps it within the limits
+    truth = _truth(pushed.variant("operator.damping_Nms_rad=2.0"), REST_S + ramp_s, seed)
+    pushes = truth["operator_Nm"] * np.sign(rate_Nm_s)
+    slides = (np.abs(truth["speed_rad_s"]) > SLIDES_RAD_S) & (pushes > 0.5 * F_s_Nm)
+    return float(pushes[np.argmax(slides)]) if np.any(slides) else float("nan")
+
+
+def slid(rig: Rig, F_d_Nm: float, speeds_rad_s: Iterable[float], *, seed: int = 0) -> list[tuple[float, float]]:
+    """Return for each speed and both senses, (speed, the hand's mean torque against it) once the
+    display has settled: signed speed in rad/s, Nm.
+    """
+    legs = [sign * speed for speed in speeds_rad_s for sign in (1.0, -1.0)]
+    points, t = [(0.0, 0.0)], 0.0
+    for speed in legs:
+        push = np.sign(speed) * F_d_Nm + HAND_NMS_RAD * speed
+        points += [(t + 0.3, push), (t + SETTLE_S + SLIDE_S, push)]
+        t += SETTLE_S + SLIDE_S
+    drawn = _levels(
+        rig,
+        F_d_Nm,
+        F_d_Nm,
+        f"operator.damping_Nms_rad={HAND_NMS_RAD}",
+        f'phase=[{{kind="rest", duration_s={REST_S}}}, {_torque(points)}]',
+    )
+    truth = _truth(drawn, REST_S + t, seed)
+    found = []
+    for k, speed in enumerate(legs):
+        end = (k + 1) * (SETTLE_S + SLIDE_S)
+        inside = (truth["t_s"] > end - SLIDE_S) & (truth["t_s"] <= end)
+        found.append(
+            (
+                float(np.mean(truth["speed_rad_s"][inside])),
+                float(np.mean(truth["operator_Nm"][inside]) * np.sign(speed)),
+            )
+        )
+    return found
+
+
+def _rows(rig: Rig, control: str, levels_Nm: Iterable[float], seed: int) -> Iterator[Felt]:
+    for level in levels_Nm:
+        for rate in RATES_NM_S:
+            yield Felt(control, "breakaway", rate, level, broke_away(rig, level, rate, seed=seed))
+        for speed, torque in slid(rig, level, SPEEDS_RAD_S, seed=seed):
+            yield Felt(control, "sliding", speed, level, torque)
+
+
+def felt_study(rig: Rig | None = None, *, seed: int = 0, progress: Callable[[float], None] | None = None) -> FeltStudy:
+    """Measure what the hand feels with both controls, at 1, 2 and 4 Nm, and the error budget at 2 Nm.
+
+    Parameters
+    ----------
+    rig : default is the bench rig; its own schedule and its own levels are not used
+
+    Raises
+    ------
+    coulombus.host.errors.SafetyTrip
+        a run tripped; which and why is in the text
+    coulombus.rigs.rig.RigError
+        the rig has no mode hybrid
+    """
+    rig = load_rig("bench") if rig is None else rig
+    need_modes(rig, "hybrid")
+    felt = felt_control(rig)
+    runs: list[tuple[Rig, str, tuple[float, ...]]] = [(rig, "brake", LEVELS_NM), (felt, "felt", LEVELS_NM)]
+    runs += [(felt.variant(*o), f"felt, {name}", (BUDGET_NM,)) for name, o in _wrong_beliefs(rig).items()]
+    rows: list[Felt] = []
+    for done, (chosen, control, levels) in enumerate(runs, 1):
+        rows += _rows(chosen, control, levels, seed)
+        if progress is not None:
+            progress(done / len(runs))
+    return FeltStudy(rig.name, tuple(rows))

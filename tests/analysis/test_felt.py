@@ -1,0 +1,81 @@
+"""The display's error at the hand, and a compensation that would drive: by the plant's truth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from coulombus.analysis.rig.felt import Felt, FeltStudy, broke_away, felt_control, slid
+from coulombus.lab.simulate import simulate
+from coulombus.rigs.rig import load_rig
+
+KICK = (
+    'phase=[{kind="rest", duration_s=2.0}, {kind="file", duration_s=5.0, '
+    "t_s=[0.0, 0.02, 0.04, 0.06, 5.0], torque_Nm=[0.0, 0.25, 0.25, 0.0, 0.0]}]"
+)
+
+
+@pytest.fixture(scope="module")
+def bench():
+    return load_rig("bench")
+
+
+@pytest.mark.parametrize("rate", [1.0, 30.0, -30.0])
+@pytest.mark.parametrize("F_s", [1.0, 4.0])
+def test_the_handle_breaks_away_at_F_s_to_2_percent(bench, F_s, rate):
+    assert broke_away(felt_control(bench), F_s, rate) == pytest.approx(F_s, rel=0.02)
+
+
+def test_with_the_papers_level_the_devices_friction_is_felt_beside_it(bench):
+    assert broke_away(bench, 1.0, 1.0) == pytest.approx(1.14, abs=0.01)
+
+
+def test_sliding_is_felt_as_F_d_to_3_percent_from_20_mrad_s_on(bench):
+    for speed, torque in slid(felt_control(bench), 1.0, (0.02, 0.1, 1.0)):
+        assert abs(speed) >= 0.02
+        assert torque == pytest.approx(1.0, rel=0.03)
+
+
+def kicked(bench, belief_Nm, tmp_path, *more):
+    """Return the run and the handle's speed [rad/s] in the kick's phase, of a hand that kicks and lets go."""
+    rig = bench.variant(
+        KICK,
+        f"mechanics.friction_Nm={belief_Nm}",
+        f"mode.hybrid.motor_limit_Nm={1.2 * belief_Nm}",
+        "mode.hybrid.F_s_Nm=0.0",
+        "mode.hybrid.F_d_Nm=0.0",
+        *(f"operator.{name}=0.0" for name in ("inertia_kg_m2", "damping_Nms_rad", "stiffness_Nm_rad", "tremor_Nm")),
+        *more,
+    )
+    result = simulate(rig, "hybrid", 7.0, truth=tmp_path / "truth.npz", force=True)
+    with np.load(tmp_path / "truth.npz") as truth:
+        speed = np.abs(truth["speed_rad_s"])
+    return result, speed
+
+
+@pytest.mark.parametrize("share", [1.11, 1.23, 1.43])
+def test_a_kicked_handle_stops_whatever_friction_is_believed(bench, share, tmp_path):
+    result, speed = kicked(bench, 0.14 * share, tmp_path)
+    assert result.trip is None
+    assert speed.max() > 2.0
+    assert speed[-40_000:].max() == 0.0  # 2 s
+    assert result.counters["withheld_compensation"] > 0
+    assert any("withheld_compensation" in text for text in result.remarks)
+
+
+def test_without_the_observer_it_turns_for_ever(bench, tmp_path):
+    result, speed = kicked(bench, 0.14 * 1.11, tmp_path, "limits.passivity_J=1e6")
+    assert result.trip is None
+    assert speed[-100_000:-30_000].min() > 1.0
+
+
+def test_a_right_belief_has_nothing_withheld(bench, tmp_path):
+    result, _ = kicked(bench, 0.14, tmp_path)
+    assert result.counters["withheld_compensation"] == 0
+
+
+def test_the_worst_error_is_that_by_size():
+    rows = tuple(Felt("felt", "sliding", 1.0, 2.0, felt) for felt in (2.01, 1.9))
+    study = FeltStudy("bench", rows)
+    assert study.worst() == {("felt", "sliding"): pytest.approx(0.05)}
+    assert [row["error"] for row in study.as_dict()["rows"]] == pytest.approx([0.005, -0.05])
