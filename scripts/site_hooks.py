@@ -1,7 +1,8 @@
 """What `make docs` does besides MkDocs: pages made from the code, links out of docs/, diagrams.
 
 - `reference/verbs.md` from click, `reference/rig-keys.md` from the rig file's models,
-  `reference/python.md` for mkdocstrings from the list `PYTHON`;
+  `reference/python.md` for mkdocstrings from the list `PYTHON`, `reference/commands.md`: which test
+  runs which command of the documents;
 - CHANGELOG, CONTRIBUTING, SECURITY, and each source file that a page links to, as pages;
 - notebooks as pages; Mermaid's text as SVG (`site_diagrams`);
 - a page that would load something from the network ends the build.
@@ -30,8 +31,9 @@ from coulombus.verbs.exit_status import STATUSES
 from coulombus.verbs.main import VERBS
 
 ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT / "scripts"))
-from site_diagrams import svg  # noqa: E402  # a file beside this one
+sys.path[:0] = [str(ROOT / "scripts"), str(ROOT / "tests" / "support")]
+from documented import as_page as commands_page  # noqa: E402, I001
+from site_diagrams import svg  # noqa: E402
 
 PROJECT = ("CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md")
 LINK = re.compile(r"(!?\[[^]]*\])\(([^)\s]+)\)")
@@ -197,6 +199,7 @@ def on_files(files: Files, config: Any) -> Files:
         "reference/verbs.md": verbs_page(),
         "reference/rig-keys.md": rig_keys_page(),
         "reference/python.md": python_page(),
+        "reference/commands.md": commands_page(),
         **{f"project/{name}": (ROOT / name).read_text() for name in PROJECT},
     }
     for path, text in _pages():

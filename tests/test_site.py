@@ -85,6 +85,7 @@ def test_every_page_is_in_the_list_of_pages():
     }
     made = {
         "reference/verbs.md",
+        "reference/commands.md",
         "reference/python.md",
         "reference/rig-keys.md",
         *(f"project/{name}" for name in hooks.PROJECT),

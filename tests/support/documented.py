@@ -1,0 +1,114 @@
+"""Every command that stands in a block of the documents, and what becomes of it: run by a test, or
+the reason why not.
+
+    .venv/bin/python tests/support/documented.py
+
+prints the list. A command is run by `tests/test_commands.py` unless a rule below says otherwise;
+the first rule that matches "PAGE: COMMAND" counts. The site shows the same list.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+HERE = "run by tests/test_commands.py"
+FIRST = re.compile(
+    r"([A-Z_]+=\S+ )*(sudo |\S*/)?(coulombus|make|pip|python3?|tshark|git|podman|cantools|candump|canplayer|"
+    r"echo|mkfifo|dask|wireshark|head|grep|sed|cmp|wc)(?=\s|$)"
+)
+MACHINE = "changes the machine's settings: for a rig's PC"
+LIVE = "needs a bus or a host that lives: "
+RULES = (
+    # other tests run the page
+    (r"docs/deploy\.md: ", "run by tests/verbs/test_afternoon.py"),
+    (r"docs/tutorials/sweep\.md: (dask|.*--dask)", "needs a cluster; tests/lab/sweep runs a sweep on one"),
+    (r"docs/tutorials/", "run by tests/test_tutorials.py"),
+    (r"docs/service\.md: (?!.*socketcan)", "run by tests/test_commands.py, on a live bus"),
+    (r"docs/export\.md: coulombus (export|plot|diff)", "run by tests/verbs/test_export_docs.py"),
+    # what installs, tests and measures this project
+    (r": (sudo|echo)", MACHINE),
+    (r": (make|git|pip|python3 -m venv)", "installs or tests this checkout: .ci/run does the same"),
+    (r": .*(-m pytest|scripts/mutate)", "runs tests within tests: .ci/run and docs/safety.md have the runs"),
+    (r": .*-m benchmarks", "a measurement of minutes to hours; the page has its figures"),
+    (r": NUMBA_DISABLE_JIT=1 ", "everything in plain Python: `make fast` and `make coverage` do it"),
+    # hardware
+    (r"socketcan:|: candump", "needs a CAN interface: tests/vm runs such verbs in a virtual machine"),
+    (r"docs/months\.md: ", LIVE + "tests/host and tests/recording run `run --rotate`, `status` and `systemd`"),
+    # living buses and programs with a window
+    (r"wireshark", "opens a window; tests/scope pipe the same bytes into tshark"),
+    (r": coulombus demo", "half a minute in real time: tests/host/test_run.py"),
+    (r": (coulombus )?(\S*)conformance|--junit", "a minute of real time: tests/conformance, tests/sim_bus"),
+    (r": (coulombus sim\b|.*coulombus run\b)", LIVE + "tests/host and tests/sim_bus"),
+    (r": coulombus (watch|.*&& )|mkfifo|monitor -i", LIVE + "tests/scope"),
+    (r": coulombus (set|mark|replay .*--bus)", LIVE + "tests/host, tests/recording, tests/lab"),
+    (
+        r": coulombus (node|bridge)|own_device\.(py|eds) .*coulombus:|--bus coulombus:bench --eds",
+        LIVE + "tests/sim_bus",
+    ),
+    (r": coulombus commission", "minutes of virtual time: tests/verbs/test_commission_command.py"),
+    (r": coulombus sweep", "64 runs: tests/verbs/test_sweep_command.py runs smaller ones"),
+    (r"--sensor amplifier", "files of three makers: tests/verbs/test_init_command.py"),
+    (r"eds check --json \*\.eds", "needs jq: tests/verbs/test_eds_command.py reads the JSON"),
+    (r"candump\.log", "a log of another bus: tests/recording/test_export.py"),
+)
+
+
+class Documented(NamedTuple):
+    """One command: where it stands, and what becomes of it."""
+
+    page: str
+    line: str
+    fate: str
+
+
+def pages() -> list[Path]:
+    """Return the documents, in order."""
+    tops = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "SECURITY.md")]
+    return [*tops, *sorted((ROOT / "docs").rglob("*.md"))]
+
+
+def commands_of(text: str) -> Iterator[str]:
+    """Yield the command lines of a page's indented blocks, continuations joined."""
+    fenced = False
+    for line in re.sub(r" *\\\n\s+", " ", text).splitlines():
+        if line.startswith("```"):
+            fenced = not fenced
+        elif not fenced and line.startswith("    ") and FIRST.match(line.strip()):
+            yield re.sub(r"\s+# .*$", "", line.strip())
+
+
+def rule_of(page: str, line: str) -> int | None:
+    """Return which rule a command falls under; None: it is run here."""
+    return next((n for n, (pattern, _) in enumerate(RULES) if re.search(pattern, f"{page}: {line}")), None)
+
+
+def documented() -> list[Documented]:
+    """Return every command of the documents."""
+    found = []
+    for path in pages():
+        page = str(path.relative_to(ROOT))
+        for line in commands_of(path.read_text()):
+            rule = rule_of(page, line)
+            found.append(Documented(page, line, HERE if rule is None else RULES[rule][1]))
+    return found
+
+
+def as_page() -> str:
+    """Return the list as a page."""
+    found = documented()
+    run = sum("run by " in one.fate for one in found)
+    lines = [
+        "# All commands\n\nAfter this page you know which command of these documents is run by which test, and why",
+        f"the others are not. Of {len(found)} commands tests run {run}.\n\n| page | command | |\n|---|---|---|",
+    ]
+    escaped = ((one.page, one.line.replace("|", "\\|"), one.fate) for one in found)
+    return "\n".join([*lines, *(f"| {page} | `{line}` | {fate} |" for page, line, fate in escaped)]) + "\n"
+
+
+if __name__ == "__main__":
+    for one in documented():
+        print(f"{one.page}: {one.line}\n    {one.fate}")

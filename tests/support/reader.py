@@ -1,0 +1,70 @@
+"""Somebody who follows a page of the documents in a folder, command by command."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from real_bench import PATIENCE_S, end
+from warm_start import Warm
+
+__all__ = ["Reader"]
+
+READY = ("is ready", "is on bus", "join")
+
+
+class Reader:
+    """Who follows a page in a folder: `coulombus` starts warm, everything else in a shell."""
+
+    def __init__(self, folder):
+        self.folder, self.beside, self.printed = folder, [], ""
+        path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+        self.environment = {**os.environ, "PATH": path, "COLUMNS": "100"}
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        for process in self.beside:
+            end(process)
+
+    def start(self, line, out, beside):
+        given = {
+            "cwd": self.folder,
+            "env": self.environment,
+            "stdin": subprocess.DEVNULL,
+            "stdout": out,
+            "stderr": subprocess.STDOUT,
+        }
+        words = shlex.split(line, comments=True)
+        if words[0] == "coulombus" and not set(words) & {"|", "<", ">"}:
+            return Warm(words[1:], **given)
+        return subprocess.Popen(["bash", "-o", "pipefail", "-c", f"exec {line}" if beside else line], **given)
+
+    def command(self, line):
+        wanted = re.search(r"# exit status (\d+)", line)
+        out = self.folder / f".out-{len(self.beside)}"
+        with out.open("w") as file:
+            process = self.start(line.removesuffix(" &"), file, line.endswith(" &"))
+        if line.endswith(" &"):
+            self.beside.append(process)
+            deadline = time.monotonic() + PATIENCE_S
+            while not any(word in out.read_text() for word in READY):
+                assert process.poll() is None, out.read_text()
+                assert time.monotonic() < deadline, out.read_text()
+                time.sleep(0.02)
+        else:
+            status = process.wait(PATIENCE_S)
+            assert status == int(wanted[1] if wanted else 0), f"{line}: {status}\n{out.read_text()}"
+        self.printed = out.read_text()
+
+    def shows(self, lines):
+        """Each line that the page shows is a part of a line that was printed, but for blanks."""
+        there = [" ".join(line.split()) for line in self.printed.splitlines()]
+        for line in lines:
+            assert any(" ".join(line.split()) in one for one in there), f"{line!r} is not in:\n{self.printed}"

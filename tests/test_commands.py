@@ -1,0 +1,124 @@
+"""The commands of the documents, as they are printed, from the clone's folder.
+
+Each page has a folder of its own with what a clone has and what its commands read. What
+`support/documented.py` says is not run here has its reason there. A display is shortened, and a
+pager or `tail` behind a pipe is left out.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import shutil
+import subprocess
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from coulombus.verbs.main import main
+from documented import HERE, ROOT, RULES, commands_of, documented, pages, rule_of
+from reader import Reader
+
+SECONDS = "0.6"
+FOUND = documented()
+RUN = {
+    page: [one.line for one in FOUND if one.page == page and one.fate == HERE] for page in {one.page for one in FOUND}
+}
+OUTPUTS = ("-o", "--record", "--csv", "--plot", "--truth", "--gantt")
+
+
+def call(words):
+    result = CliRunner().invoke(main, words)
+    assert result.exit_code == 0, f"{shlex.join(words)}: {result.exit_code}\n{result.output}"
+    return result.stdout
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory):
+    """What the pages' commands read, by name."""
+    folder = tmp_path_factory.mktemp("inputs")
+    recording = folder / "run.pcapng"
+    call(["simulate", "--seconds", SECONDS, "--record", str(recording)])
+    call(["init", "--drive", "bench", "--brake", "bench", "--rehearse", "-o", str(folder / "my-rig.toml")])
+    shutil.copy(ROOT / "eds" / "motor.eds", folder / "vendor.eds")
+    for name in ("hybrid", "again", "sim", "rig"):
+        shutil.copy(recording, folder / f"{name}.pcapng")
+    (folder / "my-motion.csv").write_text("t_s,x_rad\n0,0\n1,0.1\n2,0\n")
+    law = re.search(r"```python\n# lab/my_law\.py\n(.*?)```", (ROOT / "docs" / "laws.md").read_text(), re.S)[1]
+    (folder / "my_law.py").write_text(
+        f"{law}\n\ndef law(motion, law, state):\n    state.brake_Nm = 1.0\n    return 0.0\n"
+    )
+    return folder
+
+
+def desk(folder, inputs, lines):
+    """Make the folder in which a reader of a page is: the clone's, with the files that the page's
+    commands read and do not make.
+    """
+    for name in ("examples", "eds"):
+        (folder / name).symlink_to(ROOT / name)
+    (folder / "out").mkdir()
+    made = set()
+    for line in lines:
+        words = shlex.split(line)
+        outputs = {word for option, word in pairwise(words) if option in OUTPUTS}
+        for word in set(re.split(r"[\s=:]", line)) - outputs - made:
+            source = inputs / Path(word).name
+            if source.is_file() and not (folder / word).exists():
+                (folder / word).parent.mkdir(exist_ok=True)
+                shutil.copy(source, folder / word)
+        made |= outputs
+
+
+def shortened(words):
+    if words[0] != "simulate":
+        return words
+    if "--seconds" in words:
+        at = words.index("--seconds")
+        words = [*words[:at], *words[at + 2 :]]
+    return [*words, "--seconds", SECONDS]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", [page for page, lines in sorted(RUN.items()) if lines])
+def test_the_commands_of_a_page(page, inputs, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    desk(tmp_path, inputs, RUN[page])
+    for line in RUN[page]:
+        command, _, rest = line.partition(" | ")
+        assert rest.split()[:1] in ([], ["less"], ["tail"]), line
+        command, _, file = command.partition(" > ") if "'" not in command else (command, "", "")
+        words = shlex.split(command)
+        if not words[0].endswith("coulombus"):
+            done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=300)
+            assert done.returncode == 0, f"{line}: {done.stderr}"
+            continue
+        printed = call(shortened(words[1:]))
+        if file:
+            Path(file).write_text(printed)
+
+
+@pytest.mark.slow
+@pytest.mark.real_time
+def test_the_commands_of_a_live_bus(tmp_path, private_sockets):
+    folder = tmp_path / "desk"
+    folder.mkdir()
+    desk(folder, tmp_path, [])
+    lines = [one.line for one in FOUND if one.page == "docs/service.md" and one.fate.endswith("on a live bus")]
+    assert len(lines) > 10
+    with Reader(folder) as reader:
+        for line in lines:
+            reader.command(line + " &" if line.startswith("coulombus node ") else line)
+
+
+def test_every_rule_has_its_commands_and_names_what_there_is():
+    used = {rule_of(one.page, one.line) for one in FOUND}
+    assert [RULES[n] for n in range(len(RULES)) if n not in used] == []
+    for _, fate in RULES:
+        for place in re.findall(r"\b(?:tests|docs)/[\w/.]*\w", fate):
+            assert (ROOT / place).exists(), place
+    assert [line for path in pages() for line in commands_of(path.read_text())] == [one.line for one in FOUND]
+    assert os.sep not in RUN
