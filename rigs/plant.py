@@ -27,10 +27,17 @@ class Plant(Section):
     inertia_kg_m2: float = Field(gt=0, le=1e3, description="inertia of the device at the handle")
     viscous_Nms_rad: float = Field(ge=0, le=1e3, description="viscous friction at the handle")
     coulomb_Nm: float = Field(ge=0, le=1e3, description="Coulomb friction at the handle, without the brake's off-state")
+    stribeck_Nm: float = Field(
+        0.0, ge=0, le=1e3, description="what the device's own static friction is more than coulomb_Nm"
+    )
+    stribeck_rad_s: float = Field(0.05, gt=0, le=1e3, description="speed at which 1/e of that is left")
     ratio: float = Field(gt=0, le=1e4, description="motor revolutions for one of the handle")
     encoder_counts_rev: int = Field(ge=1, le=2**31 - 1, description="encoder counts in one turn of the motor")
     encoder_polarity: Polarity = Field(
         description="-1: the encoder counts down in the positive sense", json_schema_extra=SAYS_POLARITY
+    )
+    encoder_eccentricity_rad: float = Field(
+        0.0, ge=0, le=0.5, description="error of the encoder's angle, a sine of one period in a turn of the motor"
     )
     motor_polarity: Polarity = Field(
         description="-1: positive 6071 drives in the negative sense", json_schema_extra=SAYS_POLARITY
@@ -53,9 +60,13 @@ class Plant(Section):
     brake_coil_lag_s: float = Field(ge=0, le=1, description="time constant of the brake's coil; 0: none")
     brake_fluid_lag_s: float = Field(ge=0, le=1, description="time constant of the brake's fluid; 0: none")
     transducer_noise_Nm: float = Field(0.0, ge=0, le=1e3, description="standard deviation of the transducer's noise")
+    transducer_bias_Nm: float = Field(0.0, ge=-1e3, le=1e3, description="what the transducer reads without a load")
+    transducer_drift_Nm_s: float = Field(0.0, ge=-1e3, le=1e3, description="by how much that changes each second")
+    transducer_lag_s: float = Field(0.0, ge=0, le=1, description="time constant of the transducer's filter; 0: none")
     transducer_polarity: Polarity = Field(
         description="-1: the hand's torque in the positive sense reads negative", json_schema_extra=SAYS_POLARITY
     )
+    coil_step_A: float = Field(0.0, ge=0, le=100, description="resolution of the driver's coil current; 0: continuous")
     temperature_degC: float = Field(22.0, ge=-40, le=200, description="the coil's temperature at the start")
     ambient_degC: float = Field(22.0, ge=-40, le=200, description="temperature of what cools the coil")
     coil_resistance_ohm: float = Field(4.0, ge=0, le=1e4, description="resistance of the brake's coil")
@@ -84,6 +95,9 @@ class Operator(Section):
     stiffness_Nm_rad: float = Field(ge=0, le=1e6, description="the hand's stiffness, K_o")
     tremor_Nm: float = Field(0.0, ge=0, le=1e3, description="amplitude of the tremor")
     tremor_Hz: float = Field(0.0, ge=0, le=1e3, description="frequency of the tremor")
+    population: float = Field(
+        0.0, ge=0, le=1, description="spread of hands: 0: every seed has this hand; else each seed is a subject"
+    )
 
 
 class _Phase(Section):

@@ -38,7 +38,7 @@ from coulombus.sim_bus.copper.outcome import MOST_ROWS, end_attempt
 from coulombus.sim_bus.copper.stage import Delivered, Stage
 from coulombus.sim_bus.network.agenda import keep_deadline, look_again, next_device
 from coulombus.sim_bus.rig.coupling import COUPLING, BrakeOutput, brake_torque, show
-from coulombus.sim_bus.rig.plant import advance, coil_current, sample_noise
+from coulombus.sim_bus.rig.plant import advance, coil_current, encoder_rad, transducer_Nm
 from coulombus.wire.clock import CLOCK_FIELDS, bus_ns, own_ns, to_bus
 from coulombus.wire.frame import FRAME, QUEUE_CAPACITY
 
@@ -177,10 +177,10 @@ def _sample(p: Any, axis: Any, nodes: Any) -> None:
     if motor.in_faults & ENCODER_LOST:
         motor.in_velocity_counts_s = 0.0  # the counter stands still
     else:
-        motor.in_position_counts = int(np.floor(p.x * p.counts_rad + 0.5))
+        motor.in_position_counts = int(np.floor(encoder_rad(p) * p.counts_rad + 0.5))
         motor.in_velocity_counts_s = p.v * p.counts_rad
     motor.in_torque_pm = p.motor / p.motor_Nm_pm
-    brake.in_handle_Nm = p.transducer_polarity * (p.f_operator + p.noise * sample_noise(p))
+    brake.in_handle_Nm = transducer_Nm(p)
     brake.in_coil_A = coil_current(p, brake.out_brake_Nm if axis.brake_output == BrakeOutput.TORQUE else p.brake_Nm)
     brake.in_coil_degC = p.temperature
     if axis.foreign != 0:

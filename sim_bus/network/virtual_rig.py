@@ -86,7 +86,7 @@ class VirtualRig(VirtualNetwork):
         self.sdo_timeout_s = host_rig.host.sdo_timeout_s
         self.controllers = Controllers(host_rig, mode)
         self.controller = self.controllers.each[0]
-        self.operators = [Operator(axis, mode) for axis in rig.axes]
+        self.operators = [Operator(axis, mode, seed + a * SEED_STEP) for a, axis in enumerate(rig.axes)]
         self.network = CanopenNetwork(lambda can_id, data, _: self.send(can_id, data), self._await_answer)
         self._left: list[tuple[float, float] | None] = [None] * len(
             rig.axes

@@ -20,6 +20,7 @@ import numpy as np
 
 from coulombus.compiled.decorator import kernel
 from coulombus.rigs.devices import TABLE_POINTS
+from coulombus.sim_bus.rig.plant import encoder_rad
 
 __all__ = ["COUPLING", "MOST_SHOWN", "SHOWN", "BrakeOutput", "Quantity", "brake_torque", "show"]
 
@@ -119,7 +120,7 @@ def show(axis: Any, p: Any, nodes: Any, handle_Nm: float, coil_A: float) -> None
     for k in range(axis.shown_count):
         one = axis.shown[k]
         if one.quantity == Quantity.POSITION:
-            nodes[one.row].values[one.slot] = _wrapped((p.x - one.offset) * one.gain, one.low, one.high)
+            nodes[one.row].values[one.slot] = _wrapped((encoder_rad(p) - one.offset) * one.gain, one.low, one.high)
             continue
         value = p.v
         if one.quantity == Quantity.TORQUE:

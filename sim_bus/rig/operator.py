@@ -22,11 +22,14 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.rigs.axis import Axis
+from coulombus.rigs.plant import Operator as Hand
 
-__all__ = ["KNOT_S", "LET_GO_S", "Operator", "paper_force_N"]
+__all__ = ["KNOT_S", "LET_GO_S", "Operator", "drawn", "paper_force_N"]
 
 KNOT_S = 1e-3
 LET_GO_S = 2.0
+SUBJECT = 0x68616E64
+"""Keeps the draws of a subject apart from others of the same seed."""
 
 Floats: TypeAlias = npt.NDArray[np.float64]
 
@@ -38,13 +41,34 @@ def paper_force_N(t: Floats) -> Floats:
     return force
 
 
+def drawn(hand: Hand, seed: int) -> Hand:
+    r"""Return the hand of the subject `seed` out of the population around `hand`.
+
+    Inertia, damping, stiffness and tremor are each multiplied by :math:`e^{\sigma n}`, n normal, with
+    :math:`\sigma` = ``population``: the rig file's hand is the median, and none is negative. Without a
+    population every seed has the rig file's.
+    """
+    if hand.population == 0.0:
+        return hand
+    names = ("inertia_kg_m2", "damping_Nms_rad", "stiffness_Nm_rad", "tremor_Nm")
+    factors = np.exp(hand.population * _subject(seed).standard_normal(len(names)))
+    return hand.model_copy(
+        update={name: getattr(hand, name) * float(k) for name, k in zip(names, factors, strict=True)}
+    )
+
+
+def _subject(seed: int, what: int = 0) -> np.random.Generator:
+    return np.random.default_rng((SUBJECT, what, seed & 0xFFFFFFFFFFFFFFFF))
+
+
 class Operator:
     """The muscle torque of the operator of `axis` in mode `mode`, which sets the size of a push
-    (share of F_s).
+    (share of F_s), as the subject `seed`: of a population its tremor begins anywhere in its period.
     """
 
-    def __init__(self, axis: Axis, mode: str) -> None:
-        self._hand = axis.simulation.operator
+    def __init__(self, axis: Axis, mode: str, seed: int = 0) -> None:
+        self._hand = drawn(axis.simulation.operator, seed)
+        self._tremor_rad = 2 * np.pi * _subject(seed, 1).random() if self._hand.population > 0 else 0.0
         self._phases = axis.phases
         self._F_s = axis.mode[mode].F_s_Nm
         self.starts_s = np.array(axis.phase_starts_s)
@@ -66,7 +90,7 @@ class Operator:
 
     def tremor_Nm(self, t: Floats) -> Floats:
         """Return the tremor [Nm] at the absolute times `t` [s]."""
-        tremor: Floats = self._hand.tremor_Nm * np.sin(2 * np.pi * self._hand.tremor_Hz * t)
+        tremor: Floats = self._hand.tremor_Nm * np.sin(2 * np.pi * self._hand.tremor_Hz * t + self._tremor_rad)
         return tremor
 
     def schedule_Nm(self, t: Floats) -> Floats:

@@ -21,6 +21,13 @@ torque times the step's mean speed, so the energy balance
 
 closes to rounding in every step, whatever the step's length.
 
+The device's own friction is Coulomb's with Stribeck's rise towards rest,
+
+.. math:: F_f = F_c + \Delta F \exp(-(v/v_S)^2),
+
+at the speed of the step's begin, and :math:`F_c + \Delta F` when it stands: with it the course is
+right to the first order of the step, and the energy balance still closes to rounding.
+
 The motor follows its command with a first-order lag. Its cogging, :math:`-A\sin(k i x)` with
 :math:`k` periods in one of the :math:`i` revolutions of the motor for one of the handle, is part of
 its torque; over a step it is that of the step's begin. The brake's torque capacity follows its
@@ -49,6 +56,7 @@ import numpy as np
 
 from coulombus.compiled.decorator import inlined, kernel
 from coulombus.rigs.axis import Axis
+from coulombus.sim_bus.rig.operator import drawn
 from coulombus.wire.frame import Records, new_records
 
 __all__ = [
@@ -59,8 +67,10 @@ __all__ = [
     "TRUTH_COLUMNS",
     "advance",
     "coil_current",
+    "encoder_rad",
     "new_plant",
     "sample_noise",
+    "transducer_Nm",
 ]
 
 COIL_INTACT, COIL_OPEN, COIL_SHORT = 0, 1, 2
@@ -76,6 +86,8 @@ PLANT = np.dtype(
         ("inertia", np.float64),
         ("viscous", np.float64),
         ("coulomb", np.float64),
+        ("stribeck", np.float64),  # what the static friction is more than that
+        ("stribeck_v", np.float64),
         ("off_state", np.float64),
         ("operator_inertia", np.float64),
         ("operator_damping", np.float64),
@@ -90,7 +102,13 @@ PLANT = np.dtype(
         ("brake_max", np.float64),
         ("coil_A_Nm", np.float64),
         ("counts_rad", np.float64),  # encoder counts for one radian at the handle, with the true polarity
+        ("eccentric", np.float64),  # amplitude of the encoder's error at the handle
+        ("eccentric_rad", np.float64),  # its radians for one radian at the handle
         ("noise", np.float64),
+        ("bias", np.float64),
+        ("drift", np.float64),
+        ("transducer_decay", np.float64),
+        ("coil_step", np.float64),  # resolution of the coil's torque; 0: continuous
         ("transducer_polarity", np.float64),
         ("ambient", np.float64),
         ("K_A2", np.float64),  # steady rise of the coil's temperature for the square of its current
@@ -111,6 +129,8 @@ PLANT = np.dtype(
         ("motor", np.float64),  # motor torque at the handle
         ("coil", np.float64),  # brake torque that the coil's present current stands for
         ("fluid", np.float64),  # brake torque that the fluid can bear now, without the off-state part
+        ("inherent", np.float64),  # the device's own friction at the present speed
+        ("transduced", np.float64),  # what the transducer's filter has of the hand's torque
         ("random", np.int64),
         # torques on the handle in the step that ended at t_ns
         ("f_operator", np.float64),
@@ -155,12 +175,13 @@ def new_plant(axis: Axis, seed: int = 0) -> Records:
     """Return the plant of `axis` at rest at angle 0, as an array of one record; `seed` starts the
     transducer's noise.
     """
-    p, hand = axis.simulation
+    p, hand = axis.simulation.plant, drawn(axis.simulation.operator, seed)
     plant = new_records(PLANT)
     r = plant[0]
     r["step_ns"] = round(p.step_s * 1e9)
     r["h"] = p.step_s
     r["inertia"], r["viscous"], r["coulomb"] = p.inertia_kg_m2, p.viscous_Nms_rad, p.coulomb_Nm
+    r["stribeck"], r["stribeck_v"] = p.stribeck_Nm, p.stribeck_rad_s
     r["off_state"], r["brake_max"] = p.brake_off_state_Nm, p.brake_max_Nm
     r["operator_inertia"] = hand.inertia_kg_m2
     r["operator_damping"] = hand.damping_Nms_rad
@@ -173,6 +194,10 @@ def new_plant(axis: Axis, seed: int = 0) -> Records:
     r["cogging"], r["cogging_rad"] = p.cogging_Nm, p.cogging_periods * p.ratio
     r["coil_A_Nm"] = axis.brake.coil_A_Nm
     r["counts_rad"] = p.encoder_polarity * p.encoder_counts_rev * p.ratio / (2 * math.pi)
+    r["eccentric"], r["eccentric_rad"] = p.encoder_eccentricity_rad / p.ratio, p.ratio
+    r["bias"], r["drift"] = p.transducer_bias_Nm, p.transducer_drift_Nm_s
+    r["transducer_decay"] = _decay(p.step_s, p.transducer_lag_s)
+    r["coil_step"] = p.coil_step_A / axis.brake.coil_A_Nm
     r["noise"], r["transducer_polarity"] = p.transducer_noise_Nm, p.transducer_polarity
     r["temperature"], r["ambient"] = p.temperature_degC, p.ambient_degC
     r["K_A2"], r["thermal_s"] = p.coil_thermal_K_W * p.coil_resistance_ohm, p.coil_thermal_s
@@ -193,6 +218,24 @@ def sample_noise(p: Any) -> float:
         total += state * 3.552713678800501e-15  # 2**-48
     p.random = state
     return (total - 2.0) * 1.7320508075688772
+
+
+@kernel
+def transducer_Nm(p: Any) -> float:
+    """Return what the transducer reads of the hand's torque on the handle [Nm]: filter, bias, drift
+    and noise, and its polarity.
+    """
+    torque = p.f_operator if p.transducer_decay == 0.0 else p.transduced
+    offset = p.bias + p.drift * (p.t_ns * 1e-9)
+    reads: float = p.transducer_polarity * (torque + offset + p.noise * sample_noise(p))
+    return reads
+
+
+@kernel
+def encoder_rad(p: Any) -> float:
+    """Return the angle that the encoder shows [rad at the handle]."""
+    angle: float = p.x
+    return angle if p.eccentric == 0.0 else angle + p.eccentric * math.sin(p.eccentric_rad * angle)
 
 
 @kernel
@@ -231,6 +274,15 @@ def _settled(value: float) -> float:
     return 0.0 if abs(value) < NEGLIGIBLE_Nm else value
 
 
+@inlined
+def _inherent(p: Any) -> float:
+    """Return the device's own friction at the present speed [Nm]."""
+    if p.stribeck == 0.0:
+        return float(p.coulomb)
+    share = p.v / p.stribeck_v
+    return float(p.coulomb + p.stribeck * math.exp(-share * share))
+
+
 @kernel
 def _move(p: Any, dt: float, drive: float, f_h: float, level: float, motor: float, capacity: float) -> float:
     """Move on by at most `dt` [s] without a change of the speed's sign.
@@ -242,7 +294,7 @@ def _move(p: Any, dt: float, drive: float, f_h: float, level: float, motor: floa
     load = drive - stiffness * x
     if v0 == 0.0:
         if abs(load) <= level:  # stuck: the friction gives what the load asks for
-            inherent = min(max(load, -p.coulomb), p.coulomb)
+            inherent = min(max(load, -p.inherent), p.inherent)
             p.f_friction = -inherent
             p.f_brake = inherent - load
             p.f_operator = f_h - stiffness * x
@@ -273,7 +325,7 @@ def _move(p: Any, dt: float, drive: float, f_h: float, level: float, motor: floa
             f_h - p.operator_inertia * (v1 - v0) / dt - p.operator_damping * mean - stiffness * (x + 0.5 * way)
         )
     p.f_brake = -sign * capacity
-    p.f_friction = -sign * p.coulomb
+    p.f_friction = -sign * p.inherent
     p.x = x + way
     p.v = v1
     p.w_operator += p.f_operator * way
@@ -305,6 +357,8 @@ def advance(p: Any, f_h: Any, per_knot: int, first: int, steps: int, truth: Any,
         coil_target = -min(p.reverse_A / p.coil_A_Nm, p.brake_max)
     if p.coil_fault != COIL_INTACT:
         coil_target = 0.0
+    if p.coil_step > 0.0:
+        coil_target = math.floor(coil_target / p.coil_step + 0.5) * p.coil_step
     remembers = p.remanence > 0.0 or coil_target < 0.0 or p.coil < 0.0
     square = 0.0
     h = p.h
@@ -322,13 +376,17 @@ def advance(p: Any, f_h: Any, per_knot: int, first: int, steps: int, truth: Any,
         iron = _magnetise(p) if remembers else p.coil
         p.fluid = iron + (p.fluid - iron) * p.fluid_decay
         capacity = p.brake_gain * p.fluid + p.off_state
-        level = capacity + p.coulomb
+        p.inherent = _inherent(p)
+        level = capacity + p.inherent
         hand = f_h[knot] + slope * (within + 0.5)
         drive = hand + torque
         p.f_motor = torque
         left = _move(p, h, drive, hand, level, torque, capacity)
         if left > 0.0:
-            _move(p, left, drive, hand, level, torque, capacity)
+            p.inherent = _inherent(p)
+            _move(p, left, drive, hand, capacity + p.inherent, torque, capacity)
+        if p.transducer_decay > 0.0:
+            p.transduced = p.f_operator + (p.transduced - p.f_operator) * p.transducer_decay
         p.t_ns += p.step_ns
         within += 1
         if within == per_knot and k + 1 < steps:
