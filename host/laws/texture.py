@@ -31,7 +31,7 @@ def texture(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> floa
     show it. The brake bears the level.
 
     Source: M. Minsky, M. Ouh-young, O. Steele, F. P. Brooks, M. Behensky, Feeling and seeing: issues
-    in force display, Computer Graphics 24(2), 1990, doi:10.1145/91394.91451.
+    in force display, Symp. Interactive 3D Graphics, 1990, doi:10.1145/91385.91451.
     """
     level = law.F_c_Nm + law.A_Nm * math.cos(2.0 * math.pi * motion.x_rad / law.period_rad)
     state.brake_Nm = max(level, 0.0)

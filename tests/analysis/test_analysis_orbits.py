@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from coulombus.analysis.loop import relay_loop
 from coulombus.analysis.loop.delay import delay_row, sign_changes
 from coulombus.analysis.loop.operators import Operator
 from coulombus.analysis.loop.orbits import orbits, pattern_of, patterns
@@ -107,6 +108,13 @@ def test_random_starts_reach_the_main_orbit():
         hits += pattern_of(np.sign(estimate[-200:])) == "++--"
     assert hits == 5
     assert share["++--"] > 0.9
+
+
+def test_larger_starts_reach_other_orbits_too(monkeypatch):
+    monkeypatch.setattr(relay_loop, "LARGEST_START", (20e-3, 0.5))
+    share = {orbit.pattern: orbit.share for orbit in orbits(Parameters(), starts=400, seed=1).found}
+    assert share["++--"] == pytest.approx(0.89, abs=0.02)
+    assert share["++-"] + share["+--"] == pytest.approx(0.11, abs=0.02)
 
 
 def test_without_a_spring_the_position_drifts_and_the_orbit_stands():

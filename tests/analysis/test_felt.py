@@ -79,3 +79,18 @@ def test_the_worst_error_is_that_by_size():
     study = FeltStudy("bench", rows)
     assert study.worst() == {("felt", "sliding"): pytest.approx(0.05)}
     assert [row["error"] for row in study.as_dict()["rows"]] == pytest.approx([0.005, -0.05])
+
+
+@pytest.mark.parametrize(
+    ("entry", "taps", "rms"),
+    [
+        ("continuous", "[0.6, 2.1]", 0.54),
+        ("continuous", "[]", 0.031),
+        ("paper", "[0.6, 2.1]", 0.035),
+        ("paper", "[]", 0.031),
+    ],
+)
+def test_the_active_display_oscillates_by_a_tap_and_the_continuous_entry(bench, entry, taps, rms):
+    rig = bench.variant(f'law.stick_entry="{entry}"', f"phase.1.taps_s={taps}")
+    found = simulate(rig, "active", 5.0, measured=True).hold_velocity_rms_rad_s
+    assert found == pytest.approx(rms, rel=0.03)
