@@ -42,6 +42,27 @@ LOADED = re.compile(
     r"""<(?:script|img|iframe|link(?![^>]*rel="canonical"))\b[^>]*\b(?:src|href)=["']?(?:https?:)?//[^>]*>"""
 )
 
+FROM_DISK = """<script>
+if (location.protocol === "file:") window.Worker = class extends EventTarget {
+  constructor(url) {
+    super()
+    const frame = document.createElement("iframe"), script = document.createElement("script")
+    frame.hidden = true
+    document.body.append(frame)
+    this.inside = frame.contentWindow
+    this.inside.postMessage = data => this.dispatchEvent(new MessageEvent("message", {data}))
+    this.ready = new Promise(done => script.onload = done)
+    script.src = url
+    frame.contentDocument.body.append(script)
+  }
+  postMessage(data) { this.ready.then(() => this.inside.dispatchEvent(new MessageEvent("message", {data}))) }
+  terminate() {}
+}
+</script>"""
+"""The search runs in a worker, which a page opened from the disk may not have: there it runs in a
+frame.
+"""
+
 PYTHON = {
     "Run and read": (
         "lab.simulate.simulate",
@@ -163,7 +184,7 @@ def source_page(path: Path) -> str:
     name = path.relative_to(ROOT)
     language = {".py": "python", ".toml": "toml", ".eds": "ini"}.get(path.suffix, "text")
     fence = "~~~~"
-    return f"# {name}\n\nThe file `{name}` of the repository.\n\n{fence}{language}\n{path.read_text()}\n{fence}\n"
+    return f"---\nsearch:\n  exclude: true\n---\n\n# {name}\n\nThe file `{name}` of the repository.\n\n{fence}{language}\n{path.read_text()}\n{fence}\n"
 
 
 def place_of(path: Path) -> str:
@@ -253,10 +274,10 @@ def on_page_markdown(text: str, page: Any, config: Any, files: Files) -> str:
 
 
 def on_post_page(output: str, page: Any, config: Any) -> str:
-    """Refuse a page that loads from the network."""
+    """Refuse a page that loads from the network; let the search run from the disk."""
     if found := LOADED.search(output):
         raise PluginError(f"{page.file.src_path} loads from the network: {found[0]}")
-    return output
+    return output.replace("</head>", f"{FROM_DISK}</head>", 1)
 
 
 def on_post_build(config: Any) -> None:
