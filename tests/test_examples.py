@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+from coulombus.lab.experiment.study import read_study
 from coulombus.lab.sweep.file import read_sweep
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
@@ -72,6 +73,11 @@ def test_virtual_network(tmp_path):
     assert out.count("boot-up of node") == 2
     assert "node 2 is of device type 0x00020192" in out
     assert "100 SYNCs, TPDO1 of node 1: 100, of node 2: 100" in out
+
+
+def test_every_study_file_can_be_read():
+    found = [read_study(path) for path in sorted(EXAMPLES.glob("study_*.toml"))]
+    assert [len(study.conditions) for study in found] == [2, 2]
 
 
 def test_every_sweep_file_can_be_read():

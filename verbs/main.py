@@ -15,6 +15,7 @@ from coulombus.verbs.common import EXIT_STATUS, Verbs
 from coulombus.verbs.conformance import conformance
 from coulombus.verbs.doctor import doctor
 from coulombus.verbs.eds_verb import eds
+from coulombus.verbs.experiment import experiment_command
 from coulombus.verbs.export import export_command
 from coulombus.verbs.hz import hz, pdo
 from coulombus.verbs.init import init
@@ -41,7 +42,7 @@ from coulombus.verbs.tools import tools
 __all__ = ["main"]
 
 VERBS = (
-    *(demo, simulate_command, sweep_command, sim, node_command),
+    *(demo, simulate_command, sweep_command, experiment_command, sim, node_command),
     *(run_command, status, stop, mark, set_command, watch, hz, pdo, decode, dbc, tools, replay, bridge),
     *(export_command, plot_command, diff),
     *(scan, lss, sdo, nmt),

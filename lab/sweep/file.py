@@ -30,17 +30,16 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from coulombus.eds.regular_file import read_regular
 from coulombus.host.laws.law_source import law_attachments
+from coulombus.lab.file_mistakes import FileMistakes, rig_beside, text_of
 from coulombus.lab.sweep.expressions import Condition, ConditionError
 from coulombus.lab.sweep.figures import known_figures
 from coulombus.lab.sweep.points import points
 from coulombus.lab.sweep.ranges import Vary
 from coulombus.recording.recorder import project_version
 from coulombus.rigs.mistakes import nearest, shown, toml_value
-from coulombus.rigs.rig import Rig, RigError, load_rig
-from coulombus.rigs.toml_lines import MOST_CHARACTERS, Document, Key, read_toml, split_key
-from coulombus.sim_bus.faults.words import WANTED
+from coulombus.rigs.rig import Rig, RigError
+from coulombus.rigs.toml_lines import Key, read_toml, split_key
 
 __all__ = ["Sweep", "SweepError", "read_sweep"]
 
@@ -140,46 +139,6 @@ class Sweep:
         return hashlib.sha256(json.dumps(told, sort_keys=True, default=str).encode()).hexdigest()
 
 
-class _Mistakes:
-    """What is wrong with a file, each with its place."""
-
-    def __init__(self, path: str, document: Document) -> None:
-        self._path, self._document = path, document
-        self._found: list[tuple[int, str]] = []
-
-    def say(self, key: Key, text: str) -> None:
-        """Note that something is wrong with a key."""
-        line = self._document.line(key)
-        name = ".".join(map(str, key))
-        self._found.append((line, f"{self._path}:{line}: {name}: {text}" if name else f"{self._path}:{line}: {text}"))
-
-    def explain(self, error: ValidationError, above: Key, model: type[BaseModel]) -> None:
-        """Note what pydantic found in the table `above`."""
-        for one in error.errors():
-            place = tuple(part for part in one["loc"] if not (isinstance(part, str) and "[" in part))
-            given = "" if isinstance(one["input"], dict) else f", not {shown(one['input'])}"
-            if one["type"] == "extra_forbidden":
-                hint = nearest(str(place[-1]), model.model_fields)
-                text = f"no such key here{hint or '; expected ' + ', '.join(model.model_fields)}"
-            elif one["type"] == "missing":
-                text = "is missing"
-            elif one["type"] == "too_short":
-                text = "expected one value or more"
-            elif one["type"] in ("dict_type", "model_type"):
-                text = f"expected a table [{place[-1]}]{given}"
-            else:
-                words = {key: value for key, value in one.get("ctx", {}).items() if key != "error"}
-                text = f"expected {WANTED.get(one['type'], one['msg']).format(**words)}{given}"
-                if one["type"] == "literal_error" and isinstance(one["input"], str):
-                    text += nearest(one["input"], re.findall(r"'(\w+)'", words["expected"]))
-            self.say((*above, *place), text)
-
-    def raise_all(self) -> None:
-        """Raise SweepError with every mistake, in the file's order, if there is one."""
-        if self._found:
-            raise SweepError("\n".join(dict.fromkeys(text for _, text in sorted(self._found, key=lambda one: one[0]))))
-
-
 def read_sweep(path: Path) -> Sweep:
     """Return the sweep of the file `path`.
 
@@ -190,11 +149,11 @@ def read_sweep(path: Path) -> Sweep:
     coulombus.rigs.rig.RigError
         the rig file has a mistake
     """
-    text = _text(path)
+    text = text_of(path, "sweep", SweepError)
     document = read_toml(text)
     if document.problems:
         raise SweepError("\n".join(f"{path}:{line}: {problem}" for line, problem in document.problems))
-    mistakes = _Mistakes(str(path), document)
+    mistakes = FileMistakes(str(path), document, SweepError)
     try:
         file = _File.model_validate(document.values)
     except ValidationError as error:
@@ -204,7 +163,7 @@ def read_sweep(path: Path) -> Sweep:
     vary = _vary(file, mistakes)
     _check_design(file, vary, mistakes)
     mistakes.raise_all()
-    rig = _rig(path, file, mistakes)
+    rig = rig_beside(path, file.rig, mistakes)
     mistakes.raise_all()
     modes = _modes(file, rig, mistakes)
     if file.seconds is None and not rig.schedule_s > 0:
@@ -226,18 +185,6 @@ def read_sweep(path: Path) -> Sweep:
     )
 
 
-def _text(path: Path) -> str:
-    try:
-        raw = read_regular(path, MOST_CHARACTERS)
-    except OSError as error:
-        raise SweepError(f"{path}: the sweep file cannot be read ({error.strerror or error})") from None
-    try:
-        return raw.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = raw.count(b"\n", 0, error.start) + 1
-        raise SweepError(f"{path}:{line}: byte {raw[error.start]:02X}h is not UTF-8; save the file as UTF-8") from None
-
-
 def _leaves(table: Mapping[str, Any], above: tuple[str, ...] = ("vary",)) -> Iterator[tuple[Key, Any]]:
     """Yield where each varied key stands in the file, and what is tried of it."""
     for name, value in table.items():
@@ -253,7 +200,7 @@ def _is_leaf(value: Mapping[str, Any]) -> bool:
     return any(nearest(name, LEAF) and not isinstance(one, Mapping) for name, one in value.items())
 
 
-def _vary(file: _File, mistakes: _Mistakes) -> dict[Key, Vary]:
+def _vary(file: _File, mistakes: FileMistakes) -> dict[Key, Vary]:
     found: dict[Key, Vary] = {}
     for place, given in _leaves(file.vary):
         key = ".".join(str(part) for part in place[1:])
@@ -272,7 +219,7 @@ def _vary(file: _File, mistakes: _Mistakes) -> dict[Key, Vary]:
     return found
 
 
-def _leaf(place: Key, key: str, given: Mapping[str, Any], mistakes: _Mistakes) -> Vary | None:
+def _leaf(place: Key, key: str, given: Mapping[str, Any], mistakes: FileMistakes) -> Vary | None:
     model: type[_Choice] | type[_Range] = _Range if {"low", "high"} & given.keys() else _Choice
     try:
         tried = model.model_validate(given)
@@ -303,7 +250,7 @@ def _leaf(place: Key, key: str, given: Mapping[str, Any], mistakes: _Mistakes) -
     )
 
 
-def _check_design(file: _File, vary: Mapping[Key, Vary], mistakes: _Mistakes) -> None:
+def _check_design(file: _File, vary: Mapping[Key, Vary], mistakes: FileMistakes) -> None:
     for design, key, text in CONTRADICTIONS:
         if file.design == design and (not file.vary if key is None else getattr(file, key) is not None):
             mistakes.say(("design",) if key is None else (key,), text)
@@ -323,26 +270,7 @@ def _check_design(file: _File, vary: Mapping[Key, Vary], mistakes: _Mistakes) ->
         mistakes.say(("vary",), f"a grid of {size} points; expected at most {MOST_RUNS}")
 
 
-def _rig(path: Path, file: _File, mistakes: _Mistakes) -> Rig:
-    is_path = "/" in file.rig or file.rig.endswith(".toml")
-    place = path.parent / file.rig
-    if is_path and not place.exists():
-        mistakes.say(("rig",), f"there is no file {place}; expected a path beside this file, or the name of a rig")
-        mistakes.raise_all()
-    try:
-        rig = load_rig(str(place) if "/" in str(place) else f"./{place}") if is_path else load_rig(file.rig)
-        for axis in rig.axes:
-            _ = axis.simulation
-    except RigError as error:
-        if is_path:
-            raise
-        mistakes.say(("rig",), str(error).removeprefix(f"--rig {file.rig}: "))
-        mistakes.raise_all()
-        raise
-    return rig
-
-
-def _modes(file: _File, rig: Rig, mistakes: _Mistakes) -> tuple[str, ...]:
+def _modes(file: _File, rig: Rig, mistakes: FileMistakes) -> tuple[str, ...]:
     if file.mode is not None and file.modes is not None:
         mistakes.say(("modes",), "mode stands there, too; expected either")
     modes = tuple(file.modes or (file.mode or "hybrid",))
@@ -355,7 +283,7 @@ def _modes(file: _File, rig: Rig, mistakes: _Mistakes) -> tuple[str, ...]:
     return modes
 
 
-def _rates(file: _File, rig: Rig, mistakes: _Mistakes) -> dict[str, Condition]:
+def _rates(file: _File, rig: Rig, mistakes: FileMistakes) -> dict[str, Condition]:
     known, found = known_figures(rig), {}
     for name, text in file.rates.items():
         if not RATE_NAME.fullmatch(name):
@@ -368,7 +296,7 @@ def _rates(file: _File, rig: Rig, mistakes: _Mistakes) -> dict[str, Condition]:
     return found
 
 
-def _on_rig(place: Key, vary: Vary, rig: Rig, mistakes: _Mistakes) -> Vary:
+def _on_rig(place: Key, vary: Vary, rig: Rig, mistakes: FileMistakes) -> Vary:
     """Return the key with what the rig has there; a key that the rig refuses whatever is tried of it
     is a mistake.
     """

@@ -31,6 +31,7 @@ BASE = {
     "demo": "demo --virtual --out DIR/out",
     "simulate": "simulate --seconds 0.01",
     "sweep": "sweep SWEEP -o DIR/sweep",
+    "experiment": "experiment STUDY -o DIR/study --subject S01 --observer 0.1 --bus coulombus:none",
     "sim": "sim --bus coulombus:none --seconds 0.01",
     "run": "run --bus coulombus:none",
     "stop": "stop --bus coulombus:none",
@@ -134,6 +135,7 @@ WITH_RECORDING = (
 )
 WITH_EDS = ("eds check", "init", "node", "conformance", "sdo restore")
 WITH_BUS = (
+    "experiment",
     "run",
     "stop",
     "status",
@@ -181,6 +183,7 @@ def call(tmp_path, private_sockets, monkeypatch):
     with PcapngWriter(tmp_path / "recording.pcapng", attachments={}) as writer:
         writer.write(new_records(FRAME, 3))
     words = {"DIR": tmp_path, "RECORDING": tmp_path / "recording.pcapng", "EDS": ROOT / "eds" / "motor.eds"}
+    words["STUDY"] = ROOT / "examples" / "study_friction_jnd.toml"
     words["SWEEP"] = ROOT / "examples" / "sweep_hybrid.toml"
 
     def run(verb, more="", **replaced):
@@ -334,6 +337,9 @@ def test_a_full_disk_is_a_usage_error_before_anything_is_armed(call, words):
             "sweep --processes 2 --dask tcp://127.0.0.1:1",
             "sweep -o /dev/null/sweep",
             "sweep -o /dev/null",
+            "experiment --observer 0",
+            "experiment --virtual",
+            "experiment --subject ../S01",
         ),
     ],
 )

@@ -1,0 +1,1 @@
+"""What a study came to: thresholds and magnitudes with intervals, and pictures."""
