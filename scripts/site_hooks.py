@@ -183,8 +183,8 @@ def source_page(path: Path) -> str:
     """Return a file of the repository as a page."""
     name = path.relative_to(ROOT)
     language = {".py": "python", ".toml": "toml", ".eds": "ini"}.get(path.suffix, "text")
-    fence = "~~~~"
-    return f"---\nsearch:\n  exclude: true\n---\n\n# {name}\n\nThe file `{name}` of the repository.\n\n{fence}{language}\n{path.read_text()}\n{fence}\n"
+    head = f"---\nsearch:\n  exclude: true\n---\n\n# {name}\n\nThe file `{name}` of the repository.\n\n"
+    return f"{head}~~~~{language}\n{path.read_text()}\n~~~~\n"
 
 
 def place_of(path: Path) -> str:
