@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from enum import IntEnum
 
-__all__ = ["BIT_RATES", "FASTSCAN_START", "UNCONFIGURED", "LssService", "LssState"]
+__all__ = ["BIT_RATES", "FASTSCAN_START", "REQUESTS", "UNCONFIGURED", "LssService", "LssState"]
 
 UNCONFIGURED = 255
 """The node id of a device that has none."""
@@ -55,6 +55,13 @@ class LssService(IntEnum):
     INQUIRE_SERIAL = 0x5D
     INQUIRE_NODE_ID = 0x5E
 
+
+REQUESTS = frozenset(LssService) - {
+    LssService.SWITCH_ANSWER,
+    LssService.IDENTIFY_ANSWER,
+    LssService.NON_CONFIGURED_ANSWER,
+}
+"""What a master asks."""
 
 BIT_RATES: Mapping[int, int] = {
     0: 1_000_000,

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from coulombus.compiled.decorator import inlined, kernel
 from coulombus.eds.cia301 import NmtCommand, NmtState
-from coulombus.eds.cia305 import UNCONFIGURED
+from coulombus.eds.cia305 import REQUESTS, UNCONFIGURED
 from coulombus.eds.nmt import AFTER_COMMAND, AFTER_ERROR, ALLOWED, Service
 from coulombus.node import deadlines, emcy, expedited, guarding, outbox, pdo_traffic, segments
 from coulombus.node.kinds import NO_KIND
@@ -62,6 +62,8 @@ ROUTE_PDO = 8  # + number of the PDO: an RPDO in `route`, a TPDO in `rtr_route`
 ROUTE_CONSUMER = 1024  # + number of the entry of 1016h
 
 _ALL_NODES = 0
+_IS_LSS_REQUEST = tuple(int(command in REQUESTS) for command in range(256))
+"""By an LSS frame's first byte. The others cost no more than any frame that is not for the node."""
 
 
 @inlined
@@ -129,6 +131,12 @@ def handle(
             return nmt_command(n, t_ns, data & 0xFF, out)
         return 0
     if route == ROUTE_LSS:
+        if length != 8:
+            n.dropped_length += 1
+            return 0
+        if not _IS_LSS_REQUEST[data & 0xFF]:
+            n.dropped_unknown += 1
+            return 0
         return 1
     if route == ROUTE_TIME:
         if not ALLOWED[n.nmt] & Service.TIME:

@@ -105,6 +105,11 @@ class LiveBus:
             self._callbacks = (*(one for one in self._callbacks if not one._ended), callback)
         return callback
 
+    @property
+    def lost(self) -> int:
+        """Frames that the bus could not give to this listener, as far as the bus has told."""
+        return self._client.lost
+
     def wait(self, seconds: float | None = None) -> bool:
         """Wait until the bus is closed, at most so long [s]; tell whether it is.
 

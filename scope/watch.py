@@ -1,7 +1,7 @@
 """``coulombus watch``: a bus in one live table, or line by line where no terminal is.
 
 The bus is read in a thread of its own, so that frames do not wait for the drawing; the main thread
-draws and takes the signals. Nothing is ever sent. In a terminal p or the space bar holds the
+draws and takes the signals. Nothing is ever sent. Chosen signals are drawn over time. In a terminal p or the space bar holds the
 picture while the counting goes on, b shows the raw bytes before other columns, q ends it.
 """
 
@@ -30,7 +30,9 @@ from coulombus.eds.cia402 import (
     PowerState,
 )
 from coulombus.rigs.rig import Rig
+from coulombus.scope.braille import drawn
 from coulombus.scope.live import Event, Live, NodeRow, PdoRow, Snapshot, Value
+from coulombus.scope.traces import WINDOW_S, Trace, Traces
 from coulombus.wire.address import BusAddress
 from coulombus.wire.client import BusDown, BusFull, BusGone, Client
 from coulombus.wire.hello import Flags, Hello
@@ -46,6 +48,8 @@ COLLECT_S = 0.002  # frames of this time are taken together: it saves most of th
 EVENTS = 200
 LEAST_EVENTS = 3
 GAPS = 3
+SCOPE_LINES = 5
+"""Of a signal's picture, where the window is high enough."""
 STALE_S = 0.1
 HOST_S = 0.5
 CHANGED = "bold reverse"
@@ -62,11 +66,13 @@ def watch(
     console: Console | None = None,
     all_nodes: bool = True,
     host: Callable[[], str | None] | None = None,
+    scope: Sequence[str] = (),
 ) -> None:
     """Show the bus until a signal, the key q, or for `seconds`.
 
     Parameters
     ----------
+    scope : signals that a terminal draws over the last ten seconds
     host : tells what the bus' host does, in words, None where none runs; it is asked twice a second
         in a thread of its own
     all_nodes : show also the nodes of the rig that were never heard
@@ -75,19 +81,25 @@ def watch(
     ------
     coulombus.wire.address.BusUnavailable
         There is no bus, or it went away meanwhile.
+    coulombus.recording.signals.UnknownSignal
+        The rig has no signal of `scope`.
     """
     console = console or Console()
     live = Live(rig)
+    traces = Traces(rig, scope)
     begin_ns = time.time_ns()
     live.snapshot(begin_ns)  # rates count from here
     hello = Hello(Flags.LISTEN_ONLY | Flags.ERRORS)
-    with Client(address, hello) as client, StopSignals() as stop, _Reader(client, live) as reader:
+    with Client(address, hello) as client, StopSignals() as stop, _Reader(client, live, traces) as reader:
 
         def look() -> tuple[Snapshot, dict[str, Any]]:
             with reader.lock:
                 snapshot = live.snapshot(time.time_ns())
+                seen = traces.look(snapshot.t_ns) if terminal else ()
             facts = {"bus": str(address), "bitrate_bit_s": client.bitrate_bit_s}
-            return snapshot, facts | {"lost": client.lost, "malformed": client.malformed}
+            return snapshot, facts | {"lost": client.lost, "malformed": client.malformed} | (
+                {"traces": seen} if terminal else {}
+            )
 
         terminal = console.is_terminal and not as_json
         pause_s = interval_s or (DRAW_S if terminal else LINE_S)
@@ -177,10 +189,10 @@ class _Asker:
 class _Reader:
     """Takes frames off the bus in a thread of its own; `failure` is why it ended by itself."""
 
-    def __init__(self, client: Client, live: Live) -> None:
+    def __init__(self, client: Client, live: Live, traces: Traces | None = None) -> None:
         self.lock = threading.Lock()
         self.failure: OSError | None = None
-        self._client, self._live = client, live
+        self._client, self._live, self._traces = client, live, traces
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="bus reader", daemon=True)
 
@@ -200,6 +212,8 @@ class _Reader:
                 while found := self._client.receive():
                     with self.lock:
                         self._live.take(found)
+                        if self._traces is not None and self._traces.names:
+                            self._traces.take(found)
                 if time.monotonic_ns() - asked_ns > ASK_NS:
                     asked_ns = time.monotonic_ns()
                     self._client.ask()
@@ -222,15 +236,16 @@ def _on_terminal(
     console: Console, as_json: bool, begin_ns: int, all_nodes: bool
 ) -> Iterator[Callable[[Snapshot, Any], None]]:
     past: deque[Event] = deque(maxlen=EVENTS)
-    held: list[tuple[Snapshot, tuple[Event, ...]]] = []
+    held: list[tuple[Snapshot, tuple[Event, ...], tuple[Trace, ...]]] = []
     with Display(console=console, auto_refresh=False) as display:
 
         def draw(snapshot: Snapshot, facts: dict[str, Any]) -> None:
             past.extend(snapshot.events)
             if not held or not facts.get("paused"):
-                held[:] = [(snapshot, tuple(past))]
+                held[:] = [(snapshot, tuple(past), facts["traces"])]
             facts = facts | {"frames": snapshot.frames}
-            display.update(Screen(held[0][0], facts, held[0][1], begin_ns, all_nodes), refresh=True)
+            seen, events, traces = held[0]
+            display.update(Screen(seen, facts, events, begin_ns, all_nodes, traces), refresh=True)
 
         yield draw
 
@@ -338,6 +353,8 @@ class Screen:
     events: Sequence[Event]
     begin_ns: int
     all_nodes: bool = True
+    traces: Sequence[Trace] = ()
+    """Signals that are drawn over time, below the head."""
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         width, height = options.max_width, options.size.height - 1  # a line is left for the shell
@@ -349,6 +366,8 @@ class Screen:
         if self.facts.get("paused"):
             since = self.facts["frames"] - self.snapshot.frames
             head.append(Text(f"PAUSED: p goes on, q ends; {since} frames came since", style="bold reverse"))
+        for trace in self.traces:
+            head.extend(_scope(trace, width, max(1, min(SCOPE_LINES, (height // 2) // len(self.traces) - 1))))
         nodes = _table(NODE_COLUMNS, list(map(_node_row, _heard(self.snapshot.nodes, self.all_nodes))), width)
         pdos = _table(
             RAW_COLUMNS if self.facts.get("raw") else PDO_COLUMNS,
@@ -372,6 +391,18 @@ class Screen:
     def _event(self, event: Event) -> Text:
         text = f"{(event.t_ns - self.begin_ns) / 1e9:10.3f}  {event.text}"
         return Text(text, style="red" if event.grave else "")
+
+
+def _scope(trace: Trace, width: int, height: int) -> list[Text]:
+    """Return a signal's picture: a line with its range, and `height` lines of dots."""
+    lines, least, most = drawn(trace.low, trace.high, width, height)
+    seen = next((k for k in range(len(trace.low) - 1, -1, -1) if trace.low[k] == trace.low[k]), None)
+    unit = f" {trace.unit}" if trace.unit else ""
+    told = "none came" if seen is None else f"{least:+.5g} to {most:+.5g}{unit}"
+    return [
+        Text(f"{trace.name}  {told}  ({WINDOW_S:g} s)", style="bold"),
+        *(Text(line, style="green") for line in lines),
+    ]
 
 
 def _heard(nodes: Sequence[NodeRow], all_nodes: bool) -> list[NodeRow]:

@@ -52,6 +52,7 @@ __all__ = [
     "faults_option",
     "force_option",
     "json_option",
+    "listed",
     "load",
     "mode_option",
     "print_json",
@@ -483,7 +484,7 @@ signals_option = click.option(
     "--signals",
     "signals",
     multiple=True,
-    callback=lambda ctx, param, texts: _listed(texts),
+    callback=lambda ctx, param, texts: listed(texts),
     metavar="A,B",
     help="Only these signals, by their names.  [default: all]",
 )
@@ -570,7 +571,7 @@ def hanging(text: str, width: int, indent: int) -> str:
     return textwrap.fill(text, width, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False)
 
 
-def _listed(texts: tuple[str, ...]) -> tuple[str, ...] | None:
+def listed(texts: tuple[str, ...]) -> tuple[str, ...] | None:
     """Return the names of one option or several, None where there is none."""
     return tuple(name.strip() for text in texts for name in text.split(",") if name.strip()) or None
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import sys
 from pathlib import Path
@@ -18,6 +19,7 @@ from coulombus.verbs.common import (
     bus_option,
     errors,
     force_option,
+    listed,
     load,
     printable,
     printed,
@@ -29,6 +31,7 @@ from coulombus.verbs.common import (
 from coulombus.verbs.web import PageOptions, page_options, serve_page
 
 if TYPE_CHECKING:
+    from coulombus.rigs.rig import Rig
     from coulombus.wire.address import BusAddress
 
 __all__ = ["dbc", "decode", "host_text", "watch"]
@@ -106,6 +109,29 @@ def host_text(address: BusAddress) -> str | None:
     help="Show nothing; write the frames there as they come: - for stdout, a named pipe, or a file.",
 )
 @force_option
+@click.option(
+    "--scope",
+    multiple=True,
+    callback=lambda ctx, param, texts: listed(texts) or (),
+    metavar="A,B",
+    help="Draw these signals over the last 10 s, in a terminal.",
+)
+@click.option(
+    "--foxglove",
+    type=click.IntRange(0, 65535),
+    is_flag=False,
+    flag_value=8765,
+    metavar="[PORT]",
+    help="Show nothing; serve Foxglove at this port of the loopback; 0: a free one.  [default: 8765]",
+)
+@click.option(
+    "--plotjuggler",
+    type=click.IntRange(1, 65535),
+    is_flag=False,
+    flag_value=9870,
+    metavar="[PORT]",
+    help="Show nothing; send JSON by UDP to PlotJuggler at this port of the loopback.  [default: 9870]",
+)
 @page_options
 @click.option("--beside", is_flag=True, hidden=True, help="Another verb began this page, and ends it.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line to stdout.")
@@ -118,6 +144,9 @@ def watch(
     interval: float | None,
     pcapng: Path | None,
     overwrite: bool,
+    scope: tuple[str, ...],
+    foxglove: int | None,
+    plotjuggler: int | None,
     page: PageOptions,
     beside: bool,
     as_json: bool,
@@ -136,28 +165,40 @@ def watch(
       coulombus watch --bus socketcan:can0 --rig my-rig.toml
       coulombus watch --json --seconds 5 | jq .signals
       coulombus watch --pcapng - | wireshark -k -i -
+      coulombus watch --bus coulombus:bench --scope motor.position_rad
       coulombus watch --bus coulombus:bench --web
+      coulombus watch --bus coulombus:bench --foxglove
     """
     with errors():
         from coulombus.rigs.buses import one_bus
         from coulombus.scope.watch import watch as run
 
         rig, address = one_bus(load(rig_name, overrides), bus_name, channel)
+        ways = {"--web": page.web, "--pcapng": pcapng, "--foxglove": foxglove, "--plotjuggler": plotjuggler}
+        given = [option for option, value in ways.items() if value is not None and value is not False]
+        if len(given) > 1:
+            raise click.UsageError(f"{given[0]} and {given[1]}: choose one of them")
+        if scope and (given or as_json or not sys.stdout.isatty()):
+            raise click.UsageError(f"--scope draws in a terminal: leave {' and '.join(given) or 'it'} out")
+        if foxglove is not None or plotjuggler is not None:
+            _forward(rig, address, foxglove, plotjuggler, seconds=seconds, as_json=as_json)
+            return
         if page.web:
             if pcapng is not None or interval is not None:
                 raise click.UsageError("--web is a page: leave --pcapng and --interval out")
             serve_page(rig, address, page, seconds=seconds, as_json=as_json, beside=beside)
             return
         if pcapng is None:
-            given = click.get_current_context().get_parameter_source("rig_name") is not ParameterSource.DEFAULT
+            named = click.get_current_context().get_parameter_source("rig_name") is not ParameterSource.DEFAULT
             run(
                 rig,
                 address,
                 seconds=seconds,
                 as_json=as_json,
                 interval_s=interval,
-                all_nodes=given,
+                all_nodes=named,
                 host=lambda: host_text(address),
+                scope=scope,
             )
             return
         from coulombus.recording.stream import stream
@@ -172,6 +213,35 @@ def watch(
             say=lambda text: say(f"coulombus: {text}"),
             force=overwrite,
         )
+
+
+def _forward(
+    rig: Rig,
+    address: BusAddress,
+    foxglove: int | None,
+    plotjuggler: int | None,
+    *,
+    seconds: float | None,
+    as_json: bool,
+) -> None:
+    """Feed Foxglove or PlotJuggler until a signal; tell where, and at the end how much."""
+    from coulombus.scope.forward import Foxglove, PlotJuggler, Sink, forward
+
+    def ready(url: str) -> None:
+        if as_json:
+            click.echo(json.dumps({"event": "ready", "url": url}))
+        else:
+            say(f"{address} at {url}; Ctrl-C ends it")
+
+    sink: Sink = Foxglove(rig, foxglove) if foxglove is not None else PlotJuggler(plotjuggler or 0)
+    try:
+        found = forward(rig, address, sink, seconds=seconds, ready=ready)
+    finally:
+        sink.close()
+    if as_json:
+        click.echo(json.dumps({"event": "end", **found}))
+    else:
+        say(f"{found['pdos']} PDOs handed on, {found['unheard']} unheard, {found['lost']} lost")
 
 
 @click.command(epilog=EXIT_STATUS)

@@ -22,8 +22,8 @@ from typing import Any
 import numpy as np
 
 from coulombus.rigs.axis import Axis
+from coulombus.scope.tracks import BIN_NS
 from coulombus.scope.web.capture import RAW_NS, ROWS, Capture
-from coulombus.scope.web.tracks import BIN_NS
 
 __all__ = ["IN_FLIGHT", "Flow", "batch", "layout", "unpacked"]
 

@@ -18,7 +18,7 @@ from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo
 from coulombus.scope.live import Event, Live, Snapshot
-from coulombus.scope.web.tracks import Envelope, Integers, Samples, velocity
+from coulombus.scope.tracks import Envelope, Integers, Samples, velocity
 from coulombus.wire.bits import frame_bits
 from coulombus.wire.can_id import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 from coulombus.wire.client import Received

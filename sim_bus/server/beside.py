@@ -43,7 +43,9 @@ from coulombus.wire.frame import new_records, push
 __all__ = ["FRAME", "RECORD", "Beside", "Worker", "collect", "drained", "leave", "settle"]
 
 JOBS = 64
-"""Jobs that wait at most; for the next one the loop waits."""
+"""Jobs that wait at most. A further frame is lost, as in a device whose buffer is full; for the
+rest, which is the simulation's own, the loop waits.
+"""
 NODE_WORDS = NODE.itemsize // 8
 PATIENCE_NS = 100_000_000
 FRAME, RECORD = -1, -2
@@ -86,6 +88,7 @@ BESIDE = np.dtype(
         ("now", JOB),  # the one that is under way
         ("changed", np.int64),  # how many words of the nodes' records Python has changed
         ("served", np.int64),  # jobs that are done
+        ("dropped", np.int64),  # frames for services that came while `JOBS` waited
         ("most_waiting", np.int64),
     ],
     align=True,
@@ -128,6 +131,9 @@ def leave(beside: Beside, world: World, pace: Any, why: int, axis: int) -> bool:
     j, w = beside.state, world.state
     if j.on == 0 or (axis == FRAME and w.control_plane + w.heard != 0):
         return False
+    if axis == FRAME and j.waiting == JOBS:
+        j.dropped += 1
+        return True
     if axis != FRAME:
         place = axis if axis >= 0 else beside.asked.shape[0] - 1
         if beside.asked[place] != 0 and why != Exit.ENABLED:

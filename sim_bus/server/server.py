@@ -70,6 +70,8 @@ class SimResult:
     """Frames that clients did not get because they did not read, all clients together."""
     losers: list[dict[str, int]] = field(default_factory=list)
     malformed: int = 0
+    unserved: int = 0
+    """Requests (SDO, LSS, resets) that were lost because the nodes had too many to serve."""
     stalls: int = 0
     stalled_s: float = 0.0
     latest_delivery_s: float = 0.0
@@ -273,6 +275,7 @@ class BusServer:
                 result.socketcan = {name: int(self._slots[slot][name]) for name in names}
             self._part(slot)
         result.frames = int(bus["frames"].sum())
+        result.unserved = int(self._worker.shared.state["dropped"])
         result.stalls, result.stalled_s = int(pace["stalls"]), int(pace["stalled_ns"]) * 1e-9
         result.latest_delivery_s, result.wakeups = int(pace["latest_ns"]) * 1e-9, int(pace["wakeups"])
         return result

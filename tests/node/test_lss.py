@@ -7,7 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from coulombus.eds import cia305
 from coulombus.eds.cia305 import UNCONFIGURED, LssService
+from coulombus.node import lss
 from coulombus.node.store import FileStore, Store
 from coulombus.wire.frame import CAN_RTR_FLAG
 from node_bench import MS, Bench, enable, motor, setpoint
@@ -60,6 +62,10 @@ def identify(bench, *numbers):
 
 
 # switch state, inquire
+
+
+def test_what_the_core_hands_to_python_is_what_python_serves():
+    assert set(lss._SERVICES) == cia305.REQUESTS
 
 
 def test_a_slave_that_waits_answers_no_question_of_its_settings():

@@ -106,14 +106,38 @@ def test_pdos_go_on_while_python_serves(server, monkeypatch):
 
 
 def test_what_came_meanwhile_is_served_in_its_order(server, monkeypatch):
-    """More requests than may wait: the loop waits for the first of them, and none is lost."""
     go = held_up(server, monkeypatch)
     with running(server), Client() as client:
-        count = JOBS + 20
-        client.send(*(frame(0x601, UPLOAD_NAME) for _ in range(count)))
+        client.send(*(frame(0x601, UPLOAD_NAME) for _ in range(JOBS)))
         go.set()
-        client.until(0x581, count)
-    assert server._worker.shared.state["served"] >= count
+        client.until(0x581, JOBS)
+    assert server._worker.shared.state["served"] >= JOBS
+    assert server.result.unserved == 0
+
+
+def test_more_requests_than_may_wait_are_lost_and_counted_and_the_bus_goes_on(server, monkeypatch):
+    """A flood of LSS frames let the bus stand still: it came 32 s late, and no SDO was answered."""
+    go = held_up(server, monkeypatch)
+    with running(server), Client() as client:
+        client.send(frame(0x000, (1, 0)), *(frame(0x601, UPLOAD_NAME) for _ in range(JOBS + 21)))
+        client.send(frame(0x080))
+        assert 0x581 not in client.until(0x181)
+        go.set()
+        client.until(0x581, JOBS + 1)  # with the one that was under way
+        assert server._worker.shared.state["dropped"] == 20
+    assert server.result.unserved == 20
+
+
+def test_frames_that_are_no_lss_request_are_not_python_s(server, monkeypatch):
+    go = held_up(server, monkeypatch)
+    go.set()
+    with running(server), Client() as client:
+        client.send(frame(0x7E5, bytes(8)), frame(0x7E5, b"\x44" + bytes(7)), frame(0x7E5, b"\x04"))
+        client.send(frame(0x601, UPLOAD_NAME))
+        client.until(0x581)
+        assert server._worker.shared.state["served"] == 1
+        assert int(server._worker.loop.nodes["dropped_unknown"][0]) == 2
+        assert int(server._worker.loop.nodes["dropped_length"][0]) == 1
 
 
 def test_what_both_write_is_kept(server, monkeypatch):

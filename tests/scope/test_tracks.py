@@ -1,6 +1,6 @@
 import numpy as np
 
-from coulombus.scope.web.tracks import BIN_NS, ENVELOPE_BINS, Envelope, Samples, velocity
+from coulombus.scope.tracks import BIN_NS, ENVELOPE_BINS, Envelope, Samples, velocity
 
 MS = 1_000_000
 
