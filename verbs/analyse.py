@@ -180,6 +180,36 @@ def analyse(ctx: click.Context, /, **options: Any) -> None:
 
 
 @analyse.command(epilog=EXIT_STATUS)
+@click.argument("folder", type=click.Path(path_type=Path, file_okay=False))
+@figures_option
+@json_option
+def study(folder: Path, figures: Path | None, as_json: bool) -> None:
+    """Thresholds of a study that `coulombus experiment` has kept in FOLDER.
+
+    Just noticeable differences with intervals of 95 % (profile likelihood), Weber fractions,
+    exponents of magnitudes, all subjects together, and a mixed model where statsmodels is installed.
+
+    \b
+    Examples:
+      coulombus analyse study out/study
+      coulombus analyse study out/study --figures out/figures --json
+    """
+    with errors():
+        from coulombus.analysis.study.report import lines, report, write_figures
+
+        found = report(folder)
+        if figures is not None:
+            _tell_paths(write_figures(found, figures))
+        if found["no_mixed_model"] is not None and len(found["subjects"]) > 1:
+            say(f"coulombus: {found['no_mixed_model']}")
+        with printed():
+            if as_json:
+                print_json(found)
+            else:
+                click.echo("\n".join(lines(found)))
+
+
+@analyse.command(epilog=EXIT_STATUS)
 @loop_options
 @figures_option
 @json_option

@@ -88,6 +88,7 @@ def run_session(folder: SubjectFolder, show: Callable[[Display], RunResult], peo
     if trial is None:
         return Session(folder.subject, _answered(folder), True)
     begun = trial.number
+    rigs: dict[tuple[str, float], Rig] = {}
     for text in (file.consent, file.instructions):
         if text and not people.go_on(text):
             return Session(folder.subject, trial.number - 1, False, "stopped by the subject")
@@ -100,7 +101,8 @@ def run_session(folder: SubjectFolder, show: Callable[[Display], RunResult], peo
         for number, level in enumerate(trial.levels, 1):
             if len(trial.levels) > 1:
                 people.tell(f"display {number}")
-            rig = study.variant(trial.condition, level)
+            key = trial.condition.name, level
+            rig = rigs[key] = rigs.get(key) or study.variant(trial.condition, level)
             seed = int(np.random.SeedSequence([file.seed, folder.number, trial.number, number]).generate_state(1)[0])
             record = folder.recording(trial, number)
             result = show(Display(rig, trial.condition.mode, file.seconds, record, seed, trial.number, number))

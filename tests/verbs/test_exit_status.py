@@ -76,6 +76,7 @@ BASE = {
     "analyse hold": "analyse hold",
     "analyse felt": "analyse felt",
     "analyse map": "analyse map",
+    "analyse study": "analyse study STUDIED",
     "identify": "identify RECORDING",
     "law": "law lugre --motion sine",
 }

@@ -1,0 +1,174 @@
+"""The report of a study's folder: each subject, each condition, all subjects, and a picture."""
+
+from __future__ import annotations
+
+import importlib
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import t as student
+
+from coulombus.analysis.study.fit import Fit, fit_comparisons, fit_magnitudes
+from coulombus.lab.experiment.folder import FolderError, read_events, subjects_of
+
+__all__ = ["lines", "report", "write_figures"]
+
+
+def report(folder: Path) -> dict[str, Any]:
+    """Return what the answers of a folder come to, as plain values for JSON.
+
+    Training is left out. Thresholds over the subjects are a geometric mean with the interval of
+    Student's t of their logarithms. Of two subjects and two conditions or more there is a mixed
+    model, log JND by condition with a random intercept for each subject, where statsmodels is
+    installed.
+
+    Raises
+    ------
+    FolderError
+        it is the folder of no study, or a file of it cannot be used
+    """
+    subjects = {subject: _subject(folder, subject) for subject in subjects_of(folder)}
+    names = list(dict.fromkeys(name for found in subjects.values() for name in found))
+    conditions = {name: _over([one[name] for one in subjects.values() if name in one]) for name in names}
+    model, why_not = _mixed(subjects)
+    return {"subjects": subjects, "conditions": conditions, "mixed_model": model, "no_mixed_model": why_not}
+
+
+def _subject(folder: Path, subject: str) -> dict[str, Any]:
+    paths = sorted((folder / f"sub-{subject}").glob(f"sub-{subject}_task-*_events.tsv"))
+    rows: list[dict[str, str]] = []
+    for path in paths:
+        rows += read_events(path)
+        try:
+            [_numbers(row) for row in rows]
+        except ValueError as error:
+            raise FolderError(f"{path}: a cell is no number ({error}); mend or remove the row") from None
+    counted = [row for row in rows if row["training"] == "0"]
+    names = dict.fromkeys(row["condition"] for row in counted)
+    return {name: _condition([row for row in counted if row["condition"] == name]) for name in names}
+
+
+def _numbers(row: Mapping[str, str]) -> tuple[float, float | None, int]:
+    return float(row["level"]), None if row["reference"] == "n/a" else float(row["reference"]), int(row["first"])
+
+
+def _condition(rows: Sequence[Mapping[str, str]]) -> dict[str, Any]:
+    """Return the fit of one subject in one condition, with the answers that it is of."""
+    told: dict[str, Any] = {"trials": len(rows), "fit": None, "magnitudes": None, "levels": {}}
+    answered = [row for row in rows if row["answer"] != "n/a"]
+    if not answered:
+        return told
+    levels = [float(row["level"]) for row in answered]
+    if answered[0]["reference"] == "n/a":
+        found = fit_magnitudes(levels, [float(row["answer"]) for row in answered])
+        return told | {"magnitudes": None if found is None else found.as_dict()}
+    larger = [row["answer"] == row["first"] for row in answered]
+    for level in sorted(set(levels)):
+        took = [one for x, one in zip(levels, larger, strict=True) if x == level]
+        told["levels"][f"{level:g}"] = [sum(took), len(took)]
+    try:
+        fit = fit_comparisons(levels, larger, float(answered[0]["reference"]))
+    except ValueError:
+        return told
+    return told | {"fit": fit.as_dict()}
+
+
+def _over(found: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    jnds = [one["fit"]["jnd"] for one in found if one["fit"] is not None]
+    told: dict[str, Any] = {"subjects": len(found), "jnd": None, "jnd_95": None}
+    if jnds:
+        logs = np.log(jnds)
+        told["jnd"] = float(np.exp(logs.mean()))
+        if len(jnds) > 1:
+            half = float(student.ppf(0.975, len(jnds) - 1) * logs.std(ddof=1)) / math.sqrt(len(jnds))
+            told["jnd_95"] = [float(np.exp(logs.mean() - half)), float(np.exp(logs.mean() + half))]
+    return told
+
+
+def _mixed(subjects: Mapping[str, Mapping[str, Any]]) -> tuple[dict[str, Any] | None, str | None]:
+    """Return the mixed model's effects against the first condition, or why there is none."""
+    rows = [
+        (subject, name, math.log(one["fit"]["jnd"]))
+        for subject, found in subjects.items()
+        for name, one in found.items()
+        if one["fit"] is not None
+    ]
+    names = list(dict.fromkeys(name for _, name, _ in rows))
+    if len({subject for subject, _, _ in rows}) < 2 or len(names) < 2 or len(rows) < len(names) + 3:
+        return None, "a mixed model needs two subjects and two conditions, and three thresholds more than conditions"
+    try:
+        models: Any = importlib.import_module("statsmodels.regression.mixed_linear_model")
+    except ImportError:
+        return None, "a mixed model needs statsmodels: pip install statsmodels"
+    design = np.array([[1.0, *(float(name == one) for one in names[1:])] for _, name, _ in rows])
+    try:
+        fitted = models.MixedLM(
+            np.array([jnd for _, _, jnd in rows]), design, groups=np.array([subject for subject, _, _ in rows])
+        ).fit(reml=True)
+        bounds = np.asarray(fitted.conf_int())
+    except (np.linalg.LinAlgError, ValueError) as error:
+        return None, f"the mixed model cannot be fitted: {error}"
+    effects = {
+        name: {
+            "ratio": float(np.exp(fitted.params[k])),
+            "ratio_95": [float(np.exp(bounds[k][0])), float(np.exp(bounds[k][1]))],
+        }
+        for k, name in enumerate(names)
+        if k
+    }
+    return {"against": names[0], "jnd_ratio": effects}, None
+
+
+def _between(bounds: Sequence[float | None] | None) -> str:
+    if bounds is None:
+        return ""
+    low, high = ("?" if one is None else f"{one:.4g}" for one in bounds)
+    return f" ({low} to {high})"
+
+
+def lines(found: Mapping[str, Any]) -> Iterable[str]:
+    """Yield a report as text."""
+    for subject, conditions in found["subjects"].items():
+        for name, one in conditions.items():
+            text = f"{subject} {name}: {one['trials']} trials"
+            fit, magnitudes = one["fit"], one["magnitudes"]
+            if fit is not None:
+                text += f", JND {fit['jnd']:.4g}{_between(fit['jnd_95'])}, PSE {fit['pse']:.4g}"
+                text += "" if fit["weber"] is None else f", Weber fraction {fit['weber']:.3g}"
+                text += f", {fit['right']:.1%} right"
+            if magnitudes is not None:
+                text += f", exponent {magnitudes['exponent']:.3g}{_between(magnitudes['exponent_95'])}"
+            yield text
+    for name, one in found["conditions"].items():
+        if one["jnd"] is not None and one["subjects"] > 1:
+            yield f"{name}: JND {one['jnd']:.4g}{_between(one['jnd_95'])} of {one['subjects']} subjects"
+    model = found["mixed_model"]
+    for name, effect in (model or {"jnd_ratio": {}})["jnd_ratio"].items():
+        yield f"{name}: JND {effect['ratio']:.3g}{_between(effect['ratio_95'])} times that of {model['against']}"
+
+
+def write_figures(found: Mapping[str, Any], folder: Path) -> list[Path]:
+    """Draw the psychometric functions of each subject, and return the files: PNG and SVG."""
+    from coulombus.recording.pictures.style import figure, save
+
+    paths: list[Path] = []
+    for subject, conditions in found["subjects"].items():
+        shown = {name: one for name, one in conditions.items() if one["fit"] is not None}
+        if not shown:
+            continue
+        with figure(6.0, 4.0) as (made, axes):
+            for k, (name, one) in enumerate(shown.items()):
+                fit = Fit(**one["fit"])
+                levels = np.array([float(level) for level in one["levels"]])
+                counts = np.array(list(one["levels"].values()), float)
+                colour = f"C{k}"
+                axes.scatter(levels, counts[:, 0] / counts[:, 1], s=8 + 2 * counts[:, 1], color=colour, alpha=0.6)
+                x = np.linspace(levels.min(), levels.max(), 200)
+                axes.plot(x, fit.chance(x), color=colour, label=f"{name}: JND {fit.jnd:.3g}")
+            axes.set(xlabel="level", ylabel="share taken as larger", ylim=(-0.03, 1.03), title=f"subject {subject}")
+            axes.legend()
+            paths += save(made, folder, f"sub-{subject}_psychometric")
+    return paths

@@ -1,0 +1,90 @@
+"""The report of a folder: a simulated observer goes through the whole chain."""
+
+from collections.abc import Callable
+
+import pytest
+from click.testing import CliRunner
+
+from coulombus.analysis.study.report import _mixed, lines, report, write_figures
+from coulombus.lab.experiment.folder import FolderError, SubjectFolder
+from coulombus.lab.experiment.observer import Observer
+from coulombus.lab.experiment.session import People, run_session
+from coulombus.lab.experiment.study import read_study
+from coulombus.verbs.main import main
+from study_text import TEXT
+
+STAIRS = 'kind = "staircase"\nstart = 2.1\nlow = 2.0\nhigh = 3.2\nsteps = [0.05]\ntrials = 80\n'
+TWO = TEXT[: TEXT.index("kind =")] + STAIRS + '[[condition]]\nname = "a"\n[[condition]]\nname = "b"\nmode = "passive"\n'
+
+PAIRS = ((0.10, 0.16), (0.12, 0.17), (0.15, 0.22), (0.18, 0.28), (0.20, 0.29))
+
+
+class Nothing:
+    exit_status, trip, stopped_by = 0, None, None
+
+
+@pytest.fixture
+def keep(tmp_path) -> Callable[..., None]:
+    def run(text: str, *jnds: float) -> None:
+        (tmp_path / "study.toml").write_text(text)
+        study = read_study(tmp_path / "study.toml")
+        for number, jnd in enumerate(jnds, 1):
+            with SubjectFolder(study, tmp_path / "out", f"S{number:02d}", {}) as own:
+                observer = Observer(jnd, 3, own.number)
+                people = People(tell=lambda text: None, ask=observer.answer, go_on=lambda text: True)
+                assert run_session(own, lambda display: Nothing(), people).complete
+
+    return run
+
+
+def test_staircases_come_to_the_observers_thresholds(keep, tmp_path):
+    jnds = (0.13, 0.17)
+    keep(TWO, *jnds)
+    found = report(tmp_path / "out")
+    for jnd, conditions in zip(jnds, found["subjects"].values(), strict=True):
+        for one in conditions.values():
+            assert one["fit"]["trials"] == one["trials"] == 80
+            assert one["fit"]["jnd"] == pytest.approx(jnd, rel=0.5)
+            assert one["fit"]["right"] == pytest.approx(0.7071, abs=0.08)
+    low, high = found["conditions"]["a"]["jnd_95"]
+    assert low < 0.15 < high
+    assert "2 subjects" in "\n".join(lines(found))
+
+
+def test_pictures_are_the_same_for_the_same_answers(keep, tmp_path):
+    keep(TEXT, 0.15)
+    first, second = (write_figures(report(tmp_path / "out"), tmp_path / name) for name in ("one", "two"))
+    assert [path.name for path in first] == ["sub-S01_psychometric.png", "sub-S01_psychometric.svg"]
+    assert [path.read_bytes() for path in first] == [path.read_bytes() for path in second]
+
+
+def test_magnitudes_come_to_their_exponent(keep, tmp_path):
+    text = (
+        TEXT.replace("reference = 2.0\n", "")
+        .replace('"constant"', '"magnitude"')
+        .replace("repeats = 2", "repeats = 30")
+    )
+    keep(text, 0.05)
+    told = report(tmp_path / "out")["subjects"]["S01"]["a"]["magnitudes"]
+    assert told["exponent_95"][0] < 1.0 < told["exponent_95"][1]
+
+
+def test_conditions_are_compared_by_a_mixed_model():
+    pytest.importorskip("statsmodels")
+    fits = {f"S{k}": {"a": {"fit": {"jnd": a}}, "b": {"fit": {"jnd": b}}} for k, (a, b) in enumerate(PAIRS)}
+    model, why_not = _mixed(fits)
+    assert why_not is None
+    low, high = model["jnd_ratio"]["b"]["ratio_95"]
+    assert model["against"] == "a"
+    assert 1.2 < low < 1.5 < high < 1.9  # b is 1.5 times a, but for a few per cent
+
+
+def test_a_folder_of_no_study_and_a_broken_row_are_told(keep, tmp_path):
+    result = CliRunner().invoke(main, ["analyse", "study", str(tmp_path)])
+    assert result.exit_code == 2
+    assert "holds no study" in result.output
+    keep(TEXT, 0.15)
+    path = tmp_path / "out" / "sub-S01" / "sub-S01_task-jnd_events.tsv"
+    path.write_text(path.read_text().replace("\t2.4\t", "\tx\t"))
+    with pytest.raises(FolderError, match="is no number"):
+        report(tmp_path / "out")
