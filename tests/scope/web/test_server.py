@@ -260,6 +260,51 @@ def test_rubbish_ends_its_session_and_nothing_else():
     asyncio.run(run())
 
 
+def test_an_arm_key_of_half_a_character_is_wrong():
+    door = Door(arm_key="1234")
+    told = door.changes.answer('{"values": {"F_s_Nm": 3.2}, "key": "\\ud800"}')
+    assert told["error"].startswith("the arm key is wrong")
+
+
+def test_a_hundred_thousand_mutilated_orders_change_nothing_beyond_bounds():
+    door, noise = Door(), random.Random(5)
+    seeds = ['set {"values": {"F_s_Nm": 3.2}}', 'set {"undo": true}', "mark 7", "took 3", "control"]
+    pieces = ["NaN", "1e999", "-9", '"', "{", "}", "[", ":", "null", "set ", "\0", "\ud800", "\N{SNOWMAN}", "9" * 400]
+
+    def mutilated():
+        text = noise.choice(seeds)
+        for _ in range(noise.randrange(1, 4)):
+            at, cut = noise.randrange(len(text) + 1), noise.randrange(4)
+            text = text[:at] + noise.choice(pieces) + text[at + cut :]
+        return text if noise.random() < 0.9 else text.encode("utf-8", "replace")
+
+    async def run():
+        shown = page(door=door)
+        async with served(shown) as url:
+            bad = await socket_of(url)
+            session = next(iter(shown.sessions))
+            rubbish = 0
+            for k in range(100_000):
+                session.on_message(mutilated())
+                rubbish, session.rubbish = rubbish + session.rubbish, 0  # or else it ended after a hundred
+                if k % 1000 == 0:
+                    await asyncio.sleep(0)
+            while shown.asking:
+                await asyncio.sleep(0.001)
+            assert rubbish > 50_000
+            assert (door.stops, shown.stopping) == (0, 0)
+            F_s_Nm = next(row for row in door.changes.rows()[0] if row["name"] == "F_s_Nm")
+            assert F_s_Nm["low"] <= F_s_Nm["value"] <= F_s_Nm["high"]
+            bad.close()
+            good = await socket_of(url)
+            shown.capture.take(cycles(0, 33))
+            shown.tick(BEGIN_NS + 40 * MS)
+            assert unpacked(await good.read_message())[0]["state"]["rig"] == "bench"
+            good.close()
+
+    asyncio.run(run())
+
+
 def test_a_port_in_use_is_told():
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
