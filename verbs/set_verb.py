@@ -36,7 +36,8 @@ def _values(ctx: click.Context, param: click.Parameter, texts: tuple[str, ...]) 
         try:
             value = float(number)
         except ValueError:
-            value, reason = float("nan"), f"'{number}' is no number{number_hint(number, '')}"
+            hint = number_hint(number, "") or "; expected NAME=VALUE, as in F_s=2.0"
+            value, reason = float("nan"), f"'{number}' is no number{hint}"
         if not equals or not name:
             reason = "expected NAME=VALUE, as in F_s=2.0"
         if reason:
