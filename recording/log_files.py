@@ -7,6 +7,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from coulombus.eds.regular_file import require_regular
+from coulombus.recording import mf4_log
 from coulombus.wire.frame import FRAME, Records, new_records
 from coulombus.wire.messages import can_id_of, is_classical, word_of
 
@@ -48,6 +49,8 @@ def read_log(path: str | Path) -> tuple[Records, list[str]]:
     """
     import can
 
+    if Path(path).name.lower().removesuffix(".gz").endswith(".mf4"):
+        mf4_log.ready()
     rows: list[tuple[int, int, int, int, int]] = []
     skipped = 0
     try:

@@ -216,3 +216,10 @@ def test_the_settings_for_a_shared_machine_are_those_of_the_option():
 @pytest.mark.parametrize("name", [name for name in NAMES if name != "README.md"])
 def test_a_page_begins_with_what_the_reader_can_do_after_it(name):
     assert text_of(name).split("\n\n")[1].startswith("After this page "), name
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_lines_of_prose_have_at_most_100_columns(name):
+    prose = re.sub(r"^```.*?^```$", "", text_of(name), flags=re.M | re.S)
+    long = [line for line in prose.splitlines() if len(line) > 100 and not line.startswith(("|", "    ", "!["))]
+    assert [line for line in long if " " in re.sub(r"`[^`]+`|\[[^]]*\]\([^)]*\)", "", line[:100])[60:]] == [], name

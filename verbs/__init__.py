@@ -8,7 +8,8 @@ __all__: list[str] = []
 
 
 class _WithoutMf4:
-    """python-can's MF4 reader, which no verb uses, is left without its library.
+    """python-can's MF4 reader is left without its library until a log is read that needs it
+    (`coulombus.recording.mf4_log`).
 
     Where that is installed (the extra ``export``), python-can loads it and pandas at its own
     import: each start of a verb would take 0.7 s of processor time longer.
@@ -17,7 +18,7 @@ class _WithoutMf4:
     @staticmethod
     def find_spec(name: str, path: object = None, target: object = None) -> None:
         """Refuse `asammdf` to python-can; whoever else asks is not looked at."""
-        if name == "asammdf" and _imported_by("can.io.mf4"):
+        if name == "asammdf" and _imported_by("can.io.mf4") and not _imported_by("coulombus.recording.mf4_log"):
             raise ImportError("left out by coulombus.verbs", name=name)
 
 

@@ -250,6 +250,26 @@ def test_a_verb_does_not_load_the_library_of_python_cans_mf4_reader(tmp_path):
     assert done.stdout == "whoever asks gets it\n", done.stderr
 
 
+def test_a_verb_reads_an_mf4_log(tmp_path):
+    """The library was left out for good: decode said that it is not installed."""
+    pytest.importorskip("asammdf")
+    script = (
+        "import can\n"
+        "with can.Logger('theirs.mf4') as log:\n"
+        "    log.on_message_received(can.Message(arbitration_id=0x181, data=bytes(8), is_extended_id=False, timestamp=1))\n"
+    )
+    subprocess.run([sys.executable, "-c", script], cwd=tmp_path, check=True, timeout=120)
+    done = subprocess.run(
+        [sys.executable, "-P", "-m", "coulombus", "decode", "--rig", "bench", "theirs.mf4"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "position_rad" in done.stdout
+
+
 def test_what_the_demo_names_next_can_be_done(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     schedule = 'phase=[{kind="rest", duration_s=2.2}]'
