@@ -44,7 +44,7 @@ def follow(page, folder):
     assert shown
 
 
-@pytest.mark.parametrize("page", ["first-experiment.md", "first-rig.md", "sweep.md"])
+@pytest.mark.parametrize("page", ["first-experiment.md", "first-rig.md", "sweep.md", "study.md"])
 def test_a_tutorial_in_virtual_time(page, tmp_path):
     follow(page, tmp_path)
 
@@ -72,6 +72,6 @@ def test_a_notebook_runs_from_its_first_cell_to_its_last(name, tmp_path, monkeyp
 def test_every_tutorial_is_followed():
     found = {path.name for path in TUTORIALS.iterdir()}
     assert found == {
-        *("index.md", "first-experiment.md", "first-rig.md", "sweep.md", "can-tour.md", "own-device.md"),
+        *("index.md", "first-experiment.md", "first-rig.md", "sweep.md", "study.md", "can-tour.md", "own-device.md"),
         *("own-law.ipynb", "recording.ipynb"),
     }
