@@ -102,7 +102,7 @@ def _mixed(subjects: Mapping[str, Mapping[str, Any]]) -> tuple[dict[str, Any] | 
     try:
         models: Any = importlib.import_module("statsmodels.regression.mixed_linear_model")
     except ImportError:
-        return None, "a mixed model needs statsmodels: pip install statsmodels"
+        return None, "a mixed model needs statsmodels: pip install 'coulombus[study]'"
     design = np.array([[1.0, *(float(name == one) for one in names[1:])] for _, name, _ in rows])
     try:
         fitted = models.MixedLM(
