@@ -32,6 +32,7 @@ import importlib
 import importlib.util
 import inspect
 import math
+import re
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
@@ -84,6 +85,9 @@ __all__ = [
 
 OLD_PLACE = "host.laws"
 """What stood before their names in earlier rig files."""
+
+COLOURS = re.compile(r"\x1b\[[\d;]*m")
+"""What numba puts into its messages where colorama is installed."""
 
 EXERCISES = "coulombus.host.laws.exercises"
 """The module of the exercises of commissioning, which are the project's own, too."""
@@ -217,7 +221,7 @@ def _why_not(function: Any, error: Exception) -> str:
         found = _unknown_field(function, error.args[0])
         if found:
             return found
-    text = str(error)
+    text = COLOURS.sub("", str(error))
     lines = [line.strip() for line in text.splitlines()]
     first = next((i for i, line in enumerate(lines) if line and "pipeline" not in line), 0)
     sentence: list[str] = []

@@ -52,6 +52,7 @@ RULES = (
     (r": coulombus commission", "minutes of virtual time: tests/verbs/test_commission_command.py"),
     (r": coulombus sweep", "64 runs: tests/verbs/test_sweep_command.py runs smaller ones"),
     (r": coulombus experiment", "a study of many trials: tests/verbs/test_experiment_command.py runs shorter ones"),
+    (r": coulombus analyse study", "reads a study's folder: docs/tutorials/study.md analyses the one that it makes"),
     (r"--sensor amplifier", "files of three makers: tests/verbs/test_init_command.py"),
     (r"eds check --json \*\.eds", "needs jq: tests/verbs/test_eds_command.py reads the JSON"),
     (r"candump\.log", "a log of another bus: tests/recording/test_export.py"),

@@ -181,7 +181,8 @@ def test_lss_lists_and_numbers_devices(desk):
         (("--set-id", 9, "--device", "1:2:3:4"), 5, "no device with LSS"),
         (("--set-id", 9, "--device", "1:2:3"), 2, "expected VENDOR:PRODUCT"),
         (("--bitrate", 500000), 2, "add --store"),
-        (("--bitrate", 5, "--store"), 2, "expected one of 1000000"),
+        (("--bitrate", 5, "--store"), 2, "expected a bit rate from 10k to 20M"),
+        (("--bitrate", "600k", "--store"), 2, "expected one of 1000000"),
     ):
         refused = call("lss", *BUS, *words)
         assert refused.exit_code == status, refused.output
