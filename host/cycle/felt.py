@@ -28,12 +28,15 @@ enters: a wrong belief makes the brake late or early by the difference, and neve
 domain passivity control (B. Hannaford, J.-H. Ryu, IEEE T-RA 18(1), 2002, doi:10.1109/70.988969)
 keeps the balance that the hand's port must not overdraw,
 
-.. math:: E_k = \min\left(E_{k-1} + (f_h - \lambda_b\,\mathrm{sgn}\,v - b v - \tfrac12 (1-s) c\,\mathrm{sgn}\,v)\,
-          \Delta x - \Delta(\tfrac12 J v^2),\ 0\right)
+.. math:: D_k = \min\left(D_{k-1} + (f_h - \lambda_b\,\mathrm{sgn}\,v - b v - \tfrac12 (1-s) c\,\mathrm{sgn}\,v)\,
+          \Delta x,\ \max_{k-3..k} \tfrac12 J v^2\right), \qquad E_k = D_k - \min_{k-3..k} \tfrac12 J v^2
 
 with the transducer's :math:`f_h`, the brake's expected torque and :math:`s` the share that is
 compensated: what the hand gives must pay for brake, viscous friction, and half of what the
-compensation is meant to leave. Credit is not kept. From :math:`E = -E_0` (``limits.passivity_J``) on
+compensation is meant to leave. :math:`D` is what has been paid and is still there: at most the
+kinetic energy, so credit is not kept. A sampled velocity is uneven where a device samples a little
+early or late; so of the last `KINETIC_CYCLES` the largest kinetic energy limits what is paid and the
+smallest is what is owed. What one uneven cycle shows neither eats a payment nor asks for one. From :math:`E = -E_0` (``limits.passivity_J``) on
 the motor's share falls, to nothing at :math:`-2 E_0`, and the brake bears what the motor does not
 give. So the compensation settles at what there truly is to compensate.
 """
@@ -41,7 +44,7 @@ give. So the compensation settles at what there truly is to compensate.
 from __future__ import annotations
 
 from coulombus.compiled.decorator import kernel
-from coulombus.host.cycle.records import TRACK, ControlRecord, HostRecord, Phase
+from coulombus.host.cycle.records import KINETIC_CYCLES, TRACK, ControlRecord, HostRecord, Phase
 
 __all__ = ["brake_level", "expect", "lead", "observe", "slide_velocity"]
 
@@ -116,13 +119,19 @@ def observe(c: ControlRecord, h: HostRecord) -> float:
     """
     v = h.v_counts * c.rad_count * 1e9 / c.period_ns
     handle_Nm = 0.5 * (h.handle_Nm + h.port_handle_Nm)
-    kinetic_J = 0.5 * c.inertia * v * v
-    if h.phase == Phase.RUN and h.fresh:
-        way = h.v_counts * c.rad_count
+    running = h.phase == Phase.RUN and h.fresh
+    if running:
+        h.port_kinetic_J[h.port_row] = 0.5 * c.inertia * v * v
+        h.port_row = (h.port_row + 1) % KINETIC_CYCLES
+    most_J = least_J = h.port_kinetic_J[0]
+    for k in range(1, KINETIC_CYCLES):
+        most_J = max(most_J, h.port_kinetic_J[k])
+        least_J = min(least_J, h.port_kinetic_J[k])
+    if running:
+        way = h.moved_counts * c.rad_count
         left_Nm = max(0.5 * (c.friction_Nm - c.compensation_Nm), 0.0)
         paid_J = (handle_Nm - c.viscous * v) * way - (h.brake_lagged_Nm + left_Nm) * abs(way)
-        h.port_J = min(h.port_J + paid_J - (kinetic_J - h.port_kinetic_J), 0.0)
+        h.port_J = min(h.port_J + paid_J, most_J)
     h.port_handle_Nm = h.handle_Nm
-    h.port_kinetic_J = kinetic_J
-    share: float = min(max(2.0 + h.port_J / c.passivity_J, 0.0), 1.0)
+    share: float = min(max(2.0 - (least_J - h.port_J) / c.passivity_J, 0.0), 1.0)
     return share

@@ -16,6 +16,7 @@ from coulombus.compiled.decorator import kernel
 from coulombus.eds.cia402 import INTERNAL_LIMIT, PowerState
 from coulombus.host.cycle.felt import brake_level, lead, observe, slide_velocity
 from coulombus.host.cycle.records import (
+    KINETIC_CYCLES,
     AxisRecord,
     ControlRecord,
     HostRecord,
@@ -69,6 +70,9 @@ def enter(axis: AxisRecord, phase: int, t_ns: int) -> None:
         state.brake_Nm = 0.0
         h.gain = 0.0
         h.share, h.port_J, h.track_length = 1.0, 0.0, 0
+        for k in range(KINETIC_CYCLES):
+            h.port_kinetic_J[k] = 0.0
+        h.port_handle_Nm = h.handle_Nm
         h.armed_ns = t_ns
     _begin(h, phase)
 

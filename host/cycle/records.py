@@ -21,6 +21,7 @@ __all__ = [
     "CONTROL",
     "DRIVE_PDOS",
     "HOST",
+    "KINETIC_CYCLES",
     "TRACK",
     "AxisRecord",
     "AxisRecords",
@@ -128,6 +129,8 @@ class Image(IntEnum):
 IMAGE_SLOTS = Image.CONSTANT + MOST_CONSTANTS
 TRACK = WINDOW_CYCLES
 """Positions that the estimate of a slow velocity looks back at, at most."""
+KINETIC_CYCLES = 4
+"""Cycles of whose kinetic energies the observer takes the largest and the smallest."""
 DRIVE_PDOS = MOST_PDOS
 """PDOs that the host's tables have room for, each way."""
 
@@ -257,6 +260,7 @@ HOST = np.dtype(
         ("has_position", np.int64),
         ("fresh", np.int64),  # 1: this cycle's position is fresh
         ("reference_counts", np.int64),  # of the phase: where the handle was still, where the sign check began
+        ("moved_counts", np.int64),  # between the last two fresh positions, however many cycles apart
         ("v_counts", np.float64),
         ("slide_counts", np.float64),  # the estimate by which the law slides or is stuck
         ("track", np.int64, (TRACK,)),  # the positions behind it
@@ -273,8 +277,9 @@ HOST = np.dtype(
         ("coil_Nm", np.float64),  # the lead's belief of what the coil's current stands for ...
         ("fluid_Nm", np.float64),  # ... and of what the fluid bears
         ("share", np.float64),  # of its compensation that the motor may give
-        ("port_J", np.float64),  # balance at the hand's port; at most 0
-        ("port_kinetic_J", np.float64),  # of the cycle before
+        ("port_J", np.float64),  # paid at the hand's port and still there
+        ("port_kinetic_J", np.float64, (KINETIC_CYCLES,)),  # of the last fresh cycles
+        ("port_row", np.int64),
         ("port_handle_Nm", np.float64),
         ("safe_from_Nm", np.float64),
         ("ramp_cycle", np.int64),  # of the safe state's brake ramp; 0: not begun

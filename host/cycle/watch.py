@@ -45,6 +45,7 @@ def measure(c: ControlRecord, h: HostRecord) -> int:
         return Trip.ENCODER_JUMP
     h.raw_position = raw
     h.counts += moved
+    h.moved_counts = moved
     h.v_counts = moved / h.position_age
     h.position_age = 0
     h.fresh = 1
@@ -62,7 +63,7 @@ def watch_motion(c: ControlRecord, h: HostRecord) -> int:
 
     # net work of the motor on the handle, over a sliding window
     torque = h.image[Image.TORQUE] * c.torque_Nm_raw + c.torque_commanded * h.torque_Nm
-    work = torque * h.v_counts * c.rad_count if h.fresh else 0.0
+    work = torque * h.moved_counts * c.rad_count if h.fresh else 0.0
     row = h.work_row
     h.work_sum += work - h.work[row]
     h.work[row] = work
