@@ -224,7 +224,7 @@ def _swapped(word: int) -> int:
 
 
 @kernel
-def _walk(words: Any, at: int, swap: int, offsets: Any) -> tuple[int, int, int]:
+def _walk(words: Words, at: int, swap: int, offsets: Integers) -> tuple[int, int, int]:
     """Note where blocks begin (in words), from `at` on.
 
     Return their number, where the walk stopped, and why.

@@ -11,9 +11,8 @@ nobody.
 
 from __future__ import annotations
 
-from typing import Any
-
 from coulombus.compiled.decorator import kernel
+from coulombus.compiled.records import Integers
 from coulombus.host.cycle import step
 from coulombus.host.cycle.records import AxisRecords, Image, LawFunction, Phase, Trip
 from coulombus.wire.frame import Queue, push
@@ -50,7 +49,7 @@ def phases(axes: AxisRecords) -> int:
 
 
 @kernel
-def on_frame(axes: AxisRecords, owner: Any, t_ns: int, can_id: int, length: int, data: int) -> int:
+def on_frame(axes: AxisRecords, owner: Integers, t_ns: int, can_id: int, length: int, data: int) -> int:
     """Take a frame; return 1 when it completes an axis' TPDOs of this cycle, 2 when the control
     plane wants it, else 0.
     """

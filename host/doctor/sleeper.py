@@ -15,6 +15,7 @@ import numpy as np
 
 from coulombus.compiled.decorator import kernel
 from coulombus.compiled.libc import EINTR, now_ns, sleep_until
+from coulombus.compiled.records import Integers
 from coulombus.wire.realtime import ask_for_real_time, die_with_parent
 
 __all__ = ["BINS", "main", "wake"]
@@ -25,7 +26,7 @@ LEAD_NS = 2_000_000
 
 
 @kernel
-def wake(bins: Any, start_ns: int, period_ns: int, cycles: int) -> int:
+def wake(bins: Integers, start_ns: int, period_ns: int, cycles: int) -> int:
     """Sleep to `start_ns` and so many periods from there on, and count in `bins` how many us late
     each wake-up was.
 

@@ -22,7 +22,7 @@ the last cycle are sent again until they are taken, for `END_ATTEMPTS` ms: nothi
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from coulombus.compiled.decorator import kernel
 from coulombus.compiled.libc import (
@@ -44,6 +44,7 @@ from coulombus.compiled.libc import (
     sleep_until,
     store_release,
 )
+from coulombus.compiled.records import Integers, Record, Records
 from coulombus.eds.cia301 import CobId
 from coulombus.host.cycle.axes import ask_to_stop, begin, finish, on_frame, ramps_a_brake, safe_setpoints
 from coulombus.host.cycle.records import AxisRecords, LawFunction, Phase, Trip
@@ -68,18 +69,18 @@ class Buffers(NamedTuple):
     """
 
     fd: int
-    plane: Any
-    ring: Any
-    trace: Any
-    wakeup_bins: Any
-    latency_bins: Any
+    plane: Records
+    ring: Records
+    trace: Records
+    wakeup_bins: Integers
+    latency_bins: Integers
     axes: AxisRecords
-    owner: Any
-    box: Any
-    words: Any
-    tx: Any
-    poll: Any
-    out: Any
+    owner: Integers
+    box: Records
+    words: Integers
+    tx: Integers
+    poll: Integers
+    out: Record
 
 
 def _offset(name: str) -> int:
@@ -105,7 +106,7 @@ EMPTY, TOOK, COMPLETE, GONE = 0, 1, 2, 3
 
 
 @kernel
-def _log(plane: Any, ring: Any, t_ns: int, can_id: int, length: int, word: int, source: int) -> None:
+def _log(plane: Records, ring: Records, t_ns: int, can_id: int, length: int, word: int, source: int) -> None:
     """Append a frame to the ring; the parent sees it whole or not at all."""
     p = plane[0]
     head = p.log_head
@@ -122,7 +123,7 @@ def _log(plane: Any, ring: Any, t_ns: int, can_id: int, length: int, word: int, 
 
 
 @kernel
-def _trace(plane: Any, trace: Any, kind: int, t_ns: int, value: int) -> None:
+def _trace(plane: Records, trace: Records, kind: int, t_ns: int, value: int) -> None:
     """Append a row to the trace; without room it is left out, as are the frames of that time."""
     p = plane[0]
     head = p.trace_head
@@ -140,7 +141,7 @@ def _trace(plane: Any, trace: Any, kind: int, t_ns: int, value: int) -> None:
 
 
 @kernel
-def take_trace(plane: Any, trace: Any, out: Any) -> int:
+def take_trace(plane: Records, trace: Records, out: Records) -> int:
     """Move rows from the trace to `out`; return how many. For the parent."""
     p = plane[0]
     tail = p.trace_tail
@@ -158,7 +159,7 @@ def take_trace(plane: Any, trace: Any, out: Any) -> int:
 
 
 @kernel
-def take_log(plane: Any, ring: Any, out: Any) -> int:
+def take_log(plane: Records, ring: Records, out: Records) -> int:
     """Move frames from the ring to `out`; return how many. For the parent."""
     p = plane[0]
     tail = p.log_tail
@@ -175,7 +176,7 @@ def take_log(plane: Any, ring: Any, out: Any) -> int:
 
 
 @kernel
-def _stop(p: Any, axes: AxisRecords, trip: int) -> None:
+def _stop(p: Record, axes: AxisRecords, trip: int) -> None:
     """Ask all axes for the safe state for the reason `trip`, or without one (1).
 
     The first reason counts.
@@ -186,7 +187,7 @@ def _stop(p: Any, axes: AxisRecords, trip: int) -> None:
 
 
 @kernel
-def _skip(p: Any, axes: AxisRecords, periods: int) -> int:
+def _skip(p: Record, axes: AxisRecords, periods: int) -> int:
     """Skip so many periods that have passed, and count them: what every axis knows is as much
     older. Returns how many.
     """
@@ -292,7 +293,7 @@ def _transmit(b: Buffers, patience: int) -> int:
 
 
 @kernel
-def _look_after_parent(p: Any, base: int, axes: AxisRecords) -> None:
+def _look_after_parent(p: Record, base: int, axes: AxisRecords) -> None:
     """Ask for the safe state when the parent has ended or stands still.
 
     When it has ended and all axes are done, there is nothing left to do.
@@ -315,7 +316,7 @@ def _all_done(axes: AxisRecords) -> bool:
 
 
 @kernel
-def _failed(p: Any) -> bool:
+def _failed(p: Record) -> bool:
     """Tell whether a call that returned -1 has failed for good: waiting that fails comes back at
     once, for ever.
     """
@@ -327,7 +328,7 @@ def _failed(p: Any) -> bool:
 
 
 @kernel
-def _count(bins: Any, t_ns: int) -> None:
+def _count(bins: Integers, t_ns: int) -> None:
     bins[min(max(t_ns, 0) // 1000, BINS - 1)] += 1
 
 
@@ -398,7 +399,7 @@ def _collect(b: Buffers, law_function: LawFunction, end_ns: int) -> int:
 
 
 @kernel
-def _goes_on(p: Any, axes: AxisRecords, command: int) -> bool:
+def _goes_on(p: Record, axes: AxisRecords, command: int) -> bool:
     """Tell whether another cycle begins: as commanded, or as a brake is to be ramped off before the
     end, which the safe state does within its time.
     """

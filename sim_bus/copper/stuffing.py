@@ -7,9 +7,8 @@ to the end of frame. Dominant is 0.
 
 from __future__ import annotations
 
-from typing import Any
-
 from coulombus.compiled.decorator import kernel
+from coulombus.compiled.records import Integers
 from coulombus.wire.bits import CRC_POLYNOMIAL
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_RTR_FLAG
 
@@ -30,7 +29,7 @@ def crc_step(crc: int, bit: int) -> int:
 
 
 @kernel
-def stuffed_bits(can_id: int, length: int, word: int, wrong_crc: int, bits: Any) -> int:
+def stuffed_bits(can_id: int, length: int, word: int, wrong_crc: int, bits: Integers) -> int:
     """Write the bits of a frame to `bits`, as its sender drives them (the ACK slot recessive), and
     return their number.
 

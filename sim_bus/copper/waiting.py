@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from coulombus.compiled.decorator import inlined, kernel
+from coulombus.compiled.records import Integers
 from coulombus.sim_bus.copper.controller import CanState
 from coulombus.sim_bus.copper.records import BusRecord
 from coulombus.wire.frame import Queue, Record, arbitration_key
@@ -86,7 +87,7 @@ HALF_FIELDS: list[Any] = [
 
 
 @inlined
-def _insert(keys: Any, places: Any, n: int, key: int, place: int) -> None:
+def _insert(keys: Integers, places: Integers, n: int, key: int, place: int) -> None:
     """Put `place` into the heap of `n`."""
     at = n
     while at > 0:
@@ -99,7 +100,7 @@ def _insert(keys: Any, places: Any, n: int, key: int, place: int) -> None:
 
 
 @inlined
-def _remove_first(keys: Any, places: Any, n: int) -> None:
+def _remove_first(keys: Integers, places: Integers, n: int) -> None:
     """Take the first out of the heap, in which `n` remain."""
     key, place = keys[n], places[n]
     at = 0

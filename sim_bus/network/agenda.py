@@ -11,14 +11,13 @@ records.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 
 from coulombus.compiled.decorator import inlined, kernel
+from coulombus.compiled.records import Integers, Records
 from coulombus.node.core import ROUTE_NONE
-from coulombus.node.sizes import FAR_FUTURE_NS
+from coulombus.node.sizes import FAR_FUTURE_NS, NodeRecord
 from coulombus.wire.clock import bus_ns
 
 __all__ = ["IDENTIFIERS", "keep_deadline", "look_again", "new_deadlines", "new_wants", "next_device"]
@@ -40,7 +39,7 @@ def new_wants(devices: int) -> npt.NDArray[np.int16]:
 
 
 @inlined
-def keep_deadline(deadlines: Any, i: int, n: Any) -> None:
+def keep_deadline(deadlines: Integers, i: int, n: NodeRecord) -> None:
     """Bring the tree up to the deadline of device `i`, whose record is `n`."""
     t = n.next_ns if n.powered else FAR_FUTURE_NS
     if n.clock_on != 0:
@@ -58,7 +57,7 @@ def keep_deadline(deadlines: Any, i: int, n: Any) -> None:
 
 
 @inlined
-def next_device(deadlines: Any) -> int:
+def next_device(deadlines: Integers) -> int:
     """Return whose deadline is next, of equals the first device."""
     leaves: int = deadlines.shape[0] >> 1
     at = 1
@@ -70,7 +69,7 @@ def next_device(deadlines: Any) -> int:
 
 
 @kernel
-def look_again(nodes: Any, deadlines: Any, wants: Any) -> None:
+def look_again(nodes: Records, deadlines: Integers, wants: Integers) -> None:
     """Bring both up to the records of all devices."""
     for i in range(nodes.shape[0]):
         keep_deadline(deadlines, i, nodes[i])
@@ -80,7 +79,7 @@ def look_again(nodes: Any, deadlines: Any, wants: Any) -> None:
 
 
 @kernel
-def _reroute(route: Any, i: int, wants: Any) -> None:
+def _reroute(route: Integers, i: int, wants: Integers) -> None:
     for can_id in range(IDENTIFIERS):
         row = wants[can_id]
         count = row[0]

@@ -21,15 +21,17 @@ that belongs to no axis has no rig, and none of this costs it anything.
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from coulombus.compiled.decorator import borrowed, inlined, kernel
+from coulombus.compiled.records import Floats, Integers, Record, Records
 from coulombus.eds.cia301 import CobId
 from coulombus.eds.cia402 import PowerState
 from coulombus.host.cycle import axes as host_axes
 from coulombus.host.cycle import step
+from coulombus.host.cycle.records import LawFunction
 from coulombus.node import core, emcy, own_time
 from coulombus.sim_bus.copper.arbiter import FAR_NS, end_frame, receives, start_frame, start_ns
 from coulombus.sim_bus.copper.attempt import attempt
@@ -40,7 +42,7 @@ from coulombus.sim_bus.network.agenda import keep_deadline, look_again, next_dev
 from coulombus.sim_bus.rig.coupling import COUPLING, BrakeOutput, brake_torque, show
 from coulombus.sim_bus.rig.plant import advance, coil_current, encoder_rad, transducer_Nm
 from coulombus.wire.clock import CLOCK_FIELDS, bus_ns, own_ns, to_bus
-from coulombus.wire.frame import FRAME, QUEUE_CAPACITY
+from coulombus.wire.frame import FRAME, QUEUE_CAPACITY, Queue
 
 __all__ = [
     "AXIS",
@@ -135,43 +137,43 @@ AXIS = np.dtype(
 class World(NamedTuple):
     """All that the loop runs on, but for the host's cycle."""
 
-    state: Any
+    state: Record
     """A record of `WORLD`."""
-    bus: Any
+    bus: Records
     """`sim_bus.copper.arbiter.new_bus`: the wire, and its second half while the cable is cut."""
-    out: Any
+    out: Queue
     """A record of `wire.frame.QUEUE`: what the bus is asked to send."""
-    log: Any
+    log: Records
     """Records of `wire.frame.FRAME`: what the bus has carried."""
-    nodes: Any
+    nodes: Records
     """`node.record.new_nodes`: the devices."""
-    deadlines: Any
+    deadlines: Integers
     """`sim_bus.network.agenda.new_deadlines`: when each device wants to be called."""
-    wants: Any
+    wants: Integers
     """`sim_bus.network.agenda.new_wants`: which devices want a frame."""
-    listening: Any
+    listening: Integers
     """By identifier: 1 where one of Python's stations wants the frame."""
-    axes: Any
+    axes: Records
     """Records of `AXIS`."""
-    axis_of: Any
+    axis_of: Integers
     """By row of a device: its axis, or -1."""
-    plant: Any
+    plant: Records
     """Records of `sim_bus.rig.plant.PLANT`, one for each axis."""
-    f_h: Any
+    f_h: Floats
     """By axis: the block of the operator's force."""
-    truth: Any
+    truth: Floats
     """By axis: the block of the plant's true course."""
 
 
 class Host(NamedTuple):
     """The host's cycle, as `host.cycle.axes` takes it."""
 
-    axes: Any  # `host.cycle.controller.AXIS` records
-    owner: Any  # by identifier: the axis that its frames belong to
+    axes: Records  # `host.cycle.controller.AXIS` records
+    owner: Integers  # by identifier: the axis that its frames belong to
 
 
 @inlined
-def _sample(p: Any, axis: Any, nodes: Any) -> None:
+def _sample(p: Record, axis: Record, nodes: Records) -> None:
     """Let the devices look at the rig: encoder, motor current, transducer, coil."""
     motor, brake = nodes[axis.motor], nodes[axis.brake]
     if motor.in_faults & ENCODER_LOST:
@@ -221,7 +223,7 @@ def actuate(world: World, a: int, t_ns: int) -> None:
 
 
 @kernel
-def _keep(w: Any, out: Any, first: int) -> None:
+def _keep(w: Record, out: Queue, first: int) -> None:
     """Keep what the host has pushed from place `first` on."""
     if w.clock_on != 0:
         to_bus(w, out, first)
@@ -236,7 +238,7 @@ def _keep(w: Any, out: Any, first: int) -> None:
 
 
 @kernel
-def _end_closely(world: World, b: Any) -> None:
+def _end_closely(world: World, b: Record) -> None:
     """End a frame, or a stretch of slow motion, that was looked at closely.
 
     Tell the devices what became of their controllers.
@@ -260,7 +262,7 @@ def _end_closely(world: World, b: Any) -> None:
 
 
 @kernel
-def refresh(w: Any, nodes: Any, axes: Any, deadlines: Any, wants: Any) -> None:
+def refresh(w: Record, nodes: Records, axes: Records, deadlines: Integers, wants: Integers) -> None:
     """Bring all that is looked up instead of asked for up to the records that Python may have
     written.
     """
@@ -277,7 +279,7 @@ def refresh(w: Any, nodes: Any, axes: Any, deadlines: Any, wants: Any) -> None:
 
 
 @inlined
-def next_event(w: Any, b: Any, out: Any, deadlines: Any, host: Any) -> tuple[int, int]:
+def next_event(w: Record, b: Record, out: Queue, deadlines: Integers, host: Records) -> tuple[int, int]:
     """Return when something happens next, and what."""
     t = b.end_ns if b.stage != Stage.FREE else FAR_NS  # strict comparisons keep the order of equals
     what = FRAME_END
@@ -297,7 +299,7 @@ def next_event(w: Any, b: Any, out: Any, deadlines: Any, host: Any) -> tuple[int
 
 
 @kernel
-def run(world: World, host: Host, law_function: Any, closely: int | None) -> int:
+def run(world: World, host: Host, law_function: LawFunction, closely: int | None) -> int:
     """Run until Python is needed; return the `Exit` that says why.
 
     `closely` None: up to where a close look is needed. Numba leaves out what stands behind a
@@ -399,7 +401,7 @@ def run(world: World, host: Host, law_function: Any, closely: int | None) -> int
                 elif wanted == 2:
                     w.control_plane = 1
             w.heard = world.listening[b.can_id] if plain else w.listen_all
-            if w.services + w.control_plane + w.heard != 0:
+            if w.services != 0 or w.control_plane != 0 or w.heard != 0:
                 for a in range(axes.shape[0]):
                     _look(world, a, t)
                 return Exit.SERVICE

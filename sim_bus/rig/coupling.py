@@ -14,11 +14,11 @@ from __future__ import annotations
 
 import math
 from enum import IntEnum
-from typing import Any
 
 import numpy as np
 
 from coulombus.compiled.decorator import kernel
+from coulombus.compiled.records import Record, Records
 from coulombus.rigs.devices import TABLE_POINTS
 from coulombus.sim_bus.rig.plant import encoder_rad
 
@@ -77,7 +77,7 @@ COUPLING = [
 
 
 @kernel
-def _interpolated(axis: Any, raw: float) -> float:
+def _interpolated(axis: Record, raw: float) -> float:
     """Return the table's torque, its ends beyond them."""
     points, raws, torques = axis.brake_points, axis.brake_table_raw, axis.brake_table_Nm
     if raw <= raws[0]:
@@ -90,7 +90,7 @@ def _interpolated(axis: Any, raw: float) -> float:
 
 
 @kernel
-def brake_torque(axis: Any, brake: Any) -> float:
+def brake_torque(axis: Record, brake: Record) -> float:
     """Return the torque [Nm] that the brake's device commands; `brake` is its record."""
     if axis.brake_output == BrakeOutput.TORQUE:
         return float(brake.out_brake_Nm)
@@ -115,7 +115,7 @@ def _wrapped(value: float, low: int, high: int) -> int:
 
 
 @kernel
-def show(axis: Any, p: Any, nodes: Any, handle_Nm: float, coil_A: float) -> None:
+def show(axis: Record, p: Record, nodes: Records, handle_Nm: float, coil_A: float) -> None:
     """Let the objects show the plant, and a drive that feeds the coil the current that flows."""
     for k in range(axis.shown_count):
         one = axis.shown[k]

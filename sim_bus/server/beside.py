@@ -34,6 +34,7 @@ import numpy.typing as npt
 
 from coulombus.compiled.decorator import kernel
 from coulombus.compiled.libc import POLLIN, ppoll_ns, read, write
+from coulombus.compiled.records import Integers, Record, Records
 from coulombus.node.record import LOOP_WORDS, NODE
 from coulombus.node.sizes import FAR_FUTURE_NS
 from coulombus.sim_bus.network.kernel import MOST_DEVICES, Exit, World, actuate, refresh
@@ -98,31 +99,31 @@ BESIDE = np.dtype(
 class Beside(NamedTuple):
     """What the loop and Python share, besides Python's own world."""
 
-    state: Any
+    state: Record
     """A record of `BESIDE`."""
     python: World
     """The world that Python's objects look at."""
-    nodes: Any
+    nodes: Records
     """The loop's nodes as words, a row each."""
-    python_nodes: Any
+    python_nodes: Records
     """Python's."""
-    axes: Any
+    axes: Records
     """Likewise the axes and their plants."""
-    python_axes: Any
-    plant: Any
-    python_plant: Any
-    loop_words: Any
+    python_axes: Records
+    plant: Records
+    python_plant: Records
+    loop_words: Integers
     """First and last + 1 of each run of a node's words that the loop writes."""
-    changed: Any
+    changed: Integers
     """Places in `nodes`, all rows one behind the other."""
-    asked: Any
+    asked: Integers
     """By axis, and last for the log: jobs that wait or are under way."""
-    words: Any
+    words: Integers
     """What is written to an eventfd, what is read from one, and a struct pollfd."""
 
 
 @kernel
-def leave(beside: Beside, world: World, pace: Any, why: int, axis: int) -> bool:
+def leave(beside: Beside, world: World, pace: Record, why: int, axis: int) -> bool:
     """Let Python do beside the loop what the kernel has just returned for; tell whether it will.
 
     `axis`: whose hand it is; `FRAME`: the last frame of the log is for services; `RECORD`: what
@@ -197,7 +198,7 @@ def _begin(beside: Beside, world: World) -> None:
 
 
 @kernel
-def collect(beside: Beside, world: World, pace: Any) -> None:
+def collect(beside: Beside, world: World, pace: Record) -> None:
     """Take over what Python has made of its job, and let it begin with the next one."""
     j, w, python = beside.state, world.state, beside.python
     if j.turn != Turn.DONE:
@@ -243,7 +244,7 @@ def drained(beside: Beside) -> None:
 
 
 @kernel
-def _await(beside: Beside, world: World, pace: Any) -> None:
+def _await(beside: Beside, world: World, pace: Record) -> None:
     """Sleep until Python's job is done, and take over what became of it."""
     j = beside.state
     while j.turn == Turn.PYTHON:
@@ -254,7 +255,7 @@ def _await(beside: Beside, world: World, pace: Any) -> None:
 
 
 @kernel
-def settle(beside: Beside, world: World, pace: Any) -> None:
+def settle(beside: Beside, world: World, pace: Record) -> None:
     """Let all jobs end: Python needs the whole world."""
     j = beside.state
     while j.turn != Turn.FREE or j.waiting > 0:
@@ -390,7 +391,7 @@ def _copy(to: Any, source: Any) -> None:
         to[:] = source
 
 
-def _words(records: Any) -> npt.NDArray[np.int64]:
+def _words(records: Records) -> npt.NDArray[np.int64]:
     """Return records as rows of words, on the same memory."""
     plain: npt.NDArray[np.int64] = records.view(np.ndarray).view(np.int64)
     return plain.reshape(len(records), records.dtype.itemsize // 8)

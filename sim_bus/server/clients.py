@@ -10,7 +10,7 @@ counted, and holds up nobody.
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,12 +29,13 @@ from coulombus.compiled.libc import (
     errno,
     send,
 )
+from coulombus.compiled.records import Integers, Record, Records
 from coulombus.sim_bus.copper.arbiter import receives
 from coulombus.sim_bus.copper.cut import divide
 from coulombus.sim_bus.copper.error_frames import with_counters
 from coulombus.sim_bus.copper.stage import Stage
 from coulombus.sim_bus.copper.waiting import ROOM, STATION_MASK, take_in
-from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, push
+from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, Queue, push
 from coulombus.wire.mailbox import receive
 
 __all__ = ["BATCH", "MESSAGE_FRAMES", "SLOT", "SLOTS", "STATION", "Need", "State", "flush", "hand_out", "take"]
@@ -84,7 +85,7 @@ SLOT = np.dtype(
     [
         ("fd", np.int64),
         ("state", np.int64),
-        ("flags", np.int64),
+        ("greeted", np.int64),  # wire.hello.Flags
         ("filters", np.int64),  # how many; 0: everything
         ("staged", np.int64),  # frames of its message that is being sent
         ("next", np.int64),  # the first of them that is not on the bus yet
@@ -113,25 +114,25 @@ class Clients(NamedTuple):
     Row `i` of each but `pollfds` is the client in slot `i`.
     """
 
-    slots: Any
+    slots: Records
     """Records of `SLOT`."""
-    boxes: Any
+    boxes: Records
     """Records of `wire.mailbox.MAILBOX`."""
-    words: Any
+    words: Integers
     """The message that was read last."""
-    filters: Any
+    filters: Integers
     """Pairs of identifier and mask."""
-    batches: Any
+    batches: Integers
     """The message that is filled for the client."""
-    pollfds: Any
+    pollfds: Integers
     """Room for a struct pollfd each, and for two more."""
 
 
 @inlined
-def _passes(slot: Any, filters: Any, can_id: int) -> bool:
+def _passes(slot: Record, filters: Integers, can_id: int) -> bool:
     """Tell whether SocketCAN's filters let a frame through."""
     if can_id & CAN_ERR_FLAG:
-        return slot.flags & ERRORS != 0
+        return slot.greeted & ERRORS != 0
     if slot.filters == 0:
         return True
     for k in range(slot.filters):
@@ -143,7 +144,7 @@ def _passes(slot: Any, filters: Any, can_id: int) -> bool:
 
 
 @kernel
-def flush(slot: Any, batch: Any) -> None:
+def flush(slot: Record, batch: Integers) -> None:
     """Give a client its batch; what it has no room for is lost to it."""
     if slot.out == 0:
         return
@@ -159,7 +160,7 @@ def flush(slot: Any, batch: Any) -> None:
 
 
 @kernel
-def _to_interface(slot: Any, batch: Any) -> int:
+def _to_interface(slot: Record, batch: Integers) -> int:
     """Write the frame in `batch` to the bus that carries it, a SocketCAN interface takes one at a
     time; return 0, or Need.GONE.
 
@@ -182,7 +183,7 @@ def _to_interface(slot: Any, batch: Any) -> int:
 
 
 @kernel
-def hand_out(w: Any, p: Any, bus: Any, log: Any, clients: Clients) -> int:
+def hand_out(w: Record, p: Record, bus: Records, log: Records, clients: Clients) -> int:
     """Put what the bus has carried into the batches of all who want it."""
     slots, filters, batches = clients.slots, clients.filters, clients.batches
     for row in range(p.handed_out, w.log_count):
@@ -212,7 +213,7 @@ def hand_out(w: Any, p: Any, bus: Any, log: Any, clients: Clients) -> int:
                     word = with_counters(word, b.stations[STATION + i])
                     if not own:
                         word &= ~SENDING
-                elif (own and s.flags & OWN == 0) or (
+                elif (own and s.greeted & OWN == 0) or (
                     not own and b.partial_row == row and not receives(b, STATION + i)
                 ):
                     continue
@@ -228,7 +229,7 @@ def hand_out(w: Any, p: Any, bus: Any, log: Any, clients: Clients) -> int:
 
 
 @kernel
-def _read(p: Any, slots: Any, boxes: Any, i: int, offset_ns: int, t_ns: int) -> int:
+def _read(p: Record, slots: Records, boxes: Records, i: int, offset_ns: int, t_ns: int) -> int:
     """Read one message of the client in slot `i`; return 0, or why Python is needed.
 
     `offset_ns` is world time minus CLOCK_REALTIME, `t_ns` the present.
@@ -276,7 +277,7 @@ def _read(p: Any, slots: Any, boxes: Any, i: int, offset_ns: int, t_ns: int) -> 
 
 
 @kernel
-def _offer(w: Any, bus: Any, s: Any, words: Any, station: int, out: Any) -> None:
+def _offer(w: Record, bus: Records, s: Record, words: Integers, station: int, out: Queue) -> None:
     """Let a client's first waiting frame take part in the arbitration, unless one of its does
     already.
     """
@@ -299,7 +300,7 @@ def _offer(w: Any, bus: Any, s: Any, words: Any, station: int, out: Any) -> None
             else:
                 s.malformed += 1
             continue
-        if length > 8 or s.flags & LISTEN_ONLY:
+        if length > 8 or s.greeted & LISTEN_ONLY:
             s.malformed += 1
             continue
         can_id &= (0x1FFFFFFF | CAN_EFF_FLAG | CAN_RTR_FLAG) if can_id & CAN_EFF_FLAG else 0x7FF | CAN_RTR_FLAG
@@ -313,7 +314,7 @@ def _offer(w: Any, bus: Any, s: Any, words: Any, station: int, out: Any) -> None
 
 
 @kernel
-def _under_way(bus: Any, station: int, out: Any) -> bool:
+def _under_way(bus: Records, station: int, out: Queue) -> bool:
     """Tell whether a frame of a client waits for the bus, or is on it: it is carried, though its
     sender may have gone.
     """
@@ -333,7 +334,7 @@ def _under_way(bus: Any, station: int, out: Any) -> bool:
 
 
 @kernel
-def take(w: Any, p: Any, bus: Any, clients: Clients, out: Any, offset_ns: int, t_ns: int) -> int:
+def take(w: Record, p: Record, bus: Records, clients: Clients, out: Queue, offset_ns: int, t_ns: int) -> int:
     """Offer the bus each client's next frame, reading its next message when the last one has gone.
 
     Return 0, or why Python is needed.

@@ -17,7 +17,6 @@ nobody could have kept it.
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import Any
 
 import numpy as np
 
@@ -35,7 +34,9 @@ from coulombus.compiled.libc import (
     now_ns,
     ppoll_ns,
 )
+from coulombus.compiled.records import Integers, Record, Records
 from coulombus.eds.cia402 import PowerState
+from coulombus.host.cycle.records import LawFunction
 from coulombus.sim_bus.copper.cut import choose
 from coulombus.sim_bus.network.kernel import Exit, Host, World, next_event, refresh, run
 from coulombus.sim_bus.server.beside import FRAME, RECORD, Beside, collect, drained, leave, settle
@@ -94,7 +95,7 @@ PACE = np.dtype(
 
 
 @kernel
-def _wait(p: Any, slots: Any, pollfds: Any, timeout_ns: int, beside: Beside) -> int:
+def _wait(p: Record, slots: Records, pollfds: Integers, timeout_ns: int, beside: Beside) -> int:
     """Sleep until a client has something or the time is over.
 
     Return Serve.ACCEPT when one waits at the listener, FAILED, or 0.
@@ -135,7 +136,7 @@ def _wait(p: Any, slots: Any, pollfds: Any, timeout_ns: int, beside: Beside) -> 
 
 
 @kernel
-def _forgive(p: Any, slots: Any, planned_ns: int, t_ns: int) -> int:
+def _forgive(p: Record, slots: Records, planned_ns: int, t_ns: int) -> int:
     """Take out of the world's time what the whole machine stood still since `planned_ns`.
 
     Return by how much.
@@ -156,7 +157,7 @@ def _forgive(p: Any, slots: Any, planned_ns: int, t_ns: int) -> int:
 
 
 @kernel
-def serve(pace: Any, clients: Clients, beside: Beside, world: World, host: Host, law_function: Any) -> int:
+def serve(pace: Record, clients: Clients, beside: Beside, world: World, host: Host, law_function: LawFunction) -> int:
     """Serve until Python is needed; return an `Exit` or a `Serve` that says why.
 
     What Python may do beside this loop is done when it returns.
@@ -167,7 +168,7 @@ def serve(pace: Any, clients: Clients, beside: Beside, world: World, host: Host,
 
 
 @kernel
-def _serve(pace: Any, clients: Clients, beside: Beside, world: World, host: Host, law_function: Any) -> int:
+def _serve(pace: Record, clients: Clients, beside: Beside, world: World, host: Host, law_function: LawFunction) -> int:
     """Serve until Python is needed.
 
     The world's loop is from the first the one that looks closely: nothing is compiled while clients

@@ -439,7 +439,7 @@ class BusServer:
         if status is Status.OK and i == SLOTS:
             status = Status.FULL
         if isinstance(hello, Hello) and status is Status.OK:
-            slot["flags"], slot["filters"] = int(hello.flags), len(hello.filters)
+            slot["greeted"], slot["filters"] = int(hello.flags), len(hello.filters)
             self._filters[i, : len(hello.filters)] = np.array(hello.filters, np.int64).reshape(-1, 2)
             slot["state"] = State.OPEN
             bus = wire_of(self.world.bus, STATION + i)
