@@ -204,7 +204,7 @@ def test_the_motors_net_work_is_summed_over_a_sliding_window(sign, polarity):
         [(64, 32), (128, 16), (-64, 8), (256, 64), (32, 16), (-16, -64), (8, 8), (8, 8)]
     ):
         h.image[Image.TORQUE] = sign * motor * torque_pm
-        h.v_counts = sign * encoder * counts
+        h.v_counts = h.moved_counts = sign * encoder * counts
         done.append(torque_pm * 2.0**-8 * counts * 2.0**-6)
         c.net_work_J = sum(done[-4:])
         assert watch_motion(c, h) == Trip.NONE
@@ -221,7 +221,7 @@ def test_the_motors_net_work_is_summed_over_a_sliding_window(sign, polarity):
 
 def test_work_that_the_handle_does_on_the_motor_trips_never():
     bench = binary(net_work_J=0.0)
-    bench.h.image[Image.TORQUE], bench.h.v_counts = 512, -640.0
+    bench.h.image[Image.TORQUE], bench.h.v_counts, bench.h.moved_counts = 512, -640.0, -640
     for _ in range(6):
         assert watch_motion(bench.c, bench.h) == Trip.NONE
     assert bench.h.work_sum == 4 * -2.0 * 10.0
@@ -310,10 +310,10 @@ def test_a_hand_torque_that_does_not_fit_trips_when_it_lasts(sign, counts):
 @BOTH
 def test_without_a_measured_torque_the_commanded_one_works(sign):
     bench = binary(net_work_J=1.0, torque_commanded=1.0, torque_Nm_raw=0.0)
-    bench.h.v_counts, bench.h.torque_Nm = sign * 32.0, sign * 2.0  # 1 J a cycle
+    bench.h.v_counts, bench.h.moved_counts, bench.h.torque_Nm = sign * 32.0, sign * 32, sign * 2.0  # 1 J a cycle
     assert watch_motion(bench.c, bench.h) == Trip.NONE
     assert bench.h.work_sum == 1.0
-    bench.h.v_counts = sign * 0.5
+    bench.h.v_counts = bench.h.moved_counts = sign
     assert watch_motion(bench.c, bench.h) == Trip.NET_WORK
 
 
