@@ -9,7 +9,6 @@ from pathlib import Path
 from coulombus.eds.regular_file import require_regular
 from coulombus.recording import mf4_log
 from coulombus.wire.frame import FRAME, Records, new_records
-from coulombus.wire.messages import can_id_of, is_classical, word_of
 
 __all__ = ["WALL_CLOCK_NS", "LogError", "is_log", "is_pcapng", "read_log"]
 
@@ -48,6 +47,8 @@ def read_log(path: str | Path) -> tuple[Records, list[str]]:
         The file is of another kind or damaged.
     """
     import can
+
+    from coulombus.wire.messages import can_id_of, is_classical, word_of  # imports python-can
 
     if Path(path).name.lower().removesuffix(".gz").endswith(".mf4"):
         mf4_log.ready()

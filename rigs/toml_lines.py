@@ -10,7 +10,9 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Mapping
+from copy import deepcopy
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any, TypeAlias
 
 __all__ = ["MOST_CHARACTERS", "Document", "Key", "Table", "read_toml", "split_key"]
@@ -124,7 +126,16 @@ def _excess(text: str) -> tuple[int, str] | None:
 
 
 def read_toml(text: str) -> Document:
-    """Read `text`; nothing is raised, see `Document.problems`."""
+    """Read `text`; nothing is raised, see `Document.problems`.
+
+    A rig's text is asked for where its values come from several times in each run; it is parsed
+    once. The document is the caller's own.
+    """
+    return deepcopy(_parsed(text))
+
+
+@lru_cache(maxsize=4)
+def _parsed(text: str) -> Document:
     excess = _excess(text)
     if excess is not None:
         return Document(broken={()}, problems=[excess])
