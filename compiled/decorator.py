@@ -20,7 +20,7 @@ references are not counted.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 from coulombus.compiled.kernel_cache import choose
@@ -33,6 +33,7 @@ __all__ = [
     "Entry",
     "borrowed",
     "cached",
+    "compile_together",
     "inlined",
     "kernel",
 ]
@@ -218,3 +219,25 @@ class Entry:
     def __call__(self, *arguments: Any) -> Any:
         """Call the kernel."""
         return (self._entry or self.load(*arguments))(*arguments)
+
+
+def compile_together(whole: Callable[..., Any], parts: Sequence[tuple[Callable[..., Any], tuple[Any, ...]]]) -> None:
+    """Compile what the kernel `whole` calls, each for arguments like these; none is called. Where
+    `whole` is kept, its parts are not needed.
+
+    What another process compiles at the moment is left for later. So processes that start at the
+    same time share the work: each takes what is not taken.
+    """
+    if JIT_DISABLED or CACHE_DIR is None or _cache_of(whole).kept:
+        return
+    left = list(parts)
+    while left:
+        free = next((k for k, (function, _) in enumerate(left) if not _cache_of(function).taken), 0)
+        function, arguments = left.pop(free)
+        Entry(function).load(*arguments)
+
+
+def _cache_of(function: Callable[..., Any]) -> KernelCache:
+    dispatcher: Any = function
+    cache: KernelCache = dispatcher._cache
+    return cache

@@ -219,11 +219,40 @@ class KernelCache:
         finally:
             self.release()
 
+    @property
+    def kept(self) -> bool:
+        """Whether there is anything of it."""
+        return self._numbas is not None and Path(self.cache_path, f"{self._base}.nbi").exists()
+
+    @property
+    def taken(self) -> bool:
+        """Whether another process compiles it now."""
+        if self._numbas is None:
+            return False
+        try:
+            file, wanted = _lock_of(Path(self.cache_path), self._base)
+        except OSError:
+            return False
+        try:
+            (kind,) = struct.unpack_from("h", fcntl.fcntl(file, fcntl.F_OFD_GETLK, wanted))
+            return bool(kind != fcntl.F_UNLCK)
+        except OSError:  # a file system without locks
+            return False
+        finally:
+            os.close(file)
+
     def release(self) -> None:
         """Let another process compile it, where this one waited for its turn."""
         if self._lock is not None:
             lock, self._lock = self._lock, None
             os.close(lock)
+
+
+def _lock_of(place: Path, base: str) -> tuple[int, bytes]:
+    """Return a descriptor of the locks' file, and what asks for the lock of one kernel."""
+    file = os.open(place.parent / COMPILING, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+    at = zlib.crc32(f"{place.name}/{base}".encode())
+    return file, struct.pack("hhqqi4x", fcntl.F_WRLCK, os.SEEK_SET, at, 1, 0)
 
 
 def _wait_for_turn(place: Path, base: str) -> int | None:
@@ -234,12 +263,10 @@ def _wait_for_turn(place: Path, base: str) -> int | None:
     A kernel's callees are compiled within its own turn. Calls make no circle, so no two processes
     wait for each other.
     """
-    at = zlib.crc32(f"{place.name}/{base}".encode())
     try:
-        lock = os.open(place.parent / COMPILING, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+        lock, wanted = _lock_of(place, base)
     except OSError:
         return None
-    wanted = struct.pack("hhqqi4x", fcntl.F_WRLCK, os.SEEK_SET, at, 1, 0)
     try:
         for _ in range(round(PATIENCE_S / PAUSE_S)):
             with suppress(BlockingIOError):

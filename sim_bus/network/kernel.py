@@ -55,6 +55,7 @@ __all__ = [
     "Host",
     "World",
     "actuate",
+    "end_closely",
     "next_event",
     "refresh",
     "run",
@@ -238,7 +239,7 @@ def _keep(w: Record, out: Queue, first: int) -> None:
 
 
 @kernel
-def _end_closely(world: World, b: Record) -> None:
+def end_closely(world: World, b: Record) -> None:
     """End a frame, or a stretch of slow motion, that was looked at closely.
 
     Tell the devices what became of their controllers.
@@ -369,7 +370,7 @@ def run(world: World, host: Host, law_function: LawFunction, closely: int | None
                 end_frame(b, world.log, w.log_count)
                 w.log_count += 1
             else:
-                _end_closely(world, b)
+                end_closely(world, b)
                 if b.delivered == Delivered.NOBODY:
                     continue
             w.services = w.control_plane = w.heard = 0

@@ -123,6 +123,13 @@ class Beside(NamedTuple):
 
 
 @kernel
+def _copy(to: Integers, source: Integers, first: int, end: int) -> None:
+    """Copy words of a row; numba's own assignment of a slice takes 2 s to compile."""
+    for k in range(first, end):
+        to[k] = source[k]
+
+
+@kernel
 def leave(beside: Beside, world: World, pace: Record, why: int, axis: int) -> bool:
     """Let Python do beside the loop what the kernel has just returned for; tell whether it will.
 
@@ -183,14 +190,13 @@ def _begin(beside: Beside, world: World) -> None:
     if job.axis >= 0:
         python.state.axis = job.axis
         now.start_ns = world.axes[job.axis].operator_start_ns
-        beside.python_axes[job.axis, :] = beside.axes[job.axis]
-        beside.python_plant[job.axis, :] = beside.plant[job.axis]
+        _copy(beside.python_axes[job.axis], beside.axes[job.axis], 0, beside.axes.shape[1])
+        _copy(beside.python_plant[job.axis], beside.plant[job.axis], 0, beside.plant.shape[1])
     for k in range(job.rows):
         i = job.row[k]
         now.row[k] = i
         for r in range(beside.loop_words.shape[0]):
-            a, b = beside.loop_words[r, 0], beside.loop_words[r, 1]
-            beside.python_nodes[i, a:b] = beside.nodes[i, a:b]
+            _copy(beside.python_nodes[i], beside.nodes[i], beside.loop_words[r, 0], beside.loop_words[r, 1])
         world.nodes[i].outbox_next_ns = FAR_FUTURE_NS
     j.turn = Turn.PYTHON
     beside.words[0] = 1
@@ -212,7 +218,8 @@ def collect(beside: Beside, world: World, pace: Record) -> None:
         world.nodes[i].outbox_next_ns = python.nodes[i].outbox_next_ns
     if a >= 0:
         axis, made = world.axes[a], python.axes[a]
-        world.f_h[a, :] = python.f_h[a]
+        for k in range(python.f_h.shape[1]):
+            world.f_h[a, k] = python.f_h[a, k]
         axis.force_step = made.force_step
         axis.force_end_ns = made.force_end_ns
         if made.operator_start_ns != now.start_ns:
@@ -332,7 +339,7 @@ class Worker:
     def whole(self) -> Iterator[None]:
         """Let Python have the whole world while the loop does not run and nothing is under way."""
         for python, loop in self._twins:
-            _copy(python, loop)
+            _copy_record(python, loop)
         try:
             yield
         finally:
@@ -341,7 +348,7 @@ class Worker:
     def to_loop(self) -> None:
         """Let the loop go on from what Python has made of the whole world."""
         for python, loop in self._twins:
-            _copy(loop, python)
+            _copy_record(loop, python)
         self.loop.state["stale"] = 1
 
     # in the thread
@@ -383,7 +390,7 @@ def _twin(one: Any) -> Any:
     return np.zeros_like(one)
 
 
-def _copy(to: Any, source: Any) -> None:
+def _copy_record(to: Any, source: Any) -> None:
     if isinstance(to, np.record):
         for name in to.dtype.names or ():
             to[name] = source[name]

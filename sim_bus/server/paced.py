@@ -39,7 +39,7 @@ from coulombus.eds.cia402 import PowerState
 from coulombus.host.cycle.records import LawFunction
 from coulombus.sim_bus.copper.cut import choose
 from coulombus.sim_bus.network.kernel import Exit, Host, World, next_event, refresh, run
-from coulombus.sim_bus.server.beside import FRAME, RECORD, Beside, collect, drained, leave, settle
+from coulombus.sim_bus.server.beside import FRAME, RECORD, Beside, collect, drained, leave
 from coulombus.sim_bus.server.clients import Clients, State, flush, hand_out, take
 
 __all__ = ["PACE", "Serve", "serve"]
@@ -160,16 +160,7 @@ def _forgive(p: Record, slots: Records, planned_ns: int, t_ns: int) -> int:
 def serve(pace: Record, clients: Clients, beside: Beside, world: World, host: Host, law_function: LawFunction) -> int:
     """Serve until Python is needed; return an `Exit` or a `Serve` that says why.
 
-    What Python may do beside this loop is done when it returns.
-    """
-    why = _serve(pace, clients, beside, world, host, law_function)
-    settle(beside, world, pace[0])
-    return why
-
-
-@kernel
-def _serve(pace: Record, clients: Clients, beside: Beside, world: World, host: Host, law_function: LawFunction) -> int:
-    """Serve until Python is needed.
+    `sim_bus.server.beside.settle` comes next: it ends what Python does beside this loop.
 
     The world's loop is from the first the one that looks closely: nothing is compiled while clients
     wait.

@@ -22,21 +22,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from coulombus.compiled.decorator import Entry
-from coulombus.eds.cia301 import CobId, NmtCommand
-from coulombus.eds.cia305 import UNCONFIGURED, LssService, LssState
-from coulombus.node import outbox
 from coulombus.sim_bus.copper.controller import link
-from coulombus.sim_bus.copper.cut import divide, wire_of
-from coulombus.sim_bus.copper.faults import NO_FRAME, fire
-from coulombus.sim_bus.copper.noise import next_noise
+from coulombus.sim_bus.copper.cut import wire_of
 from coulombus.sim_bus.copper.stations import attach, detach
 from coulombus.sim_bus.network.network import VirtualNetwork
-from coulombus.sim_bus.server.beside import Worker
+from coulombus.sim_bus.server.beside import Worker, settle
 from coulombus.sim_bus.server.clients import BATCH, MESSAGE_FRAMES, SLOT, SLOTS, STATION, Clients, Need, State
 from coulombus.sim_bus.server.paced import PACE, Serve, serve
+from coulombus.sim_bus.server.warm_up import compile_loop, warm_up
 from coulombus.wire.address import BusAddress, BusUnavailable, socket_path
-from coulombus.wire.clock import own_ns, to_bus
-from coulombus.wire.frame import data_word, new_records
+from coulombus.wire.frame import new_records
 from coulombus.wire.hello import MAX_FILTERS, SEND_BUFFER, Answer, Flags, Hello, Status, greet
 from coulombus.wire.mailbox import MAILBOX, ask_for_stamps, set_up
 from coulombus.wire.realtime import RealTime, ask_for_real_time, bus_cpu
@@ -101,8 +96,8 @@ class BusServer:
 
     Parameters
     ----------
-    make_world : gives a world of a bit rate; the first is for a trial, in which all that it needs
-        is compiled, and thrown away
+    make_world : gives a world of a bit rate; one is for a trial, in which all that it needs is
+        compiled, and thrown away
     bit_rate : of the virtual bus; 0: frames take no time
     join : take part in the virtual bus of another process, if there is one
     beside : the bus goes on while Python serves the nodes (`sim_bus.server.beside`)
@@ -137,7 +132,6 @@ class BusServer:
             _refuse_live(socket_path(address.name), address)
         self.bit_rate = bit_rate if raw is None else 0
         self._on_virtual = raw is not None and is_virtual(address.name)
-        _warm_up(make_world(self.bit_rate, True))
         self.world = make_world(self.bit_rate, False)
         rows = SLOTS + 1  # the last is for a client that has to be told that there is no room
         self._pace, self._slots = new_records(PACE), new_records(SLOT, rows)
@@ -154,7 +148,7 @@ class BusServer:
         self._since: dict[int, float] = {}
         arrays = self._slots, self._boxes, self._words, self._filters, self._batches, self._pollfds
         self._clients = Clients(*arrays)
-        self._run = Entry(serve)
+        self._run, self._settle = Entry(serve), Entry(settle)
         self._wake = os.eventfd(0, os.EFD_CLOEXEC | os.EFD_NONBLOCK)
         self._worker = Worker(self.world, self._wake, self.stop, on=beside)
         self._spare = os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC)  # for who comes when there is no other left
@@ -162,6 +156,8 @@ class BusServer:
         self._path: Path | None = None
         self._inode = 0
         self._pace["wake"], self._pace["listener"], self._pace["end_ns"] = self._wake, -1, FOREVER_NS
+        compile_loop(self._pace[0], self._clients, self._worker.shared, *self.world.arguments)
+        warm_up(make_world(self.bit_rate, True))
         self._load()
         try:
             if raw is not None:
@@ -182,7 +178,9 @@ class BusServer:
 
     def _serve(self) -> int:
         worker = self._worker
-        return int(self._run(self._pace, self._clients, worker.shared, worker.loop, *self.world.arguments[1:]))
+        why = int(self._run(self._pace, self._clients, worker.shared, worker.loop, *self.world.arguments[1:]))
+        self._settle(worker.shared, worker.loop, self._pace[0])
+        return why
 
     @property
     def wakeups(self) -> int:
@@ -479,38 +477,6 @@ class BusServer:
         raw.setsockopt(SOL_CAN_RAW, CAN_RAW_ERR_FILTER, CAN_ERR_MASK)
         ask_for_stamps(raw)
         self._admit(0, raw, State.SOCKETCAN)
-
-
-def _warm_up(world: VirtualNetwork) -> None:
-    """Let a world that nobody looks at do what the real one will: what is compiled, or loaded, at
-    its first call takes a second.
-    """
-    world.power_on()
-    for row, device in enumerate(world.devices):
-        node_id = row + 1 if device.node_id == UNCONFIGURED else device.node_id
-        for request in (
-            (LssService.SWITCH_STATE_GLOBAL, LssState.CONFIGURATION),
-            (LssService.CONFIGURE_NODE_ID, node_id),
-            (LssService.SWITCH_STATE_GLOBAL, LssState.WAITING),
-        ):
-            device.service(0, CobId.LSS_RX, 8, data_word(bytes(request)), world.out)
-        rx = CobId.SDO_RX + device.node_id
-        # upload and download of 1017h, upload of 6041h, for which what is measured is brought up to
-        # date
-        for word in (0x0000_0000_0010_1740, 0x0000_0064_0010_172B, 0x0000_0000_0060_4140):
-            device.service(0, rx, 8, word, world.out)
-    for row in range(len(world.devices)):
-        for command in (NmtCommand.START, NmtCommand.STOP, NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION):
-            world.nmt_command(row, command)
-        world.power_off(row)
-    bus, out = world.bus[0], world.out
-    rare: list[tuple[Callable[..., Any], tuple[Any, ...]]] = [(divide, (world.bus, out))]  # the cable is cut
-    for record in world.nodes[:1]:
-        rare += [(outbox.put, (record, 0, 0, 0, np.zeros(1, np.int64))), (outbox.forget, (record, 0))]  # SDO blocks
-        rare += [(own_ns, (record, 0)), (to_bus, (record, out, 0))]  # a clock that drifts
-    rare += [(fire, (bus, 0, 0, NO_FRAME)), (next_noise, (bus, 0))]
-    for function, arguments in rare:
-        Entry(function).load(*arguments)
 
 
 @contextmanager

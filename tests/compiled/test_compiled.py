@@ -303,6 +303,35 @@ def test_of_several_processes_one_compiles(tmp_path):
 
 
 @pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
+def test_what_another_process_compiles_comes_last(tmp_path):
+    (tmp_path / "several.py").write_text(
+        "from coulombus.compiled.decorator import compile_together, kernel\n"
+        "@kernel\ndef first(x):\n    return x\n@kernel\ndef second(x):\n    return x\n"
+        "@kernel\ndef whole(x):\n    return x\n"
+        "def taken_until_the_other_is_there():\n"
+        "    place, base = Path(first._cache.cache_path), first._cache._base\n"
+        "    lock, wanted = _lock_of(place, base)\n"
+        "    fcntl.fcntl(lock, fcntl.F_OFD_SETLK, wanted)\n"
+        "    assert first._cache.taken and not second._cache.taken\n"
+        "    threading.Thread(target=free, args=(lock,)).start()\n"
+        "def free(lock):\n"
+        "    while not second.signatures:\n        pass\n"
+        "    order.append(len(first.signatures))\n"
+        "    os.close(lock)\n"
+        "order = []\nimport fcntl, os, threading\nfrom pathlib import Path\n"
+        "from coulombus.compiled.kernel_files import _lock_of\n"
+    )
+    code = (
+        f"import sys; sys.path.append({str(tmp_path)!r}); import several as own\n"
+        "own.taken_until_the_other_is_there()\n"
+        "own.compile_together(own.whole, [(own.first, (1,)), (own.second, (1,))])\n"
+        "print(own.first._cache.taken, own.first(3), own.order)"
+    )
+    done = python(code, ROOT, NUMBA_CACHE_DIR=str(tmp_path / "cache"))
+    assert (done.stdout, done.stderr) == ("False 3 [0]\n", "")
+
+
+@pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
 def test_a_kernel_that_cannot_be_compiled_keeps_nobody_waiting(own_kernels, tmp_path):
     bad = "import numba\nwhile True:\n try:\n  own.f('x')\n except numba.TypingError:\n  break\nimport fcntl, struct, pathlib, compiled_dir"
     (tmp_path / "compiled_dir.py").write_text(

@@ -24,7 +24,7 @@ from coulombus.rigs.rig import load_rig
 from coulombus.sim_bus.faults.file import read_faults
 from coulombus.sim_bus.faults.injection import Injection
 from coulombus.sim_bus.network.kernel import Exit
-from coulombus.sim_bus.server import server
+from coulombus.sim_bus.server.warm_up import warm_up
 from coulombus.sim_bus.server.live_nodes import LiveNodes
 from coulombus.sim_bus.server.rig_server import PacedRig
 from coulombus.wire.frame import data_word
@@ -66,7 +66,7 @@ def command(row):
 """
 RIG = """
 rig = load_rig("bench")
-server._warm_up(PacedRig(rig, "hybrid", 0, 1000000))
+warm_up(PacedRig(rig, "hybrid", 0, 1000000))
 world = PacedRig(rig, "hybrid", 0, 1000000, None, False)
 listen()
 world.power_on()
@@ -82,7 +82,7 @@ world.answer(Exit.FORCE)
 """
 FAULTS = """
 rig = load_rig("bench")
-server._warm_up(PacedRig(rig, "hybrid", 0, 1000000))
+warm_up(PacedRig(rig, "hybrid", 0, 1000000))
 world = PacedRig(rig, "hybrid", 0, 1000000)
 Injection(world, read_faults(Path(sys.argv[1])), 0)
 world.power_on()
@@ -93,7 +93,7 @@ assert [one["times"] for one in world.injection.results()] == [1, 1, 1]
 """
 NODE = """
 nodes = LiveNodes([(Path("eds/motor.eds"), int(sys.argv[1]))])
-server._warm_up(nodes.make_world(1000000, True))
+warm_up(nodes.make_world(1000000, True))
 world = nodes.make_world(1000000, False)
 listen()
 world.power_on()
