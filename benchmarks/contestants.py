@@ -216,7 +216,7 @@ def data_plane(bus: Bus, seconds: float, *, loaded: bool = False) -> Run:
             plane.take()
             period = int(k.control["period_ns"][0])
             plane.start_cycle((time.monotonic_ns() + LEAD_NS) // period * period)
-            seen = {0x80: 0, **{int(pdo["cob_id"]): 0 for pdo in k.tpdos[0] if pdo["cob_id"] >= 0}}
+            seen = {0x80: 0, **{int(pdo["cob_id"]): 0 for pdo in k.each[0].tpdos if pdo["cob_id"] >= 0}}
             end = time.monotonic() + seconds
 
             def count() -> None:

@@ -28,7 +28,7 @@ RATES = (
 CROWD_ROUNDS = 2000
 CYCLICTEST, TWIN, PLANE, CLASSIC = "cyclictest", "the loop's twin in C", "the compiled loop", "canopen, Notifier"
 LOADED = ", disturbed"
-COLOURS = {CYCLICTEST: "0.7", TWIN: "C2", PLANE: "C0", "canopen": "C1"}
+COLOURS = {CYCLICTEST: "0.7", TWIN: "#009E73", PLANE: "#0072B2", "canopen": "#D55E00"}
 
 
 def show(what: str, figure: str, target: str = "") -> None:
@@ -238,34 +238,27 @@ def long_run(bus: Bus, minutes: float) -> None:
 def draw(runs: dict[str, list[Run]], path: Path) -> None:
     """Draw how late each woke, in units of cyclictest's p99."""
     import numpy as np
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
 
     from coulombus.host.run.histogram import coarse
+    from coulombus.recording.pictures.style import figure, label
 
     unit = together(runs[CYCLICTEST]).p(0.99) if CYCLICTEST in runs else 1.0
-    figure = Figure(figsize=(8, 5.5), layout="constrained")
-    FigureCanvasAgg(figure)
-    panels = figure.subplots(2, 1, sharex=True, sharey=True)
-    for ax, disturbed, title in zip(
-        panels, (False, True), ("alone in its process", "beside a busy and a garbage-making Python thread"), strict=True
-    ):
-        for name, some in runs.items():
-            plain = name.split(",")[0]
-            if ("disturb" in name) != disturbed:
-                continue
-            edges, counts = coarse(together(some).wakeup)
-            style = {"color": COLOURS[plain], "fill": plain == CYCLICTEST, "linewidth": 1.6}
-            ax.stairs(np.maximum(counts / counts.sum(), 1e-9), edges / unit, label=plain, **style)
-        ax.set(xscale="log", yscale="log", ylim=(1e-6, 1), ylabel="share of cycles", title=title)
-        ax.legend(loc="upper left", fontsize=8)
-    text = (
-        "woke after its deadline, in units of cyclictest's p99"
-        if CYCLICTEST in runs
-        else "woke after its deadline [us]"
-    )
-    panels[1].set_xlabel(text + "; the last bin holds all that is later")
-    figure.savefig(path, dpi=110)
+    titles = "alone in its process", "beside a busy and a garbage-making Python thread"
+    with figure(8.0, 5.5, 2, 1, sharex=True, sharey=True) as (made, panels):
+        for ax, disturbed, title in zip(panels, (False, True), titles, strict=True):
+            for name, some in runs.items():
+                plain = name.split(",")[0]
+                if ("disturb" in name) != disturbed:
+                    continue
+                edges, counts = coarse(together(some).wakeup)
+                style = {"color": COLOURS[plain], "fill": plain == CYCLICTEST, "linewidth": 1.6}
+                ax.stairs(np.maximum(counts / counts.sum(), 1e-9), edges / unit, label=plain, **style)
+            ax.set(xscale="log", yscale="log", ylim=(1e-6, 1))
+            label(ax, "", "share of cycles", title)
+            ax.legend(loc="upper left")
+        text = "in units of cyclictest's p99" if CYCLICTEST in runs else "[us]"
+        panels[1].set_xlabel(f"woke after its deadline, {text}; the last bin holds all that is later")
+        made.savefig(path, metadata={"Software": None})
 
 
 def lost(minutes: float) -> None:

@@ -39,7 +39,7 @@ def main() -> None:
         from coulombus.lab.demo.traces import figure_14
 
         picture = path.with_suffix(".png")
-        figure_14({options.mode: recording}, picture)
+        figure_14({options.mode: (options.mode, recording)}, picture)
         print(f"wrote {picture}")
 
 

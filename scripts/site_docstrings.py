@@ -14,13 +14,22 @@ from griffe import Extension, Object
 __all__ = ["Described"]
 
 SECTION = re.compile(r"^(Parameters|Attributes)\n-+\n(.*?)(?=^\S[^\n]*\n-{3,}\n|\Z)", re.M | re.S)
+RAISES = re.compile(r"^(Raises\n-+\n)(.*?)(?=^\S[^\n]*\n-{3,}\n|\Z)", re.M | re.S)
+SEVERAL = re.compile(r"^(\S.*(?:\n\S.*)*)\n((?:    .*(?:\n|\Z))+)", re.M)
 ENTRY = re.compile(r"^(\*{0,2}\w+(?:, \*{0,2}\w+)*) : (.+)$", re.M)
 
 
 class Described(Extension):
-    """Moves each description from the colon to a line of its own."""
+    """Moves each description from the colon to a line of its own, and names each exception apart."""
 
     def on_object(self, *, obj: Object, **_: Any) -> None:
         """Look at one docstring."""
         if obj.docstring is not None:
-            obj.docstring.value = SECTION.sub(lambda found: ENTRY.sub(r"\1\n    \2", found[0]), obj.docstring.value)
+            text = SECTION.sub(lambda found: ENTRY.sub(r"\1\n    \2", found[0]), obj.docstring.value)
+            obj.docstring.value = RAISES.sub(lambda found: found[1] + SEVERAL.sub(_apart, found[2]), text)
+
+
+def _apart(found: re.Match[str]) -> str:
+    """Return an entry for each of the exceptions that share one."""
+    names = [name.strip() for name in found[1].replace("\n", " ").split(",") if name.strip()]
+    return "\n".join(f"{name}\n{found[2].rstrip()}" for name in names) + "\n"

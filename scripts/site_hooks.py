@@ -41,6 +41,8 @@ MERMAID = re.compile(r"^```mermaid\n(.*?)^```$", re.M | re.S)
 LOADED = re.compile(
     r"""<(?:script|img|iframe|link(?![^>]*rel="canonical"))\b[^>]*\b(?:src|href)=["']?(?:https?:)?//[^>]*>"""
 )
+TORN = re.compile(r"<em [^>]*>[^<]*</em>|<em>[^<]*[=|_{}][^<]*</em>")
+"""Emphasis that begins and ends within formulas."""
 
 FROM_DISK = """<script>
 if (location.protocol === "file:") window.Worker = class extends EventTarget {
@@ -277,6 +279,8 @@ def on_post_page(output: str, page: Any, config: Any) -> str:
     """Refuse a page that loads from the network; let the search run from the disk."""
     if found := LOADED.search(output):
         raise PluginError(f"{page.file.src_path} loads from the network: {found[0]}")
+    if found := TORN.search(output):
+        raise PluginError(f"{page.file.src_path}: a formula was read as emphasis: {found[0]}; write \\_ and \\*")
     return output.replace("</head>", f"{FROM_DISK}</head>", 1)
 
 

@@ -22,6 +22,7 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "scripts"))
 hooks = importlib.import_module("site_hooks")
 diagrams = importlib.import_module("site_diagrams")
+docstrings = importlib.import_module("site_docstrings")
 
 
 def test_every_verb_and_every_option_is_on_the_page():
@@ -72,6 +73,26 @@ def test_a_page_that_loads_from_the_network_ends_the_build(tag):
     with pytest.raises(PluginError, match=r"x\.md loads from the network"):
         hooks.on_post_page(f"<html>{tag}</html>", page, None)
     assert hooks.on_post_page('<a href="https://x.org">', page, None) == '<a href="https://x.org">'
+
+
+@pytest.mark.parametrize("torn", ["<em k_1>k = (x_k − x</em>", "<em>, and a = 4c|H</em>"])
+def test_a_formula_that_is_torn_by_emphasis_ends_the_build(torn):
+    page = SimpleNamespace(file=SimpleNamespace(src_path="x.md"))
+    with pytest.raises(PluginError, match=r"x\.md: a formula was read as emphasis"):
+        hooks.on_post_page(f"<html>{torn}</html>", page, None)
+    whole = "<em>Haptic Friction Display</em>, <em>faster than <code>limits.speed_rad_s</code></em>"
+    assert hooks.on_post_page(whole, page, None) == whole
+
+
+def test_exceptions_that_share_a_description_are_listed_one_by_one():
+    text = "Do it.\n\nRaises\n------\na.B\n    one\n    two\nc.D, e.F,\ng.H\n    three\n\nNotes\n-----\nx\n"
+    one = SimpleNamespace(docstring=SimpleNamespace(value=text))
+    docstrings.Described().on_object(obj=one)
+    raised = one.docstring.value.partition("------\n")[2].partition("\nNotes")[0].split("\n")
+    assert [line for line in raised if line] == [
+        *("a.B", "    one", "    two", "c.D", "    three", "e.F", "    three", "g.H", "    three")
+    ]
+    assert one.docstring.value.endswith("Notes\n-----\nx\n")
 
 
 def test_every_page_is_in_the_list_of_pages():

@@ -145,7 +145,8 @@ def demo(rig_name: str, overrides: tuple[str, ...], seed: int, out: Path, virtua
     Runs both modes through the rig's schedule, each with the hold and the stroke, in real time: the
     simulated rig in one process, the host in others, PDOs at 1 kHz between them. Writes
     active.pcapng, hybrid.pcapng, demo.json and the figure demo.png. Exits with 1 unless active
-    oscillates and hybrid holds still.
+    oscillates and hybrid holds still. --virtual adds hybrid at the active display's friction, and
+    the brake alone.
 
     \b
     Examples:
@@ -154,7 +155,7 @@ def demo(rig_name: str, overrides: tuple[str, ...], seed: int, out: Path, virtua
       coulombus demo --seed 3 --out out/third
     """
     with errors():
-        from coulombus.lab.demo.demo import DEMO_MODES, as_dict, run_demo
+        from coulombus.lab.demo.demo import DEMO_MODES, as_dict, displays, run_demo
         from coulombus.lab.demo.traces import figure_14
         from coulombus.recording.signals import blocks
 
@@ -168,7 +169,9 @@ def demo(rig_name: str, overrides: tuple[str, ...], seed: int, out: Path, virtua
                 result = run_demo(rig, out, seed=seed, progress=lambda mode, t: report(mode, t, total))
         else:
             result = _real_demo(rig_name, overrides, seed, out, total, as_json)
-        figure_14({mode: blocks(out / f"{mode}.pcapng") for mode in DEMO_MODES}, out / "demo.png")
+        shown = {name: one for name, one in displays(rig).items() if name in result.results}
+        columns = {one.title: (one.mode, blocks(out / f"{name}.pcapng")) for name, one in shown.items()}
+        figure_14(columns, out / "demo.png")
         with verdict(0 if result.passed else 1):
             if as_json:
                 print_json(as_dict(result))
@@ -177,7 +180,9 @@ def demo(rig_name: str, overrides: tuple[str, ...], seed: int, out: Path, virtua
                 click.echo()
                 for criterion in result.criteria:
                     print_verdict(criterion.holds, f"{criterion.text}: {criterion.found}")
-                click.echo(f"\nfigure and recordings: {out}/ (demo.png, active.pcapng, hybrid.pcapng, demo.json)")
+                click.echo(
+                    f"\nfigure and recordings: {out}/ (demo.png, demo.json, {', '.join(f'{name}.pcapng' for name in shown)})"
+                )
                 click.echo("\ntry next:")
                 for command, why in next_steps(rig_name, out):
                     click.echo(f"  {command}\n      {why}")

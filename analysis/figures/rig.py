@@ -15,9 +15,9 @@ from coulombus.analysis.rig.friction_study import FrictionStudy
 from coulombus.analysis.rig.hold import HoldStudy
 from coulombus.analysis.rig.maps import OscillationMap, at
 from coulombus.analysis.rig.through_bus import BusCycle
-from coulombus.lab.demo.traces import DETAIL_FROM_S, DETAIL_S, Traces
+from coulombus.lab.demo.traces import draw_detail, draw_traces
 from coulombus.recording.friction.identify import Identification
-from coulombus.recording.pictures.style import BLACK, BLUE, COLOURS, DASHES, GREEN, GREY, VERMILION, figure, label, save
+from coulombus.recording.pictures.style import BLACK, BLUE, COLOURS, DASHES, GREY, VERMILION, figure, label, save
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -36,6 +36,7 @@ __all__ = [
 ]
 
 SCATTER = 4000
+RESIDUAL_BINS, FEWEST = 24, 20
 
 
 def write_fig12(directory: Path, data: KarnoppStudy | None = None) -> list[Path]:
@@ -72,7 +73,8 @@ def draw_identification(axes: Axes, found: Identification, title: str) -> None:
     """
     every = max(1, len(found.v_rad_s) // SCATTER)
     v, felt, fit = found.v_rad_s[::every], found.felt_Nm[::every], found.felt
-    axes.plot(v, felt, ".", ms=2, color=GREY, alpha=0.5, rasterized=True, label="samples that slide")
+    shown = f"{len(v)} of the {len(found.v_rad_s)} samples that slide"
+    axes.plot(v, felt, ".", ms=2, color=GREY, alpha=0.5, rasterized=True, label=shown)
     span = float(np.max(np.abs(v)))
     slow = float(np.min(np.abs(v)))
     for side in (-1, 1):
@@ -88,12 +90,34 @@ def draw_identification(axes: Axes, found: Identification, title: str) -> None:
     label(axes, "velocity [rad/s]", "friction felt [Nm]", title)
 
 
+def draw_residuals(axes: Axes, found: Identification) -> None:
+    """Draw what the fit leaves of the samples, and its mean in each of `RESIDUAL_BINS` speeds: a
+    curve in it is friction of another form.
+    """
+    v, left = found.v_rad_s, found.felt_Nm - found.felt.friction_Nm(found.v_rad_s)
+    every = max(1, len(v) // SCATTER)
+    axes.plot(v[::every], left[::every], ".", ms=2, color=GREY, alpha=0.5, rasterized=True)
+    edges = np.linspace(v.min(), v.max(), RESIDUAL_BINS + 1)
+    bins = np.clip(np.searchsorted(edges, v, "right") - 1, 0, RESIDUAL_BINS - 1)
+    count, total = (np.bincount(bins, weights, RESIDUAL_BINS) for weights in (None, left))
+    there = count >= FEWEST
+    centres = 0.5 * (edges[:-1] + edges[1:])
+    axes.plot(centres[there], total[there] / count[there], "o", ms=4, color=BLUE, label="mean at a speed")
+    axes.axhline(0.0, color=VERMILION, lw=1.0)
+    axes.legend(loc="lower right")
+    label(axes, "velocity [rad/s]", "left over [Nm]")
+
+
 def write_identification(path: Path, found: Identification) -> Path:
-    """Write the plot of one identification; the ending names the format."""
-    with figure(6.4, 4.2) as (made, axes):
+    """Write the plot of one identification, with what the fit leaves of it; the ending names the
+    format.
+    """
+    with figure(6.4, 6.0, 2, 1, sharex=True, height_ratios=(2, 1)) as (made, (axes, below)):
         draw_identification(axes, found, f"Friction identified: {Path(found.path).name}")
+        axes.set_xlabel("")
         low, high = axes.get_ylim()
         axes.set_ylim(low, high + 0.25 * (high - low))
+        draw_residuals(below, found)
         made.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None)
     return path
 
@@ -109,43 +133,14 @@ def write_fig13(directory: Path, data: FrictionStudy) -> list[Path]:
         return [*save(made, directory, "fig13-friction-compensation")]
 
 
-def _draw_trace(torque: Axes, speed: Axes, detail: Axes, data: Traces, title: str) -> None:
-    torque.plot(data.command_t_s, data.command_Nm, lw=0.4, color=VERMILION, label=data.command_label)
-    torque.plot(data.torque_t_s, data.handle_Nm, lw=0.9, color=BLUE, label=data.handle_label)
-    label(torque, "", "torque [Nm]", title)
-    torque.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=2)
-    speed.plot(data.t_s, data.velocity_rad_s, lw=0.4, color=GREEN)
-    label(speed, "time since Operation Enabled [s]", "velocity [rad/s]")
-    for axes in (torque, speed):
-        axes.margins(x=0)
-        for span in data.phases:
-            axes.axvline(span.begin_s, color="0.5", lw=0.7, ls=":")
-    for span in data.phases:
-        torque.annotate(
-            span.kind,
-            (0.5 * (span.begin_s + span.end_s), 1.0),
-            (0, -2),
-            ("data", "axes fraction"),
-            "offset points",
-            ha="center",
-            va="top",
-            fontsize=8,
-        )
-    hold = next((span for span in data.phases if span.kind == "hold"), None)
-    begin = DETAIL_FROM_S + (hold.begin_s if hold is not None else 0.0)
-    inside = (data.t_s >= begin) & (data.t_s < begin + DETAIL_S)
-    detail.plot(data.t_s[inside], data.velocity_rad_s[inside], marker=".", ms=3, lw=0.8, color=GREEN)
-    detail.margins(x=0)
-    label(detail, "time since Operation Enabled [s]", "velocity [rad/s]", "0.1 s of the hold, sample by sample")
-
-
 def write_fig14(directory: Path, data: HoldStudy) -> list[Path]:
     """Fig. 14: hold and stroke, active and hybrid."""
     with figure(11, 7.6, 3, 2, sharey="row") as (made, axes):
         for column, (mode, name) in enumerate((("active", "(a) active"), ("hybrid", "(b) hybrid"))):
-            row = data.row(mode)
-            title = f"{name}: $K_p$ = {row.K_p_Nm_rad:g} Nm/rad, $F_s$ = {row.F_s_Nm:g} Nm, $F_d$ = {row.F_d_Nm:g} Nm"
-            _draw_trace(axes[0, column], axes[1, column], axes[2, column], data.traces[mode], title)
+            traces = data.traces[mode]
+            draw_traces(axes[0, column], axes[1, column], traces, name)
+            draw_detail(axes[2, column], traces)
+        axes[0, 0].legend(loc="lower left", ncols=2)
         return [*save(made, directory, "fig14-hold-and-stroke")]
 
 

@@ -5,15 +5,15 @@ set-points went out.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from coulombus.host.realtime.data_plane import Spread
+from coulombus.recording.pictures.style import BLACK, BLUE, VERMILION, figure, label
 
-__all__ = ["Counts", "coarse", "draw_histogram", "draw_histograms"]
+__all__ = ["Counts", "coarse", "draw_histograms"]
 
 Counts: TypeAlias = npt.NDArray[np.int64]
 """How many times fell into each bin."""
@@ -34,22 +34,24 @@ def coarse(bins: Counts) -> tuple[npt.NDArray[np.float64], Counts]:
     return edges, counts
 
 
-def draw_histogram(ax: Axes, bins: Counts, label: str) -> None:
-    """Draw one histogram with logarithmic axes."""
-    edges, counts = coarse(bins)
-    ax.stairs(counts, edges, label=label, fill=True, alpha=0.6)
-
-
-def draw_histograms(wakeup: Counts, latency: Counts, path: Path) -> None:
-    """Write the picture of both histograms to `path`."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7, 4), layout="constrained")
-    FigureCanvasAgg(figure)
-    ax = figure.subplots()
-    draw_histogram(ax, wakeup, "woke after its deadline")
-    draw_histogram(ax, latency, "SYNC to the last RPDO")
-    ax.set(xscale="log", yscale="log", xlabel="time [us]", ylabel="cycles", title="Cycles of the data plane")
-    ax.legend()
-    figure.savefig(path, dpi=120)
+def draw_histograms(wakeup: Counts, latency: Counts, period_us: float, path: Path) -> None:
+    """Write the picture of both histograms to `path`, with the end of the period: the deadline of
+    either.
+    """
+    with figure(7.0, 4.2) as (made, axes):
+        for bins, colour, name in (
+            (wakeup, BLUE, "woke after its deadline"),
+            (latency, VERMILION, "SYNC to last RPDO"),
+        ):
+            edges, counts = coarse(bins)
+            spread = Spread.of(bins, len(bins) * 1000)
+            if spread is None:
+                continue
+            told = f"{name}: p50 {spread.p50:g} us, p99 {spread.p99:g} us"
+            axes.stairs(counts, edges, label=told, fill=True, color=colour, alpha=0.6)
+            axes.axvline(spread.p99, color=colour, lw=1.0, ls="--")
+        axes.axvline(period_us, color=BLACK, lw=1.2, label=f"the period, {period_us:g} us")
+        axes.set(xscale="log", yscale="log")
+        label(axes, "time [us]; dashed: p99", "cycles", f"{int(wakeup.sum()):,} cycles of the data plane")
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2)
+        made.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None)

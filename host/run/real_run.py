@@ -659,7 +659,7 @@ def real_run(
 
             try:
                 with new_file(picture, force=outputs.force) as path:
-                    draw_histograms(*run.histograms(), path)
+                    draw_histograms(*run.histograms(), rig.bus.period_s * 1e6, path)
             except OSError as error:
                 if result.exit_status == 0:
                     raise

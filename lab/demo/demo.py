@@ -17,9 +17,12 @@ from coulombus.host.run.result import RunResult
 from coulombus.lab.simulate import simulate
 from coulombus.rigs.rig import Rig
 
-__all__ = ["DEMO_MODES", "Criterion", "Demo", "judge", "run_demo"]
+__all__ = ["DEMO_MODES", "Criterion", "Demo", "Display", "displays", "judge", "run_demo"]
 
 DEMO_MODES = ("active", "hybrid")
+"""The paper's comparison."""
+SAME = "hybrid-as-active"
+"""The hybrid display of the active display's friction."""
 
 ACTIVE_RMS_RAD_S = (0.1, 3.0)
 ACTIVE_FLIPS_PER_S = 20.0
@@ -40,8 +43,33 @@ class Criterion:
 
 
 @dataclass(frozen=True)
+class Display:
+    """One run of the demo: what its column is called, its mode, and the rig."""
+
+    title: str
+    mode: str
+    rig: Rig
+
+
+def displays(rig: Rig) -> dict[str, Display]:
+    """Return what is displayed, by the name of its files: the paper's comparison, hybrid at the
+    active display's friction, and the brake alone where the rig has that mode.
+    """
+    active = rig.one_axis().mode["active"]
+    same = rig.variant(f"mode.hybrid.F_s_Nm={active.F_s_Nm}", f"mode.hybrid.F_d_Nm={active.F_d_Nm}")
+    shown = {
+        "active": Display("active: motor alone", "active", rig),
+        "hybrid": Display("hybrid: motor and brake", "hybrid", rig),
+        SAME: Display("hybrid, friction as active", "hybrid", same),
+    }
+    if "passive" in rig.modes:
+        shown["passive"] = Display("passive: brake alone", "passive", rig)
+    return shown
+
+
+@dataclass(frozen=True)
 class Demo:
-    """Both runs and the verdict on them."""
+    """The runs and the verdict on them."""
 
     results: dict[str, RunResult]
     criteria: tuple[Criterion, ...]
@@ -61,7 +89,9 @@ def _number(value: float | None, unit: str) -> str:
 
 
 def judge(rig: Rig, results: dict[str, RunResult]) -> tuple[Criterion, ...]:
-    """Judge an active and a hybrid run."""
+    """Judge an active and a hybrid run, and a hybrid one at the active one's friction where there
+    is one.
+    """
     active, hybrid = results["active"], results["hybrid"]
     push = HYBRID_PUSH_SHARE * rig.one_axis().mode["hybrid"].F_s_Nm
     counts, rms = hybrid.hold_counts_p2p, hybrid.hold_velocity_rms_rad_s
@@ -70,7 +100,7 @@ def judge(rig: Rig, results: dict[str, RunResult]) -> tuple[Criterion, ...]:
     low, high = ACTIVE_RMS_RAD_S
     first, last = ACTIVE_PEAK_HZ
     runs = tuple(
-        Criterion(f"{mode}: no trip", results[mode].trip or "none", results[mode].trip is None) for mode in DEMO_MODES
+        Criterion(f"{name}: no trip", result.trip or "none", result.trip is None) for name, result in results.items()
     )
     return (
         *runs,
@@ -99,25 +129,35 @@ def judge(rig: Rig, results: dict[str, RunResult]) -> tuple[Criterion, ...]:
             _number(hybrid.hold_push_Nm, "Nm") if measured else "not measured, the rig has no handle torque",
             _between(hybrid.hold_push_Nm, push, float("inf")) if measured else None,
         ),
+        *(_same_friction(results[SAME]) for _ in (SAME,) if SAME in results),
+    )
+
+
+def _same_friction(result: RunResult) -> Criterion:
+    counts = result.hold_counts_p2p
+    return Criterion(
+        f"hybrid hold at the active display's friction: within {HYBRID_COUNTS} counts",
+        "none" if counts is None else f"{counts} counts",
+        counts is not None and counts <= HYBRID_COUNTS,
     )
 
 
 def run_demo(rig: Rig, directory: Path, *, seed: int = 0, progress: Callable[[str, float], None] | None = None) -> Demo:
-    """Run both modes through the rig's schedule.
+    """Run the `displays` through the rig's schedule.
 
     Write recordings and ``demo.json`` under `directory`, in place of former ones.
     """
     directory.mkdir(parents=True, exist_ok=True)
     seconds = rig.schedule_s
     results = {}
-    for mode in DEMO_MODES:
+    for name, one in displays(rig).items():
 
-        def report(t_s: float, mode: str = mode) -> None:
+        def report(t_s: float, name: str = name) -> None:
             if progress is not None:
-                progress(mode, t_s)
+                progress(name, t_s)
 
-        results[mode] = simulate(
-            rig, mode, seconds, record=directory / f"{mode}.pcapng", seed=seed, progress=report, force=True
+        results[name] = simulate(
+            one.rig, one.mode, seconds, record=directory / f"{name}.pcapng", seed=seed, progress=report, force=True
         )
     demo = Demo(results, judge(rig, results))
     (directory / "demo.json").write_text(json.dumps(as_dict(demo), indent=2) + "\n")

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from coulombus.recording.measures import Floats, PhaseSpan, phases, velocity
+from coulombus.recording.pictures.style import BLUE, GREEN, ORANGE, VERMILION, figure
 from coulombus.recording.signals import Source, series
 
 if TYPE_CHECKING:
@@ -19,55 +20,46 @@ if TYPE_CHECKING:
 
 __all__ = ["HANDLE", "Traces", "draw_detail", "draw_traces", "figure_14", "traces"]
 
-HANDLE_COLOUR, COMMAND_COLOUR, VELOCITY_COLOUR = (
-    "#0072B2",
-    "#D55E00",
-    "#009E73",
-)  # Okabe-Ito: safe for colour-blind eyes
 SHADES = {"rest": "#ffffff", "hold": "#ececec", "stroke": "#f7f7f7"}
 HANDLE = "brake.handle_torque_Nm"
+COMMANDS = {"motor": ("motor.target_torque_Nm", VERMILION), "brake": ("brake.setpoint_Nm", ORANGE)}
+"""Each quantity has a colour of its own, in every panel."""
 DETAIL_FROM_S, DETAIL_S = 2.5, 0.1  # of the hold
-LABELS = {
-    "active": "(a) active force feedback",
-    "hybrid": "(b) hybrid force feedback",
-    "passive": "passive force feedback",
-}
+BINS = 400
+WIDTH, MARGIN, HEIGHT = 3.1, 0.6, 7.4
 
 
 @dataclass(frozen=True)
 class Traces:
     """What a panel shows; times count from the start of the schedule."""
 
+    title: str
     t_s: Floats
     velocity_rad_s: Floats
     torque_t_s: Floats
     handle_Nm: Floats
     """The hand's torque; empty where the rig does not measure it."""
-    command_t_s: Floats
-    command_Nm: Floats
-    """The display's command: the motor's torque in mode active, the brake's set-point otherwise."""
-    command_label: str
+    commands: Mapping[str, tuple[Floats, Floats]]
+    """By device, times and values of what the host asked it for; without those that stayed 0."""
     phases: tuple[PhaseSpan, ...]
 
     @property
     def handle_label(self) -> str:
         """What a legend says of the hand's torque."""
-        return f"hand on the handle, {'measured' if len(self.handle_Nm) else 'not measured'}"
+        return f"hand, {'measured' if len(self.handle_Nm) else 'not measured'}"
 
 
 def traces(recording: Source, mode: str) -> Traces:
-    """Return the traces of `recording` from the start of its schedule to the end of it."""
+    """Return the traces of `recording`, made in `mode`, from the start of its schedule to the end
+    of it.
+    """
     spans = phases(recording)
     start = spans[0].begin_s if spans else 0.0
     end = spans[-1].end_s if spans else np.inf
-    name, label = (
-        ("motor.target_torque_Nm", "motor, commanded")
-        if mode == "active"
-        else ("brake.setpoint_Nm", "brake, commanded")
-    )
+    names = {device: name for device, (name, _) in COMMANDS.items() if recording.has(name)}
     measured = recording.has(HANDLE)
-    angle, command, *handles = series(recording, "motor.position_rad", name, *((HANDLE,) if measured else ()))
-    handle = handles[0] if measured else replace(command, t_s=command.t_s[:0], values=command.values[:0])
+    angle, *others = series(recording, "motor.position_rad", *names.values(), *((HANDLE,) if measured else ()))
+    handle = others.pop() if measured else replace(angle, t_s=angle.t_s[:0], values=angle.values[:0])
     t, v = velocity(angle.t_s, angle.values, recording.rig.bus.period_s)
 
     def cut(times: Floats, values: Floats) -> tuple[Floats, Floats]:
@@ -75,24 +67,44 @@ def traces(recording: Source, mode: str) -> Traces:
         return times[inside] - start, values[inside]
 
     moved = tuple(replace(span, begin_s=span.begin_s - start, end_s=span.end_s - start) for span in spans)
-    return Traces(*cut(t, v), *cut(handle.t_s, handle.values), *cut(command.t_s, command.values), label, moved)
+    commands = {device: cut(one.t_s, one.values) for device, one in zip(names, others, strict=True)}
+    shown = {device: one for device, one in commands.items() if one[1].any()}
+    return Traces(_title(recording, mode), *cut(t, v), *cut(handle.t_s, handle.values), shown, moved)
 
 
-def draw_traces(torque: Axes, speed: Axes, data: Traces, mode: str) -> None:
+def _title(recording: Source, mode: str) -> str:
+    """Return the friction that is displayed."""
+    one = recording.rig.one_axis().mode[mode]
+    return f"F_s = {one.F_s_Nm:g} Nm, F_d = {one.F_d_Nm:g} Nm,\nK_p = {one.K_p_Nm_rad:,.6g} Nm/rad"
+
+
+def _draw_envelope(axes: Axes, t_s: Floats, values: Floats, colour: str, label: str | None = None) -> None:
+    """Draw the least and the largest value of each of `BINS` times: a line, or the band that a limit
+    cycle fills.
+    """
+    if not len(t_s):
+        axes.plot([], [], color=colour, label=label)
+        return
+    first = np.searchsorted(t_s, np.linspace(t_s[0], t_s[-1], BINS + 1)[:-1])
+    first = np.unique(first)
+    low, high = np.minimum.reduceat(values, first), np.maximum.reduceat(values, first)
+    axes.fill_between(t_s[first], low, high, color=colour, lw=0.8, label=label)
+
+
+def draw_traces(torque: Axes, speed: Axes, data: Traces, title: str) -> None:
     """Draw torque and velocity of one recording into two axes, phases marked."""
-    torque.set_title(LABELS.get(mode, mode), loc="left", fontsize=11)
-    torque.plot(data.command_t_s, data.command_Nm, lw=0.5, color=COMMAND_COLOUR, label=data.command_label, alpha=0.8)
-    torque.plot(data.torque_t_s, data.handle_Nm, lw=0.8, color=HANDLE_COLOUR, label=data.handle_label)
+    torque.set_title(f"{title}\n{data.title}")
+    for device, (t_s, values) in data.commands.items():
+        _draw_envelope(torque, t_s, values, COMMANDS[device][1], f"{device}, commanded")
+    _draw_envelope(torque, data.torque_t_s, data.handle_Nm, BLUE, data.handle_label)
     torque.set_ylabel("torque [Nm]")
-    torque.legend(loc="lower center", bbox_to_anchor=(0.5, -0.02), fontsize=7, ncols=2, frameon=False)
-    speed.plot(data.t_s, data.velocity_rad_s, lw=0.5, color=VELOCITY_COLOUR)
+    _draw_envelope(speed, data.t_s, data.velocity_rad_s, GREEN)
     speed.set_ylabel("velocity [rad/s]")
     speed.set_xlabel("time since Operation Enabled [s]")
     for axes in (torque, speed):
         for span in data.phases:
             axes.axvspan(span.begin_s, span.end_s, color=SHADES.get(span.kind, "#ffffff"), zorder=0, lw=0)
             axes.axvline(span.begin_s, color="0.6", lw=0.6, ls=":")
-        axes.grid(True, lw=0.3, color="0.85")
         axes.margins(x=0)
     for span in data.phases:
         torque.annotate(
@@ -108,39 +120,42 @@ def draw_traces(torque: Axes, speed: Axes, data: Traces, mode: str) -> None:
         )
 
 
-def draw_detail(axes: Axes, data: Traces, begin_s: float) -> None:
-    """Draw a tenth of a second of the velocity, sample by sample: a limit cycle, or nothing."""
+def draw_detail(axes: Axes, data: Traces) -> None:
+    """Draw a tenth of a second of the velocity in the hold, sample by sample: a limit cycle, or
+    nothing.
+    """
+    begin_s = DETAIL_FROM_S + next((span.begin_s for span in data.phases if span.kind == "hold"), 0.0)
     inside = (data.t_s >= begin_s) & (data.t_s < begin_s + DETAIL_S)
-    axes.plot(data.t_s[inside], data.velocity_rad_s[inside], lw=0.8, marker=".", ms=3, color=VELOCITY_COLOUR)
-    axes.set_title("0.1 s of the hold, sample by sample", loc="left", fontsize=9)
+    axes.plot(data.t_s[inside], data.velocity_rad_s[inside], lw=0.8, marker=".", ms=3, color=GREEN)
+    axes.set_title("0.1 s of the hold")
     axes.set_ylabel("velocity [rad/s]")
     axes.set_xlabel("time since Operation Enabled [s]")
-    axes.grid(True, lw=0.3, color="0.85")
     axes.margins(x=0)
 
 
-def figure_14(recordings: Mapping[str, Source], path: Path) -> None:
-    """Save torque and velocity of each recording, one column a mode, as a picture (the ending names
-    the format).
+def figure_14(recordings: Mapping[str, tuple[str, Source]], path: Path) -> None:
+    """Save torque and velocity of recordings, a column each, as a picture (the ending names the
+    format).
+
+    Parameters
+    ----------
+    recordings : by what a column is called, the mode and the recording
     """
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(3, len(recordings), figsize=(5.6 * len(recordings), 8.2), sharey="row", squeeze=False)
-    for column, (mode, recording) in enumerate(recordings.items()):
-        data = traces(recording, mode)
-        draw_traces(axes[0, column], axes[1, column], data, mode)
-        hold = next((span for span in data.phases if span.kind == "hold"), None)
-        draw_detail(axes[2, column], data, DETAIL_FROM_S + (hold.begin_s if hold is not None else 0.0))
-    low, high = axes[0, 0].get_ylim()
-    axes[0, 0].set_ylim(low - 0.18 * (high - low), high + 0.1 * (high - low))  # room for legend and phases
-    figure.suptitle(
-        f"Friction display on the rig '{next(iter(recordings.values())).rig.name}', from the recorded PDOs",
-        fontsize=12,
-    )
-    figure.tight_layout()
-    metadata: dict[str, Any] = {"Date": None} if path.suffix == ".svg" else {"Software": None}
-    figure.savefig(path, dpi=130, metadata=metadata)
-    plt.close(figure)
+    count = len(recordings)
+    with figure(MARGIN + WIDTH * count, HEIGHT, 3, count, sharey="row", squeeze=False) as (made, axes):
+        for column, (name, (mode, recording)) in enumerate(recordings.items()):
+            data = traces(recording, mode)
+            draw_traces(axes[0, column], axes[1, column], data, name)
+            draw_detail(axes[2, column], data)
+        for one in axes[:, 1:].flat:
+            one.set_ylabel("")
+        low, high = axes[0, 0].get_ylim()
+        axes[0, 0].set_ylim(low, high + 0.1 * (high - low))  # room for the phases' names
+        known: dict[str, Any] = {
+            label: artist for one in axes[0] for artist, label in zip(*one.get_legend_handles_labels(), strict=True)
+        }
+        made.legend(known.values(), known.keys(), loc="outside lower center", ncols=len(known))
+        rig = next(iter(recordings.values()))[1].rig.name
+        made.suptitle(f"Friction display on the rig '{rig}', from the recorded PDOs", fontsize=12)
+        metadata: dict[str, Any] = {"Date": None} if path.suffix == ".svg" else {"Software": None}
+        made.savefig(path, dpi=130, metadata=metadata)

@@ -81,7 +81,7 @@ def test_demo_judges_what_can_be_judged(recorded, tmp_path):
         assert (len(one.handle_Nm) > 0) is recorded.measured
         assert one.handle_label.endswith(" measured" if recorded.measured else " not measured")
         assert len(one.velocity_rad_s) > 1000
-    figure_14({mode: blocks(path) for mode, path in recorded.paths.items()}, tmp_path / "demo.png")
+    figure_14({mode: (mode, blocks(path)) for mode, path in recorded.paths.items()}, tmp_path / "demo.png")
     assert (tmp_path / "demo.png").stat().st_size > 5000
 
 

@@ -1,0 +1,66 @@
+"""The demo's runs, its verdict, and what its picture shows."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from coulombus.lab.demo.demo import DEMO_MODES, SAME, displays, run_demo
+from coulombus.lab.demo.traces import BINS, draw_traces, traces
+from coulombus.recording.pictures.style import figure
+from coulombus.recording.signals import blocks
+from coulombus.rigs.rig import load_rig
+
+HOLD = 'kind="hold", duration_s=2.0, push_F_s=0.6, frequency_Hz=0.5, taps_s=[0.6], tap_Nm=0.5, tap_s=0.02'
+SCHEDULE = f'phase=[{{kind="rest", duration_s=1.0}}, {{{HOLD}}}]'
+
+
+@pytest.fixture(scope="module")
+def shown(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("demo")
+    rig = load_rig("bench", (SCHEDULE,))
+    return rig, run_demo(rig, folder), folder
+
+
+def test_the_same_friction_is_displayed_by_both(shown):
+    rig, demo, _ = shown
+    assert list(demo.results) == [*DEMO_MODES, SAME, "passive"]
+    same, active = (displays(rig)[name].rig.one_axis().mode for name in (SAME, "active"))
+    assert (same["hybrid"].F_s_Nm, same["hybrid"].F_d_Nm) == (active["active"].F_s_Nm, active["active"].F_d_Nm)
+    assert same["hybrid"].K_p_Nm_rad == rig.one_axis().mode["hybrid"].K_p_Nm_rad
+
+
+def test_hybrid_holds_at_the_active_displays_friction(shown):
+    _, demo, _ = shown
+    (found,) = (one for one in demo.criteria if "at the active display's friction" in one.text)
+    assert found.holds
+    assert found.found == "0 counts"
+    assert demo.results["active"].hold_counts_p2p > 1000
+
+
+def test_a_rig_without_the_brake_alone_is_shown_without_it(tmp_path):
+    text = load_rig("bench").text
+    (tmp_path / "rig.toml").write_text(re.sub(r"\[mode\.passive\]\n(?:[^\[\n]+\n)+", "", text))
+    assert list(displays(load_rig(tmp_path / "rig.toml"))) == [*DEMO_MODES, SAME]
+
+
+def test_each_panel_says_what_it_displays(shown):
+    rig, _, folder = shown
+    for name, one in displays(rig).items():
+        data = traces(blocks(folder / f"{name}.pcapng"), one.mode)
+        friction = one.rig.one_axis().mode[one.mode]
+        assert f"F_s = {friction.F_s_Nm:g} Nm, F_d = {friction.F_d_Nm:g} Nm" in data.title
+        assert set(data.commands) == {"active": {"motor"}, "passive": {"brake"}}.get(one.mode, {"motor", "brake"})
+
+
+def test_a_limit_cycle_is_the_band_that_it_fills(shown):
+    _, _, folder = shown
+    data = traces(blocks(folder / "active.pcapng"), "active")
+    with figure(4, 4, 2) as (_, (torque, speed)):
+        draw_traces(torque, speed, data, "active")
+        (band,) = (one for one in torque.collections if one.get_label() == "motor, commanded")
+    _, values = data.commands["motor"]
+    drawn = band.get_paths()[0].vertices
+    assert (drawn[:, 1].min(), drawn[:, 1].max()) == (values.min(), values.max())
+    assert len(drawn) <= 2 * BINS + 3
