@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import math
 import re
+import textwrap
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -191,7 +192,12 @@ def fitted(line: str, width: int) -> str:
             lines[-1] += "  " + item
         else:
             lines.append(" " * INDENT + item)
-    return "\n".join(lines)
+    return "\n".join(
+        textwrap.fill(one, width, subsequent_indent=" " * INDENT, break_long_words=False, break_on_hyphens=False)
+        if len(one) > width > 2 * INDENT
+        else one
+        for one in lines
+    )
 
 
 def _item(key: str, value: Any) -> str:

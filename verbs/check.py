@@ -7,7 +7,17 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from coulombus.verbs.common import EXIT_STATUS, errors, json_option, load, print_json, rig_option, set_option, verdict
+from coulombus.verbs.common import (
+    EXIT_STATUS,
+    errors,
+    json_option,
+    load,
+    on_terminal,
+    print_json,
+    rig_option,
+    set_option,
+    verdict,
+)
 
 if TYPE_CHECKING:
     from coulombus.host.setup.device_plan import DevicePlan
@@ -214,7 +224,7 @@ class _Findings:
             for signal in pdo.signals:
                 unit = f" {signal.unit}" if signal.unit else ""
                 by = f"  by {decided[signal.name]}" if signal.name in decided else ""
-                click.echo(f"  {signal.name:<28} = raw x {signal.scale:.9g}{unit}{by}")
+                click.echo(on_terminal(f"  {signal.name:<28} = raw x {signal.scale:.9g}{unit}{by}", 6))
 
     def _tell_buses(self) -> None:
         for planned in self.buses.values():

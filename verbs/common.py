@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import signal
 import sys
 import textwrap
@@ -55,6 +56,7 @@ __all__ = [
     "listed",
     "load",
     "mode_option",
+    "on_terminal",
     "print_json",
     "printable",
     "printed",
@@ -76,7 +78,9 @@ __all__ = [
 
 EXIT_STATUS = (
     "\b\nExit status:\n"
-    + "".join(f"{status:>3}  {text}\n" for status, text in STATUSES.items())
+    + "".join(
+        textwrap.fill(f"{status:>3}  {text}", 76, subsequent_indent=" " * 5) + "\n" for status, text in STATUSES.items()
+    )
     + """With --json, what ends a verb before its result is an object on stdout, too:
 {"event": "error", "error": TEXT, "exit_status": N}
 """
@@ -564,6 +568,15 @@ def print_fitting(console: Console, build: Callable[[Collection[str]], Table], l
         if Measurement.get(console, wide, table).maximum <= console.width:
             break
     console.print(table)
+
+
+def on_terminal(line: str, indent: int) -> str:
+    """Return a line of stdout: broken as `hanging` does where a terminal ends, whole in a file or a
+    pipe.
+    """
+    if not sys.stdout.isatty():
+        return line
+    return hanging(line, shutil.get_terminal_size().columns, indent)
 
 
 def hanging(text: str, width: int, indent: int) -> str:

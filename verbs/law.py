@@ -15,6 +15,7 @@ from coulombus.verbs.common import (
     errors,
     force_option,
     json_option,
+    on_terminal,
     print_json,
     printable,
     printed,
@@ -181,8 +182,8 @@ def _list(as_json: bool) -> None:
             return
         width = max(len(one["law"]) for one in laws)
         for one in laws:
-            click.echo(f"{one['law']:<{width}}  {one['title']}")
-        click.echo("`coulombus law NAME` lists a law's parameters; docs/laws.md has its equation and its source")
+            click.echo(on_terminal(f"{one['law']:<{width}}  {one['title']}", width + 2))
+        click.echo("`coulombus law NAME` lists a law's parameters; docs/laws.md has its equation")
 
 
 def _describe(given: GivenLaw, as_json: bool) -> None:
