@@ -13,7 +13,9 @@ from coulombus.verbs.bundle import bundle, repeated
 from coulombus.verbs.common import PICTURE, RecordingPlace, force_option
 
 if TYPE_CHECKING:
+    from coulombus.host.run.markers import BitMark
     from coulombus.host.run.outputs import Outputs
+    from coulombus.rigs.rig import Rig
 
 __all__ = ["OutputOptions", "outputs_options"]
 
@@ -30,6 +32,7 @@ class OutputOptions:
     keep: str | None
     status: Path | None
     meta: tuple[str, ...]
+    mark_on: tuple[str, ...]
     overwrite: bool
     histogram: Path | None
 
@@ -57,10 +60,10 @@ class OutputOptions:
         words = ["--force"] if self.overwrite else []
         if self.segmented:
             words += ["--rotate", self.rotate or SEGMENT, *(["--keep", self.keep] if self.keep else [])]
-        return words + repeated("--meta", self.meta)
+        return words + repeated("--meta", self.meta) + repeated("--mark-on", self.mark_on)
 
-    def outputs(self) -> Outputs:
-        """Return what the run writes.
+    def outputs(self, rig: Rig) -> Outputs:
+        """Return what the run on `rig` writes.
 
         Raises
         ------
@@ -88,10 +91,22 @@ class OutputOptions:
             record=self.record,
             rotation=rotation,
             meta=self._said(),
+            mark_on=self._bits(rig),
             histogram=self.histogram,
             status=self.status,
             force=self.overwrite,
         )
+
+    def _bits(self, rig: Rig) -> tuple[BitMark, ...]:
+        """Return what --mark-on names."""
+        from coulombus.host.run.markers import bit_mark
+
+        if self.mark_on and self.record is None:
+            raise click.UsageError("--mark-on marks a recording: give --record, too")
+        try:
+            return tuple(bit_mark(one, rig) for one in self.mark_on)
+        except ValueError as error:
+            raise click.BadParameter(str(error), param_hint="--mark-on") from None
 
     def _said(self) -> dict[str, str]:
         """Return the pairs of --meta."""
@@ -152,6 +167,12 @@ outputs_options = bundle(
         help="Make a socket there that tells the state, a JSON line each 100 ms, to all who read it.",
     ),
     click.option("--meta", multiple=True, metavar="KEY=VALUE", help="Say something of the recording: subject=S01."),
+    click.option(
+        "--mark-on",
+        multiple=True,
+        metavar="SIGNAL:MASK=TEXT",
+        help="Mark the recording when these bits of a signal become 1: motor.deadman:0x20000=pedal.",
+    ),
     force_option,
     click.option("--histogram", type=PICTURE, metavar="F.png", help="Draw wake-up and SYNC-to-RPDO times there."),
 )

@@ -97,7 +97,7 @@ def run_command(
         if shared_machine:
             check_shared_machine(addresses.values())
         check_mode(rig, rig_name, mode)
-        out = outputs.outputs()
+        out = outputs.outputs(rig)
         if channel is not None:
             rig = rig.on(channel)
         if len(rig.channels) > 1:

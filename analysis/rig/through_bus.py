@@ -32,6 +32,7 @@ import numpy.typing as npt
 
 from coulombus.analysis.rig.maps import LoopParameters, simulate_point
 from coulombus.analysis.rig.runs import displayed, need_modes
+from coulombus.eds.cia301 import CobId
 from coulombus.recording.measures import velocity
 from coulombus.recording.signals import Recording, read
 from coulombus.rigs.axis import Axis
@@ -54,7 +55,7 @@ ACTUATIONS = ("next_sync", "on_reception")
 BENCH_HARDWARE = "bench encoder and motor lag"
 SETTLE_S, WINDOW_S = 2.5, 2.0
 """The first seconds (gain ramp, transient) are left out; the window after them is measured."""
-SYNC = 0x80
+
 COULOMB = "coulomb"
 TAP_M_S = 0.05
 
@@ -121,7 +122,7 @@ def loop_delay(recording: Recording, begin_s: float = 0.0, end_s: float = float(
     t_ns = recording.frames["t_ns"] - recording.epoch_ns
     inside = (t_ns >= begin_s * 1e9) & (t_ns <= end_s * 1e9)
     can_ids = np.asarray(recording.frames["can_id"])
-    syncs = np.asarray(t_ns[inside & (can_ids == SYNC)], np.int64)
+    syncs = np.asarray(t_ns[inside & (can_ids == CobId.SYNC)], np.int64)
     answers = np.asarray(t_ns[inside & (can_ids == pdo.layout.cob_id)], np.int64)
     if len(syncs) < 3 or not len(answers):
         raise ValueError(

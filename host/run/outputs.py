@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 
+from coulombus.host.run.markers import BitMark
 from coulombus.recording.segments import Rotation
 
 __all__ = ["Outputs"]
@@ -22,6 +23,8 @@ class Outputs:
     """When a segment ends (`recording.segments`)."""
     meta: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
     """What a person says of the recording; it is attached."""
+    mark_on: tuple[BitMark, ...] = ()
+    """Bits of signals that set a marker when they become 1."""
     histogram: Path | None = None
     """A picture of the wake-up and the SYNC-to-RPDO times."""
     status: Path | None = None

@@ -38,7 +38,7 @@ from coulombus.host.run.course import SAFE_TIMEOUT_NS, Course, Figures
 from coulombus.host.run.deadman import Switch, deadman_of
 from coulombus.host.run.deadman_outside import switch_of
 from coulombus.host.run.histogram import Counts
-from coulombus.host.run.markers import StruckKeys, marker_of
+from coulombus.host.run.markers import BitMarks, StruckKeys, marker_of
 from coulombus.host.run.outputs import Outputs
 from coulombus.host.run.result import RunResult
 from coulombus.host.run.status_socket import StatusSocket, encoded
@@ -118,6 +118,7 @@ class _RealRun(Course):
             self.changes = Changes(parameters, new_arm_key(address), self._apply, self._why_no_change)
             self.control = RealControlPlane(rig, address)
             self._stack.callback(self.control.close)
+            self._bits = BitMarks(outputs.mark_on, rig)
             if outputs.record is not None:
                 self.recorder = self._recorder(outputs.record)
                 self._stack.callback(self._give_up_recording)
@@ -253,6 +254,8 @@ class _RealRun(Course):
 
         def write(recorder: Recorder) -> None:
             if ready:
+                for t_ns, marker in self._bits.edges(found[:ready]):
+                    recorder.mark(t_ns, marker)
                 recorder.write(found[:ready])
             if ready or len(rows):
                 rows["t_ns"] -= self.zero_ns
