@@ -14,7 +14,7 @@ from coulombus.host.cycle.records import Image, Phase, Trip
 from coulombus.host.realtime.shared_memory import Status
 from coulombus.host.run import real_run
 from coulombus.host.run.course import Course
-from coulombus.host.run.markers import StruckKeys
+from coulombus.host.run.markers import BitMarks, StruckKeys
 from coulombus.host.setup.bringup import release, shut_down
 from coulombus.lab.bringup import switch_on
 from coulombus.recording.recorder import Recorder
@@ -180,7 +180,7 @@ def marked(tmp_path, monkeypatch, *, slow_batch=1, trip=Trip.NONE, rig="bench", 
     run.notifier, run.address, run.teller = Notifier({}), "coulombus:bench", None
     run.recorder = Recorder(tmp_path / "r.pcapng", rig, "hybrid")
     run.error = run.stopped_by = run._waiting = None
-    run._keys = StruckKeys(plane.clock.monotonic_ns)
+    run._keys, run._bits = StruckKeys(plane.clock.monotonic_ns), BitMarks((), rig)
     run.deadman, run._seen = "none", (0, 0.0)
     run.signals = Signals()
     run.door = SimpleNamespace(stop_wanted=lambda: False)
