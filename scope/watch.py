@@ -21,18 +21,11 @@ from rich.console import Console, ConsoleOptions, RenderResult
 from rich.live import Live as Display
 from rich.text import Text
 
-from coulombus.eds.cia402 import (
-    COMMAND_OF_CONTROLWORD,
-    CONTROLWORD_FIELDS,
-    STATE_OF_STATUSWORD,
-    STATUSWORD_FIELDS,
-    Command,
-    PowerState,
-)
 from coulombus.rigs.rig import Rig
 from coulombus.scope.braille import drawn
 from coulombus.scope.live import Event, Live, NodeRow, PdoRow, Snapshot, Value
 from coulombus.scope.traces import WINDOW_S, Trace, Traces
+from coulombus.scope.word_bits import bits_set, meaning
 from coulombus.wire.address import BusAddress
 from coulombus.wire.client import BusDown, BusFull, BusGone, Client
 from coulombus.wire.hello import Flags, Hello
@@ -486,8 +479,8 @@ def _pdo_rows(row: PdoRow) -> Iterator[tuple[tuple[str | Text, ...], str]]:
     for place, byte in enumerate(row.data):
         raw.append(f"{byte:02X}", CHANGED if place in row.changed else "")
     for value in row.values:
-        shown = (_short(value), _number(value), value.unit or _meaning(value))
-        yield (*head, *shown, *tail, raw, _set_bits(value)), style
+        shown = (_short(value), _number(value), value.unit or meaning(value))
+        yield (*head, *shown, *tail, raw, bits_set(value)), style
         head, tail, raw = ("", ""), ("", "", ""), Text()
 
 
@@ -501,26 +494,6 @@ def _number(value: Value) -> str:
     if _short(value) in ("controlword", "statusword"):
         return f"0x{int(value.value):04X}"
     return f"{value.value:+.5f}" if isinstance(value.value, float) else str(value.value)
-
-
-def _meaning(value: Value) -> str:
-    if value.value is None:
-        return ""
-    name, word = _short(value), int(value.value)
-    if name == "statusword":
-        state = int(STATE_OF_STATUSWORD[word & 0x7F])
-        return PowerState(state).name.lower().replace("_", " ") if state >= 0 else "unknown state"
-    if name == "controlword":
-        command = Command.FAULT_RESET if word & 0x80 else Command(COMMAND_OF_CONTROLWORD[word & 0x0F])
-        return command.name.lower().replace("_", " ")
-    return ""
-
-
-def _set_bits(value: Value) -> str:
-    """Return the names of the bits that are set beside the state or command."""
-    fields = {"statusword": STATUSWORD_FIELDS, "controlword": CONTROLWORD_FIELDS}.get(_short(value), ())
-    word = 0 if value.value is None else int(value.value)
-    return ", ".join(field.name.replace("_", " ") for field in fields[1:] if word & field.mask)
 
 
 def _unit(value: Value) -> str:

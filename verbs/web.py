@@ -118,6 +118,7 @@ def serve_page(
     beside : another verb began this process, and holds the other end of stdin
     """
     from coulombus.host.run.control_socket import ask_change, ask_mark, ask_status, stop_host
+    from coulombus.host.run.law_curve import law_curve
     from coulombus.host.run.runbook import anchor
     from coulombus.scope.web import WebError
     from coulombus.wire.address import socket_path
@@ -127,9 +128,9 @@ def serve_page(
         from coulombus.scope.web.server import serve
         from coulombus.scope.web.state import HostDoor
     except ModuleNotFoundError as error:
-        if (error.name or "").partition(".")[0] not in ("bokeh", "tornado"):
+        if (error.name or "").partition(".")[0] != "tornado":
             raise
-        raise WebError("the page needs Bokeh: pip install 'coulombus[web]'") from None
+        raise WebError("the page needs Tornado: pip install 'coulombus[web]'") from None
 
     def ready(url: str) -> None:
         click.echo(json.dumps({"event": "ready", "url": url}) if as_json else f"page: {url}")
@@ -141,6 +142,7 @@ def serve_page(
         advice=anchor,
         change=lambda order: ask_change(address, order, 1.0),
         mark=lambda text: ask_mark(address, text, 1.0),
+        curve=law_curve,
     )
     serve(
         *(rig, address, door, kept_token(socket_path(kept)), ready),

@@ -86,6 +86,18 @@ class Parameter:
     value: float
     """That of the rig file."""
 
+    @property
+    def step(self) -> float:
+        """By how much a slider moves it: 1, 2 or 5 times a power of ten, at most a hundredth of what
+        is likely: to its bound, or to ten times the rig file's value where the bound is far away.
+        """
+        likely = 10 * self.value if 0 < 20 * self.value < self.high else self.high - max(self.low, 0.0)
+        exponent = math.floor(math.log10(likely / 100)) if likely > 0 else -2
+        share = likely / 100 / 10.0**exponent
+        return (
+            float(f"{next(one for one in (5, 2, 1) if one <= share * (1 + 1e-9))}e{exponent}") if likely > 0 else 0.01
+        )
+
     def why_not(self, value: float) -> str | None:
         """Return why it cannot be `value`; None where it can."""
         right = self.low < value if self.above_low else self.low <= value
@@ -204,6 +216,7 @@ class _Axis:
                 "low": one.low,
                 "high": one.high,
                 "above_low": one.above_low,
+                "step": one.step,
             }
             for one in self.table.values()
         ]

@@ -26,7 +26,7 @@ from coulombus.host.laws.law import LAW, LAW_STATE, MOTION, Declaration, Paramet
 from coulombus.host.laws.laws import LawError, load_declared
 from coulombus.host.laws.parameters import set_parameters
 
-__all__ = ["COUNT_RAD", "SAMPLE", "Driven", "GivenLaw", "given_law"]
+__all__ = ["COUNT_RAD", "SAMPLE", "Driven", "GivenLaw", "drive", "given_law"]
 
 Floats = npt.NDArray[np.float64]
 
@@ -124,14 +124,28 @@ class GivenLaw:
         asked[0]["count_rad"] = count_rad
         if self.declaration is not None and self.parameters is not None:
             self.declaration.fill(asked[0]["law"], self.parameters)
-        wrong = _drive(asked[0], self.pointer, samples)
-        if wrong >= 0:
-            one = samples[wrong]
-            raise LawError(
-                f"law {self.name!r} returned {one['torque_Nm']:g} Nm and {one['brake_Nm']:g} Nm for the brake at "
-                f"t_s={one['t_s']:g}, x_rad={one['x_rad']:g}; expected finite numbers: on a rig this trips (LAW)"
-            )
-        return Driven(samples)
+        return _driven(self.name, self.pointer, asked, samples)
+
+
+def drive(
+    name: str, pointer: Any, law: Records, t_s: npt.NDArray[Any], x_rad: npt.NDArray[Any], count_rad: float
+) -> Driven:
+    """Drive a law whose parameters are a record of `LAW` along a motion, as `GivenLaw.along` does."""
+    asked, samples = new_records(ASKED), new_records(SAMPLE, len(t_s))
+    samples["t_s"], samples["x_rad"] = t_s, x_rad
+    asked[0]["count_rad"], asked[0]["law"] = count_rad, law[0]
+    return _driven(name, pointer, asked, samples)
+
+
+def _driven(name: str, pointer: Any, asked: Records, samples: Records) -> Driven:
+    wrong = _drive(asked[0], pointer, samples)
+    if wrong >= 0:
+        one = samples[wrong]
+        raise LawError(
+            f"law {name!r} returned {one['torque_Nm']:g} Nm and {one['brake_Nm']:g} Nm for the brake at "
+            f"t_s={one['t_s']:g}, x_rad={one['x_rad']:g}; expected finite numbers: on a rig this trips (LAW)"
+        )
+    return Driven(samples)
 
 
 def given_law(name: str, overrides: Sequence[str] = (), directory: Path | None = None) -> GivenLaw:

@@ -5,7 +5,7 @@ set-points went out.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +13,7 @@ import numpy.typing as npt
 from coulombus.host.realtime.data_plane import Spread
 from coulombus.recording.pictures.style import BLACK, BLUE, VERMILION, figure, label
 
-__all__ = ["Counts", "coarse", "draw_histograms"]
+__all__ = ["Counts", "coarse", "coarse_dict", "draw_histograms"]
 
 Counts: TypeAlias = npt.NDArray[np.int64]
 """How many times fell into each bin."""
@@ -32,6 +32,15 @@ def coarse(bins: Counts) -> tuple[npt.NDArray[np.float64], Counts]:
     counts = np.add.reduceat(bins, edges[:-1].astype(int))
     counts[0] += bins[0]
     return edges, counts
+
+
+def coarse_dict(bins: Counts) -> dict[str, Any]:
+    """Return `coarse` as plain values, up to the last bin that is not empty: N + 1 edges [us], N
+    counts.
+    """
+    edges, counts = coarse(bins)
+    end = int(np.flatnonzero(counts).max(initial=-1)) + 1
+    return {"edges": edges[: end + 1 if end else 0].tolist(), "counts": counts[:end].tolist()}
 
 
 def draw_histograms(wakeup: Counts, latency: Counts, period_us: float, path: Path) -> None:

@@ -37,7 +37,7 @@ from coulombus.host.run.control_socket import HostSocket
 from coulombus.host.run.course import SAFE_TIMEOUT_NS, Course, Figures
 from coulombus.host.run.deadman import Switch, deadman_of
 from coulombus.host.run.deadman_outside import switch_of
-from coulombus.host.run.histogram import Counts
+from coulombus.host.run.histogram import Counts, coarse_dict
 from coulombus.host.run.markers import BitMarks, StruckKeys, marker_of
 from coulombus.host.run.outputs import Outputs
 from coulombus.host.run.result import RunResult
@@ -146,8 +146,14 @@ class _RealRun(Course):
             "trip": self.trip,
             "wakeup_us": wakeup and wakeup.as_dict(),
             "sync_to_rpdo_us": latency and latency.as_dict(),
+            "histograms_us": {
+                "wakeup": coarse_dict(plane.shared.wakeup_bins),
+                "sync_to_rpdo": coarse_dict(plane.shared.latency_bins),
+                "deadline": self.rig.bus.period_ns / 1000,
+            },
             "counters": plane.counters(),
             "recording": None if self.path is None else str(self.path),
+            "meta": dict(self.outputs.meta),
             "arm_key": bool(self.changes.arm_key),
             "axes": [
                 {**axis_state(controller), "parameters": rows}

@@ -23,7 +23,7 @@ from coulombus.wire.bits import frame_bits
 from coulombus.wire.can_id import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 from coulombus.wire.client import Received
 
-__all__ = ["ROWS", "VELOCITY", "Capture", "Curve", "Period"]
+__all__ = ["ROWS", "VELOCITY", "Capture", "Curve", "Period", "has_plain_curve"]
 
 WINDOW_NS = 1_000_000_000
 RAW_NS = 200_000_000
@@ -61,10 +61,17 @@ class Period:
 
 @dataclass(frozen=True)
 class Curve:
-    """The friction that a law displays at rest and in motion, as a line over the velocity."""
+    """The friction that a law displays, as a line over the velocity."""
 
     velocity_rad_s: tuple[float, ...]
     friction_Nm: tuple[float, ...]
+
+
+def has_plain_curve(axis: Axis) -> bool:
+    """Tell whether the curve of an axis' law is F_s at rest and F_d in motion: then nobody is asked
+    for it.
+    """
+    return axis.law.function in ("karnopp", "coulomb")
 
 
 class _Pdo:
@@ -207,6 +214,12 @@ class Capture:
         """Return the data of the last right frame of a PDO."""
         return self._pdos[can_id].data
 
+    def places(self, can_id: int) -> list[str]:
+        """Return which bits of a PDO each signal is: "0-15"."""
+        layout = self._pdos[can_id].pdo.layout
+        ends = (start + entry.bits - 1 for start, entry in zip(layout.starts, layout.entries, strict=True))
+        return [f"{start}-{end}" if end > start else str(start) for start, end in zip(layout.starts, ends, strict=True)]
+
     def period(self, can_id: int, now_ns: int) -> Period | None:
         """Return the figures of a PDO's period in the last second."""
         return self._pdos[can_id].period(now_ns)
@@ -237,12 +250,12 @@ class Capture:
         return v, f[np.clip(np.searchsorted(t_f, t_v), 0, len(t_f) - 1)]
 
     def law_curve(self, axis: Axis, mode: str, live: Mapping[str, float] | None = None) -> Curve | None:
-        """Return what the law displays in a mode: F_s at rest, F_d in motion; the values that are
-        `live`, else those of the rig file.
+        """Return what a law with a plain curve displays in a mode: F_s at rest, F_d in motion; the
+        values that are `live`, else those of the rig file.
 
-        None of a law of a user's own, and of an unknown mode.
+        None of another law, and of an unknown mode.
         """
-        if axis.law.function not in ("karnopp", "coulomb") or mode not in axis.mode:
+        if not has_plain_curve(axis) or mode not in axis.mode:
             return None
         said = axis.mode[mode]
         F_d = (live or {}).get("F_d_Nm", said.F_d_Nm)

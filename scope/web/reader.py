@@ -1,4 +1,5 @@
-"""The threads beside the page's server: one reads the bus in batches, one asks the host.
+"""The threads beside the page's server: one reads the bus in batches, one asks the host, one has the
+law's curve made.
 
 Nothing is ever sent to the bus.
 """
@@ -9,11 +10,13 @@ import threading
 import time
 from typing import Any
 
-from coulombus.scope.web.capture import Capture
+from coulombus.rigs.axis import Axis
+from coulombus.rigs.rig import Rig
+from coulombus.scope.web.capture import Capture, Curve, has_plain_curve
 from coulombus.scope.web.state import HostDoor, HostView
 from coulombus.wire.client import BusDown, BusFull, Client, Received
 
-__all__ = ["BATCH_S", "BusReader", "HostReader"]
+__all__ = ["BATCH_S", "BusReader", "CurveReader", "HostReader"]
 
 BATCH_S = 0.033
 COLLECT_S = 0.01
@@ -81,7 +84,7 @@ class BusReader(_Worker):
             except OSError as error:
                 self.failure = error
             if now - taken >= BATCH_S or self.failure is not None:
-                taken = now
+                taken = max(taken + BATCH_S, now - COLLECT_S)  # so that batches are of BATCH_S on average
                 with self._lock:
                     self._capture.take(frames)
                     self.until_ns = now_ns
@@ -105,3 +108,35 @@ class HostReader(_Worker):
                 status = None
             with self._lock:
                 self._view.tell(status)
+
+
+class CurveReader(_Worker):
+    """Has the curve of each axis' law made anew when the mode or a parameter is another one.
+
+    The curves stand in `curves`, by the axis' name; None of a law that has none, or that fails.
+    """
+
+    def __init__(self, door: HostDoor, view: HostView, rig: Rig, lock: threading.Lock) -> None:
+        super().__init__("curve reader")
+        self.curves: dict[str, Curve | None] = {}
+        self._made: dict[str, object] = {}
+        self._door, self._view, self._rig, self._lock = door, view, rig, lock
+
+    def _run(self) -> None:
+        while not self.stop.wait(HOST_S):
+            for axis in self._rig.axes:
+                with self._lock:
+                    mode, live = self._view.mode, self._view.live(axis.name)
+                self.make(axis, mode, live)
+
+    def make(self, axis: Axis, mode: str, live: dict[str, float]) -> None:
+        """Make a curve where it is not that of the last time."""
+        wanted = (mode, tuple(live.items()))
+        if self._made.get(axis.name) == wanted or mode not in axis.mode or has_plain_curve(axis):
+            return
+        self._made[axis.name] = wanted
+        try:
+            found = self._door.curve(axis, mode, live)
+        except Exception:  # a law of somebody's own: the host says what is wrong with it
+            found = None
+        self.curves[axis.name] = None if found is None else Curve(*found)

@@ -3,8 +3,8 @@
 All addresses begin with the token; all others are 403::
 
     GET  /TOKEN/            the page (?axis=NAME of a rig that has several)
-    GET  /TOKEN/static/F    its style, its script, and Bokeh's script from Bokeh's own wheel
-    GET  /TOKEN/plots       the empty plots (?theme=dark)
+    GET  /TOKEN/static/F    its style and its scripts
+    GET  /TOKEN/layout      which plot shows which signals
     GET  /TOKEN/data        WebSocket: batches there (`scope.web.batch`), "took N", "control", "set {...}" and
                             "mark N" here
     POST /TOKEN/stop        a safe stop: what ``coulombus stop`` asks for
@@ -34,17 +34,15 @@ from typing import Any
 import tornado.httpserver
 import tornado.web
 import tornado.websocket
-from bokeh.util.paths import static_path
 
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
 from coulombus.scope.live import Snapshot
 from coulombus.scope.web import WebError
 from coulombus.scope.web.batch import Flow, batch, layout
-from coulombus.scope.web.capture import Capture
+from coulombus.scope.web.capture import Capture, Curve
 from coulombus.scope.web.guard import Seat, right_token, same_origin
-from coulombus.scope.web.plots import Theme, legends, plots
-from coulombus.scope.web.reader import BATCH_S, BusReader, HostReader
+from coulombus.scope.web.reader import BATCH_S, BusReader, CurveReader, HostReader
 from coulombus.scope.web.state import HostDoor, HostView, document
 from coulombus.wire.address import BusAddress, BusUnavailable
 from coulombus.wire.client import Client
@@ -68,11 +66,11 @@ RETRY_S = 0.5
 TYPES = {".css": "text/css", ".js": "text/javascript", ".html": "text/html"}
 POLICY = "; ".join(
     (
-        *("default-src 'none'", "script-src 'self'", "style-src 'self' 'unsafe-inline'", "connect-src 'self'"),
+        *("default-src 'none'", "script-src 'self'", "style-src 'self'", "connect-src 'self'"),
         *("img-src 'self' data:", "form-action 'self'", "frame-ancestors 'none'", "base-uri 'none'"),
     )
 )
-"""Nothing is loaded from anywhere else; Bokeh sets styles inline."""
+"""Nothing is loaded from anywhere else."""
 
 
 class Page:
@@ -88,6 +86,8 @@ class Page:
     ) -> None:
         self.capture, self.door, self.token, self.facts, self.lock = capture, door, token, facts, lock
         self.host = HostView(door.advice)
+        self.curves: Mapping[str, Curve | None] = {}
+        """Of the laws that have no plain one, by the axis' name."""
         self.seat = Seat()
         self.sessions: set[Data] = set()
         self.numbers = itertools.count(1)
@@ -208,26 +208,19 @@ class _Html(_Handler):
 
 
 class _Static(_Handler):
-    OWN = ("page.css", "page.js")
-    BOKEH = ("bokeh.min.js",)
+    OWN = ("page.css", "stop.js", "data.js", "plots.js", "controls.js", "words.js", "page.js")
 
     async def get(self, _: str, name: str) -> None:
-        if name in self.OWN:
-            content = files(__package__).joinpath(name).read_bytes()
-        elif name in self.BOKEH:
-            content = (Path(static_path()) / "js" / name).read_bytes()
-        else:
+        if name not in self.OWN:
             raise tornado.web.HTTPError(404)
         self.set_header("Content-Type", TYPES[Path(name).suffix] + "; charset=utf-8")
-        self.finish(content)
+        self.finish(files(__package__).joinpath(name).read_bytes())
 
 
-class _Plots(_Handler):
+class _Layout(_Handler):
     async def get(self, _: str) -> None:
         axis = self.page.axis(self.get_query_argument("axis", ""))
-        theme: Theme = "dark" if self.get_query_argument("theme", "") == "dark" else "light"
-        rows = layout(self.page.capture, axis)
-        self.finish({"plots": plots(rows, theme), "legends": legends(rows, theme)})
+        self.finish({"rows": layout(self.page.capture, axis)})
 
 
 class _Stop(_Handler):
@@ -312,7 +305,9 @@ class Data(tornado.websocket.WebSocketHandler):
             pass
 
     def _law(self) -> dict[str, Any] | None:
-        curve = self.page.capture.law_curve(self.axis, self.page.host.mode, self.page.host.live(self.axis.name))
+        host, axis = self.page.host, self.axis
+        plain = self.page.capture.law_curve(axis, host.mode, host.live(axis.name))
+        curve = plain or self.page.curves.get(axis.name)
         return None if curve is None else {"v": curve.velocity_rad_s, "f": curve.friction_Nm}
 
 
@@ -337,7 +332,7 @@ def application(page: Page) -> tornado.web.Application:
         [
             (r"/([^/]*)/", _Html, shared),
             (r"/([^/]*)/static/([a-z.]+)", _Static, shared),
-            (r"/([^/]*)/plots", _Plots, shared),
+            (r"/([^/]*)/layout", _Layout, shared),
             (r"/([^/]*)/data", Data, shared),
             (r"/([^/]*)/stop", _Stop, shared),
         ],
@@ -455,12 +450,16 @@ async def _serve(
         server = tornado.httpserver.HTTPServer(
             application(page), max_header_size=16384, max_body_size=4096, idle_connection_timeout=60
         )
-        with reader, HostReader(door, page.host, lock):
+        curves = CurveReader(door, page.host, rig, lock)
+        page.curves = curves.curves
+        with reader, HostReader(door, page.host, lock), curves:
             server.add_sockets(sockets)
             ready(f"http://{_named(host)}:{sockets[0].getsockname()[1]}/{token}/")
+            due_s = loop.time()
             while not over.is_set() and reader.failure is None:
                 page.tick(reader.until_ns)
-                await _pause(over, BATCH_S)
+                due_s = max(due_s + BATCH_S, loop.time())  # what came too late is not made up for
+                await _pause(over, due_s - loop.time())
         server.stop()
         await server.close_all_connections()
         page.stops.shutdown(wait=False)

@@ -10,13 +10,16 @@ from dataclasses import dataclass
 from typing import Any
 
 from coulombus.eds.cia402 import PowerState
+from coulombus.rigs.axis import Axis
 from coulombus.scope.live import NodeRow, PdoRow, Snapshot, Value
 from coulombus.scope.web.capture import Capture
+from coulombus.scope.word_bits import WORDS, bits_set, meaning
 
 __all__ = ["HostDoor", "HostView", "arm_state", "document"]
 
 ENABLED = PowerState.OPERATION_ENABLED.name.lower().replace("_", " ")
 EVENTS_SHOWN = 40
+BINS_SHOWN = 200
 PHASES = {
     "off": "off",
     "still": "waiting for a still handle",
@@ -40,6 +43,8 @@ class HostDoor:
     Attributes
     ----------
     advice : the runbook's place for a trip's words
+    curve : what the law of an axis displays in a mode with the live parameters of now, as
+        velocities and friction; asked in a thread of its own
     """
 
     status: Callable[[], Mapping[str, Any]]
@@ -47,6 +52,7 @@ class HostDoor:
     advice: Callable[[str], str | None]
     change: Callable[[dict[str, Any]], Mapping[str, Any]]
     mark: Callable[[str], Mapping[str, Any]]
+    curve: Callable[[Axis, str, Mapping[str, float]], tuple[tuple[float, ...], tuple[float, ...]] | None]
 
 
 class HostView:
@@ -92,6 +98,7 @@ class HostView:
     def as_dict(self) -> dict[str, Any]:
         """Return what the page shows of the host."""
         status, axes = self._status or {}, self._axes()
+        said, counted = _map(status.get("meta")), _map(status.get("histograms_us"))
         words = [(text(one.get("axis")), text(one.get("phase"))) for one in axes]
         phases = [f"{axis} {PHASES.get(phase, phase)}".strip() for axis, phase in words]
         return {
@@ -103,10 +110,14 @@ class HostView:
             "trip": self._trip or "",
             "advice": (self._advice(self._trip) or "") if self._trip else "",
             "recording": text(status.get("recording")),
+            "subject": text(said.get("subject")),
+            "trial": text(said.get("trial")),
             "parameters": self._parameters(),
             "arm_key": status.get("arm_key") is True,
             "wakeup_us": _spread(status.get("wakeup_us")),
             "sync_to_rpdo_us": _spread(status.get("sync_to_rpdo_us")),
+            "histograms": {name: _histogram(counted.get(name)) for name in ("wakeup", "sync_to_rpdo")},
+            "deadline_us": _number(counted.get("deadline")),
         }
 
 
@@ -157,6 +168,10 @@ def _list(value: object) -> list[Any]:
     return list(value) if isinstance(value, (list, tuple)) else []
 
 
+def _map(value: object) -> Mapping[str, Any]:
+    return value if isinstance(value, Mapping) else {}
+
+
 def _number(value: object) -> float | None:
     right = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
     return value if right else None  # type: ignore[return-value]  # mypy does not follow `right`
@@ -168,7 +183,16 @@ def _parameter(row: object) -> dict[str, Any] | None:
         return None
     found = {name: text(row.get(name)) for name in ("axis", "name", "unit")}
     numbers = {name: _number(row.get(name)) for name in ("value", "now", "low", "high")}
-    return {**found, **numbers} if found["name"] and None not in numbers.values() else None
+    more = {"step": _number(row.get("step")), "above_low": row.get("above_low") is True}
+    return {**found, **numbers, **more} if found["name"] and None not in numbers.values() else None
+
+
+def _histogram(told: object) -> dict[str, list[float]] | None:
+    """Return edges [us] and counts of a histogram; None where they are not told, or are no such."""
+    found = _map(told)
+    edges, counts = _list(found.get("edges"))[: BINS_SHOWN + 1], _list(found.get("counts"))[:BINS_SHOWN]
+    right = len(edges) == len(counts) + 1 and None not in map(_number, [*edges, *counts])
+    return {"edges": edges, "counts": counts} if right else None
 
 
 def _spread(spread: object) -> list[float] | None:
@@ -187,14 +211,15 @@ def _pdo(capture: Capture, row: PdoRow, now_ns: int) -> dict[str, Any]:
         "rate": round(row.rate_per_s, 1),
         "jitter_ms": None if period is None else round(period.jitter_ms, 3),
         "stale": row.age_s is None or row.age_s > 0.1,
-        "signals": [_signal(value) for value in row.values],
+        "signals": [_signal(value, place) for value, place in zip(row.values, capture.places(row.can_id), strict=True)],
     }
 
 
-def _signal(value: Value) -> dict[str, Any]:
-    word = not value.unit and value.name.endswith("word")
+def _signal(value: Value, place: str) -> dict[str, Any]:
+    word = not value.unit and value.name.rpartition(".")[2] in WORDS
     shown = value.value if value.value is None or not word else f"{int(value.value):04X}h"
-    return {"name": value.name, "value": shown, "unit": value.unit}
+    told = "; ".join(filter(None, (meaning(value), bits_set(value))))
+    return {"name": value.name, "value": shown, "unit": value.unit, "bits": place, "meaning": told}
 
 
 def _node(row: NodeRow) -> dict[str, Any]:

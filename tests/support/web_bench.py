@@ -30,6 +30,12 @@ STATUS = {
     "arm_key": False,
     "wakeup_us": {"p50": 12.0, "p99": 40.0, "max": 95.0},
     "sync_to_rpdo_us": None,
+    "histograms_us": {
+        "wakeup": {"edges": [1.0, 3.0, 10.0, 30.0, 100.0], "counts": [5, 900, 80, 2]},
+        "sync_to_rpdo": {"edges": [], "counts": []},
+        "deadline": 1000.0,
+    },
+    "meta": {"subject": "S01", "trial": "7"},
     "display_s": 2.5,
 }
 
@@ -67,6 +73,7 @@ class Door:
             advice=lambda trip: f"docs/runbook.md#{trip.split(':')[0].lower()}",
             change=self.change,
             mark=self.mark,
+            curve=lambda axis, mode, live: None,
         )
 
     def _apply(self, change: Change) -> None:

@@ -9,7 +9,7 @@ import threading
 
 import pytest
 
-pytest.importorskip("bokeh", reason="the page needs Bokeh: pip install 'coulombus[web]'")
+pytest.importorskip("tornado", reason="the page needs Tornado: pip install 'coulombus[web]'")
 
 from tornado.httpclient import AsyncHTTPClient, HTTPClientError, HTTPRequest
 from tornado.websocket import WebSocketClosedError, websocket_connect
@@ -44,14 +44,14 @@ def test_all_is_forbidden_without_the_token():
                 "/favicon.ico",
                 "/data",
                 "/x/",
-                "/x/plots",
+                "/x/layout",
                 "/x/static/page.js",
                 f"/{'a' * 31}b/",
                 "/static/page.js",
             )
             assert [await status(root + place) for place in places] == [403] * len(places)
             assert await status(root + "/x/stop", method="POST", body="", headers=origin(url)) == 403
-            assert [await status(url + place) for place in ("", "plots", "static/page.js", "static/bokeh.min.js")] == [
+            assert [await status(url + place) for place in ("", "layout", "static/page.js", "static/stop.js")] == [
                 200
             ] * 4
             assert await status(url + "static/page.html") == 404

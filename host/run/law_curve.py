@@ -1,0 +1,78 @@
+r"""A law's curve over the velocity: what it displays at a steady speed, with the parameters of now.
+
+At each speed :math:`v` the law is driven with the cycle's own period from its relaxed state, over
+`FAR_RAD`, for at least `LEAST_S` and at most `MOST_S`; the curve is the mean of the last tenth. A law
+whose torque varies in that tenth, or is another one far away, depends on where the handle is and
+not on its speed alone: it has no curve.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from coulombus.host.cycle.controller import Controller
+from coulombus.host.cycle.live import Slot
+from coulombus.host.cycle.parameters import parameters_of
+from coulombus.host.laws.along import drive
+from coulombus.rigs.axis import Axis
+
+__all__ = ["SPEEDS", "Line", "law_curve"]
+
+SPEEDS = tuple(float(one) for one in np.geomspace(5e-4, 1.0, 18))
+"""The speeds of the curve, as shares of `limits.speed_rad_s`."""
+FAR_RAD, AWAY_RAD = 0.3, 1000.0
+LEAST_S, MOST_S = 1.0, 15.0
+SAME = 0.02
+"""By which share of its largest torque a law may vary at a steady speed and still have a curve."""
+FIELDS = {Slot.K_P: "K_p", Slot.F_S: "F_s", Slot.F_D: "F_d"}
+
+Line: TypeAlias = tuple[tuple[float, ...], tuple[float, ...]]
+"""Velocities [rad/s] that rise, and the friction there [Nm]."""
+
+
+def law_curve(axis: Axis, mode: str, live: Mapping[str, float]) -> Line | None:
+    """Return what the law of an axis displays in a mode at steady speeds of both signs; None of a law
+    that has no such curve.
+
+    Parameters
+    ----------
+    live : values of live parameters by name; those of the rig file where one is not named
+
+    Raises
+    ------
+    coulombus.rigs.rig.RigError
+        the law cannot be loaded
+    coulombus.host.laws.laws.LawError
+        it returned no finite number
+    """
+    controller = Controller(axis, mode)
+    law, law_name = controller.law.copy(), axis.law.function
+    for one in parameters_of(controller):
+        value = live.get(one.name, one.value) * one.scale
+        if one.slot in FIELDS:
+            law[FIELDS[Slot(one.slot)]] = value
+        elif one.slot >= Slot.USER:
+            law["user"][0, one.slot - Slot.USER] = value
+    count_rad, period_s = float(controller.control["rad_count"][0]), axis.bus.period_s
+
+    def last(v: float, from_rad: float = 0.0) -> npt.NDArray[np.float64]:
+        seconds = min(max(LEAST_S, FAR_RAD / abs(v)), MOST_S)
+        t_s = np.arange(round(seconds / period_s) + 1) * period_s
+        samples = drive(law_name, controller.law_function, law, t_s, from_rad + v * t_s, abs(count_rad)).samples
+        found: npt.NDArray[np.float64] = samples["torque_Nm"][-(len(t_s) // 10) :]
+        return found
+
+    far = axis.limits.speed_rad_s
+    speeds = [*(-far * share for share in SPEEDS[::-1]), *(far * share for share in SPEEDS)]
+    ends = [last(v) for v in speeds]
+    means = [float(one.mean()) for one in ends]
+    most = SAME * max(map(abs, means))
+    middle = len(SPEEDS) // 2
+    elsewhere = (last(speeds[middle], away) for away in (AWAY_RAD, -AWAY_RAD))
+    if any(np.ptp(one) > most for one in ends) or any(abs(one.mean() - means[middle]) > most for one in elsewhere):
+        return None
+    return tuple(speeds), tuple(means)

@@ -1,0 +1,44 @@
+"use strict";
+// What the server's batches bring: envelopes, samples, the phase plot's points, the law's curve, the state.
+
+const BINS_PER_S = 50, BINS = 500;
+
+const fresh = () => ({envelopes: new Map(), raw: new Map(), friction: null, law: null, nowBin: 0});
+let known = fresh();  // what came; envelopes: name -> {low, high, newest}, rings over the bin's number
+let frozen = null;    // what is drawn instead, while the plots stand still
+
+function takeEnvelope(name, first, low, high) {
+  let ring = known.envelopes.get(name);
+  if (!ring || first > ring.newest + 1) {
+    ring = {low: new Float32Array(BINS).fill(NaN), high: new Float32Array(BINS).fill(NaN), newest: first - 1};
+    known.envelopes.set(name, ring);
+  }
+  for (let i = 0; i < low.length; i++) {
+    ring.low[(first + i) % BINS] = low[i];
+    ring.high[(first + i) % BINS] = high[i];
+  }
+  ring.newest = Math.max(ring.newest, first + low.length - 1);
+}
+
+function take(buffer) {
+  const length = new DataView(buffer).getUint32(0, true);
+  const head = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)));
+  const numbers = new Float32Array(buffer, 4 + length);
+  let start = 0;
+  for (const part of head.parts) {
+    const a = numbers.subarray(start, start + part.n), b = numbers.subarray(start + part.n, start + 2 * part.n);
+    start += 2 * part.n;
+    if (part.k === "envelope") takeEnvelope(part.s, part.first, a, b);
+    else if (part.k === "raw") known.raw.set(part.s, [a, b]);
+    else known.friction = [a, b];
+  }
+  known.nowBin = head.now_bin;
+  if (head.state) known.law = head.law;
+  return head;
+}
+
+function freeze() {
+  frozen = frozen ? null : structuredClone(known);
+  action("freeze").setAttribute("aria-pressed", String(frozen !== null));
+  draw();
+}

@@ -1,0 +1,341 @@
+"use strict";
+// The plots: a canvas each. Lines over time share their time axis, so that a zoom is of all of them.
+
+const SPAN_S = 10, RAW_S = 0.2, ZOOM = 1.25, LEAST = 1e-4;
+const LEFT = 46, RIGHT = 12, TOP = 20, BOTTOM = 18, LABEL = 13;
+const LEAST_SPAN = {Nm: 0.2, rad: 0.02, "rad/s": 0.2};
+const SHRINK_MS = 1500;
+
+let plots = [], colours = {};
+
+function readColours() {
+  const style = getComputedStyle(document.documentElement), colour = (name) => style.getPropertyValue(`--${name}`).trim();
+  colours = {text: colour("text"), dim: colour("dim"), line: colour("line"), law: colour("law"),
+    series: [0, 1, 2, 3].map((i) => colour(`series-${i}`)), focus: colour("focus")};
+}
+
+function ticks(low, high, count) {
+  const raw = (high - low) / count, power = 10 ** Math.floor(Math.log10(raw));
+  const step = [1, 2, 5, 10].map((one) => one * power).find((one) => one >= raw * 0.999);
+  const found = [];
+  for (let k = Math.ceil(low / step - 1e-9); k * step <= high + step * 1e-9; k++) found.push(k * step);
+  return {step, found, digits: Math.min(6, Math.max(0, -Math.floor(Math.log10(step) + 1e-9)))};
+}
+
+// A range that holds what is to be seen, with ends at ticks; it grows at once and shrinks after a while.
+class Range {
+  constructor(least, symmetric = false) {
+    Object.assign(this, {least, symmetric, low: 0, high: 0, since: 0});
+  }
+
+  hold(low, high) {
+    if (!(high >= low)) [low, high] = [0, 0];
+    if (this.symmetric) [low, high] = [-Math.max(-low, high), Math.max(-low, high)];
+    const span = Math.max(high - low, this.least, 0.02 * Math.max(Math.abs(low), Math.abs(high)));
+    const middle = (low + high) / 2, wanted = [Math.min(low, middle - span / 2), Math.max(high, middle + span / 2)];
+    const fits = low >= this.low && high <= this.high && this.high > this.low;
+    const roomy = wanted[1] - wanted[0] < 0.4 * (this.high - this.low);
+    if (!roomy) this.since = performance.now();
+    if (fits && performance.now() - this.since < SHRINK_MS) return;
+    const pad = 0.06 * (wanted[1] - wanted[0]), {step} = ticks(wanted[0] - pad, wanted[1] + pad, 8);
+    this.low = Math.floor((wanted[0] - pad) / step) * step;
+    this.high = Math.ceil((wanted[1] + pad) / step) * step;
+    this.since = performance.now();
+  }
+}
+
+// The time axis of a group of plots, and how it is zoomed; null: all of it.
+const times = {envelope: {all: [-SPAN_S, 0], zoom: null}, raw: {all: [-RAW_S, 0], zoom: null}};
+
+class Plot {
+  constructor(place, kind, row) {
+    Object.assign(this, {place, kind, row, zoomY: null, drag: null, at: null});
+    this.time = times[kind] || {all: null, zoom: null};
+    this.rangeX = new Range(0.2, true);
+    this.rangeY = new Range(LEAST_SPAN[row.unit] || 1e-3, kind === "friction");
+    this.last = row.last;
+    this.canvas = document.createElement("canvas");
+    const title = document.createElement("span");
+    title.className = "title";
+    title.textContent = row.title;
+    place.replaceChildren(this.canvas, title, legend(row.legend));
+    place.setAttribute("role", "img");
+    place.setAttribute("aria-label", `${row.title}: ${row.legend.map(([name]) => name).join(", ")}`);
+    this.listen();
+  }
+
+  // Where it is drawn: pixels of the area, and the ranges.
+  area() {
+    const width = this.place.clientWidth, height = this.place.clientHeight, scale = window.devicePixelRatio || 1;
+    const wide = Math.max(1, Math.round(width * scale)), high = Math.max(1, Math.round(height * scale));
+    if (this.canvas.width !== wide || this.canvas.height !== high) Object.assign(this.canvas, {width: wide, height: high});
+    const bottom = height - BOTTOM - (this.last ? LABEL : 0);
+    const x = this.time.zoom || this.time.all || [this.rangeX.low, this.rangeX.high];
+    const y = this.zoomY || [this.rangeY.low, this.rangeY.high];
+    return {scale, width, height, left: LEFT, right: width - RIGHT, top: TOP, bottom, x, y};
+  }
+
+  lines(data) {
+    return this.row.signals.map((name) => this.kind === "envelope" ? envelopeLine(data, name) : data.raw.get(name) || [[], []]);
+  }
+
+  draw(data) {
+    if (!this.place.clientWidth) return;
+    const points = this.kind === "friction" ? null : this.lines(data);
+    if (points) this.fit(points);
+    else this.fitFriction(data);
+    const a = this.area(), ctx = this.canvas.getContext("2d");
+    const sx = (a.right - a.left) / (a.x[1] - a.x[0]), sy = (a.bottom - a.top) / (a.y[1] - a.y[0]);
+    Object.assign(a, {px: (x) => a.left + (x - a.x[0]) * sx, py: (y) => a.bottom - (y - a.y[0]) * sy, sx, sy});
+    this.drawn = a;
+    ctx.setTransform(a.scale, 0, 0, a.scale, 0, 0);
+    ctx.clearRect(0, 0, a.width, a.height);
+    this.grid(ctx, a);
+    ctx.save();
+    ctx.beginPath();
+    ctx.rect(a.left, a.top - 1, a.right - a.left, a.bottom - a.top + 2);
+    ctx.clip();
+    if (points) points.forEach((line, i) => polyline(ctx, a, line, colours.series[i % 4], this.kind === "raw"));
+    else this.phase(ctx, a, data);
+    ctx.restore();
+    this.pointer(ctx, a);
+  }
+
+  fit(points) {
+    const [first, last] = this.time.zoom || this.time.all;
+    let low = Infinity, high = -Infinity;
+    for (const [x, y] of points) {
+      for (let i = 0; i < x.length; i++) {
+        if (x[i] < first || x[i] > last || !(y[i] === y[i])) continue;
+        if (y[i] < low) low = y[i];
+        if (y[i] > high) high = y[i];
+      }
+    }
+    this.rangeY.hold(low, high);
+  }
+
+  fitFriction(data) {
+    let v = 0, f = 0;
+    const [vs, fs] = data.friction || [[], []];
+    for (let i = 0; i < vs.length; i++) {
+      if (!isFinite(vs[i]) || !isFinite(fs[i])) continue;
+      v = Math.max(v, Math.abs(vs[i]));
+      f = Math.max(f, Math.abs(fs[i]));
+    }
+    for (const value of data.law ? data.law.f : []) f = Math.max(f, Math.abs(value));
+    this.rangeX.hold(-v, v);
+    this.rangeY.hold(-f, f);
+  }
+
+  grid(ctx, a) {
+    const across = ticks(a.x[0], a.x[1], Math.max(2, (a.right - a.left) / 90)), up = ticks(a.y[0], a.y[1], Math.max(2, (a.bottom - a.top) / 32));
+    ctx.font = "11px system-ui, 'DejaVu Sans', sans-serif";
+    ctx.strokeStyle = colours.line;
+    ctx.fillStyle = colours.text;
+    ctx.lineWidth = 1;
+    ctx.beginPath();
+    for (const x of across.found) {
+      ctx.moveTo(Math.round(a.px(x)) + 0.5, a.top);
+      ctx.lineTo(Math.round(a.px(x)) + 0.5, a.bottom);
+    }
+    for (const y of up.found) {
+      ctx.moveTo(a.left, Math.round(a.py(y)) + 0.5);
+      ctx.lineTo(a.right, Math.round(a.py(y)) + 0.5);
+    }
+    ctx.rect(a.left + 0.5, a.top + 0.5, a.right - a.left, a.bottom - a.top);
+    ctx.stroke();
+    const number = (value, digits) => Math.abs(value) < 1e-12 ? "0" : value.toFixed(digits).replace("-", "\u2212");
+    ctx.textAlign = "center";
+    ctx.textBaseline = "top";
+    for (const x of across.found) ctx.fillText(number(x, across.digits), Math.min(a.px(x), a.width - 10), a.bottom + 4);
+    ctx.textAlign = "right";
+    ctx.textBaseline = "middle";
+    for (const y of up.found) ctx.fillText(number(y, up.digits), a.left - 4, Math.min(a.py(y), a.bottom - 4));
+    ctx.textAlign = "center";
+    ctx.textBaseline = "bottom";
+    if (this.last) ctx.fillText(this.row.across, (a.left + a.right) / 2, a.height);
+  }
+
+  phase(ctx, a, data) {
+    const [v, f] = data.friction || [[], []], n = v.length;
+    ctx.fillStyle = colours.series[0];
+    for (let i = 0; i < n; i++) {
+      ctx.globalAlpha = 0.05 + 0.95 * ((i + 1) / n) ** 2;
+      ctx.fillRect(a.px(v[i]) - 2, a.py(f[i]) - 2, 4, 4);
+    }
+    ctx.globalAlpha = 1;
+    this.place.querySelector(".series-law").hidden = !data.law;
+    if (!data.law) return;
+    ctx.setLineDash([6, 4]);
+    polyline(ctx, a, [data.law.v, data.law.f], colours.law, false, 2);
+    ctx.setLineDash([]);
+  }
+
+  pointer(ctx, a) {
+    if (this.drag) {
+      const [x, y] = [Math.min(this.drag.x, this.at.x), Math.min(this.drag.y, this.at.y)];
+      ctx.strokeStyle = colours.focus;
+      ctx.strokeRect(x, y, Math.abs(this.drag.x - this.at.x), Math.abs(this.drag.y - this.at.y));
+    } else if (this.at) {
+      ctx.strokeStyle = colours.law;
+      ctx.beginPath();
+      ctx.moveTo(this.at.x, a.top);
+      ctx.lineTo(this.at.x, a.bottom);
+      ctx.stroke();
+      ctx.fillStyle = colours.text;
+      ctx.textAlign = this.at.x > (a.left + a.right) / 2 ? "right" : "left";
+      ctx.textBaseline = "bottom";
+      const side = ctx.textAlign === "right" ? -4 : 4;
+      ctx.fillText(`${this.valueX(this.at.x).toPrecision(4)}, ${this.valueY(this.at.y).toPrecision(4)}`, this.at.x + side, a.bottom - 2);
+    }
+  }
+
+  valueX(px) { return this.drawn.x[0] + (px - this.drawn.left) / this.drawn.sx; }
+  valueY(py) { return this.drawn.y[0] + (this.drawn.bottom - py) / this.drawn.sy; }
+
+  // The pointer: the wheel zooms along the x axis, with Shift along the y axis; dragging marks a region.
+  listen() {
+    const place = (event) => {
+      const box = this.canvas.getBoundingClientRect(), a = this.drawn, within = (v, low, high) => Math.min(Math.max(v, low), high);
+      return {x: within(event.clientX - box.left, a.left, a.right), y: within(event.clientY - box.top, a.top, a.bottom)};
+    };
+    const on = (name, react, options) => this.canvas.addEventListener(name, (event) => this.drawn && react(event), options);
+    on("wheel", (event) => {
+      event.preventDefault();
+      const factor = event.deltaY + event.deltaX > 0 ? ZOOM : 1 / ZOOM, at = place(event);
+      if (event.shiftKey) this.zoomY = about(this.drawn.y, this.valueY(at.y), factor);
+      else this.zoomX(about(this.drawn.x, this.valueX(at.x), factor));
+      draw();
+    }, {passive: false});
+    on("pointerdown", (event) => {
+      if (event.button !== 0) return;
+      this.canvas.setPointerCapture(event.pointerId);
+      this.drag = this.at = place(event);
+    });
+    on("pointermove", (event) => { this.at = place(event); requestDraw(); });
+    on("pointerleave", () => { this.at = this.drag ? this.at : null; requestDraw(); });
+    on("pointercancel", () => { this.drag = this.at = null; requestDraw(); });
+    on("pointerup", (event) => {
+      const from = this.drag, to = place(event);
+      this.drag = null;
+      if (from && Math.abs(from.x - to.x) > 8 && Math.abs(from.y - to.y) > 8) {
+        const sorted = (one, other) => [Math.min(one, other), Math.max(one, other)];
+        this.zoomY = sorted(this.valueY(from.y), this.valueY(to.y));
+        this.zoomX(sorted(this.valueX(from.x), this.valueX(to.x)));
+      }
+      draw();
+    });
+    on("dblclick", unzoom);
+  }
+
+  zoomX([low, high]) {
+    if (!(high - low > LEAST)) return;
+    const all = this.time.all;
+    this.time.zoom = all ? [Math.max(low, all[0]), Math.min(high, all[1])] : [low, high];
+    if (all && this.time.zoom[1] - this.time.zoom[0] >= all[1] - all[0]) this.time.zoom = null;
+  }
+}
+
+const about = ([low, high], at, factor) => [at - (at - low) * factor, at + (high - at) * factor];
+
+function envelopeLine(data, name) {
+  const ring = data.envelopes.get(name);
+  if (!ring) return [[], []];
+  const t = new Float32Array(2 * BINS), y = new Float32Array(2 * BINS);
+  for (let i = 0; i < BINS; i++) {
+    const bin = ring.newest - BINS + 1 + i, place = bin % BINS;
+    t[2 * i] = t[2 * i + 1] = (bin + 0.5 - data.nowBin) / BINS_PER_S;
+    y[2 * i] = bin >= 0 ? ring.low[place] : NaN;  // up and down within each bin
+    y[2 * i + 1] = bin >= 0 ? ring.high[place] : NaN;
+  }
+  return [t, y];
+}
+
+function polyline(ctx, a, [x, y], colour, steps, width = 1.3) {
+  ctx.strokeStyle = colour;
+  ctx.lineWidth = width;
+  ctx.lineJoin = "round";
+  ctx.beginPath();
+  let going = false, before = 0;
+  for (let i = 0; i < x.length; i++) {
+    if (!(y[i] === y[i])) { going = false; continue; }
+    const px = a.px(x[i]), py = a.py(y[i]);
+    if (going && steps) ctx.lineTo(px, before);
+    if (going) ctx.lineTo(px, py);
+    else ctx.moveTo(px, py);
+    going = true;
+    before = py;
+  }
+  ctx.stroke();
+}
+
+function legend(lines) {
+  const made = document.createElement("div");
+  made.className = "legend";
+  lines.forEach(([name, style]) => {
+    const line = made.appendChild(document.createElement("span"));
+    line.className = style;
+    line.textContent = `\u25ac ${name}`;
+  });
+  return made;
+}
+
+function shortName(name, unit) {
+  const short = name.split(".").pop(), ending = `_${unit.replace("/", "_")}`;
+  return (unit && short.endsWith(ending) ? short.slice(0, -ending.length) : short).replaceAll("_", " ");
+}
+
+async function makePlots() {
+  const answer = await fetch(`layout${location.search}`);
+  if (!answer.ok) return;
+  const {rows} = await answer.json(), made = [];
+  readColours();
+  rows.forEach((row, i) => {
+    const names = row.signals.map((name, k) => [shortName(name, row.unit), `series-${k}`]), last = i === rows.length - 1;
+    for (const [kind, title, across, shown] of [["envelope", `${row.title} [${row.unit}], 10 s`, "time before now [s]", names],
+      ["raw", "each sample, 0.2 s", "time [s]", []]]) {
+      const place = document.getElementById(`${row.title}-${kind}`);
+      if (place) made.push(new Plot(place, kind, {...row, title, across, last, legend: shown}));
+    }
+  });
+  made.push(new Plot(document.getElementById("friction-plot"), "friction", {title: "friction [Nm], 2 s", unit: "Nm",
+    across: "velocity [rad/s]", last: true, signals: [], legend: [["measured", "series-0"], ["law", "series-law"]]}));
+  plots = made;
+  draw();
+}
+
+function unzoom() {
+  for (const plot of plots) plot.time.zoom = plot.zoomY = null;
+  draw();
+}
+
+// By keys and buttons: the time before now, by half or twice as much; while it stands still also to and fro.
+function zoomTime(factor) {
+  for (const time of Object.values(times)) {
+    const [low, high] = time.zoom || time.all, end = frozen ? (low + high) / 2 : high;
+    plots.find((plot) => plot.time === time)?.zoomX(about([low, high], end, factor));
+  }
+  draw();
+}
+
+function panTime(share) {
+  for (const time of Object.values(times)) {
+    if (!time.zoom) continue;
+    const [low, high] = time.zoom, by = Math.min(Math.max(share * (high - low), time.all[0] - low), time.all[1] - high);
+    time.zoom = [low + by, high + by];
+  }
+  draw();
+}
+
+function draw() {
+  for (const plot of plots) plot.draw(frozen || known);
+}
+
+let drawing = false;
+function requestDraw() {
+  if (drawing) return;
+  drawing = true;
+  requestAnimationFrame(() => { drawing = false; draw(); });
+}
+window.addEventListener("resize", requestDraw);
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { readColours(); draw(); });
