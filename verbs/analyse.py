@@ -216,14 +216,19 @@ def study(folder: Path, figures: Path | None, as_json: bool) -> None:
 def nyquist(**options: Any) -> None:
     """Describing function, disks of the passive set, absolute stability (Figs. 2, 6, 7)."""
     with errors():
-        from coulombus.analysis.figures.report import disk_of, nyquist_json, nyquist_lines
+        from coulombus.analysis.figures.report import disk_of, nyquist_json, nyquist_lines, weights_at
         from coulombus.analysis.loop.absolute import absolute_stability
         from coulombus.analysis.loop.crossings import crossings
 
         parameters = _parameters(options)
         found, absolute = crossings(parameters), absolute_stability(parameters)
         disk = disk_of(parameters)
-        _tell(options["as_json"], lambda: nyquist_json(found, disk, absolute), lambda: nyquist_lines(found, absolute))
+        weights = [weights_at(crossing.frequency_Hz, parameters) for crossing in found.found]
+        _tell(
+            options["as_json"],
+            lambda: {**nyquist_json(found, disk, absolute), "alias_weights": weights},
+            lambda: nyquist_lines(found, absolute),
+        )
         if options["figures"]:
             from coulombus.analysis.figures.frequency import write_frequency_figures
 
@@ -236,6 +241,13 @@ def nyquist(**options: Any) -> None:
 @click.option("--starts", type=click.IntRange(0), default=200, show_default=True, help="Random starts, for the shares.")
 @click.option("--longest", type=click.IntRange(1, 20), default=16, show_default=True, help="Longest period in samples.")
 @click.option("--no-table", is_flag=True, help="Without the table over rates and delays.")
+@click.option(
+    "--zero",
+    type=click.Choice(("zero", "plus", "hold")),
+    default="zero",
+    show_default=True,
+    help="With --encoder: what sgn(0) is. 0, +1, or the sign before.",
+)
 @figures_option
 @json_option
 def limit_cycle(**options: Any) -> None:
@@ -244,12 +256,17 @@ def limit_cycle(**options: Any) -> None:
         from coulombus.analysis.figures.report import delay_lines, orbits_json, plain
         from coulombus.analysis.loop.crossings import crossings
         from coulombus.analysis.loop.delay import delay_table
+        from coulombus.analysis.loop.linear import sample
         from coulombus.analysis.loop.orbits import orbits
+        from coulombus.analysis.loop.peak import l1_bound
+        from coulombus.analysis.loop.three_valued import three_valued_orbits
 
         parameters = _parameters(options)
         found = crossings(parameters)
         motions = orbits(parameters, longest=options["longest"], starts=options["starts"], seed=options["seed"])
         rows = () if options["no_table"] else delay_table(parameters, seed=options["seed"])
+        seen = three_valued_orbits(parameters, options["zero"]) if parameters.resolution_m > 0 else ()
+        most = l1_bound(parameters) if sample(parameters).spectral_radius < 1 - 1e-12 else None
 
         def text() -> Iterator[str]:
             yield f"describing function   {found.text}"
@@ -259,17 +276,31 @@ def limit_cycle(**options: Any) -> None:
                     f"{orbit.pattern:<17} {orbit.frequency_Hz:8.4g} Hz  peak {orbit.velocity_peak_m_s:.4g} m/s  "
                     f"margin {orbit.margin_m_s:.3g} m/s  {'stable' if orbit.stable else 'unstable'}{share}"
                 )
+                yield f"{'':<17} between the samples the handle reaches {orbit.true_peak_m_s:.4g} m/s"
             if not motions.found:
                 yield motions.text
             if motions.elsewhere:
                 yield f"{motions.elsewhere:.0%} of the starts ended in none of these: a longer period, or none"
+            if most is not None:
+                yield f"no motion that the display sustains has more than {most:.4g} m/s (l1 norm)"
+            yield from (
+                f"{one.pattern:<17} {one.frequency_Hz:8.4g} Hz  peak {one.velocity_peak_m_s:.4g} m/s  "
+                f"at {one.share:.0%} of the encoder's places"
+                for one in seen
+            )
             if rows:
                 yield ""
                 yield from delay_lines(rows)
 
         _tell(
             options["as_json"],
-            lambda: {"crossings": plain(found.found), **orbits_json(motions), "delay_table": plain(rows)},
+            lambda: {
+                "crossings": plain(found.found),
+                **orbits_json(motions),
+                "l1_bound_m_s": most,
+                "with_encoder": plain(seen),
+                "delay_table": plain(rows),
+            },
             text,
         )
         if options["figures"]:
@@ -277,6 +308,36 @@ def limit_cycle(**options: Any) -> None:
 
             paths = write_orbit_figure(options["figures"], parameters, motions)
             _tell_paths(paths + (write_delay_figure(options["figures"], rows) if rows else []))
+
+
+@analyse.command(epilog=EXIT_STATUS, short_help="The spring of the stick phase: rho and K_max.")
+@loop_options
+@click.option(
+    "--stiffness", type=click.FloatRange(0, 1e12), default=1e4, show_default=True, metavar="N/M", help="Its K_p."
+)
+@json_option
+def stuck(**options: Any) -> None:
+    """How fast the spring that sticks settles in the sampled loop, and how stiff it may be.
+
+    rho is the spectral radius of a sample's step; K_max is the stiffness from which on it does not
+    settle. The hand's own impedance counts.
+
+    \b
+    Examples:
+      coulombus analyse stuck --stiffness 20000
+      coulombus analyse stuck --delay 1e-3 --operator 0.05 2 178 --json
+    """
+    with errors():
+        from coulombus.analysis.loop.stuck_spring import stuck_spring
+
+        found = stuck_spring(_parameters(options), options["stiffness"])
+
+        def text() -> Iterator[str]:
+            word = "settles" if found.stable else "does not settle"
+            yield f"K = {found.stiffness_N_m:g} N/m: {word}, rho = {found.radius:.9g}"
+            yield f"K_max = {found.largest_N_m:.6g} N/m"
+
+        _tell(options["as_json"], lambda: {"stuck": found, "stable": found.stable}, text)
 
 
 @analyse.command(epilog=EXIT_STATUS, short_help="Figure 10: active and passive friction under the paper's force.")

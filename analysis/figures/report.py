@@ -15,7 +15,7 @@ from coulombus.analysis.loop.absolute import AbsoluteStability, absolute_stabili
 from coulombus.analysis.loop.crossings import Crossings, crossings
 from coulombus.analysis.loop.delay import DelayRow, delay_table
 from coulombus.analysis.loop.fig10 import Fig10, Run, figure_10
-from coulombus.analysis.loop.linear import Disk, passive_disk
+from coulombus.analysis.loop.linear import Disk, alias_weights, passive_disk
 from coulombus.analysis.loop.orbits import Orbits, orbits
 from coulombus.analysis.loop.parameters import Parameters
 from coulombus.analysis.rig.friction_study import FrictionStudy, friction_study
@@ -35,6 +35,7 @@ __all__ = [
     "orbits_json",
     "plain",
     "study",
+    "weights_at",
 ]
 
 STARTS = 200
@@ -143,8 +144,18 @@ def nyquist_json(found: Crossings, disk: Disk | None, absolute: AbsoluteStabilit
             "tsypkin": absolute.tsypkin,
             "zames_falb": absolute.zames_falb,
         },
+        "zames_falb_proved": absolute.certificate is not None and absolute.certificate.proved,
         "nyquist_slope_Ns_m": absolute.nyquist,
         "ideal_coulomb": {"verdict": absolute.ideal.value, "text": absolute.text},
+    }
+
+
+def weights_at(frequency_Hz: float, parameters: Parameters, orders: int = 3) -> dict[str, Any]:
+    """Return the weights of the aliases in eq. (12)'s sum at a crossing, by their order."""
+    weights = alias_weights(np.array([frequency_Hz]), parameters, orders)[0]
+    return {
+        "frequency_Hz": frequency_Hz,
+        "weights": {str(k): float(w) for k, w in zip(range(-orders, orders + 1), weights, strict=True)},
     }
 
 
@@ -210,9 +221,9 @@ def nyquist_lines(found: Crossings, absolute: AbsoluteStability) -> Iterable[str
     yield f"                      this operator: {slope(absolute.tsypkin)} (Tsypkin)"
     if absolute.certificate is not None:
         c = absolute.certificate
-        yield (
-            f"                      this operator: {slope(absolute.zames_falb)} (Zames-Falb, {len(c.taps)} taps, verified at {c.points} frequencies)"
-        )
+        how = "proved at every frequency" if c.proved else f"verified at {c.points} frequencies"
+        multiplier = f"Zames-Falb, {len(c.taps)} taps, {how}"
+        yield f"                      this operator: {slope(absolute.zames_falb)} ({multiplier})"
     yield f"                      limit of a linear damper (Nyquist): {slope(absolute.nyquist)}"
     yield f"                      with the brake (circle criterion): {slope(absolute.passive_brake)}"
 

@@ -28,6 +28,8 @@ __all__ = [
     "Disk",
     "SampledPlant",
     "alias_sum",
+    "alias_terms",
+    "alias_weights",
     "continuous_model",
     "exponential",
     "frequency_response",
@@ -177,6 +179,33 @@ def alias_sum(frequency_Hz: Floats, parameters: Parameters, aliases: int = ALIAS
             total += coefficient * (1j * ws) ** -j * tail
     value: Complexes = (1 - np.exp(-1j * w * T)) ** 2 / T**2 * total * np.exp(-1j * w * tau)
     return value
+
+
+def alias_weights(frequency_Hz: Floats, parameters: Parameters, orders: int = 10) -> Floats:
+    r"""Return how much each alias has of eq. (12)'s sum, (frequencies, 2 `orders` + 1): of -`orders` ...
+    `orders`.
+
+    .. math:: w_k(\omega) = \frac{|1 - e^{-j\omega T}|^2}{T^2 (\omega + k\omega_s)^2}
+              = \frac{\sin^2(\omega T/2)}{(\omega T/2 + k\pi)^2}, \qquad \sum_{k=-\infty}^{\infty} w_k = 1
+
+    They are positive, and that is why the region of a passive hand stays a disk of the same radius. The
+    first alias, k = -1, has as much as the frequency itself at fs/2, and nothing at 0.
+    """
+    half = np.pi * np.atleast_1d(np.asarray(frequency_Hz, dtype=np.float64)) * parameters.period_s
+    turns = np.arange(-orders, orders + 1)
+    weights: Floats = np.sinc((half[:, None] + turns * np.pi) / np.pi) ** 2
+    return weights
+
+
+def alias_terms(frequency_Hz: Floats, parameters: Parameters, orders: int = 10) -> Complexes:
+    """Return the terms of eq. (10), (frequencies, 2 `orders` + 1): what each alias adds to H*(jw); not for
+    w = 0.
+    """
+    T, tau = parameters.period_s, parameters.delay_s
+    w = 2 * np.pi * np.atleast_1d(np.asarray(frequency_Hz, dtype=np.float64))[:, None]
+    s = 1j * (w + np.arange(-orders, orders + 1) * (2 * np.pi / T))
+    terms: Complexes = (1 - np.exp(-1j * w * T)) ** 2 / T**2 * plant(s, parameters) / s**2 * np.exp(-s * tau)
+    return terms
 
 
 def _at_infinity(parameters: Parameters) -> Floats:

@@ -24,16 +24,17 @@ import numpy as np
 from coulombus.analysis.loop.linear import sample
 from coulombus.analysis.loop.operators import Floats
 from coulombus.analysis.loop.parameters import Parameters
+from coulombus.analysis.loop.peak import between_samples
 from coulombus.analysis.loop.relay_loop import settle
 
-__all__ = ["LONGEST", "Orbit", "Orbits", "orbits", "pattern_of", "patterns"]
+__all__ = ["LONGEST", "Orbit", "Orbits", "orbits", "pattern_of", "patterns", "word_of"]
 
 LONGEST = 16
 ROUNDING = 1e-9
 """A margin below this share of the largest response is rounding: "+" with a spring moves nothing.
 """
 SETTLE_S, KEPT_SAMPLES = 20.0, 480
-PLUS, MINUS = "+", "-"
+PLUS, MINUS, ZERO = "+", "-", "0"
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,8 @@ class Orbit:
     """Locally attractive: exact, not a prediction."""
     share: float | None = None
     """Share of random starts that reached it; None where none were run."""
+    true_peak_m_s: float = 0.0
+    """max |v| of the handle itself, between the samples, too."""
 
 
 @dataclass(frozen=True)
@@ -79,10 +82,13 @@ class Orbits:
         )
 
 
+SIGNS = (1.0, -1.0, 0.0)
+
+
 @lru_cache(maxsize=32)
-def patterns(period: int) -> Floats:
-    """Return all patterns of +-1 whose shortest period is `period`, each once as its first
-    rotation: Lyndon words (Duval, 1988).
+def patterns(period: int, letters: int = 2) -> Floats:
+    """Return all patterns of +-1 (of +1, -1 and 0 with three `letters`) whose shortest period is
+    `period`, each once as its first rotation: Lyndon words (Duval, 1988).
     """
     words, word = [], [-1]
     while word:
@@ -92,18 +98,23 @@ def patterns(period: int) -> Floats:
             words.append(word.copy())
         while len(word) < period:
             word.append(word[len(word) - length])
-        while word and word[-1] == 1:
+        while word and word[-1] == letters - 1:
             word.pop()
-    return np.array([[1.0 - 2.0 * letter for letter in w] for w in words]).reshape(-1, period)
+    return np.array([[SIGNS[letter] for letter in w] for w in words]).reshape(-1, period)
 
 
-def pattern_of(signs: Floats, longest: int = LONGEST) -> str | None:
+def word_of(signs: Floats) -> str:
+    """Return a pattern as text."""
+    return "".join(PLUS if sign > 0 else MINUS if sign < 0 else ZERO for sign in signs)
+
+
+def pattern_of(signs: Floats, longest: int = LONGEST, *, zeros: bool = False) -> str | None:
     """Return the pattern that repeats in `signs` (its first rotation), or None if no period up to
-    `longest` fits all of them.
+    `longest` fits all of them, or if there are zeros where `zeros` allows none.
     """
     for period in range(1, min(longest, len(signs) // 2) + 1):
-        if np.array_equal(signs[period:], signs[:-period]) and np.all(signs != 0):
-            word = "".join(PLUS if sign > 0 else MINUS for sign in signs[:period])
+        if np.array_equal(signs[period:], signs[:-period]) and (zeros or np.all(signs != 0)):
+            word = word_of(signs[:period])
             return min(word[i:] + word[:i] for i in range(period))
     return None
 
@@ -131,12 +142,10 @@ def orbits(parameters: Parameters, *, longest: int = LONGEST, starts: int = 0, s
         v = -exact.friction_N * np.fft.ifft(linear.response(z) * np.fft.fft(u, axis=1), axis=1).real
         margin = np.min(u * v, axis=1)
         for i in np.flatnonzero(margin > rounding):
-            word = "".join(PLUS if value > 0 else MINUS for value in u[i])
-            found.append(
-                Orbit(
-                    word, period, 1 / (period * exact.period_s), float(np.max(np.abs(v[i]))), float(margin[i]), stable
-                )
-            )
+            peak = between_samples(exact, u[i]).peak_m_s
+            estimate = float(np.max(np.abs(v[i])))
+            rate = 1 / (period * exact.period_s)
+            found.append(Orbit(word_of(u[i]), period, rate, estimate, float(margin[i]), stable, true_peak_m_s=peak))
     found.sort(key=lambda orbit: -orbit.velocity_peak_m_s)
     if not starts:
         return Orbits(tuple(found), longest, 0, None)

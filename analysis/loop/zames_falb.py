@@ -7,8 +7,9 @@ For an odd friction with slopes in [0, k] the loop is stable if there is an
           \mathrm{Re}\,\{M(e^{j\theta})\,(H^* + 1/k)\} \ge \varepsilon > 0\ \ \forall\theta
 
 For a given k this is linear in :math:`h`, so a linear program finds the largest :math:`\varepsilon`
-on a grid, and k is bisected. What is reported is checked afterwards on a grid many times finer; the
-slope is lowered until it holds there.
+on a grid, and k is bisected. What is reported is checked afterwards on a grid many times finer, and
+proved between its frequencies by a bound on how fast the condition can change
+(`analysis.loop.proof`); the slope is lowered until both hold.
 
 Source: J. C. Willems, R. W. Brockett, Some new rearrangement inequalities having application in
 stability analysis, IEEE T-AC 13, 1968; J. Carrasco et al., Convex searches for discrete-time
@@ -24,6 +25,7 @@ from scipy.optimize import linprog
 
 from coulombus.analysis.loop.linear import SampledPlant
 from coulombus.analysis.loop.operators import Complexes, Floats
+from coulombus.analysis.loop.proof import Positive, cosine_polynomial, positive, rational
 
 __all__ = ["Certificate", "margin", "multiplier_response", "verified", "zames_falb"]
 
@@ -47,6 +49,10 @@ class Certificate:
     """Least Re{M (1 + k H*)} on the grid that it was verified on."""
     points: int
     """Number of that grid's frequencies."""
+    proved: bool
+    """Whether it is proved at every frequency, between those of the grid, too."""
+    pieces: int
+    """Intervals of frequency that the proof has."""
 
 
 def _orders(count: int) -> Floats:
@@ -108,18 +114,24 @@ def zames_falb(
     response, checked = linear.response(np.exp(1j * theta)), linear.response(np.exp(1j * fine))
     low, high = certified * 0.999, limit if limit is not None else certified * 1e6
     best = np.zeros(2 * taps)
+    N, D = rational(linear)
+
+    def proof(h: Floats, slope: float) -> Positive:
+        return positive(cosine_polynomial(N, D, h, slope))
+
     if not verified(checked, best, low, fine):
         return None
     while high / low > STEP:
         slope = (low * high) ** 0.5
         h, found = _best(response, theta, slope, 2 * taps)
-        if found > 1e-9 and verified(checked, h, slope, fine):
+        if found > 1e-9 and verified(checked, h, slope, fine) and proof(h, slope).proved:
             low, best = slope, h
         else:
             high = slope
-    return Certificate(
-        low, tuple(float(x) for x in best), float(np.sum(np.abs(best))), margin(checked, best, low, fine), len(fine)
-    )
+    norm, proved = float(np.sum(np.abs(best))), proof(best, low)
+    least = margin(checked, best, low, fine)
+    taken = tuple(float(x) for x in best)
+    return Certificate(low, taken, norm, least, len(fine), proved.proved, proved.pieces)
 
 
 def _finite_at_rest(linear: SampledPlant) -> bool:
