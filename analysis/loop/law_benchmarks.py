@@ -200,6 +200,13 @@ def benchmarks() -> tuple[Benchmark, ...]:
     loss = float(driven.work_J[-1] - driven.work_J[-1 - 2 * EACH])
     closed = 4 * F_c * (A - F_c / sigma * math.tanh(sigma * A / F_c))
     found.append(Benchmark("dahl", "loss of a turn of +-0.05 rad", "J", closed, "closed form", loss, 1e-5))
+    only = dict.fromkeys(("k_2_Nm_rad", "k_3_Nm_rad", "k_4_Nm_rad"), 1e-9)
+    only |= {"w_1": 1e6, "w_2": 1e-6, "w_3": 1e-6, "w_4": 1e-6, "F_s_Nm": 1.0, "sigma_1_Nms_rad": 0.0}
+    _, driven = _loop("leuven", (0, A, -A, A, -A, A, -A, A), **only)
+    loss = float(driven.work_J[-1] - driven.work_J[-1 - 2 * EACH])
+    found.append(
+        Benchmark("leuven", "the same with one element, which is Dahl's", "J", closed, "closed form", loss, 1e-5)
+    )
     _, driven = _loop("gms", (0, 0.03, -0.02, 0.01, -0.005, 0.01, -0.02, 0.03), F_s_Nm=1.0, C_Nm_s=1e9)
     torque = driven.samples["torque_Nm"]
     error = max(abs(float(torque[EACH * a] - torque[EACH * b])) for a, b in ((5, 3), (6, 2), (7, 1)))

@@ -114,15 +114,18 @@ def between_samples(parameters: Parameters, signs: Floats) -> Between:
         for duration, lag in ((late, 1), (parameters.period_s - late, 0))
         if duration > 0.0
     ]
-    whole, forced = np.eye(n), np.zeros(n)
+    whole: Floats = np.eye(n)
+    forced: Floats = np.zeros(n)
     for duration, force in pieces:
         step = _step(A, B, duration)
         whole, forced = step[:n, :n] @ whole, step[:n, :n] @ forced + step[:n, n] * force
-    y = np.linalg.solve(np.eye(n) - whole, forced)
-    times, speeds, squares, peak, t = [], [], 0.0, 0.0, 0.0
+    y: Floats = np.linalg.solve(np.eye(n) - whole, forced).astype(np.float64)
+    times: list[Floats] = []
+    speeds: list[Floats] = []
+    squares, peak, t = 0.0, 0.0, 0.0
     for duration, force in pieces:
         small = _step(A, B, duration / LOOKS)
-        course = [y]
+        course: list[Floats] = [y]
         for _ in range(LOOKS):
             course.append(small[:n, :n] @ course[-1] + small[:n, n] * force)
         v = np.array([one[0] for one in course])

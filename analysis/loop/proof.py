@@ -53,7 +53,7 @@ def rational(linear: SampledPlant) -> tuple[Floats, Floats]:
     """Return N and D of H = N/D, coefficients of z^0, z^-1 ...: D is the characteristic polynomial of
     the plant without its position, N the response times D at the roots of unity, transformed.
     """
-    D = np.poly(linear.velocity_states).real
+    D: Floats = np.poly(linear.velocity_states).real.astype(np.float64)
     size = len(D) + linear.whole_cycles + 2
     z = RADIUS * np.exp(2j * np.pi * np.arange(size) / size)  # off the unit circle: no pole is met
     values = linear.response(z) * np.polyval(D[::-1], 1.0 / z)

@@ -60,6 +60,7 @@ from coulombus.host.laws.law import (
     MotionRecord,
     declaration_of,
 )
+from coulombus.host.laws.leuven import leuven
 from coulombus.host.laws.lugre import lugre
 from coulombus.host.laws.regularised import regularised
 from coulombus.host.laws.stribeck import stribeck
@@ -100,7 +101,7 @@ class LawError(Exception):
 
 
 NAMED = (
-    *(stribeck, regularised, dahl, lugre, elastoplastic, gms, bliman_sorine, kikuuwe),
+    *(stribeck, regularised, dahl, lugre, elastoplastic, gms, leuven, bliman_sorine, kikuuwe),
     *(wall, detent, texture, viscous, inertia),
 )
 """The laws with named parameters, a file of this folder each."""

@@ -153,6 +153,55 @@ def test_gms_remembers_the_turning_points():
     assert abs(lugre[at[5]] - lugre[at[3]]) > 0.05  # LuGre forgets
 
 
+def leuven_by_small_steps(t, x, k, level, g, steps=500):
+    """z in small steps of Euler's method, the four springs clipped one by one."""
+    F, found = np.zeros(4), [(0.0, 0.0)]
+    for n in range(1, len(t)):
+        v, h = (x[n] - x[n - 1]) / (t[n] - t[n - 1]), (t[n] - t[n - 1]) / steps
+        for _ in range(steps if v else 0):
+            F = np.clip(F + k * h * v * (1 - np.sign(v) * F.sum() / g(v)), -level, level)
+        found.append((F.sum(), v * (1 - np.sign(v) * F.sum() / g(v))))
+    return np.array(found).T
+
+
+@pytest.mark.parametrize("step", [1e-3, 2e-2])
+def test_leuven_is_its_equation_along_any_motion(step):
+    t, x = walk(8, 120, step)
+    k, w = np.array([80.0, 40.0, 20.0, 10.0]), np.array([1.0, 2.0, 3.0, 4.0])
+
+    def g(v):
+        return 0.8 + 0.4 * math.exp(-((v / 2.0) ** 2))
+
+    names = {f"k_{i + 1}_Nm_rad": k[i] for i in range(4)} | {f"w_{i + 1}": w[i] for i in range(4)}
+    values = {"F_c_Nm": 0.8, "F_s_Nm": 1.2, "v_s_rad_s": 2.0, "sigma_1_Nms_rad": 0.02, "sigma_2_Nms_rad": 0.01}
+    found = driven("leuven", t, x, **values, **names)
+    bears, z_rate = leuven_by_small_steps(t, x, k, 1.2 * w / 10, g)
+    expected = bears + 0.02 * z_rate + 0.01 * found["v_rad_s"]
+    assert found["torque_Nm"] == pytest.approx(expected, abs=5e-3)
+    assert found["brake_Nm"][1:] == pytest.approx([g(v) + 0.01 * abs(v) for v in found["v_rad_s"][1:]])
+
+
+def test_leuven_with_one_element_is_dahls_law():
+    t, x = walk(9, 300, 8e-3)
+    one = {"F_c_Nm": 1.0, "F_s_Nm": 1.0, "k_1_Nm_rad": 50.0, "w_1": 1e6, "sigma_1_Nms_rad": 0}
+    others = {
+        f"{key}_{i}{unit}": 1e-9 if key == "k" else 1e-6
+        for i in (2, 3, 4)
+        for key, unit in (("k", "_Nm_rad"), ("w", ""))
+    }
+    found = driven("leuven", t, x, **one, **others)["torque_Nm"]
+    assert found == pytest.approx(driven("dahl", t, x, F_c_Nm=1.0, sigma_Nm_rad=50.0)["torque_Nm"], abs=1e-6)
+
+
+@pytest.mark.parametrize("period_s", [1e-4, 1.0])
+@pytest.mark.parametrize("k", [1e-6, 1e3, 1e9])
+def test_leuven_keeps_its_bounds_at_any_stiffness_and_period(k, period_s):
+    x = np.cumsum(np.random.default_rng(5).normal(0, 1.0, 500))
+    names = {f"k_{i}_Nm_rad": k for i in (1, 2, 3, 4)}
+    found = driven("leuven", np.arange(500) * period_s, x, sigma_1_Nms_rad=0, **names)
+    assert np.abs(found["torque_Nm"]).max() <= 1.2 * (1 + 1e-12)
+
+
 def test_bliman_sorine_is_its_equation_and_has_its_peak():
     t, x = walk(8, step=8e-3)
     found = driven("bliman_sorine", t, x, f_1_Nm=1.4, f_2_Nm=0.6, epsilon_f_rad=0.03, eta=0.3)["torque_Nm"]
