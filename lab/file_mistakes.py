@@ -31,7 +31,7 @@ class FileMistakes:
     def say(self, key: Key, text: str) -> None:
         """Note that something is wrong with a key."""
         line = self._document.line(key)
-        name = ".".join(map(str, key))
+        name, text = (_one_line(one) for one in (".".join(map(str, key)), text))
         self._found.append((line, f"{self._path}:{line}: {name}: {text}" if name else f"{self._path}:{line}: {text}"))
 
     def explain(self, error: ValidationError, above: Key, model: type[BaseModel]) -> None:
@@ -62,6 +62,11 @@ class FileMistakes:
             raise self._error("\n".join(dict.fromkeys(text for _, text in ordered)))
 
 
+def _one_line(text: str) -> str:
+    """Return a text whose line ends are written out: a mistake is one line."""
+    return text.replace("\r", "\\r").replace("\n", "\\n")
+
+
 def text_of(path: Path, what: str, error: type[Exception]) -> str:
     """Return the text of the file `path`; `error` says why it cannot be read."""
     try:
@@ -87,7 +92,7 @@ def rig_beside(path: Path, name: str, mistakes: FileMistakes) -> Rig:
         for axis in rig.axes:
             _ = axis.simulation
     except RigError as error:
-        if is_path:
+        if is_path and place.is_file():
             raise
         mistakes.say(("rig",), str(error).removeprefix(f"--rig {name}: "))
         mistakes.raise_all()

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 import sys
-from collections.abc import Callable
+import termios
+import time
+import tty
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,16 +27,20 @@ from coulombus.verbs.common import (
     shared_machine_option,
     verdict,
 )
+from coulombus.wire.keys import in_foreground
 
 if TYPE_CHECKING:
-    from coulombus.host.run.result import RunResult
+    from coulombus.lab.experiment.displays import Displays
+    from coulombus.lab.experiment.folder import SubjectFolder
     from coulombus.lab.experiment.observer import Observer
-    from coulombus.lab.experiment.session import Display, People, Session
+    from coulombus.lab.experiment.session import People, Session, SubjectSession
     from coulombus.lab.experiment.study import Study
     from coulombus.lab.experiment.trials import Trial
-    from coulombus.wire.address import BusAddress
 
 __all__ = ["experiment_command"]
+
+LAST_S = 0.5
+"""So long the page may take to fetch its last text."""
 
 
 @click.command("experiment", epilog=EXIT_STATUS)
@@ -52,6 +62,9 @@ __all__ = ["experiment_command"]
 )
 @bus_option
 @click.option("--virtual", is_flag=True, help="Display in virtual time, on the simulated rig.")
+@click.option("--page", is_flag=True, help="Ask in a browser on this machine; its address is printed.")
+@click.option("--port", type=click.IntRange(0, 65535), help="The page's port.  [default: a free one]")
+@click.option("--lsl", is_flag=True, help="Send markers by the lab streaming layer.")
 @shared_machine_option
 @json_option
 def experiment_command(
@@ -61,6 +74,9 @@ def experiment_command(
     observer: float | None,
     bus_name: str | None,
     virtual: bool,
+    page: bool,
+    port: int | None,
+    lsl: bool,
     shared_machine: bool,
     as_json: bool,
 ) -> None:
@@ -70,8 +86,9 @@ def experiment_command(
     condition is held against the rig's limits before anything moves. Each display is a run of its
     own, which arms and ends safely, and is recorded.
 
-    Answers are typed, with Enter behind them; q ends the session. Given again, the same command
-    goes on behind the last answer. `coulombus analyse study DIR` tells what came of it.
+    Answers are keys of the terminal, or of a page in the browser (--page); q ends the session.
+    Given again, the same command goes on behind the last answer. `coulombus analyse study DIR`
+    tells what came of it.
 
     \b
     Examples:
@@ -80,40 +97,76 @@ def experiment_command(
     """
     with errors():
         from coulombus.lab.experiment.folder import SubjectFolder
-        from coulombus.lab.experiment.observer import Observer as Simulated
-        from coulombus.lab.experiment.session import run_session, virtual_display
+        from coulombus.lab.experiment.session import SubjectSession, run_session
         from coulombus.lab.experiment.study import read_study
-        from coulombus.rigs.overrides import SHARED_MACHINE
-        from coulombus.wire.address import default_address, parse_address
 
         if virtual and (bus_name is not None or shared_machine):
             raise click.UsageError("--virtual needs no bus and no wider limits; take --bus and --shared-machine out")
+        if observer is not None and page:
+            raise click.UsageError("--observer answers by itself; take --page out")
+        if port is not None and not page:
+            raise click.UsageError("--port is the page's; add --page")
         study = read_study(file)
         meta = {"observer": "a person" if observer is None else f"simulated, JND {observer:g}"}
-        show: Callable[[Display], RunResult] = virtual_display
-        if virtual:
-            meta["bus"] = "virtual time"
-        else:
-            if len(study.rig.channels) > 1:
-                raise click.UsageError(f"the rig {study.rig.name} has several buses; a study runs on one")
-            address = default_address(study.rig.name) if bus_name is None else parse_address(bus_name)
-            if shared_machine:
-                check_shared_machine([address])
-            show, meta["bus"] = _on_bus(address, SHARED_MACHINE if shared_machine else (), subject), str(address)
+        if observer is None:
+            meta["began"] = datetime.now(UTC).isoformat(timespec="seconds")
+        displays, meta["bus"] = _displays(study, bus_name, virtual, shared_machine)
         with SubjectFolder(study, out, subject, meta) as folder:
-            if observer is None:
-                people = _at_the_terminal(study)
-            else:
-                people = _simulated(Simulated(observer, study.file.seed, folder.number))
-            session = run_session(folder, show, people)
-        with verdict(session.exit_status):
-            if not session.complete:
+            session = SubjectSession(folder, displays, *_marks(folder, lsl))
+            with _people(session, observer, page, port or 0) as people:
+                came = run_session(session, people)
+        with verdict(came.exit_status):
+            if not came.complete:
                 words = ["coulombus", "experiment", str(file), "-o", str(out), "--subject", subject]
                 words += [] if observer is None else ["--observer", f"{observer:g}"]
                 words += ["--virtual"] if virtual else [] if bus_name is None else ["--bus", bus_name]
+                words += ["--page"] * page + (["--port", str(port)] if port else []) + ["--lsl"] * lsl
                 words += ["--shared-machine"] if shared_machine else []
-                say(f"coulombus: ended: {session.ended_by}; nothing is lost; to go on: {shlex.join(words)}")
-            _tell(session, out, as_json)
+                say(f"coulombus: ended: {came.ended_by}; nothing is lost; to go on: {shlex.join(words)}")
+            _tell(came, out, as_json)
+
+
+def _displays(study: Study, bus_name: str | None, virtual: bool, shared_machine: bool) -> tuple[Displays, str]:
+    from coulombus.lab.experiment.displays import BusDisplays, VirtualDisplays
+    from coulombus.rigs.overrides import SHARED_MACHINE
+    from coulombus.wire.address import default_address, parse_address
+
+    if virtual:
+        return VirtualDisplays(), "virtual time"
+    if len(study.rig.channels) > 1:
+        raise click.UsageError(f"the rig {study.rig.name} has several buses; a study runs on one")
+    address = default_address(study.rig.name) if bus_name is None else parse_address(bus_name)
+    if shared_machine:
+        check_shared_machine([address])
+    return BusDisplays(address, SHARED_MACHINE if shared_machine else ()), str(address)
+
+
+def _marks(folder: SubjectFolder, lsl: bool) -> list[Callable[[str], None]]:
+    if not lsl:
+        return []
+    from coulombus.lab.experiment.lsl import LslMarkers
+
+    return [LslMarkers(folder)]
+
+
+@contextmanager
+def _people(session: SubjectSession, observer: float | None, page: bool, port: int) -> Iterator[People]:
+    from coulombus.lab.experiment.observer import Observer
+    from coulombus.lab.experiment.session import People
+
+    study = session.study
+    if observer is not None:
+        yield _simulated(Observer(observer, study.file.seed, session.folder.number))
+    elif page:
+        from coulombus.lab.experiment.page import AnswerPage
+
+        with AnswerPage(study.file.question, session.stop, port) as asking:
+            say(f"coulombus: the page: {asking.url}")
+            yield People(asking.tell, asking.ask, asking.go_on, time.monotonic)
+            asking.over("The study is over. Thank you." if session.trial is None else "The session has ended.")
+            time.sleep(LAST_S)
+    else:
+        yield _at_the_terminal(study)
 
 
 def _tell(session: Session, out: Path, as_json: bool) -> None:
@@ -122,27 +175,6 @@ def _tell(session: Session, out: Path, as_json: bool) -> None:
     else:
         left = "complete" if session.complete else "not complete"
         click.echo(f"{session.subject}: {session.trials} trials answered, {left}: {out}")
-
-
-def _on_bus(address: BusAddress, more: tuple[str, ...], subject: str) -> Callable[[Display], RunResult]:
-    from coulombus.host.run.outputs import Outputs
-    from coulombus.host.run.real_run import real_run
-    from coulombus.wire.stopping import Signals
-
-    def show(display: Display) -> RunResult:
-        meta = {"subject": subject, "trial": str(display.trial), "display": str(display.number)}
-        outputs = Outputs(record=display.record, meta=meta, force=True)
-        with Signals() as signals:
-            return real_run(
-                display.rig.variant(*more),
-                display.mode,
-                display.seconds,
-                bus=address,
-                outputs=outputs,
-                signals=signals,
-            )
-
-    return show
 
 
 def _simulated(observer: Observer) -> People:
@@ -154,35 +186,45 @@ def _simulated(observer: Observer) -> People:
 def _at_the_terminal(study: Study) -> People:
     """Ask on stderr, read from stdin: stdout has the result alone."""
     from coulombus.lab.experiment.session import People
-
-    def line(text: str) -> str | None:
-        click.echo(f"{text} ", err=True, nl=False)
-        given = sys.stdin.readline()
-        return given.strip() if given else None
+    from coulombus.lab.experiment.trials import is_answer
 
     def go_on(text: str) -> bool:
         say(text)
         while True:
-            given = line("Go on? y or q:")
+            given = _key("Go on? y or q:", "yq")
             if given in ("y", "q", None):
                 return given == "y"
 
     def ask(trial: Trial) -> str | None:
         wanted = "a number of 0 or more" if trial.reference is None else "1 or 2"
         while True:
-            given = line(f"{study.file.question} ({wanted}; q: stop)")
+            given = _key(f"{study.file.question} ({wanted}; q: stop)", "" if trial.reference is None else "12q")
             if given is None or given == "q":
                 return None
-            if _is_answer(given, trial.reference is None):
+            if is_answer(given, trial):
                 return given
 
-    return People(tell=say, ask=ask, go_on=go_on)
+    return People(tell=say, ask=ask, go_on=go_on, clock=time.monotonic)
 
 
-def _is_answer(text: str, magnitude: bool) -> bool:
-    if not magnitude:
-        return text in ("1", "2")
+def _key(text: str, keys: str) -> str | None:
+    """Return what is typed: one of `keys` as it is struck at a terminal, else a line; None at the end
+    of the input. What was struck before the question is no answer to it.
+    """
+    click.echo(f"{text} ", err=True, nl=False)
+    if not (keys and in_foreground()):
+        given = sys.stdin.readline()
+        return given.strip() if given else None
+    fd = sys.stdin.fileno()
+    before = termios.tcgetattr(fd)
     try:
-        return 0 <= float(text) < 1e9
-    except ValueError:
-        return False
+        tty.setcbreak(fd, termios.TCSAFLUSH)
+        while True:
+            struck = os.read(fd, 1).decode("ascii", "replace")
+            if struck in ("", "\x04"):
+                return None
+            if struck in keys:
+                click.echo(struck, err=True)
+                return struck
+    finally:
+        termios.tcsetattr(fd, termios.TCSADRAIN, before)

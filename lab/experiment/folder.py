@@ -4,9 +4,9 @@
 
     DIR/dataset_description.json        name of the study, version, the study's sum
     DIR/study.toml                      a copy of the study file
-    DIR/participants.tsv                a row for each subject
+    DIR/participants.tsv, .json         a row for each subject; what its columns mean
     DIR/sub-S01/sub-S01_task-NAME_events.tsv    a row for each answered trial
-    DIR/sub-S01/sub-S01_task-NAME_events.json   what the columns mean; consent, versions, bus
+    DIR/sub-S01/sub-S01_task-NAME_events.json   what the columns mean; each session: consent, version, bus
     DIR/sub-S01/recordings/trial-0001_display-1.pcapng
 
 A row is on the disk before the next trial begins. A row that a crash cut in two is taken off, and
@@ -20,6 +20,7 @@ import json
 import os
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -27,6 +28,7 @@ from typing import Any, Self
 from coulombus.lab.experiment.study import Study
 from coulombus.lab.experiment.trials import Trial, Trials
 from coulombus.recording.recorder import project_version
+from coulombus.rigs.rewrite import write_whole
 
 __all__ = ["COLUMNS", "FolderError", "SubjectFolder", "read_events", "subjects_of"]
 
@@ -42,9 +44,17 @@ COLUMNS: Mapping[str, str] = {
     "reference": "the level that it was compared with; n/a: none",
     "first": "in which display the level was, 1 or 2; 0: there was one display",
     "answer": "what the subject answered; n/a: nothing was asked",
+    "response_time": "from the end of the last display to the answer [s]; n/a: it was not measured",
     "right": "1: the answer is the display of the level; n/a: nothing was compared",
 }
 """Column of events.tsv -> what it means."""
+
+
+HEADER = "\t".join(COLUMNS) + "\n"
+PARTICIPANTS: Mapping[str, str] = {
+    "participant_id": "the subject",
+    "number": "in which order the subjects came, from 0; orders and seeds follow from it",
+}
 
 
 class FolderError(ValueError):
@@ -54,16 +64,28 @@ class FolderError(ValueError):
 
 
 def _write(path: Path, text: str) -> None:
-    beside = path.with_name(f".{path.name}.new")
-    with beside.open("w", encoding="utf-8") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    beside.replace(path)
+    try:
+        write_whole(path, text.encode())
+    except OSError as error:
+        raise _full(path, error) from error
+
+
+def _full(path: Path, error: OSError) -> FolderError:
+    return FolderError(
+        f"{path}: cannot be written ({error.strerror or error}); answers so far are kept, the last one perhaps not: "
+        "make room, and give the same command to go on"
+    )
 
 
 def _json(values: Mapping[str, Any]) -> str:
     return json.dumps(values, indent=2, sort_keys=True) + "\n"
+
+
+def _begun(path: Path, study: str) -> bool:
+    """Tell whether a file is what a session leaves that was cut off before its folder was whole."""
+    if path.name == "study.toml":
+        return path.read_bytes() == study.encode()
+    return path.name.startswith(".") or path.name in ("participants.tsv", "participants.json")
 
 
 def subjects_of(folder: Path) -> list[str]:
@@ -114,12 +136,16 @@ class SubjectFolder:
         self.own = folder / f"sub-{subject}"
         self.events = self.own / f"sub-{subject}_task-{study.file.name}_events.tsv"
         self.number = 0
+        self.answered = 0
         self.onset_s = 0.0
 
     def __enter__(self) -> Self:
         """Make the folder, or open it again; nobody else writes into it meanwhile."""
-        self.folder.mkdir(parents=True, exist_ok=True)
-        self._lock = os.open(self.folder / ".lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            self._lock = os.open(self.folder / ".lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        except OSError as error:
+            raise FolderError(f"{self.folder}: cannot be written ({error.strerror}); name another folder") from error
         try:
             try:
                 fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -128,11 +154,10 @@ class SubjectFolder:
             self._describe()
             self._take_part()
             (self.own / "recordings").mkdir(parents=True, exist_ok=True)
-            told = {name: {"Description": text} for name, text in COLUMNS.items()}
-            session = {**self._meta, "number": self.number, "version": project_version()}
-            _write(self.events.with_suffix(".json"), _json({**told, "session": session}))
+            self._sessions = [*self._earlier(), {**self._meta, "version": project_version()}]
+            self._tell()
             if not self.events.exists():
-                _write(self.events, "\t".join(COLUMNS) + "\n")
+                _write(self.events, HEADER)
         except BaseException:
             os.close(self._lock)
             raise
@@ -143,22 +168,46 @@ class SubjectFolder:
     ) -> None:
         os.close(self._lock)
 
+    def _earlier(self) -> list[dict[str, str]]:
+        try:
+            found = json.loads(self.events.with_suffix(".json").read_text(encoding="utf-8"))["sessions"]
+        except (OSError, ValueError, KeyError, TypeError):
+            return []
+        return [one for one in found if isinstance(one, dict)] if isinstance(found, list) else []
+
+    def _tell(self) -> None:
+        told: dict[str, Any] = {name: {"Description": text} for name, text in COLUMNS.items()}
+        told["sessions"] = self._sessions
+        _write(self.events.with_suffix(".json"), _json(told))
+
+    def note(self, key: str, text: str) -> None:
+        """Keep something of this session: whether the consent was given."""
+        self._sessions[-1][key] = text
+        self._tell()
+
     def _describe(self) -> None:
         path = self.folder / "dataset_description.json"
-        told = self.study.fingerprint()
+        fingerprint = self.study.fingerprint()
         if path.exists():
             try:
                 there = json.loads(path.read_text(encoding="utf-8"))["StudySHA256"]
             except (ValueError, KeyError, TypeError):
                 there = None
-            if there != told:
+            if there != fingerprint:
                 raise FolderError(f"{self.folder}: holds another study (another file or rig); choose another folder")
             return
-        if any(one.name != ".lock" for one in self.folder.iterdir()):
+        if any(not _begun(one, self.study.text) for one in self.folder.iterdir()):
             raise FolderError(f"{self.folder}: holds something else; choose an empty folder")
         _write(self.folder / "study.toml", self.study.text)
         _write(self.folder / "participants.tsv", "participant_id\tnumber\n")
-        values = {"Name": self.study.file.name, "BIDSVersion": "1.9.0", "DatasetType": "raw", "StudySHA256": told}
+        told = {name: {"Description": text} for name, text in PARTICIPANTS.items()}
+        _write(self.folder / "participants.json", _json(told))
+        values = {
+            "Name": self.study.file.name,
+            "BIDSVersion": "1.9.0",
+            "DatasetType": "raw",
+            "StudySHA256": fingerprint,
+        }
         _write(path, _json({**values, "GeneratedBy": [{"Name": "coulombus", "Version": project_version()}]}))
 
     def _take_part(self) -> None:
@@ -179,23 +228,24 @@ class SubjectFolder:
         """
         rows = read_events(self.events)
         whole = self.events.read_bytes()
-        if not whole.endswith(b"\n"):
-            os.truncate(self.events, whole.rfind(b"\n") + 1)
+        if not whole.endswith(b"\n"):  # a power cut in the midst of a row, or of the head
+            _write(self.events, (whole[: whole.rfind(b"\n") + 1] or HEADER.encode()).decode())
         trials = Trials(self.study, self.number)
         for number, row in enumerate(rows, 2):
             trial = trials.next()
-            if trial is None or self._row(trial, row["answer"]) != {**row, "onset": f"{self.onset_s:g}"}:
+            if trial is None or self._row(trial, row["answer"], row["response_time"]) != row:
                 raise FolderError(
                     f"{self.events}:{number}: is not the trial that the study shows there; restore the file"
                 )
             self._next(trial)
             trials.answer(row["answer"])
+        self.answered = len(rows)
         return trials
 
     def _next(self, trial: Trial) -> None:
         self.onset_s += len(trial.levels) * self.study.file.seconds
 
-    def _row(self, trial: Trial, answer: str) -> dict[str, str]:
+    def _row(self, trial: Trial, answer: str, response_time: str) -> dict[str, str]:
         return {
             "onset": f"{self.onset_s:g}",
             "duration": f"{len(trial.levels) * self.study.file.seconds:g}",
@@ -207,15 +257,31 @@ class SubjectFolder:
             "reference": "n/a" if trial.reference is None else f"{trial.reference!r}",
             "first": str(trial.first),
             "answer": answer,
+            "response_time": response_time,
             "right": str(int(trial.right(answer))) if trial.first else "n/a",
         }
 
-    def keep(self, trial: Trial, answer: str) -> None:
-        """Append an answered trial; it is on the disk when this returns."""
-        with self.events.open("a", encoding="utf-8") as file:
-            file.write("\t".join(self._row(trial, answer).values()) + "\n")
-            file.flush()
-            os.fsync(file.fileno())
+    def keep(self, trial: Trial, answer: str, seconds: float | None = None) -> None:
+        """Append an answered trial; it is on the disk when this returns, or not there at all.
+
+        Raises
+        ------
+        FolderError
+            the disk is full
+        """
+        row = self._row(trial, answer, "n/a" if seconds is None else f"{seconds:.3f}")
+        before = self.events.stat().st_size
+        try:
+            with self.events.open("ab", buffering=0) as file:
+                content = memoryview(("\t".join(row.values()) + "\n").encode())
+                while content:
+                    content = content[file.write(content) :]
+                os.fsync(file.fileno())
+        except OSError as error:
+            with suppress(OSError):
+                os.truncate(self.events, before)
+            raise _full(self.events, error) from error
+        self.answered = trial.number
         self._next(trial)
 
     def recording(self, trial: Trial, display: int) -> Path:

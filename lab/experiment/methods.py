@@ -14,16 +14,22 @@ which is 70.7 % for :math:`n = 2, r = 1`.
 
 from __future__ import annotations
 
+import importlib
 import math
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
-from scipy.special import ndtr
 
-__all__ = ["Fixed", "Method", "Quest", "Staircase", "target"]
+__all__ = ["Fixed", "Method", "Quest", "QuestMissing", "Staircase", "target"]
 
 SIGMAS, CANDIDATES = 60, 25
+
+
+class QuestMissing(Exception):
+    """The library of QUEST+ is not installed; the text says how to get it."""
+
+    exit_status = 2
 
 
 class Method(Protocol):
@@ -102,41 +108,58 @@ class Staircase:
 
 
 class Quest:
-    r"""QUEST+ for :math:`p = \Phi((x - x_{ref}) / \sigma)` [Watson 2017]: each trial shows the level
-    after which the entropy of :math:`\log\sigma` is expected to be least. An implementation of this
-    project's own, of that one parameter.
+    r"""QUEST+ for :math:`p = \Phi((x - x_{ref}) / \sigma)` [Watson 2017], by the library questplus: each
+    trial shows the level after which the entropy of :math:`\sigma` is expected to be least.
+
+    Raises
+    ------
+    QuestMissing
+        questplus is not installed
     """
 
     def __init__(self, reference: float, bounds: tuple[float, float], trials: int, lapse: float) -> None:
         low, high = bounds
-        self._levels = np.linspace(low, high, CANDIDATES)
         span = high - reference
-        self._sigma = np.geomspace(span / 100.0, span * 4.0, SIGMAS)
-        p = ndtr((self._levels[:, None] - reference) / self._sigma[None, :])
-        self._p = lapse / 2.0 + (1.0 - lapse) * p
-        self._weight = np.full(SIGMAS, 1.0 / SIGMAS)
+        self._quest: Any = _questplus()(
+            stim_domain={"intensity": np.round(np.linspace(low, high, CANDIDATES), 12)},
+            param_domain={
+                "mean": np.array([reference]),
+                "sd": np.geomspace(span / 100.0, span * 4.0, SIGMAS),
+                "lower_asymptote": np.array([lapse / 2.0]),
+                "lapse_rate": np.array([lapse / 2.0]),
+            },
+            outcome_domain={"response": ["right", "wrong"]},
+            func="norm_cdf",
+            stim_scale="linear",
+        )
         self._left = trials
+        self._next: float | None = None
 
     @property
     def done(self) -> bool:
         """Whether all trials were answered."""
         return self._left <= 0
 
+    @property
+    def believed(self) -> float:
+        """The mean of sigma as QUEST+ believes it."""
+        return float(self._quest.param_estimate["sd"])
+
     def level(self) -> float:
         """Return what the next trial shows."""
-        expected = np.zeros(CANDIDATES)
-        for chance in (self._p, 1.0 - self._p):
-            joint = chance * self._weight
-            whole = joint.sum(axis=1)
-            posterior = joint / whole[:, None]
-            expected -= whole * np.where(posterior > 0, posterior * np.log(np.maximum(posterior, 1e-300)), 0).sum(
-                axis=1
-            )
-        return round(float(self._levels[int(np.argmin(expected))]), 12)
+        if self._next is None:
+            self._next = float(self._quest.next_stim["intensity"])
+        return self._next
 
     def take(self, level: float, right: bool) -> None:
         """Weigh each sigma by the chance that it gave to the answer."""
         self._left -= 1
-        p = self._p[int(np.argmin(np.abs(self._levels - level)))]
-        self._weight = self._weight * (p if right else 1.0 - p)
-        self._weight /= self._weight.sum()
+        self._next = None
+        self._quest.update(stim={"intensity": level}, outcome={"response": "right" if right else "wrong"})
+
+
+def _questplus() -> Any:
+    try:
+        return importlib.import_module("questplus.qp").QuestPlus
+    except ImportError:
+        raise QuestMissing("the method \"quest\" needs questplus: pip install 'coulombus[study]'") from None

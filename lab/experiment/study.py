@@ -39,6 +39,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from coulombus.host.cycle.demand import cut_off
 from coulombus.host.laws.laws import LawError
+from coulombus.lab.experiment.bounds import widened
 from coulombus.lab.file_mistakes import FileMistakes, rig_beside, text_of
 from coulombus.rigs.mistakes import nearest, toml_value
 from coulombus.rigs.rig import Rig, RigError
@@ -314,20 +315,18 @@ def _check_on_rig(study: Study, mistakes: FileMistakes) -> None:
             mistakes.say((*place, "mode"), f"the rig {study.rig.name} has no mode {condition.mode!r}")
             continue
         try:
-            study.rig.variant(*condition.settings)
+            changed = widened(study.rig, study.rig.variant(*condition.settings))
         except RigError as error:
             for text in error.errors:
-                given = next(
-                    (
-                        k
-                        for k, f in enumerate(study.file.factor)
-                        if f"{f.key.replace('{mode}', condition.mode)}=" in text
-                    ),
-                    None,
-                )
+                given = _factor_of(study, condition, "{}=", text)
                 of_set = any(text.startswith(f"--set {one}:") for one in study.file.condition[number // width].set)
                 where: Key = ("factor", given) if given is not None and not of_set else (*place, "set")
                 mistakes.say(where, f"the rig refuses it: {_bare(text)}")
+            continue
+        for text in changed:
+            given = _factor_of(study, condition, "{}:", text)
+            mistakes.say((*place, "set") if given is None else ("factor", given, "values"), text)
+        if changed or _check_level_keys(study, condition, mistakes):
             continue
         for key, level in _shown(study):
             for text in _refusals(study, condition, level):
@@ -336,6 +335,28 @@ def _check_on_rig(study: Study, mistakes: FileMistakes) -> None:
                     mistakes.say(("level", unknown), f"the rig refuses it: {_bare(text)}")
                 else:
                     mistakes.say(key, f"{level:g} in condition {condition.name}: {_bare(text)}")
+
+
+def _factor_of(study: Study, condition: Condition, form: str, text: str) -> int | None:
+    """Return which factor's key stands in a text, written as `form` says."""
+    keys = (form.format(one.key.replace("{mode}", condition.mode)) for one in study.file.factor)
+    return next((k for k, key in enumerate(keys) if key in text), None)
+
+
+def _check_level_keys(study: Study, condition: Condition, mistakes: FileMistakes) -> bool:
+    """Tell whether a key of [level] changes what a study may not change, at any level shown."""
+    found = False
+    levels = [level for _, level in _shown(study)]
+    for level in (min(levels), max(levels)):
+        try:
+            changed = widened(study.rig, study.variant(condition, level))
+        except RigError:
+            continue  # told with the level
+        for text in changed:
+            keys = (one for one in study.file.level if text.startswith(f"{one.replace('{mode}', condition.mode)}:"))
+            mistakes.say(("level", *(key for key in [next(keys, None)] if key)), text)
+            found = True
+    return found
 
 
 def _names(text: str, key: str, mode: str) -> bool:

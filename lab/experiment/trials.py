@@ -4,6 +4,7 @@ answers so far.
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,10 +13,13 @@ from coulombus.lab.experiment import methods
 from coulombus.lab.experiment.orders import williams
 from coulombus.lab.experiment.study import Condition, Constant, Free, Quest, Staircase, Study
 
-__all__ = ["LAPSE", "Trial", "Trials"]
+__all__ = ["LAPSE", "Trial", "Trials", "is_answer"]
 
 LAPSE = 0.01
 """Share of answers that are given without attention, as analysis and QUEST+ believe it."""
+NUMBER = re.compile(r"[0-9]{1,12}(\.[0-9]{0,12})?|\.[0-9]{1,12}")
+LARGEST = 1e9
+"""A magnitude is smaller."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +50,17 @@ class Trial:
     def right(self, answer: str) -> bool:
         """Tell whether the answer names the display of the level."""
         return self.first != 0 and answer == str(self.first)
+
+
+def is_answer(text: str, trial: Trial, *, asked: bool = True) -> bool:
+    """Tell whether a text answers a trial: 1 or 2 of two displays, a number from 0 of one; n/a where
+    nothing is asked.
+    """
+    if not asked:
+        return text == "n/a"
+    if trial.reference is not None:
+        return text in ("1", "2")
+    return NUMBER.fullmatch(text) is not None and float(text) < LARGEST
 
 
 class Trials:

@@ -8,7 +8,7 @@ from click.testing import CliRunner
 from coulombus.analysis.study.report import _mixed, lines, report, write_figures
 from coulombus.lab.experiment.folder import FolderError, SubjectFolder
 from coulombus.lab.experiment.observer import Observer
-from coulombus.lab.experiment.session import People, run_session
+from coulombus.lab.experiment.session import People, SubjectSession, run_session
 from coulombus.lab.experiment.study import read_study
 from coulombus.verbs.main import main
 from study_text import TEXT
@@ -23,6 +23,14 @@ class Nothing:
     exit_status, trip, stopped_by = 0, None, None
 
 
+class Nowhere:
+    def __call__(self, display):
+        return Nothing()
+
+    def stop(self):
+        pass
+
+
 @pytest.fixture
 def keep(tmp_path) -> Callable[..., None]:
     def run(text: str, *jnds: float) -> None:
@@ -32,7 +40,7 @@ def keep(tmp_path) -> Callable[..., None]:
             with SubjectFolder(study, tmp_path / "out", f"S{number:02d}", {}) as own:
                 observer = Observer(jnd, 3, own.number)
                 people = People(tell=lambda text: None, ask=observer.answer, go_on=lambda text: True)
-                assert run_session(own, lambda display: Nothing(), people).complete
+                assert run_session(SubjectSession(own, Nowhere()), people).complete
 
     return run
 

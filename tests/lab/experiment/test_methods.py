@@ -1,5 +1,6 @@
 """Orders, staircases and QUEST+ against what theory says of them."""
 
+import sys
 from collections import Counter
 from itertools import pairwise
 
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from coulombus.lab.experiment.methods import Fixed, Quest, Staircase, target
+from coulombus.lab.experiment.methods import Fixed, Quest, QuestMissing, Staircase, target
 from coulombus.lab.experiment.orders import williams
 
 
@@ -56,12 +57,38 @@ def test_a_staircase_comes_to_rest_at_its_target(down, up_ratio, share):
 
 
 def test_quest_shows_levels_near_the_threshold_and_learns_it():
+    pytest.importorskip("questplus")
     rng, sigma = np.random.default_rng(2), 0.2
     one = Quest(2.0, (2.0, 3.2), 150, 0.01)
     levels = []
     while not one.done:
         levels.append(one.level())
         one.take(levels[-1], bool(rng.random() < ndtr((levels[-1] - 2.0) / sigma)))
-    believed = float(np.exp(one._weight @ np.log(one._sigma)))
-    assert believed == pytest.approx(sigma, rel=0.3)
+    assert one.believed == pytest.approx(sigma, rel=0.3)
     assert 2.05 < np.median(levels[20:]) < 2.6
+
+
+def test_quest_shows_the_level_of_least_expected_entropy():
+    pytest.importorskip("questplus")
+    one, rng = Quest(2.0, (2.0, 3.2), 40, 0.01), np.random.default_rng(4)
+    x, sigma = np.linspace(2.0, 3.2, 25), np.geomspace(0.012, 4.8, 60)
+    p = 0.005 + 0.99 * ndtr((x[:, None] - 2.0) / sigma)
+    weight = np.full(60, 1 / 60)
+    while not one.done:
+        expected = np.zeros(25)
+        for chance in (p, 1 - p):
+            joint = chance * weight
+            whole = joint.sum(axis=1, keepdims=True)
+            expected -= (joint * np.log(joint / whole)).sum(axis=1)
+        k = int(np.argmin(np.abs(x - one.level())))
+        assert expected[k] == pytest.approx(expected.min(), abs=1e-9)
+        right = bool(rng.random() < p[k, 30])
+        weight = weight * (p[k] if right else 1 - p[k])
+        weight /= weight.sum()
+        one.take(one.level(), right)
+
+
+def test_without_questplus_it_is_said_how_to_get_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "questplus.qp", None)
+    with pytest.raises(QuestMissing, match=r"pip install 'coulombus\[study\]'"):
+        Quest(2.0, (2.0, 3.2), 10, 0.01)

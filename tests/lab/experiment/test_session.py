@@ -1,13 +1,15 @@
 """A session is kept trial by trial, goes on after any end, and comes to the same bytes."""
 
+import errno
 import json
+import os
 from dataclasses import dataclass
 
 import pytest
 
 from coulombus.lab.experiment.folder import FolderError, SubjectFolder, read_events
 from coulombus.lab.experiment.observer import Observer
-from coulombus.lab.experiment.session import People, run_session
+from coulombus.lab.experiment.session import Ended, People, SubjectSession, WrongStep, run_session
 from coulombus.lab.experiment.study import read_study
 from study_text import TEXT
 
@@ -26,6 +28,9 @@ class Show:
 
     def __init__(self, at=0, result=None):
         self.at, self.result, self.shown = at, result, []
+
+    def stop(self):
+        self.stopped = True
 
     def __call__(self, display):
         self.shown.append(display)
@@ -46,7 +51,7 @@ def session(study, folder, show, subject="S01", stop=lambda trial: False, consen
             ask=lambda trial: None if stop(trial) else observer.answer(trial),
             go_on=lambda text: consent,
         )
-        return run_session(own, show, people), own
+        return run_session(SubjectSession(own, show), people), own
 
 
 def test_a_session_that_ended_anywhere_comes_to_the_same_bytes(study, tmp_path):
@@ -71,6 +76,9 @@ def test_who_does_not_consent_sees_nothing(tmp_path):
     show = Show()
     came, _ = session(read_study(tmp_path / "study.toml"), tmp_path / "out", show, consent=False)
     assert (came.trials, came.ended_by, show.shown) == (0, "stopped by the subject", [])
+    _, own = session(read_study(tmp_path / "study.toml"), tmp_path / "out", Show())
+    told = json.loads(own.events.with_suffix(".json").read_text())["sessions"]
+    assert [one["consent"] for one in told] == ["refused", "given"]
 
 
 def test_subjects_meet_the_conditions_in_counter_balanced_order(study, tmp_path):
@@ -103,5 +111,131 @@ def test_what_is_kept_is_a_bids_folder(study, tmp_path):
     assert own.events.name == "sub-S01_task-jnd_events.tsv"
     told = json.loads(own.events.with_suffix(".json").read_text())
     assert set(read_events(own.events)[0]) < set(told)
-    assert told["session"]["version"]
+    assert told["sessions"][0]["version"]
     assert json.loads((tmp_path / "out" / "dataset_description.json").read_text())["BIDSVersion"]
+
+
+def cut_at_each_byte(study, whole, folder):
+    """Yield folders as a power cut leaves them, at some bytes of the answers."""
+    content = whole.events.read_bytes()
+    for size in (*range(0, len(content), 37), content.index(b"\n"), len(content) - 1):
+        own = folder / str(size)
+        session(study, own, Show(at=1, result=Result(stopped_by="coulombus stop")))
+        (own / "sub-S01" / whole.events.name).write_bytes(content[:size])
+        yield own
+
+
+def test_a_power_cut_at_any_byte_of_the_answers_costs_one_answer_at_most(study, tmp_path):
+    _, kept = session(study, tmp_path / "whole", Show())
+    for folder in cut_at_each_byte(study, kept, tmp_path / "cut"):
+        before = (folder / "sub-S01" / kept.events.name).read_bytes().count(b"\n")
+        show = Show()
+        came, own = session(study, folder, show)
+        assert came.complete
+        assert own.events.read_bytes() == kept.events.read_bytes()
+        assert len(show.shown) == 2 * (8 - max(before - 1, 0))
+
+
+@pytest.mark.parametrize(
+    "missing", [(), ("dataset_description.json",), ("dataset_description.json", "participants.tsv")]
+)
+def test_a_folder_that_was_cut_off_while_it_was_made_is_made_whole(study, tmp_path, missing):
+    session(study, tmp_path, Show(at=1, result=Result(stopped_by="coulombus stop")))
+    for name in ("sub-S01/sub-S01_task-jnd_events.tsv", *missing):
+        (tmp_path / name).unlink()
+    if missing:
+        for path in sorted((tmp_path / "sub-S01").rglob("*"), reverse=True):
+            path.unlink() if path.is_file() else path.rmdir()
+        (tmp_path / "sub-S01").rmdir()
+    assert session(study, tmp_path, Show())[0].complete
+
+
+def test_a_folder_with_another_study_file_is_left_alone(study, tmp_path):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "study.toml").write_text("mine = 1")
+    with pytest.raises(FolderError, match="holds something else"):
+        session(study, tmp_path / "out", Show())
+    assert (tmp_path / "out" / "study.toml").read_text() == "mine = 1"
+
+
+def test_a_full_disk_ends_the_session_and_keeps_the_answers_before(study, tmp_path, monkeypatch):
+    _, kept = session(study, tmp_path / "whole", Show())
+
+    def full(fd):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    asked = []
+
+    def stop(trial):
+        asked.append(trial)
+        if trial.number == 3:
+            monkeypatch.setattr(os, "fsync", full)
+        return False
+
+    with pytest.raises(FolderError, match=r"No space left on device.*make room"):
+        session(study, tmp_path / "full", Show(), stop=stop)
+    monkeypatch.undo()
+    own = tmp_path / "full" / "sub-S01" / kept.events.name
+    assert kept.events.read_bytes().startswith(own.read_bytes())
+    assert own.read_bytes().count(b"\n") == 3  # the head and two answers
+    assert session(study, tmp_path / "full", Show())[0].complete
+    assert own.read_bytes() == kept.events.read_bytes()
+
+
+def test_a_program_shows_and_answers_step_by_step(study, tmp_path):
+    marks = []
+    with SubjectFolder(study, tmp_path / "out", "S01", {}) as own:
+        one = SubjectSession(own, Show(), marks.append)
+        with pytest.raises(WrongStep, match="not every display"):
+            one.answer("1")
+        one.show(1)
+        with pytest.raises(WrongStep, match="not every display"):
+            one.answer("1")
+        with pytest.raises(WrongStep, match="2 displays; expected 1 to 2"):
+            one.show(3)
+        one.show(2)
+        for wrong in ("3", "", "n/a", "1.0"):
+            with pytest.raises(WrongStep, match="expected 1 or 2"):
+                one.answer(wrong)
+        with pytest.raises(WrongStep, match="seconds"):
+            one.answer("1", seconds=-1.0)
+        one.answer("1", seconds=0.75)
+        assert marks == [
+            "trial 1",
+            "display 1 begins",
+            "display 1 ends",
+            "display 2 begins",
+            "display 2 ends",
+            "answer 1",
+        ]
+        with pytest.raises(WrongStep, match="trial 2 has no answer"):
+            list(one)
+        one.stop()
+        with pytest.raises(Ended, match="stopped by the subject"):
+            one.show(1)
+    assert read_events(own.events)[0]["response_time"] == "0.750"
+    with SubjectFolder(study, tmp_path / "out", "S01", {}) as own:
+        assert SubjectSession(own, Show()).trial.number == 2
+
+
+def test_a_stop_in_a_display_ends_the_session_without_an_answer(study, tmp_path):
+    class Stopping(Show):
+        def __call__(self, display):
+            one.stop()
+            return super().__call__(display)
+
+    with SubjectFolder(study, tmp_path / "out", "S01", {}) as own:
+        show = Stopping()
+        one = SubjectSession(own, show)
+        people = People(tell=lambda text: None, ask=lambda trial: "1", go_on=lambda text: True)
+        came = run_session(one, people)
+    assert (came.trials, came.ended_by, len(show.shown), show.stopped) == (0, "stopped by the subject", 1, True)
+
+
+def test_answers_of_people_are_timed(study, tmp_path):
+    now = iter(range(100))
+    with SubjectFolder(study, tmp_path / "out", "S01", {}) as own:
+        people = People(lambda text: None, lambda trial: "1", lambda text: True, clock=lambda: float(next(now)))
+        run_session(SubjectSession(own, Show()), people)
+    assert {row["response_time"] for row in read_events(own.events)} == {"1.000"}
+    assert session(study, tmp_path / "out", Show())[0].complete  # a time is no contradiction

@@ -63,3 +63,37 @@ def test_comments_leave_a_study_what_it_is(tmp_path):
     assert read_study(tmp_path / "study.toml").fingerprint() == one
     (tmp_path / "study.toml").write_text(TEXT.replace("seed = 3", "seed = 4"))
     assert read_study(tmp_path / "study.toml").fingerprint() != one
+
+
+WIDER = 'name = "a"\n'
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "said"),
+    [
+        (WIDER, WIDER + 'set = ["limits.brake_torque_Nm=5"]', 15, "wider than the rig's 4.5"),
+        (WIDER, WIDER + 'set = ["limits.travel_rad=2.0", "limits.speed_rad_s=16.0"]', 15, "wider than the rig's 15"),
+        (WIDER, WIDER + 'set = ["mode.hybrid.motor_limit_Nm=0.2"]', 15, "wider than the rig's 0.168"),
+        (WIDER, WIDER + 'set = ["mechanics.friction_Nm=0.15"]', 15, "wider than the rig's 0.14"),
+        (WIDER, WIDER + 'set = ["mechanics.ratio=5.0"]', 15, "may not change it"),
+        (WIDER, WIDER + 'set = ["host.deadman=none"]', 15, "may not change it"),
+        (WIDER, WIDER + '[[factor]]\nname="f"\nkey="limits.speed_rad_s"\nvalues=[14.0, 16.0]\n', 18, "wider"),
+        ("[level]\n", '[level]\n"mechanics.friction_Nm" = 0.1\n', 7, "wider than the rig's 0.14"),
+    ],
+)
+def test_a_study_widens_no_limit_of_the_rig(tmp_path, old, new, line, said):
+    told = refusal(tmp_path, TEXT.replace(old, new, 1))
+    assert f"study.toml:{line}:" in told
+    assert said in told
+
+
+def test_a_study_may_set_laws_plants_and_narrower_limits(tmp_path):
+    sets = [
+        "limits.brake_torque_Nm=4.0",
+        "plant.ratio=9.0",
+        "operator.inertia_kg_m2=0.01",
+        "mode.hybrid.motor_limit_Nm=0.1",
+    ]
+    sets += ["mechanics.friction_Nm=0.1", "mechanics.viscous_Nms_rad=0.01"]
+    (tmp_path / "study.toml").write_text(f"{TEXT}set = {sets}\n")
+    assert read_study(tmp_path / "study.toml").conditions[0].settings == tuple(sets)
