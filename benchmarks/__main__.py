@@ -1,7 +1,7 @@
 """`make bench`: the project's figures of speed, each with what it is measured against.
 
 ``python -m benchmarks WHAT`` with one of `virtual`, `first`, `bus`, `nodes`, `eds`, `exports`,
-`network`, `sweep`, `bits`, `loss`, `realtime`, `lost`, `disturbed`, `faulty`; real time is
+`network`, `page`, `sweep`, `bits`, `loss`, `realtime`, `lost`, `disturbed`, `faulty`; real time is
 `benchmarks.realtime`.
 
 This machine's clock is not yours: every figure is a ratio (simulated to real time, or to a
@@ -248,6 +248,10 @@ def main() -> None:
         from benchmarks.network import network
 
         network(show)
+    if options.what in ("all", "page"):
+        from benchmarks.page import page
+
+        page(show)
     if options.what in ("all", "sweep"):
         from benchmarks.sweep import sweep
 

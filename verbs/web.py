@@ -145,7 +145,7 @@ def serve_page(
         curve=law_curve,
     )
     serve(
-        *(rig, address, door, kept_token(socket_path(kept)), ready),
+        *(rig, address, door, kept_token(socket_path(address.kind).parent / kept), ready),
         host=page.web_host,
         port=page.web_port,
         seconds=seconds,

@@ -18,11 +18,13 @@ import asyncio
 import errno
 import itertools
 import json
+import logging
 import os
 import re
 import socket
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -30,10 +32,12 @@ from html import escape
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
+from weakref import WeakSet
 
 import tornado.httpserver
 import tornado.web
 import tornado.websocket
+from tornado.iostream import IOStream
 
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
@@ -49,10 +53,14 @@ from coulombus.wire.client import Client
 from coulombus.wire.hello import Flags, Hello
 from coulombus.wire.stopping import StopSignals
 
-__all__ = ["Page", "application", "listening", "serve"]
+__all__ = ["Page", "Server", "application", "listening", "serve"]
 
 STATE_S = 0.1
 SESSIONS = 16
+CONNECTIONS = 128
+"""That may be open besides the pages' sockets: one more takes the place of the oldest."""
+IDLE_S = 10.0
+"""How long a connection may say nothing."""
 STOPS = 8
 """Requests to stop that may be under way."""
 MESSAGE_BYTES = 512
@@ -90,6 +98,8 @@ class Page:
         """Of the laws that have no plain one, by the axis' name."""
         self.seat = Seat()
         self.sessions: set[Data] = set()
+        self.sockets: WeakSet[IOStream] = WeakSet()
+        """The connections of the sessions."""
         self.numbers = itertools.count(1)
         self.stops = ThreadPoolExecutor(STOPS, "stop")
         self.stopping = 0
@@ -246,6 +256,7 @@ class Data(tornado.websocket.WebSocketHandler):
             raise tornado.web.HTTPError(403)
         if len(self.page.sessions) >= SESSIONS:
             raise tornado.web.HTTPError(503)
+        self._stream: IOStream = self.request.connection.stream  # type: ignore[union-attr]  # it has one
 
     def check_origin(self, origin: str) -> bool:
         """`prepare` has looked at it."""
@@ -257,6 +268,7 @@ class Data(tornado.websocket.WebSocketHandler):
         self.axis = self.page.axis(self.get_query_argument("axis", ""))
         self.page.seat.take(self.number)
         self.page.sessions.add(self)
+        self.page.sockets.add(self._stream)
 
     def on_close(self) -> None:
         """Forget it; its seat is free."""
@@ -345,6 +357,32 @@ def application(page: Page) -> tornado.web.Application:
     )
 
 
+class Server(tornado.httpserver.HTTPServer):
+    """The HTTP server of a page, which bounds what strangers take of it: how many connections, for
+    how long, and how much is read of each.
+    """
+
+    def initialize(self, page: Page) -> None:  # type: ignore[override]  # tornado's way to construct
+        """Keep the page; see `tornado.util.Configurable`."""
+        super().initialize(
+            application(page),
+            max_header_size=16384,
+            max_body_size=4096,
+            idle_connection_timeout=IDLE_S,
+            body_timeout=IDLE_S,
+        )
+        self._page, self._streams = page, deque[IOStream]()
+
+    def handle_stream(self, stream: IOStream, address: tuple[Any, ...]) -> None:
+        """Serve a connection; where there are too many, the oldest that is no page's ends."""
+        kept = self._page.sockets
+        self._streams = deque(one for one in self._streams if not one.closed() and one not in kept)
+        while len(self._streams) >= CONNECTIONS:
+            self._streams.popleft().close()
+        self._streams.append(stream)
+        super().handle_stream(stream, address)
+
+
 def listening(host: str, port: int) -> list[socket.socket]:
     """Return the sockets that listen there; port 0: a free one.
 
@@ -408,6 +446,9 @@ def serve(
     coulombus.wire.address.BusUnavailable
         there is no bus, or it went away meanwhile
     """
+    tornado_log = logging.getLogger("tornado")  # strangers would fill a terminal with it, and it tells the token
+    tornado_log.addHandler(logging.NullHandler())
+    tornado_log.propagate = False
     sockets = listening(host, port)
     try:
         with StopSignals() as stop:
@@ -447,9 +488,7 @@ async def _serve(
         lock = threading.Lock()
         reader = BusReader(client, capture, lock)
         page = Page(capture, door, token, reader.facts, lock)
-        server = tornado.httpserver.HTTPServer(
-            application(page), max_header_size=16384, max_body_size=4096, idle_connection_timeout=60
-        )
+        server = Server(page)
         curves = CurveReader(door, page.host, rig, lock)
         page.curves = curves.curves
         with reader, HostReader(door, page.host, lock), curves:

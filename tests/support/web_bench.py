@@ -8,14 +8,12 @@ import threading
 from contextlib import asynccontextmanager
 from typing import Any
 
-from tornado.httpserver import HTTPServer
-
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.parameters import Change, LiveParameters
 from coulombus.host.run.changes import Changes
 from coulombus.rigs.rig import load_rig
 from coulombus.scope.web.capture import Capture
-from coulombus.scope.web.server import Page, application, listening
+from coulombus.scope.web.server import Page, Server, listening
 from coulombus.scope.web.state import HostDoor
 
 MS = 1_000_000
@@ -114,7 +112,7 @@ def page(rig: str = "bench", door: Door | None = None) -> Page:
 async def served(page: Page, port: int = 0):
     """Serve a page; yields its address."""
     sockets = listening("127.0.0.1", port)
-    server = HTTPServer(application(page))
+    server = Server(page)
     server.add_sockets(sockets)
     try:
         yield f"http://127.0.0.1:{sockets[0].getsockname()[1]}/{TOKEN}/"
