@@ -259,9 +259,7 @@ class SectionReader:
             self.say(number, f"the section head [{cut(name)}] is not spelled as CiA 306 has it", f"[{usual}]")
         known = self.sections.get(key)
         if known is not None:
-            self.say(
-                number, f"the section [{cut(name)}] stands in line {known.line} already", "one section, first values"
-            )
+            self.say(number, f"the section [{cut(name)}] is in line {known.line} already", "one section, first values")
             known.reopened = True
             return known
         return self.sections.setdefault(key, Section(cut(name), number, index=index, subindex=subindex))
@@ -273,7 +271,7 @@ class SectionReader:
         first, line = section.entries[key]
         if _same(first, value):
             if not section.reopened:
-                self.say(number, f"[{section.name}] {cut(spelled)} stands in line {line} already", "the same")
+                self.say(number, f"[{section.name}] {cut(spelled)} is in line {line} already", "the same")
             return
         if key != "parametername":
             section.conflicts.add(key)

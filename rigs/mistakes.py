@@ -86,8 +86,9 @@ class Source:
         """
         key = self.full(key)
         for length in range(len(key), 0, -1):
-            if key[:length] in self.overrides:
+            if key[:length] in self.overrides:  # of this key, or of all that holds it
                 return float("inf"), f"--set {self.overrides[key[:length]]}"
+        for length in range(len(key), 0, -1):
             if key[:length] in self.document.lines:
                 line = self.document.lines[key[:length]]
                 return line, f"{self.path}:{line}"

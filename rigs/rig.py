@@ -9,6 +9,7 @@ with ``file:line``, the key, what stands there, what is expected and the nearest
 
 from __future__ import annotations
 
+import codecs
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -347,9 +348,8 @@ def load_rig(name_or_path: str | os.PathLike[str], overrides: Sequence[str] = ()
     if isinstance(name_or_path, str) and not ("/" in name or name.endswith(".toml")):
         known = known_rigs()
         if name not in known:
-            hint = nearest(name, known)
-            wanted = f"expected one of {', '.join(known)}, or a path such as ./{name or 'my-rig'}.toml"
-            raise RigError([f"--rig {name}: no rig of this name; {wanted}{hint}"])
+            wanted = f"expected one of {', '.join(known)}, or a path such as ./{Path(name).stem or 'my-rig'}.toml"
+            raise RigError([f"--rig {name or chr(39) * 2}: no rig of this name; {wanted}{_meant(path, known)}"])
         path = packaged_rig(name)
     try:
         raw = read_regular(path, MOST_CHARACTERS)
@@ -361,12 +361,21 @@ def load_rig(name_or_path: str | os.PathLike[str], overrides: Sequence[str] = ()
         text = raw.decode("utf-8-sig")
         broken = []
     except UnicodeDecodeError as error:
+        if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+            raise RigError([f"{path}:1: the file is UTF-16; save it as UTF-8"]) from None
         line = raw[: error.start].count(b"\n") + 1
         text = raw.decode("utf-8", "replace").removeprefix("\ufeff")
-        broken = [
-            (line, f"{path}:{line}: the byte 0x{raw[error.start]:02X} is no UTF-8; expected a file saved as UTF-8")
-        ]
+        broken = [(line, f"{path}:{line}: the byte 0x{raw[error.start]:02X} is not UTF-8; save the file as UTF-8")]
     return _load(text, str(path), None, overrides, broken)
+
+
+def _meant(path: Path, known: Sequence[str]) -> str:
+    """Return what to do where `path` names no rig file, but something else that there is."""
+    if path.suffix.lower() in (".eds", ".dcf"):
+        return f"; an EDS file becomes a rig file by coulombus init --drive {path} --brake bench -o my-rig.toml"
+    if path.suffix == ".pcapng":
+        return "; this is the name of a recording, and its rig is attached to it"
+    return f"; {path} is a folder" if path.is_dir() else nearest(str(path), known)
 
 
 def load_rig_text(

@@ -176,7 +176,7 @@ def _blame(document: Document, lines: list[str], message: str) -> None:
     name = ".".join(map(str, guilty.key))
     earlier = next((s for s in statements if s.key == guilty.key and s.first < guilty.first), None)
     if earlier:
-        text = f"{name}: stands in line {earlier.first + 1} already; expected each key once"
+        text = f"{name}: is in line {earlier.first + 1} already; expected each key once"
     else:
         document.broken.add(guilty.key)
         hint = next((hint for pattern, hint in _HINTS if re.match(pattern, guilty.text)), "a TOML value")
@@ -204,7 +204,7 @@ def _blame_line(
     last = min((s.first for s in known if s.header and s.first > number), default=len(lines)) - 1
     earlier = next((s for s in known if header and s.key == header.key and s.first < number), None)
     if earlier:
-        document.problems.append((number + 1, f"{text}: stands in line {earlier.first + 1} already; expected it once"))
+        document.problems.append((number + 1, f"{text}: is in line {earlier.first + 1} already; expected it once"))
         document.broken.update(s.key for s in known if number < s.first <= last)
     else:
         why = f" ({reason})" if header else ""

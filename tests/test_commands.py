@@ -12,6 +12,7 @@ import re
 import shlex
 import shutil
 import subprocess
+import sys
 from itertools import pairwise
 from pathlib import Path
 
@@ -19,7 +20,7 @@ import pytest
 from click.testing import CliRunner
 
 from coulombus.verbs.main import main
-from documented import HERE, ROOT, RULES, commands_of, documented, pages, rule_of
+from documented import HERE, ROOT, RULES, commands_of, documented, pages, rule_of, strangers
 from reader import Reader
 
 SECONDS = "0.6"
@@ -93,7 +94,9 @@ def test_the_commands_of_a_page(page, inputs, tmp_path, monkeypatch):
         command, _, file = command.partition(" > ") if "'" not in command else (command, "", "")
         words = shlex.split(command)
         if not words[0].endswith("coulombus"):
-            done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=300)
+            path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+            environment = {**os.environ, "PATH": path}
+            done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=300, env=environment)
             assert done.returncode == 0, f"{line}: {done.stderr}"
             continue
         printed = call(shortened(words[1:]))
@@ -122,3 +125,8 @@ def test_every_rule_has_its_commands_and_names_what_there_is():
             assert (ROOT / place).exists(), place
     assert [line for path in pages() for line in commands_of(path.read_text())] == [one.line for one in FOUND]
     assert os.sep not in RUN
+
+
+def test_every_line_of_an_indented_block_is_a_command():
+    """So no command can be missed because nobody knows its first word."""
+    assert [(path.name, line) for path in pages() for line in strangers(path.read_text())] == []

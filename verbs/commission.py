@@ -141,7 +141,8 @@ def commission(
             raise click.UsageError("give --rig MY.toml: what is found is written into it")
         if not rig_path.is_file() and str(rig_path) in known_rigs():
             raise click.UsageError(
-                f"{rig_path} is a rig of the package, which is not written: copy it, and give the copy"
+                f"{rig_path} is a rig of the package, which is not written; make a file of your own: "
+                "coulombus init --drive bench --brake bench --rehearse -o my-rig.toml"
             )
         if rehearsal.truth is not None and not rehearsal.virtual:
             raise click.UsageError("--truth is for --virtual")

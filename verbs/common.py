@@ -4,6 +4,7 @@ progress.
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
@@ -223,7 +224,9 @@ def _failure(error: Exception) -> Failure:
         text = f"this installation has no coulombus.{room}, which this verb needs: it is the host's alone; install coulombus whole"
         return Failure(text, 2)
     if isinstance(error, OSError):  # a file that cannot be read or written
-        return Failure(f"{error.filename}: {error.strerror}" if error.filename else str(error), 2)
+        where = error.filename or "what this verb reads or writes"
+        full = "; free some space, or write elsewhere" if error.errno in (errno.ENOSPC, errno.EDQUOT) else ""
+        return Failure(f"{where}: {error.strerror or error}{full}", 2)
     return Failure(f"a mistake of this program, please report it: {type(error).__name__}: {error}", FAULT)
 
 

@@ -88,6 +88,11 @@ def parse_address(text: str) -> BusAddress:
     kind, colon, name = text.partition(":")
     if kind not in get_args(Kind) or not colon:
         bare = text if not colon and _NAME.fullmatch(text) else name or "bench"
+        if colon and kind not in get_args(Kind):
+            raise AddressError(
+                f"bus {text!r}: there is no kind of bus {kind!r}; expected coulombus:NAME for a virtual bus or "
+                "socketcan:IF for a CAN interface of Linux, as in socketcan:can0, which the card's driver makes"
+            )
         raise AddressError(
             f"bus {text!r}: expected KIND:NAME; write coulombus:{bare} for a virtual bus or socketcan:{bare} for a "
             "SocketCAN interface"

@@ -34,6 +34,7 @@ import inspect
 import math
 import re
 import sys
+import traceback
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
@@ -242,6 +243,15 @@ def _why_not(function: Any, error: Exception) -> str:
     return f"{place.filename}:{place.line}: {said}" if place is not None else f"{_line(function)}: {said}"
 
 
+def _import_error(error: Exception, place: str) -> str:
+    """Return what is wrong with a law's file: the kind of error, the words, and the file's line."""
+    if isinstance(error, SyntaxError):
+        return str(error)  # it names file and line itself
+    said = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    own = [frame for frame in traceback.extract_tb(error.__traceback__) if frame.filename.endswith(Path(place).name)]
+    return f"{said} ({place}, line {own[-1].lineno})" if own else said
+
+
 def find_law(place: str, directory: Path | None) -> Path:
     """Return the law's file: beside the rig file, else in the current folder, as EDS files are
     looked for.
@@ -316,7 +326,7 @@ def _function(name: str, place: str, attribute: str, directory: Path | None, *, 
     except Exception as error:
         if hasattr(error, "exit_status") or isinstance(error, MemoryError):  # interrupted, and no mistake of the law
             raise
-        raise LawError(f"law {name!r}: {place} cannot be imported: {error}") from error
+        raise LawError(f"law {name!r}: {place} cannot be imported: {_import_error(error, place)}") from error
     own = {n: f for n, f in vars(module).items() if callable(f) and getattr(f, "__module__", "") == module.__name__}
     function = own.get(attribute, getattr(module, attribute, None))
     if not callable(function):

@@ -95,11 +95,13 @@ def read_script(path: Path, nodes: Collection[str] = ()) -> tuple[Entry, ...]:
         The file is no TOML, or an entry is not as above.
     """
     try:
-        document = read_toml(read_regular(path, MOST_CHARACTERS).decode())
+        raw = read_regular(path, MOST_CHARACTERS)
+        document = read_toml(raw.decode("utf-8-sig"))
     except OSError as error:
         raise ScriptError(f"{path}: the script cannot be read ({error.strerror or error})") from None
     except UnicodeDecodeError as error:
-        raise ScriptError(f"{path}: {error}; save the file as UTF-8") from None
+        line = raw.count(b"\n", 0, error.start) + 1
+        raise ScriptError(f"{path}:{line}: byte {raw[error.start]:02X}h is not UTF-8; save the file as UTF-8") from None
     if document.problems:
         raise ScriptError("\n".join(f"{path}:{line}: {problem}" for line, problem in document.problems))
     table = document.values

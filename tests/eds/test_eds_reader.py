@@ -252,7 +252,7 @@ def test_doubled_keys(read):
     assert d.variable(0x2000, 0).default == 5
     assert d.variable(0x2000, 0).access == "rw"
     text = "\n".join(complaints(d))
-    assert "warning: [2000] defaultvalue stands in line" in text
+    assert "warning: [2000] defaultvalue is in line" in text
     assert "error: [2000] DefaultValue=6, but line" in text
     assert "warning: [2000] AccessType=ro, but line" in text
     assert "assumed the first, 5" in text
@@ -262,14 +262,14 @@ def test_doubled_sections_are_one_and_the_first_value_counts(read):
     d = read(variable(DefaultValue="5", ParameterName=None) + variable(DefaultValue="6", ParameterName="Y"))
     x = d.variable(0x2000, 0)
     assert (x.default, x.name) == (5, "Y")
-    assert [c for c in complaints(d) if "the section [2000] stands in line" in c]
+    assert [c for c in complaints(d) if "the section [2000] is in line" in c]
     assert [c for c in complaints(d) if "error: [2000] DefaultValue=6" in c]
 
 
 def test_a_doubled_section_in_another_spelling_is_seen(read):
     d = read(record("[2000sub1]") + "[2000SUB01]\nDefaultValue=9\n")
     assert d.variable(0x2000, 1).default == 4
-    assert [c for c in complaints(d) if "the section [2000SUB01] stands in line" in c]
+    assert [c for c in complaints(d) if "the section [2000SUB01] is in line" in c]
 
 
 @pytest.mark.parametrize("key", ["DefaultValue", "DataType"])

@@ -148,9 +148,9 @@ WRONG_KEYS = {
     ),
     "a key twice": (
         ("coil_continuous_A = 0.8 ", "coil_A_Nm = 0.2\ncoil_continuous_A = 0.8 "),
-        "brake.coil_A_Nm: stands in line 38 already; expected each key once",
+        "brake.coil_A_Nm: is in line 38 already; expected each key once",
     ),
-    "a section twice": (("[law]\n", "[bus]\nx = 1\n[law]\n"), "[bus]: stands in line 8 already; expected it once"),
+    "a section twice": (("[law]\n", "[bus]\nx = 1\n[law]\n"), "[bus]: is in line 8 already; expected it once"),
 }
 WRONG_TOML = {
     "a decimal comma": (
@@ -352,7 +352,7 @@ def test_a_file_that_is_no_utf8(tmp_path: Path) -> None:
     with pytest.raises(RigError) as caught:
         load_rig(str(path))
     number = line(BENCH, "740e-6")
-    assert caught.value.errors[0] == f"{path}:{number}: the byte 0xB5 is no UTF-8; expected a file saved as UTF-8"
+    assert caught.value.errors[0] == f"{path}:{number}: the byte 0xB5 is not UTF-8; save the file as UTF-8"
     assert "host.node_id: got '128'" in caught.value.errors[1]
 
 

@@ -17,8 +17,8 @@ from typing import NamedTuple
 ROOT = Path(__file__).resolve().parent.parent.parent
 HERE = "run by tests/test_commands.py"
 FIRST = re.compile(
-    r"([A-Z_]+=\S+ )*(sudo |\S*/)?(coulombus|make|pip|python3?|tshark|git|podman|cantools|candump|canplayer|"
-    r"echo|mkfifo|dask|wireshark|head|grep|sed|cmp|wc)(?=\s|$)"
+    r"([A-Z_]+=\S+ )*(\S*/)?(coulombus|make|pip|python3?|tshark|git|podman|cantools|candump|canplayer|can_\w+|"
+    r"echo|printf|mkfifo|dask|wireshark|head|grep|sed|cmp|wc|kill|sudo|for)(?=\s|$)"
 )
 MACHINE = "changes the machine's settings: for a rig's PC"
 LIVE = "needs a bus or a host that lives: "
@@ -30,7 +30,7 @@ RULES = (
     (r"docs/service\.md: (?!.*socketcan)", "run by tests/test_commands.py, on a live bus"),
     (r"docs/export\.md: coulombus (export|plot|diff)", "run by tests/verbs/test_export_docs.py"),
     # what installs, tests and measures this project
-    (r": (sudo|echo)", MACHINE),
+    (r": (sudo|echo|for)", MACHINE),
     (r": (make|git|pip|python3 -m venv)", "installs or tests this checkout: .ci/run does the same"),
     (r": .*(-m pytest|scripts/mutate)", "runs tests within tests: .ci/run and docs/safety.md have the runs"),
     (r": .*-m benchmarks", "a measurement of minutes to hours; the page has its figures"),
@@ -39,6 +39,8 @@ RULES = (
     (r"socketcan:|: candump", "needs a CAN interface: tests/vm runs such verbs in a virtual machine"),
     (r"docs/months\.md: ", LIVE + "tests/host and tests/recording run `run --rotate`, `status` and `systemd`"),
     # living buses and programs with a window
+    (r": can_(logger|viewer|player)", LIVE + "tests/wire tries python-can's interface"),
+    (r": kill", LIVE + "tests/lab replays such a session"),
     (r"wireshark", "opens a window; tests/scope pipe the same bytes into tshark"),
     (r": coulombus demo", "half a minute in real time: tests/host/test_run.py"),
     (r": (coulombus )?(\S*)conformance|--junit", "a minute of real time: tests/conformance, tests/sim_bus"),
@@ -81,6 +83,18 @@ def commands_of(text: str) -> Iterator[str]:
             fenced = not fenced
         elif not fenced and line.startswith("    ") and FIRST.match(line.strip()):
             yield re.sub(r"\s+# .*$", "", line.strip())
+
+
+def strangers(text: str) -> Iterator[str]:
+    """Yield the lines of a page's indented blocks that are no commands: what a program prints, and
+    text of other languages, stands between fences.
+    """
+    fenced = False
+    for line in re.sub(r" *\\\n\s+", " ", text).splitlines():
+        if line.startswith("```"):
+            fenced = not fenced
+        elif not fenced and line.startswith("    ") and not FIRST.match(line.strip()):
+            yield line
 
 
 def rule_of(page: str, line: str) -> int | None:

@@ -80,17 +80,104 @@ USUAL = [
     ("law dahl --motion sine --csv /dev/full", 2, "/dev/full: No space left on device"),
     ("simulate --record run.csv", 2, "run.csv: expected a name that ends in .pcapng"),
     ("simulate --record nowhere/run.pcapng", 2, "nowhere/run.pcapng: there is no directory "),
+    # a file of another kind, or one that an editor saved in another way
+    ("check --rig folder", 3, "folder: no rig of this name; "),
+    ("check --rig folder", 3, "; folder is a folder"),
+    ("check --rig motor.eds", 3, "coulombus init --drive motor.eds --brake bench -o my-rig.toml"),
+    ("check --rig run.pcapng", 3, "this is the name of a recording, and its rig is attached to it"),
+    ("check --rig bnech", 3, "did you mean 'bench'?"),
+    ("check --rig utf16.toml", 3, "utf16.toml:1: the file is UTF-16; save it as UTF-8"),
+    ("check --rig latin1.toml", 3, "latin1.toml:1: the byte 0xF6 is not UTF-8; save the file as UTF-8"),
+    ("check --rig twice.toml", 3, "bus.period_s: is in line "),
+    ("check --rig empty.toml", 3, "empty.toml:1: bus: the section is missing"),
+    ("check --rig unclosed.toml", 3, "unclosed.toml:1: '[bus' cannot be read; expected [section]"),
+    (
+        "check --set motor.eds=my-rig.toml",
+        3,
+        "describes no object; expected sections such as [1000], is it an EDS file?",
+    ),
+    ("check --set motor.eds=folder", 3, "folder:1: is a directory, not a regular file"),
+    ("init --drive my-rig.toml --brake bench", 3, "my-rig.toml:1: describes no object"),
+    ("eds check folder", 3, "folder:1: refused: is a directory"),
+    ("eds check my-rig.toml", 3, "is it an EDS file?"),
+    ("decode empty.pcapng", 2, "empty.pcapng: the file is empty: nothing was recorded"),
+    ("decode my-rig.toml", 2, "my-rig.toml: offset 0: not a pcapng file"),
+    ("decode folder", 2, "folder: there is no recording in this folder"),
+    ("diff my-rig.toml run.pcapng", 2, "my-rig.toml: offset 0: not a pcapng file"),
+    ("simulate --faults run.pcapng", 3, "is not UTF-8; save the file as UTF-8"),
+    ("simulate --script run.pcapng", 3, "is not UTF-8; save the file as UTF-8"),
+    ("simulate --law broken.py:f", 3, "broken.py, line 1"),
+    ("simulate --law raises.py:f", 3, "raises.py cannot be imported: RuntimeError: no board (raises.py, line 2)"),
+    ("simulate --law one.py:f", 3, "a law takes three arguments, (motion, law, state); this one takes (x)"),
+    ("simulate --law one.py:g", 3, "one.py has no function 'g'; it has f"),
+    ("law dahl --motion empty.toml", 3, "empty.toml:1: the file is empty"),
+    ("law dahl --motion semicolons.csv", 3, "got 't_s;x_rad', expected a header with the columns t_s,x_rad"),
+    ("analyse study folder", 2, "folder: holds no study (participants.tsv)"),
+    ("sweep my-rig.toml -o out", 3, "my-rig.toml:1: design: is missing"),
+    # a value of another kind
+    ("check --set host.accept=everything", 3, "got '\"everything\"', expected a list of texts"),
+    ("check --set mode.active=3", 3, "got '3', expected a section"),
+    ("check --set bus.period_s=nan", 3, "got 'nan', expected a number from 0.0001 to 1, in s"),
+    ("check --set motor.node_id=128", 3, "expected an integer from 1 to 127"),
+    ("check --set motor.eds=3", 3, "expected a text in double quotes"),
+    ("check --set bus.period_s=", 3, "expected SECTION.KEY=VALUE"),
+    ('check --set phase=[{kind="strok"}]', 3, '--set phase=[{kind="strok"}]: phase.0.kind: got \'"strok"\''),
+    ('check --set phase=[{kind="strok"}]', 3, "did you mean 'stroke'?"),
+    ("simulate --seconds -1", 2, "'-1': expected a number above 0"),
+    ("simulate --seconds nan", 2, "'nan': expected a number above 0"),
+    ("simulate --seconds inf", 2, "'inf': expected a number above 0"),
+    ("simulate --seconds 1e99", 2, "'1e99': expected a number above 0, at most 31557600 (a year)"),
+    ("simulate --seed 1.5", 2, "'1.5' is not a valid integer"),
+    ("plot run.pcapng --span 5:1", 2, "expected A:B in s, as in 3:5, 2.5: or :10, and B behind A"),
+    ("plot run.pcapng -o x.txt", 2, "x.txt: expected a name that ends in .png, .svg, .pdf"),
+    ("export run.pcapng --to excel", 2, "'excel' is not one of 'csv', 'parquet'"),
+    ("nmt begin 1 --bus coulombus:none", 2, "'begin' is not one of 'start', 'stop', 'preop'"),
+    ("nmt start 300 --bus coulombus:none", 2, "'300': expected a node id, 1 to 127, or all"),
+    ("node motor.eds --node-id 200 --bus coulombus:none", 2, "200 is not 1 to 127, and not 255 (none yet)"),
+    ("conformance --bus coulombus:none --node 1 --eds motor.eds --case 99", 2, "--case 99: there is no such case"),
+    ("simulate --modus hybrid", 2, "Did you mean '--mode'?"),
+    ("eds chek motor.eds", 2, "Did you mean 'check'?"),
+    ("law dahl --motion sin", 2, "did you mean 'sine'?"),
+    ("commission --rig my-rig.toml --virtual --step frition", 2, "did you mean 'friction'?"),
+    ("commission --rig bench --virtual", 2, "coulombus init --drive bench --brake bench --rehearse -o my-rig.toml"),
+    # a bus that is not there
+    ("scan --bus coulombus:none", 4, "start one in another terminal with `coulombus sim --bus coulombus:none`"),
+    ("run --bus pcan:PCAN_USBBUS1", 2, "there is no kind of bus 'pcan'; expected coulombus:NAME"),
+    ("run --bus coulombus:a/b", 2, "bus name 'a/b': expected letters, digits"),
+    ("stop --bus coulombus:none", 4, "no host runs on bus coulombus:none"),
+    ("bridge coulombus:a coulombus:a", 2, "a bridge joins two buses"),
+    ("run --bus socketcan:none0", 7, "names no dead man's switch"),
+    ("replay run.pcapng --host --virtual", 2, "give one of --bus B (play it there), --host and --virtual (check it)"),
 ]
+
+WRONG_FILES = (
+    ("empty.toml", ""),
+    ("empty.pcapng", ""),
+    ("unclosed.toml", "[bus\nperiod_s = 0.001\n"),
+    ("broken.py", "def f(motion, law, state) return 0.0\n"),
+    ("raises.py", "import math\nraise RuntimeError('no board')\n"),
+    ("one.py", "def f(x):\n    return 0.0\n"),
+    ("semicolons.csv", "t_s;x_rad\n0;0\n1;0,1\n"),
+)
 
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch, private_sockets):
-    """Work in a folder with a rig file and a recording."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "my-rig.toml").write_text((ROOT / "rigs" / "bench.toml").read_text())
-    with PcapngWriter(tmp_path / "run.pcapng", attachments={}) as writer:
+    """Work in a folder with a rig file, a recording, and files that are wrong."""
+    folder = tmp_path / "desk"  # beside it, a private folder of sockets
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    rig = (ROOT / "rigs" / "bench.toml").read_text()
+    for name, text in (("my-rig.toml", rig), *WRONG_FILES):
+        (folder / name).write_text(text)
+    (folder / "twice.toml").write_text(rig.replace("[bus]", "[bus]\nperiod_s = 0.001", 1))
+    (folder / "utf16.toml").write_text(rig, encoding="utf-16")
+    (folder / "latin1.toml").write_text("# Größe\n" + rig, encoding="latin-1")
+    (folder / "motor.eds").write_text((ROOT / "eds" / "motor.eds").read_text())
+    (folder / "folder").mkdir()
+    with PcapngWriter(folder / "run.pcapng", attachments={}) as writer:
         writer.write(new_records(FRAME, 3))
-    return tmp_path
+    return folder
 
 
 @pytest.mark.parametrize(("words", "status", "told"), USUAL, ids=[f"{words}" for words, _, _ in USUAL])
