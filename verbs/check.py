@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 __all__ = ["check"]
 
 
-@click.command(epilog=EXIT_STATUS)
+@click.command(epilog=EXIT_STATUS, short_help="Check a rig file and its EDS files")
 @rig_option
 @set_option
 @click.option("--steps", is_flag=True, help="List every object that bring-up writes, in its order, and why.")

@@ -69,7 +69,7 @@ rehearsal_options = bundle(
 )
 
 
-@click.command(epilog=EXIT_STATUS)
+@click.command(epilog=EXIT_STATUS, short_help="Measure a rig, and write the figures into its rig file")
 @click.option(
     "--rig",
     "rig_path",

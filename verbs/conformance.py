@@ -21,7 +21,9 @@ __all__ = ["conformance"]
 LONGEST_TIMEOUT_S = 60.0
 
 
-@click.command("conformance", epilog=EXIT_STATUS)
+@click.command(
+    "conformance", epilog=EXIT_STATUS, short_help="Test a CANopen device against its EDS and CiA 301, 305, 402"
+)
 @click.option("--bus", "bus_name", required=True, metavar="B", help="coulombus:NAME or socketcan:IF.")
 @click.option(
     "--node", "node_id", required=True, type=click.IntRange(1, 127), metavar="N", help="The device's node id."

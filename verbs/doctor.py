@@ -36,7 +36,7 @@ __all__ = ["doctor"]
 WIDTH, INDENT = 80, 8
 
 
-@click.command(epilog=EXIT_STATUS)
+@click.command(epilog=EXIT_STATUS, short_help="Check whether this PC is fit for a rig")
 @rig_option
 @buses_option
 @set_option

@@ -43,7 +43,7 @@ LAST_S = 0.5
 """So long the page may take to fetch its last text."""
 
 
-@click.command("experiment", epilog=EXIT_STATUS)
+@click.command("experiment", epilog=EXIT_STATUS, short_help="Show a study to a subject, trial by trial")
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option(
     "-o",

@@ -35,7 +35,7 @@ STAMPS = {
 one_channel_option = click.option("--channel", metavar="C", help="Which bus of a rig that has several.")
 
 
-@click.command(epilog=EXIT_STATUS)
+@click.command(epilog=EXIT_STATUS, short_help="Measure rate and jitter of each identifier")
 @click.argument("file", required=False, type=InputPath())
 @rig_option
 @set_option
@@ -92,7 +92,7 @@ def hz(
                 click.echo(line)
 
 
-@click.command(epilog=EXIT_STATUS)
+@click.command(epilog=EXIT_STATUS, short_help="Draw the rig's PDOs bit by bit")
 @rig_option
 @set_option
 @click.option("--bus", "bus_name", metavar="B", help="Fill it with what this bus carries now; nothing is sent.")

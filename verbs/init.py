@@ -19,7 +19,7 @@ __all__ = ["init"]
 NODE_ID = click.IntRange(1, 127)
 
 
-@click.command(epilog=EXIT_STATUS)
+@click.command(epilog=EXIT_STATUS, short_help="Draft a rig file from EDS files or from live devices")
 @click.option("--drive", default="", metavar="F.eds", help="EDS file of the motor's drive; `bench`: our own.")
 @click.option("--brake", default="", metavar="G.eds", help="EDS file of the brake's driver; `bench`: our own.")
 @click.option(

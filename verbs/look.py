@@ -40,7 +40,7 @@ __all__ = ["dbc", "decode", "host_text", "watch"]
 one_channel_option = click.option("--channel", metavar="C", help="Which bus of a rig that has several.")
 
 
-@click.command(epilog=EXIT_STATUS)
+@click.command(epilog=EXIT_STATUS, short_help="Print a recording frame by frame, in SI units")
 @click.argument("file", type=InputPath())
 @click.option("--rig", "rig_name", metavar="R", help="Decode with this rig instead of the attached one.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line to stdout.")
@@ -89,7 +89,7 @@ def host_text(address: BusAddress) -> str | None:
     return printable(text + (f"  trip: {found['trip']}" if found.get("trip") else ""))
 
 
-@click.command(epilog=EXIT_STATUS)
+@click.command(epilog=EXIT_STATUS, short_help="Show a bus live, in SI units")
 @rig_option
 @set_option
 @bus_option
@@ -244,7 +244,7 @@ def _forward(
         say(f"{found['pdos']} PDOs handed on, {found['unheard']} unheard, {found['lost']} lost")
 
 
-@click.command(epilog=EXIT_STATUS)
+@click.command(epilog=EXIT_STATUS, short_help="Write a DBC file of the rig's PDOs")
 @rig_option
 @set_option
 @one_channel_option

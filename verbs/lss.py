@@ -33,7 +33,7 @@ class IdentityType(click.ParamType):  # type: ignore[type-arg]  # generic to som
             self.fail(str(error), param, ctx)
 
 
-@click.command(epilog=EXIT_STATUS)
+@click.command(epilog=EXIT_STATUS, short_help="Give devices node ids and bit rates (CiA 305)")
 @devices_bus_option
 @eds_folder_option
 @click.option("--set-id", "node_id", type=click.IntRange(1, 127), metavar="N", help="Give the device this node id.")

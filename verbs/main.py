@@ -41,18 +41,32 @@ from coulombus.verbs.tools import tools
 
 __all__ = ["main"]
 
-VERBS = (
-    *(demo, simulate_command, sweep_command, experiment_command, sim, node_command),
-    *(run_command, status, stop, mark, set_command, watch, hz, pdo, decode, dbc, tools, replay, bridge),
-    *(export_command, plot_command, diff),
-    *(scan, lss, sdo, nmt),
-    *(init, doctor, systemd, check, measure, plan_command, commission),
-    *(eds, conformance, analyse, identify_command, law),
-)
+SECTIONS = {
+    "Simulate": (demo, simulate_command, sim, sweep_command, experiment_command, law),
+    "Run a rig": (run_command, status, stop, mark, set_command),
+    "Look at a bus and its devices": (watch, hz, scan, sdo, nmt, lss, node_command, bridge, conformance),
+    "Use recordings": (decode, plot_command, diff, export_command, replay, identify_command),
+    "Describe and set up a rig": (init, check, plan_command, measure, commission, doctor, systemd, eds),
+    "Names for other tools, and theory": (pdo, dbc, tools, analyse),
+}
+VERBS = tuple(verb for section in SECTIONS.values() for verb in section)
+
+
+class Coulombus(Verbs):
+    """All verbs, listed by what one wants to do."""
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the verbs of each section, a line each."""
+        widest = max(len(name) for name in self.commands)
+        for title, verbs in SECTIONS.items():
+            with formatter.section(title):
+                formatter.write_dl([((verb.name or "").ljust(widest), verb.get_short_help_str(80)) for verb in verbs])
 
 
 @click.group(
-    cls=Verbs, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100}, epilog=EXIT_STATUS
+    cls=Coulombus,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    epilog=EXIT_STATUS,
 )
 @click.version_option(package_name="coulombus", prog_name="coulombus")
 def main() -> None:

@@ -18,7 +18,7 @@ from coulombus.verbs.common import (
 __all__ = ["mark"]
 
 
-@click.command(epilog=EXIT_STATUS)
+@click.command(epilog=EXIT_STATUS, short_help="Mark the recording of a running host")
 @click.argument("text")
 @rig_option
 @buses_option

@@ -35,7 +35,7 @@ MARK = "measured by coulombus measure"
 """How the comment above a written value begins."""
 
 
-@click.command(epilog=EXIT_STATUS)
+@click.command(epilog=EXIT_STATUS, short_help="Measure response times of devices and host")
 @rig_option
 @click.option("--bus", "bus_name", metavar="B", help="coulombus:NAME or socketcan:IF.  [default: coulombus:RIG]")
 @click.option("--channel", metavar="C", help="Which bus of a rig that has several.")

@@ -241,7 +241,7 @@ def _errors_option(ctx: click.Context, param: click.Parameter, value: str) -> An
         raise click.BadParameter(str(error), ctx=ctx, param=param) from None
 
 
-@click.command("plan", epilog=EXIT_STATUS)
+@click.command("plan", epilog=EXIT_STATUS, short_help="Compute whether a rig's traffic fits on its bus")
 @rig_option
 @set_option
 @json_option

@@ -98,7 +98,7 @@ playing_options = bundle(
 )
 
 
-@click.command("replay", epilog=EXIT_STATUS)
+@click.command("replay", epilog=EXIT_STATUS, short_help="Play a recording onto a bus, or check it bit for bit")
 @click.argument("file", type=InputPath())
 @click.option("--bus", "bus_name", metavar="B", help="Play it there: coulombus:NAME or socketcan:IF.")
 @click.option("--host", "as_host", is_flag=True, help="Feed the host with it: do its outputs come out again?")
@@ -334,7 +334,7 @@ disturbance_options = bundle(
 )
 
 
-@click.command("bridge", epilog=EXIT_STATUS)
+@click.command("bridge", epilog=EXIT_STATUS, short_help="Join two buses")
 @click.argument("a")
 @click.argument("b")
 @click.option("--ids", "ids_text", metavar="IDS", help="Only these identifiers, hexadecimal: 181,200-27F,00000123x.")

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 __all__ = ["run_command", "stop"]
 
 
-@click.command("run", epilog=EXIT_STATUS)
+@click.command("run", epilog=EXIT_STATUS, short_help="Run the host in real time on a bus with devices")
 @rig_option
 @buses_option
 @channel_option
@@ -167,7 +167,7 @@ def _run_buses(
             print_runs({mode: RunResult(**whole)})
 
 
-@click.command(epilog=EXIT_STATUS)
+@click.command(epilog=EXIT_STATUS, short_help="Stop a running host safely")
 @rig_option
 @buses_option
 def stop(rig_name: str, bus_names: tuple[str, ...]) -> None:

@@ -21,7 +21,7 @@ WIDTH = 80
 MISSING = 5
 
 
-@click.command(epilog=EXIT_STATUS)
+@click.command(epilog=EXIT_STATUS, short_help="Find the devices on a bus")
 @devices_bus_option
 @eds_folder_option
 @click.option(

@@ -56,7 +56,7 @@ def _seconds(ctx: click.Context, param: click.Parameter, text: str | None) -> fl
         raise click.BadParameter(f"{text!r}: expected a time, as in 0.5s or 500ms") from None
 
 
-@click.command("set", epilog=EXIT_STATUS)
+@click.command("set", epilog=EXIT_STATUS, short_help="Change the law's parameters of a running host")
 @click.argument("values", nargs=-1, metavar="[NAME=VALUE]...", callback=_values)
 @click.option("--axis", default="", metavar="NAME", help="Of this axis, where the rig has several.")
 @click.option("--over", "over_s", callback=_seconds, metavar="TIME", help="Go there within so long.  [default: 0.5s]")

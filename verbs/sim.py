@@ -87,7 +87,7 @@ simulated_options = bundle(
 )
 
 
-@click.command(epilog=EXIT_STATUS)
+@click.command(epilog=EXIT_STATUS, short_help="Serve a bus with simulated devices and rig in real time")
 @rig_option
 @buses_option
 @channel_option
@@ -220,7 +220,7 @@ class Kind(click.ParamType):  # type: ignore[type-arg]  # generic to some versio
             self.fail(str(error), param, ctx)
 
 
-@click.command("node", epilog=EXIT_STATUS)
+@click.command("node", epilog=EXIT_STATUS, short_help="Serve any EDS file as a live device")
 @click.argument("eds", nargs=-1, required=True, metavar="EDS...", type=click.Path(path_type=Path))
 @click.option(
     "--node-id",

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 __all__ = ["demo", "simulate_command"]
 
 
-@click.command("simulate", epilog=EXIT_STATUS)
+@click.command("simulate", epilog=EXIT_STATUS, short_help="Run a simulated rig in virtual time")
 @rig_option
 @mode_option
 @seconds_option
@@ -121,7 +121,7 @@ def simulate_command(
                     click.echo(line)
 
 
-@click.command(epilog=EXIT_STATUS)
+@click.command(epilog=EXIT_STATUS, short_help="Show the paper's experiment: motor alone, then hybrid")
 @rig_option
 @set_option
 @seed_option

@@ -20,7 +20,7 @@ from coulombus.verbs.common import (
 __all__ = ["status"]
 
 
-@click.command(epilog=EXIT_STATUS)
+@click.command(epilog=EXIT_STATUS, short_help="Ask a running host for its state")
 @rig_option
 @buses_option
 @json_option

@@ -24,7 +24,7 @@ from coulombus.verbs.common import (
 __all__ = ["systemd"]
 
 
-@click.command(epilog=EXIT_STATUS)
+@click.command(epilog=EXIT_STATUS, short_help="Write systemd units for host, simulation and bridge")
 @rig_option
 @bus_option
 @mode_option

@@ -21,7 +21,7 @@ from coulombus.verbs.common import (
 __all__ = ["tools"]
 
 
-@click.command(epilog=EXIT_STATUS)
+@click.command(epilog=EXIT_STATUS, short_help="Write files for Wireshark, cantools, PlotJuggler, Foxglove")
 @click.argument("folder", metavar="DIR", type=OutputDirectory())
 @rig_option
 @set_option

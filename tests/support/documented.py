@@ -119,7 +119,8 @@ def as_page() -> str:
     run = sum("run by " in one.fate for one in found)
     lines = [
         "# All commands\n\nAfter this page you know which command of these documents is run by which test, and why",
-        f"the others are not. Of {len(found)} commands tests run {run}.\n\n| page | command | |\n|---|---|---|",
+        f"the others are not. Of {len(found)} commands tests run {run}. Commands within sentences are not run:",
+        "`tests/test_docs.py` compares their verbs and options with the program.\n\n| page | command | |\n|---|---|---|",
     ]
     escaped = ((one.page, one.line.replace("|", "\\|"), one.fate) for one in found)
     return "\n".join([*lines, *(f"| {page} | `{line}` | {fate} |" for page, line, fate in escaped)]) + "\n"

@@ -283,3 +283,11 @@ def test_what_the_demo_names_next_can_be_done(tmp_path, monkeypatch):
         name for parameter in main.commands[live[0]].params for name in parameter.opts
     }
     assert "--rig my-rig.toml " in next_steps("my-rig.toml", Path("out"))[1][0]
+
+
+def test_the_help_has_a_line_for_each_verb_that_80_columns_hold():
+    result = CliRunner().invoke(main, ["--help"], terminal_width=80)
+    listed = result.output.partition("Simulate:")[2].splitlines()
+    for name, verb in main.commands.items():
+        (line,) = (line for line in listed if line.startswith(f"  {name} "))
+        assert line.split(None, 1)[1] == verb.short_help, name  # neither cut nor broken
