@@ -168,6 +168,8 @@ def _option_meant(error: click.UsageError) -> str:
     """Return which option an argument too many is of, behind a semicolon; nothing where that is not
     known.
     """
+    if re.match(r"No such command '(help|\?)'", error.message, re.IGNORECASE):
+        return " The list of verbs is coulombus --help."
     found = re.fullmatch(r"Got unexpected extra arguments? \((\S+).*\)", error.message)
     if found is None or error.ctx is None:
         return ""
@@ -224,10 +226,20 @@ def _failure(error: Exception) -> Failure:
         text = f"this installation has no coulombus.{room}, which this verb needs: it is the host's alone; install coulombus whole"
         return Failure(text, 2)
     if isinstance(error, OSError):  # a file that cannot be read or written
+        if isinstance(error, FileNotFoundError) and not error.filename and not _has_folder():
+            return Failure("the current folder is no longer there; change into another one (cd)", 2)
         where = error.filename or "what this verb reads or writes"
         full = "; free some space, or write elsewhere" if error.errno in (errno.ENOSPC, errno.EDQUOT) else ""
         return Failure(f"{where}: {error.strerror or error}{full}", 2)
     return Failure(f"a mistake of this program, please report it: {type(error).__name__}: {error}", FAULT)
+
+
+def _has_folder() -> bool:
+    try:
+        os.getcwd()
+    except OSError:
+        return False
+    return True
 
 
 def _by_signal(number: int) -> Failure:

@@ -114,6 +114,7 @@ USUAL = [
     ("law dahl --motion semicolons.csv", 3, "got 't_s;x_rad', expected a header with the columns t_s,x_rad"),
     ("analyse study folder", 2, "folder: holds no study (participants.tsv)"),
     ("sweep my-rig.toml -o out", 3, "my-rig.toml:1: design: is missing"),
+    ("export run.pcapng --to csv -o run.pcapng --force", 2, "run.pcapng is the recording itself"),
     # a value of another kind
     ("check --set host.accept=everything", 3, "got '\"everything\"', expected a list of texts"),
     ("check --set mode.active=3", 3, "got '3', expected a section"),
@@ -136,6 +137,7 @@ USUAL = [
     ("node motor.eds --node-id 200 --bus coulombus:none", 2, "200 is not 1 to 127, and not 255 (none yet)"),
     ("conformance --bus coulombus:none --node 1 --eds motor.eds --case 99", 2, "--case 99: there is no such case"),
     ("simulate --modus hybrid", 2, "Did you mean '--mode'?"),
+    ("help", 2, "No such command 'help'. The list of verbs is coulombus --help."),
     ("eds chek motor.eds", 2, "Did you mean 'check'?"),
     ("law dahl --motion sin", 2, "did you mean 'sine'?"),
     ("commission --rig my-rig.toml --virtual --step frition", 2, "did you mean 'friction'?"),
