@@ -53,24 +53,27 @@ class _VirtualRun(Course):
 
     def __init__(self, order: _Order) -> None:
         rig, mode, seed = order.rig, order.mode, order.seed
-        recorder = None
-        if order.record is not None:
-            recorder = Recorder(order.record, rig, mode, seed, law=law_attachments(rig), force=order.force)
-        on_frames = None if recorder is None and not order.measured else self._write
+        on_frames = None if order.record is None and not order.measured else self._write
         self.world = VirtualRig(
             order.simulated, mode, believed=rig, seed=seed, truth=order.truth is not None, on_frames=on_frames
         )
         super().__init__(self.world.controllers, order.record, order.progress)
-        self.recorder = recorder
         self.measured = MeasuredFrames(rig) if order.measured else None
-        if recorder is not None:
+        if order.record is not None:
+            law, law_state = law_attachments(rig), self.world.controller.law_state
+            self.recorder = Recorder(order.record, rig, mode, seed, law=law, law_state=law_state, force=order.force)
             self.world.on_host = self._write_host
+            self.world.keep_told()
         self.world.on_change = lambda change: self.mark(self.world.t_ns, change.marker)
         self.injection: Injection | None = None
 
     def _write(self, frames: Records) -> None:
         if self.measured is not None:
             self.measured.write(frames)
+        told = self.world.take_told()
+        if len(told):  # at one instant first what the bus carried
+            frames = np.concatenate((frames, told))
+            frames = frames[np.argsort(frames["t_ns"], kind="stable")].view(np.recarray)
         self.record(lambda recorder: recorder.write(frames))
 
     def _write_host(self, had: Records, events: Records, sent: Records) -> None:

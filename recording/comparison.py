@@ -77,15 +77,18 @@ def compare(
     first, second = read(a, rig), read(b, rig)
     common = [name for name in first.signals if name in second.signals]
     units = {name: first.signals[name].unit for name in common}
+    inside = {signal.name for pdo in first.inside for signal in pdo.signals}
     _check_tolerances(first, tolerances, units)
     texts = (*first.remarks, *second.remarks)
     same = not Path(a).is_dir() and not Path(b).is_dir() and filecmp.cmp(a, b, shallow=False)
     spans, told, lengths = _spans(first, second, exact=not tolerances)
     wanting = _only_in(first, second) + _only_in(second, first)
+    if bool(first.inside) != bool(second.inside):
+        lengths = [*lengths, f"only {(first if first.inside else second).path} has what the host told of itself"]
     found, pairs = [], {}
     for name in common:
         pair, labels, whole = _pair(first.signals[name], second.signals[name], spans)
-        tolerance = _tolerance(name, units[name], tolerances)
+        tolerance = _tolerance(name, "" if name in inside else units[name], tolerances)
         pairs[name] = pair
         if tolerances:  # runs that last differently long are compared as long as both do
             whole = bool(len(pair.t_s)) or not len(first.signals[name]) + len(second.signals[name])
@@ -131,7 +134,8 @@ def _tolerance(name: str, unit: str, tolerances: Mapping[str, float]) -> float |
 
 
 def _only_in(one: Recording, other: Recording) -> list[str]:
-    names = [name for name in one.signals if name not in other.signals]
+    inside = {signal.name for pdo in one.inside if not other.inside for signal in pdo.signals}
+    names = [name for name in one.signals if name not in other.signals and name not in inside]
     return [f"only in {one.path}: {', '.join(names)}"] if names else []
 
 

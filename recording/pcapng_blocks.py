@@ -27,11 +27,13 @@ __all__ = [
     "ATTACHMENT",
     "BYTE_ORDER_MAGIC",
     "ENHANCED_PACKET",
+    "HOST_INTERFACE",
     "INTERFACE",
     "LINKTYPE_CAN_SOCKETCAN",
     "MAX_BLOCK",
     "OWN_APPLICATION",
     "SECTION_HEADER",
+    "SOURCE_INSIDE",
     "PcapngError",
     "RecordingError",
     "TooLarge",
@@ -63,6 +65,10 @@ IF_TSRESOL = 9
 IF_TSOFFSET = 14
 OWN_APPLICATION = "coulombus"
 """In the section header of our recordings."""
+HOST_INTERFACE = "coulombus-host"
+"""Name of the interface whose frames were on no bus: what the host tells of itself (`recording.inside`)."""
+SOURCE_INSIDE = -2
+"""`source` of these frames in a log."""
 
 ATTACHMENT_HEAD = struct.Struct("<8s32sIII")  # see attachment_block
 ATTACHMENT_MAGIC = b"CoulAtt1"

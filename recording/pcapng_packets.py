@@ -41,6 +41,8 @@ class Interface:
     linktype: int
     resolution: int = 6
     offset_s: int = 0
+    inside: bool = False
+    """Its frames were on no bus."""
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,8 @@ from coulombus.recording.pcapng_blocks import (
     ATTACHMENT,
     BYTE_ORDER_MAGIC,
     ENHANCED_PACKET,
+    HOST_INTERFACE,
+    IF_NAME,
     IF_TSOFFSET,
     IF_TSRESOL,
     INTERFACE,
@@ -87,6 +89,8 @@ class Capture:
     """Packets that are no classical CAN frames (other link types, CAN FD, cut ones)."""
     warnings: tuple[str, ...] = ()
     """Damaged attachments, which are left out."""
+    inside: Records = field(default_factory=lambda: np.zeros(0, FRAME))
+    """Frames that were on no bus: what the host tells of itself (`recording.inside`)."""
 
 
 @dataclass
@@ -106,6 +110,7 @@ class _Reader:
     texts: dict[int, str] = field(default_factory=dict)
     # of this stretch
     parts: list[Records] = field(default_factory=list)
+    inside: list[Records] = field(default_factory=list)
     comments: list[tuple[int, str]] = field(default_factory=list)
     attachments: dict[str, bytes] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
@@ -137,7 +142,9 @@ class _Reader:
             torn=torn,
             skipped=self.skipped,
             warnings=tuple(self.warnings),
+            inside=np.concatenate([np.zeros(0, FRAME), *self.inside]),
         )
+        self.inside = []
         self.parts, self.comments, self.attachments, self.warnings, self.skipped = [], [], {}, [], 0
         return found
 
@@ -215,6 +222,7 @@ def read_pcapng(path: str | Path) -> Capture:
         attachments=attachments,
         skipped=sum(part.skipped for part in parts),
         warnings=tuple(text for part in parts for text in part.warnings),
+        inside=np.concatenate([part.inside for part in parts]),
     )
 
 
@@ -365,9 +373,17 @@ def _take(reader: _Reader, offsets: Integers) -> None:
     except BadPacketError as error:
         raise _damaged(reader, error.offset, error.what) from None
     done = sum(len(part) for part in reader.parts)
-    reader.parts.append(found.frames)
+    frames, rows = found.frames, np.arange(len(found.frames) + 1)
+    if any(one.inside for one in reader.interfaces):
+        inside = np.array([one.inside for one in reader.interfaces])[frames["source"] - reader.earlier]
+        frames, rows = frames[~inside], np.concatenate(([0], np.cumsum(~inside)))
+        reader.inside.append(found.frames[inside])
+    reader.parts.append(frames)
     reader.skipped += len(packets) - len(found.frames)
-    for row, begin, end in found.options:
+    for number, begin, end in found.options:
+        row = min(int(rows[number]), len(frames) - 1)  # a comment on what was on no bus goes to the frame behind it
+        if row < 0:
+            continue
         for code, value in iter_options(reader.data[begin:end], reader.order):
             if code == OPT_COMMENT:
                 reader.comments.append((done + row, value.decode(errors="replace")))
@@ -377,13 +393,16 @@ def _interface(reader: _Reader, start: int, body: bytes) -> Interface:
     if len(body) < 8:
         raise _damaged(reader, start, f"an interface block of {len(body)} bytes, expected at least 8")
     linktype, resolution, offset_s = struct.unpack_from(reader.order + "H", body)[0], 6, 0
+    inside = False
     for code, value in iter_options(body[8:], reader.order):
         if code == IF_TSRESOL and len(value) == 1:
             resolution = value[0]
         elif code == IF_TSOFFSET and len(value) == 8:
             offset_s = 0 if reader.own else struct.unpack(reader.order + "q", value)[0]
+        elif code == IF_NAME:
+            inside = value == HOST_INTERFACE.encode()
     reader.linktypes.add(linktype)
-    return Interface(linktype, resolution, offset_s)
+    return Interface(linktype, resolution, offset_s, inside)
 
 
 def _check_linktypes(reader: _Reader) -> None:

@@ -33,6 +33,7 @@ from coulombus.recording.pcapng_blocks import (
     SHB_APPLICATION,
     SHB_HARDWARE,
     SHB_OS,
+    SOURCE_INSIDE,
     RecordingError,
     attachment_block,
     block,
@@ -83,7 +84,9 @@ class PcapngWriter:
     force
         Replace a file that exists.
     application, hardware, operating_system, interface
-        Texts of the section and of its one interface; empty ones are left out.
+        Texts of the section and of its interface; empty ones are left out.
+    second
+        Name of a second interface, for frames whose `source` is `SOURCE_INSIDE`.
 
     Raises
     ------
@@ -104,6 +107,7 @@ class PcapngWriter:
         hardware: str = "",
         operating_system: str = "Linux",
         interface: str = "can0",
+        second: str = "",
     ) -> None:
         self.path = str(path)
         self.epoch_ns = epoch_ns
@@ -113,6 +117,9 @@ class PcapngWriter:
         self._buffer = _template(0)
         head = _section(comment, hardware, operating_system, application)
         head += _interface(interface, started_ns // 1_000_000_000)
+        self._second = bool(second)
+        if second:
+            head += _interface(second, started_ns // 1_000_000_000)
         head += b"".join(attachment_block(name, content) for name, content in attachments.items())
         try:
             self._fd = open_new(Path(self.path), force=force)
@@ -158,6 +165,9 @@ class PcapngWriter:
             blocks["can_id"] = frames["can_id"]
             blocks["length"] = frames["length"]
             blocks["data"] = frames["word"]
+            if self._second:
+                blocks["interface"] = frames["source"] == SOURCE_INSIDE
+                count -= int(np.count_nonzero(blocks["interface"]))
         self._write(_commented(blocks, comments) if comments else blocks.tobytes())
         self.frames += count
 

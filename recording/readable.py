@@ -35,6 +35,10 @@ class _Table(Protocol):
     @property
     def rows(self) -> Integers: ...
     @property
+    def t_ns(self) -> Integers: ...
+    @property
+    def order(self) -> Integers: ...
+    @property
     def columns(self) -> tuple[Array, ...]: ...
 
 
@@ -80,6 +84,10 @@ class Readable(Protocol):
     @property
     def rig(self) -> Rig:
         """The rig whose PDOs these are."""
+
+    @property
+    def pdos(self) -> tuple[RigPdo, ...]:
+        """All that has signals: the rig's PDOs, and what the host tells of itself."""
 
     def __iter__(self) -> Iterator[Block]:
         """Yield the blocks."""

@@ -1,11 +1,13 @@
 """A run's recording: frames as they come, the rig, EDS files and the law attached, markers as
 comments of the frames that follow them.
+
+What the host tells of itself (`recording.inside`) goes to a second interface of the file.
 """
 
 from __future__ import annotations
 
 import heapq
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import MappingProxyType, TracebackType
@@ -13,6 +15,7 @@ from types import MappingProxyType, TracebackType
 import numpy as np
 import numpy.typing as npt
 
+from coulombus.recording.inside import HOST_INTERFACE, SOURCE_INSIDE, inside_attachment
 from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.recording.trace import NAME, SENT, pack, pack_sent
 from coulombus.rigs.rig import Rig
@@ -57,6 +60,8 @@ class Markers:
     def on(self, stamps: npt.NDArray[np.int64]) -> dict[int, str]:
         """Return the comments of a batch of frames with these rising stamps, by their rows."""
         comments: dict[int, str] = {}
+        if not len(stamps):
+            return comments
         due = []
         while self._waiting and self._waiting[0][0] <= stamps[-1]:
             due.append(heapq.heappop(self._waiting))
@@ -69,7 +74,8 @@ class Markers:
 class Recorder:
     """Writes frames to a pcapng file, a new one unless `force` is given; a marker is the comment of
     the first frame at or after its time. `more` are further attachments, `comment` the file's,
-    `started_ns` is CLOCK_REALTIME at time 0; 0: there is none, as in virtual time.
+    `started_ns` is CLOCK_REALTIME at time 0; 0: there is none, as in virtual time. `law_state` is
+    what the law keeps, by name and number; with it frames of `SOURCE_INSIDE` are taken, too.
 
     Raises
     ------
@@ -86,6 +92,7 @@ class Recorder:
         seed: int | None = None,
         *,
         law: Mapping[str, bytes] = NO_LAW,
+        law_state: Sequence[tuple[str, int]] | None = None,
         bus: str = "",
         more: Mapping[str, bytes] = NO_LAW,
         comment: str = "",
@@ -103,6 +110,9 @@ class Recorder:
             attachments["bus"] = bus.encode()
         attachments |= {name: text.encode() for name, text in rig.eds_texts.items()}
         attachments |= law
+        self._inside = law_state is not None
+        if law_state is not None:
+            attachments |= inside_attachment(law_state)
         self._attachments, self._comment = {**attachments, **more}, comment
         self._started_ns = started_ns
         self._open(path, force=force)
@@ -115,7 +125,12 @@ class Recorder:
     def _open(self, path: Path, *, force: bool = False) -> None:
         """Begin a file: with everything attached, so that it can be read alone."""
         self._writer = PcapngWriter(
-            path, attachments=self._attachments, comment=self._comment, started_ns=self._started_ns, force=force
+            path,
+            attachments=self._attachments,
+            comment=self._comment,
+            started_ns=self._started_ns,
+            force=force,
+            second=HOST_INTERFACE if self._inside else "",
         )
 
     def attach(self, name: str, content: bytes) -> None:
@@ -127,8 +142,16 @@ class Recorder:
         self._markers.add(t_ns, text)
 
     def write(self, frames: Records) -> None:
-        """Append a batch of frames with rising stamps."""
-        self._writer.write(frames, self._markers.on(frames["t_ns"]))
+        """Append a batch of frames with rising stamps; those of `SOURCE_INSIDE` to the second
+        interface.
+        """
+        if not self._inside:
+            self._writer.write(frames, self._markers.on(frames["t_ns"]))
+            return
+        of_bus = np.flatnonzero(frames["source"] != SOURCE_INSIDE)
+        comments = self._markers.on(frames["t_ns"][of_bus])
+        places = of_bus[list(comments)].tolist()
+        self._writer.write(frames, dict(zip(places, comments.values(), strict=True)))
 
     def trace(self, own: Records, rows: Records, sent: Records | None = None) -> None:
         """Keep what `recording.trace` keeps: whether each frame of the batch just written was none

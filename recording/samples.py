@@ -92,7 +92,7 @@ def groups_of(source: Readable, names: Sequence[str] | None, grid_ns: int | None
         source.signal(name)
     chosen = {
         f"{pdo.node}.{pdo.name}": [signal for signal in pdo.signals if names is None or signal.name in names]
-        for pdo in source.rig.pdos()
+        for pdo in source.pdos
     }
     if grid_ns is None:
         return tuple(Group(name, tuple(map(_column, signals))) for name, signals in chosen.items() if signals)
@@ -119,10 +119,11 @@ def _as_it_came(block: Block, groups: tuple[Group, ...]) -> Stretch:
     for group in groups:
         table = tables[group.name]
         columns = dict(zip((s.name for s in table.pdo.signals), table.columns, strict=True))
-        t_ns = block.frames["t_ns"][table.rows] - block.epoch_ns
-        found.append(Rows(table.rows, t_ns, tuple(columns[column.name] for column in group.columns)))
+        found.append(
+            Rows(table.order, table.t_ns - block.epoch_ns, tuple(columns[column.name] for column in group.columns))
+        )
     placed = tuple(
-        (row, (int(block.frames["t_ns"][row]) - block.epoch_ns) / 1e9, line)
+        (2 * row, (int(block.frames["t_ns"][row]) - block.epoch_ns) / 1e9, line)
         for row, text in block.capture.comments
         for line in text.splitlines()
     )
@@ -181,7 +182,7 @@ def _on_grid(source: Readable, group: Group, grid_ns: int) -> Iterator[Stretch]:
         for table in block.tables:
             for signal, values in zip(table.pdo.signals, table.columns, strict=True):
                 if signal.name in held:
-                    held[signal.name].add(t_ns[table.rows], values)
+                    held[signal.name].add(table.t_ns - block.epoch_ns, values)
         if following is None:
             following = -(-int(t_ns[0]) // grid_ns)
         until = max(until, int(t_ns.max()))

@@ -26,7 +26,7 @@ import queue
 import re
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -160,6 +160,7 @@ class SegmentedRecorder(Recorder):
         started_ns: int,
         law: Mapping[str, bytes],
         more: Mapping[str, bytes],
+        law_state: Sequence[tuple[str, int]] | None = None,
         comment: str = "",
     ) -> None:
         self.folder, self.rotation, self._started_ns = folder, rotation, started_ns
@@ -176,7 +177,12 @@ class SegmentedRecorder(Recorder):
             if room.f_bavail * room.f_frsize < 2 * self._step:
                 self._prune(2 * self._step)
             super().__init__(
-                self.run / "000001.pcapng", rig, mode, law=law, more=more, comment=comment, started_ns=started_ns
+                *(self.run / "000001.pcapng", rig, mode),
+                law=law,
+                law_state=law_state,
+                more=more,
+                comment=comment,
+                started_ns=started_ns,
             )
         except OSError as error:
             self._undo()

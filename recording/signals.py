@@ -26,6 +26,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
+from itertools import chain
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Self, TypeAlias
@@ -35,6 +36,8 @@ import numpy.typing as npt
 
 from coulombus.eds.pdo import Entry
 from coulombus.recording.clock import CLOCK, META, attached_object
+from coulombus.recording.inside import NAME as INSIDE
+from coulombus.recording.inside import inside_pdos, of_axis
 from coulombus.recording.log_files import WALL_CLOCK_NS, LogError, is_log, read_log
 from coulombus.recording.pcapng_reader import Capture, iter_pcapng, read_pcapng
 from coulombus.recording.turns import POSITION, Turns, fastest, follow
@@ -98,16 +101,20 @@ class Series:
 
 @dataclass(frozen=True)
 class PdoTable:
-    """The frames of one PDO: their rows in `Recording.frames`, and one column of SI values for each
-    signal.
+    """The frames of one PDO: their rows in `Recording.frames`, their stamps, their places in the
+    file's order, and one column of SI values for each signal. What the host tells of itself
+    (`inside`) has its rows in `Capture.inside`.
     """
 
     pdo: RigPdo
     name: str
     rows: Integers
+    t_ns: Integers
+    order: Integers
     columns: tuple[Array, ...]
     malformed: int
     turns: Mapping[str, Turns]
+    inside: bool = False
 
 
 class Source:
@@ -117,6 +124,13 @@ class Source:
 
     path: str
     rig: Rig
+    inside: tuple[RigPdo, ...] = ()
+    """What the host tells of itself (`recording.inside`), as PDOs of a node "host"."""
+
+    @property
+    def pdos(self) -> tuple[RigPdo, ...]:
+        """All that has signals: the rig's PDOs, and what the host tells of itself."""
+        return (*self.rig.pdos(), *self.inside)
 
     def __iter__(self) -> Iterator[Recording]:
         """Yield the blocks."""
@@ -151,13 +165,13 @@ class Source:
 
     def has(self, name: str) -> bool:
         """Tell whether the rig has a signal: one whose role is absent is in no PDO."""
-        return any(signal.name == name for pdo in self.rig.pdos() for signal in pdo.signals)
+        return any(signal.name == name for pdo in self.pdos for signal in pdo.signals)
 
     def signal(self, name: str) -> Signal:
         """Return what the rig says of a signal: object, scale, offset, unit; `UnknownSignal` names
         the nearest ones.
         """
-        return signal_of(self.rig, name, self.path)
+        return signal_of(self.pdos, name, self.path)
 
     def scale(self, name: str) -> float:
         """Return the SI value of one raw count of a signal."""
@@ -198,6 +212,7 @@ class Recording(Source):
     markers: list[tuple[float, str]]
     malformed: Mapping[str, int]
     before: Mapping[str, Turns]
+    inside: tuple[RigPdo, ...] = ()
 
     def __iter__(self) -> Iterator[Recording]:
         """Yield the recording itself: it is one block."""
@@ -211,7 +226,7 @@ class Recording(Source):
         if not axis:
             return self
         plain = {name.removeprefix(f"{axis}."): turns for name, turns in self.before.items()}
-        seen = decode(self.capture, self.rig.alone(axis), self.epoch_ns, plain)
+        seen = decode(self.capture, self.rig.alone(axis), self.epoch_ns, plain, of_axis(self.inside, axis))
         return replace(seen, markers=_markers_of(axis, self.rig, seen.markers))
 
     @property
@@ -358,6 +373,8 @@ class Blocks(Source):
     """The axis of `rig` whose view this is, with the signals' plain names; "": of all that it has.
     """
 
+    inside: tuple[RigPdo, ...] = ()
+
     def __post_init__(self) -> None:
         self._whole, self.rig = self.rig, self.rig.alone(self.axis) if self.axis else self.rig
 
@@ -366,7 +383,7 @@ class Blocks(Source):
         for capture in captures(self.path):
             if epoch_ns is None and len(capture.frames):
                 epoch_ns = _epoch_ns(capture.frames)
-            block = decode(capture, self.rig, epoch_ns, turns)
+            block = decode(capture, self.rig, epoch_ns, turns, self.inside)
             turns |= block.turns
             if self.axis:
                 block = replace(block, markers=_markers_of(self.axis, self._whole, block.markers))
@@ -380,7 +397,7 @@ class Blocks(Source):
 
         Markers of other axes are left out.
         """
-        return Blocks(self.path, self.rig, axis) if axis else self
+        return Blocks(self.path, self.rig, axis, of_axis(self.inside, axis)) if axis else self
 
 
 def _markers_of(axis: str, rig: Rig, markers: list[tuple[float, str]]) -> list[tuple[float, str]]:
@@ -445,7 +462,8 @@ def read(path: str | os.PathLike[str], rig: Rig | str | os.PathLike[str] | None 
     """
     path = path_text(path, "path", 'read("run.pcapng")')
     capture = next(captures(path)) if is_log(path) else read_pcapng(path)
-    return decode(capture, _attached_rig((capture,)) if rig is None else _rig(rig))
+    known = _attached_rig((capture,)) if rig is None else _rig(rig)
+    return decode(capture, known, inside=inside_pdos(known, capture.attachments.get(INSIDE)))
 
 
 def blocks(path: str | os.PathLike[str], rig: Rig | str | os.PathLike[str] | None = None) -> Blocks:
@@ -459,7 +477,12 @@ def blocks(path: str | os.PathLike[str], rig: Rig | str | os.PathLike[str] | Non
     path = path_text(path, "path", 'blocks("run.pcapng")')
     if Path(path).exists() and not Path(path).is_file() and not Path(path).is_dir():
         raise LogError(f"{path}: it is no file, and a recording is read more than once; save it to a file first")
-    return Blocks(str(path), _attached_rig(captures(path)) if rig is None else _rig(rig))
+    if is_log(path):
+        return Blocks(str(path), _attached_rig(captures(path)) if rig is None else _rig(rig))
+    stretches = captures(path)
+    first = next(stretches)  # what the host tells of is attached in front
+    known = _attached_rig(chain([first], stretches)) if rig is None else _rig(rig)
+    return Blocks(str(path), known, inside=inside_pdos(known, first.attachments.get(INSIDE)))
 
 
 def captures(path: str | Path) -> Iterator[Capture]:
@@ -480,19 +503,28 @@ def _epoch_ns(frames: Records) -> int:
 
 
 def decode(
-    capture: Capture, rig: Rig, epoch_ns: int | None = None, before: Mapping[str, Turns] = MappingProxyType({})
+    capture: Capture,
+    rig: Rig,
+    epoch_ns: int | None = None,
+    before: Mapping[str, Turns] = MappingProxyType({}),
+    inside: tuple[RigPdo, ...] = (),
 ) -> Recording:
-    """Return the capture with the signals of the rig's PDOs; `epoch_ns` and where the positions
-    were `before`, where it is a stretch of a longer one.
+    """Return the capture with the signals of the rig's PDOs, and of what the host tells of itself
+    (`inside`); `epoch_ns` and where the positions were `before`, where it is a stretch of a longer
+    one.
     """
     frames = capture.frames
     epoch_ns = _epoch_ns(frames) if epoch_ns is None else epoch_ns
     t_s: Floats = (frames["t_ns"] - epoch_ns) / 1e9
     can_ids = np.ascontiguousarray(frames["can_id"])
     tables = tuple(_table(pdo, frames, can_ids, rig, before) for pdo in rig.pdos())
+    if inside:
+        ids = np.ascontiguousarray(capture.inside["can_id"])
+        told = (_table(pdo, capture.inside, ids, rig, before) for pdo in inside)
+        tables += tuple(_behind(table, frames["t_ns"]) for table in told)
     signals = {}
     for table in tables:
-        at = t_s[table.rows]
+        at: Floats = (table.t_ns - epoch_ns) / 1e9
         for signal, values in zip(table.pdo.signals, table.columns, strict=True):
             signals[signal.name] = Series(at, values, signal.unit)
     return Recording(
@@ -503,8 +535,9 @@ def decode(
         tables=tables,
         signals=MappingProxyType(signals),
         markers=[(float(t_s[row]), line) for row, text in capture.comments for line in text.splitlines()],
-        malformed=MappingProxyType({table.name: table.malformed for table in tables}),
+        malformed=MappingProxyType({table.name: table.malformed for table in tables if not table.inside}),
         before=MappingProxyType(dict(before)),
+        inside=inside,
     )
 
 
@@ -570,7 +603,14 @@ def _table(pdo: RigPdo, frames: Records, can_ids: Integers, rig: Rig, before: Ma
             if last is not None:
                 turns[name] = last
         columns.append(_si(raw, signal))
-    return PdoTable(pdo, f"{pdo.node}.{pdo.name}", rows, tuple(columns), len(came) - len(rows), turns)
+    stamps = frames["t_ns"][rows]
+    return PdoTable(pdo, f"{pdo.node}.{pdo.name}", rows, stamps, 2 * rows, tuple(columns), len(came) - len(rows), turns)
+
+
+def _behind(table: PdoTable, bus_ns: Integers) -> PdoTable:
+    """Return a table of what the host tells: each row stands behind the bus' last frame before it."""
+    places: Integers = 2 * np.searchsorted(bus_ns, table.t_ns, "right") - 1
+    return replace(table, order=places, inside=True)
 
 
 def _si(raw: Array, signal: Signal) -> Array:
@@ -579,11 +619,11 @@ def _si(raw: Array, signal: Signal) -> Array:
     return raw * signal.scale + signal.offset
 
 
-def signal_of(rig: Rig, name: str, where: str) -> Signal:
-    """Return what the rig says of a signal; `UnknownSignal` says that there is none `where`, and
+def signal_of(pdos: Iterable[RigPdo], name: str, where: str) -> Signal:
+    """Return what the PDOs of a rig say of a signal; `UnknownSignal` says that there is none `where`, and
     names the nearest ones.
     """
-    signals = {signal.name: signal for pdo in rig.pdos() for signal in pdo.signals}
+    signals = {signal.name: signal for pdo in pdos for signal in pdo.signals}
     if name not in signals:
         near = difflib.get_close_matches(name, signals, 3, 0.4) or list(signals)
         raise UnknownSignal(f"no signal {name!r} in {where}; there is {', '.join(near)}")

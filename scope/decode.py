@@ -53,9 +53,10 @@ def rows(recording: Source) -> Iterator[Row]:
 def _block_rows(block: Recording, services: _Services) -> Iterator[Row]:
     frames = block.frames
     table_of = np.full(len(frames), -1, np.int64)
-    for number, table in enumerate(block.tables):
+    tables = [table for table in block.tables if not table.inside]
+    for number, table in enumerate(tables):
         table_of[table.rows] = number
-    pdos = [_pdo_rows(table) for table in block.tables]
+    pdos = [_pdo_rows(table) for table in tables]
     comments: dict[int, str] = {}
     for row, text in block.capture.comments:
         comments[row] = f"{comments[row]}; {text}" if row in comments else text

@@ -39,7 +39,7 @@ class Traces:
 
     def __init__(self, rig: Rig, names: Sequence[str]) -> None:
         for name in names:
-            signal_of(rig, name, f"rig {rig.name}")
+            signal_of(rig.pdos(), name, f"rig {rig.name}")
         self.names = tuple(dict.fromkeys(names))
         self._envelopes = {name: Envelope() for name in self.names}
         self._pdos = {

@@ -160,6 +160,7 @@ class Controller:
         self.law_function: Any = loaded.pointer
         self.declaration = loaded.declaration
         self.parameters = parameters = axis_parameters(axis, loaded.declaration)
+        self.law_state = () if loaded.declaration is None else loaded.declaration.state
         self.records = new_records(AXIS)
         self.motion["dt_s"] = axis.bus.period_s
         self.law[:] = self._new_law()
@@ -310,6 +311,7 @@ class Controller:
         c["deadman_slot"] = Image.DEADMAN if switch else -1
         c["deadman_mask"] = deadman_mask(axis.host.deadman)
 
+        c["law_keeps"] = sum(size for _, size in self.law_state)
         c["safe_brake_Nm"] = limits.safe_brake_Nm
         c["safe_hold_cycles"] = _cycles(limits.safe_hold_s, T)
         c["safe_ramp_cycles"] = _cycles(limits.safe_ramp_s, T)

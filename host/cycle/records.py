@@ -221,9 +221,14 @@ CONTROL = np.dtype(
         ("safe_brake_Nm", np.float64),
         ("safe_hold_cycles", np.int64),
         ("safe_ramp_cycles", np.int64),
+        # what the host tells of itself (`host.cycle.inside`)
+        ("law_keeps", np.int64),  # numbers, by its declaration
     ],
     align=True,
 )
+
+TWO = np.dtype({"names": ["first", "second", "word"], "formats": ["<f4", "<f4", "<i8"], "offsets": [0, 4, 0]})
+"""Two numbers, and the same eight bytes as a frame's word."""
 
 HOST = np.dtype(
     [
@@ -314,6 +319,10 @@ HOST = np.dtype(
         ("clipped_setpoints", np.int64),  # the brake's set-point was more than its limit
         ("negative_setpoints", np.int64),
         ("withheld_compensation", np.int64),  # the observer let the motor give less than its compensation
+        # what the host has told of itself (`host.cycle.inside`)
+        ("told_cycle", np.int64),  # the last cycle of which it told
+        ("told", np.int64, (6,)),  # counters as they were then
+        ("two", TWO),
     ],
     align=True,
 )

@@ -47,6 +47,7 @@ from coulombus.compiled.libc import (
 from coulombus.compiled.records import Integers, Record, Records
 from coulombus.eds.cia301 import CobId
 from coulombus.host.cycle.axes import ask_to_stop, begin, finish, on_frame, ramps_a_brake, safe_setpoints
+from coulombus.host.cycle.inside import tell
 from coulombus.host.cycle.records import AxisRecords, LawFunction, Phase, Trip
 from coulombus.host.cycle.step import SOURCE_HOST
 from coulombus.host.realtime.shared_memory import BINS, PLANE, Command, Status
@@ -81,6 +82,7 @@ class Buffers(NamedTuple):
     tx: Integers
     poll: Integers
     out: Record
+    told: Records  # room for what one axis tells of itself (`host.cycle.inside`)
 
 
 def _offset(name: str) -> int:
@@ -138,6 +140,15 @@ def _trace(plane: Records, trace: Records, kind: int, t_ns: int, value: int) -> 
     r.refused = p.tx_full
     r.dropped = p.log_dropped
     store_release(plane.ctypes.data + AT_TRACE_HEAD, head + 1)
+
+
+@kernel
+def _tell(b: Buffers, t_ns: int) -> None:
+    """Log what the axes tell of themselves, behind the frames of their cycle."""
+    for k in range(b.axes.shape[0]):
+        for i in range(tell(b.axes[k], k, t_ns, b.told, 0)):
+            f = b.told[i]
+            _log(b.plane, b.ring, t_ns, f.can_id, f.length, f.word, f.source)
 
 
 @kernel
@@ -448,6 +459,7 @@ def _cycle(b: Buffers, law_function: LawFunction) -> int:
         if _collect(b, law_function, sync + c.window_ns) != 0:
             return 1
         done = now_ns()
+        _tell(b, done)
         if displays:
             _count(b.latency_bins, done - sync)
             p.latency_max_ns = max(p.latency_max_ns, done - sync)

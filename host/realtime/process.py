@@ -24,7 +24,8 @@ import numpy as np
 from coulombus.host.laws.laws import load_law
 from coulombus.host.realtime.loop import MESSAGE_FRAMES, Buffers, run_plane
 from coulombus.host.realtime.shared_memory import Command, SharedPlane
-from coulombus.wire.frame import QUEUE_CAPACITY, new_queue
+from coulombus.recording.inside import MOST_FRAMES
+from coulombus.wire.frame import FRAME, QUEUE_CAPACITY, new_queue, new_records
 from coulombus.wire.mailbox import new_mailbox
 from coulombus.wire.realtime import ask_for_real_time, die_with_parent, outlive_parent
 from coulombus.wire.stopping import SIGNALS
@@ -38,7 +39,7 @@ def new_buffers(fd: int, shared: SharedPlane) -> Buffers:
     box, words = new_mailbox(MESSAGE_FRAMES)
     tx, poll = np.zeros(2 * QUEUE_CAPACITY, np.int64), np.zeros(1, np.int64)
     parts = (s.plane, s.ring, s.trace, s.wakeup_bins, s.latency_bins, s.axes, s.owner)
-    return Buffers(fd, *parts, box, words, tx, poll, new_queue())
+    return Buffers(fd, *parts, box, words, tx, poll, new_queue(), new_records(FRAME, MOST_FRAMES))
 
 
 def _warm_up(shared: SharedPlane, buffers: Buffers, law_function: Any) -> None:

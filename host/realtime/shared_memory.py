@@ -22,8 +22,8 @@ from coulombus.wire.frame import FRAME, Records
 
 __all__ = ["BINS", "PLANE", "RING_FRAMES", "TRACE_ROWS", "Command", "SharedPlane", "Status"]
 
-RING_FRAMES = 1 << 16
-"""About seven seconds of frames at 1 kHz; a power of two."""
+RING_FRAMES = 1 << 17
+"""About nine seconds of frames, and of what the host tells of itself, at 1 kHz; a power of two."""
 
 BINS = 20_000
 """Microseconds that the histograms resolve.

@@ -45,6 +45,7 @@ from coulombus.host.run.status_socket import StatusSocket, encoded
 from coulombus.host.setup.bringup import bring_up, check_plan, release, shut_down
 from coulombus.host.setup.control_plane import RealControlPlane
 from coulombus.recording.clock import meta_attachment, utc, wall_clock
+from coulombus.recording.inside import SOURCE_INSIDE
 from coulombus.recording.measures import Measures
 from coulombus.recording.output_file import new_file
 from coulombus.recording.pcapng_blocks import RecordingError
@@ -186,13 +187,17 @@ class _RealRun(Course):
         out, mode = self.outputs, self.k.mode
         started_ns, more, comment = wall_clock(self.zero_ns)
         more |= meta_attachment(out.meta)
-        law = law_attachments(self.rig)
+        law, state = law_attachments(self.rig), self.k.each[0].law_state
         if out.rotation is None:
-            return Recorder(
-                path, self.rig, mode, law=law, more=more, comment=comment, started_ns=started_ns, force=out.force
-            )
+            common: Any = {"law": law, "law_state": state, "more": more, "comment": comment, "started_ns": started_ns}
+            return Recorder(path, self.rig, mode, **common, force=out.force)
         recorder = SegmentedRecorder(
-            path, self.rig, mode, out.rotation, started_ns=started_ns, law=law, more=more, comment=comment
+            *(path, self.rig, mode, out.rotation),
+            started_ns=started_ns,
+            law=law,
+            law_state=state,
+            more=more,
+            comment=comment,
         )
         self.path = recorder.run
         return recorder
@@ -256,16 +261,17 @@ class _RealRun(Course):
         found = found[np.argsort(found["t_ns"], kind="stable")]
         limit = len(found) if seen_ns is None else np.searchsorted(found["t_ns"], seen_ns - self.zero_ns - HOLD_BACK_NS)
         ready = int(limit)
+        of_bus = found["source"][:ready] != SOURCE_INSIDE
         self._waiting = found[ready:]
 
         def write(recorder: Recorder) -> None:
             if ready:
-                for t_ns, marker in self._bits.edges(found[:ready]):
+                for t_ns, marker in self._bits.edges(found[:ready][of_bus]):
                     recorder.mark(t_ns, marker)
                 recorder.write(found[:ready])
             if ready or len(rows):
                 rows["t_ns"] -= self.zero_ns
-                recorder.trace(found["source"][:ready] == SOURCE_HOST, rows)
+                recorder.trace(found["source"][:ready][of_bus] == SOURCE_HOST, rows)
             if final:
                 recorder.close()
 

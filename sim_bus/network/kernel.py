@@ -31,8 +31,10 @@ from coulombus.eds.cia301 import CobId
 from coulombus.eds.cia402 import PowerState
 from coulombus.host.cycle import axes as host_axes
 from coulombus.host.cycle import step
+from coulombus.host.cycle.inside import tell_all
 from coulombus.host.cycle.records import LawFunction
 from coulombus.node import core, emcy, own_time
+from coulombus.recording.inside import MOST_FRAMES
 from coulombus.sim_bus.copper.arbiter import FAR_NS, end_frame, receives, start_frame, start_ns
 from coulombus.sim_bus.copper.attempt import attempt
 from coulombus.sim_bus.copper.cut import choose
@@ -50,6 +52,7 @@ __all__ = [
     "LOG_FRAMES",
     "MOST_DEVICES",
     "MOTOR",
+    "TOLD_FRAMES",
     "WORLD",
     "Exit",
     "Host",
@@ -87,7 +90,8 @@ FRAME_END, SCRIPT, DEVICE, HOST, FRAME_START, NOTHING = 0, 1, 2, 3, 4, 5
 
 LOG_FRAMES = 1 << 15
 SENT_FRAMES = 1 << 12
-"""Frames that the log, and what is kept of the host's, have room for."""
+TOLD_FRAMES = 1 << 13
+"""Frames that the log, what is kept of the host's, and what it tells of itself have room for."""
 
 WORLD = np.dtype(
     [
@@ -106,6 +110,8 @@ WORLD = np.dtype(
         ("keep_sent", np.int64),  # 1: keep what the host asks the bus to send, whatever becomes of it
         ("sent_count", np.int64),
         ("sent", FRAME, (SENT_FRAMES,)),
+        ("tells", np.int64),  # 1: the host tells of itself after each cycle (`host.cycle.inside`)
+        ("told_count", np.int64),
         # who wants the last frame
         ("services", np.int64),  # how many devices
         ("service", np.int64, (MOST_DEVICES,)),  # which
@@ -171,6 +177,7 @@ class Host(NamedTuple):
 
     axes: Records  # `host.cycle.controller.AXIS` records
     owner: Integers  # by identifier: the axis that its frames belong to
+    told: Records  # `TOLD_FRAMES` records of `wire.frame.FRAME`: what it tells of itself
 
 
 @inlined
@@ -317,6 +324,8 @@ def run(world: World, host: Host, law_function: LawFunction, closely: int | None
     while True:
         if w.log_count + MOST_ROWS > world.log.shape[0] or w.sent_count + QUEUE_CAPACITY > SENT_FRAMES:
             return Exit.LOG
+        if w.told_count + MOST_FRAMES * host.axes.shape[0] > TOLD_FRAMES:
+            return Exit.LOG
         b = cable
         if closely is not None:
             if cable.cut != 0:
@@ -353,6 +362,8 @@ def run(world: World, host: Host, law_function: LawFunction, closely: int | None
             host_axes.on_time(host.axes, law_function, t_host, out)
             if w.clock_on + w.keep_sent != 0:
                 _keep(w, out, first)
+            if w.tells != 0:
+                w.told_count = tell_all(host.axes, t, host.told, w.told_count)
         elif what == DEVICE:
             i = next_device(deadlines)
             a = axis_of[i]
@@ -399,6 +410,8 @@ def run(world: World, host: Host, law_function: LawFunction, closely: int | None
                     host_axes.finish(host.axes, law_function, t_host, 0, out)
                     if w.clock_on + w.keep_sent != 0:
                         _keep(w, out, first)
+                    if w.tells != 0:
+                        w.told_count = tell_all(host.axes, t, host.told, w.told_count)
                 elif wanted == 2:
                     w.control_plane = 1
             w.heard = world.listening[b.can_id] if plain else w.listen_all

@@ -58,12 +58,13 @@ from coulombus.sim_bus.copper.stations import attach, detach
 from coulombus.sim_bus.copper.waiting import withdraw
 from coulombus.sim_bus.network.agenda import IDENTIFIERS, new_deadlines, new_wants
 from coulombus.sim_bus.network.interrupts import InterruptsHeld
-from coulombus.sim_bus.network.kernel import AXIS, LOG_FRAMES, MOST_DEVICES, WORLD, Exit, Host, World, run
+from coulombus.sim_bus.network.kernel import AXIS, LOG_FRAMES, MOST_DEVICES, TOLD_FRAMES, WORLD, Exit, Host, World, run
 from coulombus.sim_bus.network.stations import CanopenNetwork, Heard, Station
 from coulombus.sim_bus.rig.plant import PLANT, TRUTH_COLUMNS
 from coulombus.wire.clock import own_ns, to_bus
 from coulombus.wire.frame import (
     CAN_RTR_FLAG,
+    FRAME,
     Queue,
     Records,
     data_bytes,
@@ -113,7 +114,9 @@ def without_mechanics(devices: int) -> Mechanics:
         plant=new_records(PLANT, 0),
         f_h=np.zeros((0, 1)),
         truth=np.zeros((0, 1, len(TRUTH_COLUMNS))),
-        host=Host(axes=new_records(HOST_AXIS, 1), owner=np.zeros(IDENTIFIERS, np.int64)),
+        host=Host(
+            axes=new_records(HOST_AXIS, 1), owner=np.zeros(IDENTIFIERS, np.int64), told=new_records(FRAME, TOLD_FRAMES)
+        ),
         law_function=unused_law(),
     )
 

@@ -21,14 +21,14 @@ from coulombus.node.device import Device
 from coulombus.node.emcy import DEVICE_FAULTS, FIRST_DEVICE_CAUSE
 from coulombus.recording.trace import EVENT, Event
 from coulombus.rigs.rig import Rig
-from coulombus.sim_bus.network.kernel import AXIS, BRAKE, MOTOR, Exit, Host
+from coulombus.sim_bus.network.kernel import AXIS, BRAKE, MOTOR, TOLD_FRAMES, Exit, Host
 from coulombus.sim_bus.network.network import CanopenNetwork, Mechanics, VirtualNetwork
 from coulombus.sim_bus.rig.coupling import brake_torque
 from coulombus.sim_bus.rig.operator import KNOT_S, Operator
 from coulombus.sim_bus.rig.plant import COIL_INTACT, COIL_OPEN, COIL_SHORT, PLANT, TRUTH_COLUMNS, new_plant
 from coulombus.sim_bus.rig.stand_ins import couple, stand_ins
 from coulombus.wire.clock import own_ns, set_clock
-from coulombus.wire.frame import Records, new_records
+from coulombus.wire.frame import FRAME, Records, new_records
 
 __all__ = ["VirtualRig"]
 
@@ -118,6 +118,7 @@ class VirtualRig(VirtualNetwork):
         for a, one in enumerate(rig.axes):
             plant[a : a + 1] = new_plant(one, seed + a * SEED_STEP)
         k = self.controllers
+        self._told = new_records(FRAME, TOLD_FRAMES)
         devices = [stand_ins(one) for one in rig.axes]
         sensors = {one.node_id: (a, one) for a, found in enumerate(devices) for one in found[2:]}  # axes may share one
         axis_of = np.array([*(np.arange(2 * n) // 2), *(a for a, _ in sensors.values())], np.int64)
@@ -127,7 +128,7 @@ class VirtualRig(VirtualNetwork):
             on_frames=on_frames,
             mechanics=Mechanics(
                 *(axes, axis_of, plant, self._f_h, self._truth_block),
-                *(Host(k.axes, k.owner), k.law_function),
+                *(Host(k.axes, k.owner, self._told), k.law_function),
             ),
         )
         self._outputs = self.nodes.view(np.ndarray), self.plant.view(np.ndarray)  # as plain arrays, see `_axes`
@@ -228,6 +229,16 @@ class VirtualRig(VirtualNetwork):
     def keep_sent(self) -> None:
         """Keep from now on what the host asks the bus to send: a fault may swallow it."""
         self._world["keep_sent"] = 1
+
+    def keep_told(self) -> None:
+        """Keep from now on what the host tells of itself after each cycle (`host.cycle.inside`)."""
+        self._world["tells"] = 1
+
+    def take_told(self) -> Records:
+        """Return what the host has told of itself since the last time."""
+        count = int(self._world["told_count"][0])
+        self._world["told_count"] = 0
+        return self._told[:count].copy()
 
     def _note(self, event: Event, t_ns: int, value: int = 0) -> None:
         w = self._world[0]

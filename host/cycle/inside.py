@@ -1,0 +1,98 @@
+"""What the host tells of itself after each cycle: frames for the second interface of a recording.
+
+They never go to a bus (`recording.inside` has their layout). Nothing here changes what the cycle
+does: it is read, and what was told last is kept beside it.
+"""
+
+from __future__ import annotations
+
+from coulombus.compiled.decorator import kernel
+from coulombus.host.cycle.records import AxisRecord, ControlRecord, HostRecord
+from coulombus.recording.inside import FIRST, GAIN, PER_AXIS, SOURCE_INSIDE, Limit
+from coulombus.wire.frame import Records
+
+__all__ = ["tell", "tell_all"]
+
+MOST_GAIN = round(1.0 / GAIN)
+MOST_AGE = 127
+
+TORQUE_CLIPPED = int(Limit.TORQUE_CLIPPED)
+TORQUE_SLOWED = int(Limit.TORQUE_SLOWED)
+BY_DRIVE = int(Limit.BY_DRIVE)
+SETPOINT_CLIPPED = int(Limit.SETPOINT_CLIPPED)
+SETPOINT_NEGATIVE = int(Limit.SETPOINT_NEGATIVE)
+COMPENSATION_WITHHELD = int(Limit.COMPENSATION_WITHHELD)
+TPDO_MISSED = int(Limit.TPDO_MISSED)
+DEADMAN_OPEN = int(Limit.DEADMAN_OPEN)
+
+
+@kernel
+def _grown(told: Records, k: int, count: int) -> int:
+    """Return 1 when a counter is more than at the last cycle's end."""
+    grown = 1 if count > told[k] else 0
+    told[k] = count
+    return grown
+
+
+@kernel
+def _limits(c: ControlRecord, h: HostRecord) -> int:
+    """Return which limits acted in this cycle: bits of `recording.inside.Limit`."""
+    told = h.told
+    limits = TORQUE_CLIPPED * _grown(told, 0, h.clipped_torque)
+    limits |= TORQUE_SLOWED * _grown(told, 1, h.slowed_torque)
+    limits |= BY_DRIVE * _grown(told, 2, h.limited_by_drive)
+    limits |= SETPOINT_CLIPPED * _grown(told, 3, h.clipped_setpoints)
+    limits |= SETPOINT_NEGATIVE * _grown(told, 4, h.negative_setpoints)
+    limits |= COMPENSATION_WITHHELD * _grown(told, 5, h.withheld_compensation)
+    if h.missed_in_a_row > 0:
+        limits |= TPDO_MISSED
+    if not h.deadman_ok:
+        limits |= DEADMAN_OPEN
+    return limits
+
+
+@kernel
+def _put(rows: Records, row: int, t_ns: int, can_id: int, word: int) -> None:
+    f = rows[row]
+    f.t_ns = t_ns
+    f.can_id = can_id
+    f.length = 8
+    f.word = word
+    f.source = SOURCE_INSIDE
+
+
+@kernel
+def tell(axis: AxisRecord, number: int, t_ns: int, rows: Records, row: int) -> int:
+    """Write what axis `number` tells of the cycle that it has finished into `rows`, from `row` on;
+    return the row behind. Of one that was told it tells nothing more.
+    """
+    c, h, state = axis.control, axis.host, axis.state
+    if h.waiting or h.cycle == h.told_cycle:
+        return row
+    h.told_cycle = h.cycle
+    first, two = FIRST + PER_AXIS * number, h.two
+    gain = min(max(round(h.gain / GAIN), 0), MOST_GAIN)
+    word = h.phase | h.trip << 8 | _limits(c, h) << 16 | gain << 32
+    word |= (1 if state.stuck else 0) << 48 | min(max(h.position_age, 0), MOST_AGE) << 56
+    _put(rows, row, t_ns, first, word)
+    two.first = state.psi_Nm
+    two.second = state.brake_Nm
+    _put(rows, row + 1, t_ns, first + 1, two.word)
+    two.first = axis.motion.v_rad_s
+    two.second = state.x_stuck
+    _put(rows, row + 2, t_ns, first + 2, two.word)
+    row += 3
+    for k in range(0, c.law_keeps, 2):
+        two.first = state.user[k]
+        two.second = state.user[k + 1] if k + 1 < c.law_keeps else 0.0
+        _put(rows, row, t_ns, first + 3 + k // 2, two.word)
+        row += 1
+    return row
+
+
+@kernel
+def tell_all(axes: Records, t_ns: int, rows: Records, row: int) -> int:
+    """Write what all axes tell; return the row behind."""
+    for k in range(axes.shape[0]):
+        row = tell(axes[k], k, t_ns, rows, row)
+    return row

@@ -1,0 +1,307 @@
+"""What the host tells of itself: on a second interface of a recording, as signals by name."""
+
+import json
+import os
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+
+from bench_recording import record
+from coulombus.host.cycle.controllers import Controllers
+from coulombus.host.cycle.inside import tell, tell_all
+from coulombus.host.cycle.records import Phase, Trip
+from coulombus.lab.simulate import simulate
+from coulombus.recording.comparison import compare
+from coulombus.recording.export.export import export
+from coulombus.recording.inside import (
+    FIRST,
+    HOST_INTERFACE,
+    MOST_FRAMES,
+    NAME,
+    PER_AXIS,
+    SOURCE_INSIDE,
+    Limit,
+    inside_attachment,
+    inside_pdos,
+    of_axis,
+)
+from coulombus.recording.pcapng_reader import read_pcapng
+from coulombus.recording.pcapng_writer import PcapngWriter
+from coulombus.recording.pictures.plot import traces_of
+from coulombus.recording.recorder import Recorder
+from coulombus.recording.signals import blocks, decode_field, read, series
+from coulombus.rigs.rig import load_rig
+from coulombus.wire.frame import FRAME, new_records
+
+NAMES = [
+    *("host.phase", "host.trip", "host.limits", "host.gain", "host.stuck", "host.position_age"),
+    *("host.law_Nm", "host.law_brake_Nm", "host.velocity_rad_s", "host.x_stuck_rad"),
+]
+
+
+def told(rig="bench", mode="hybrid", **fields):
+    """Return a host's first axis with these fields, and what it tells by the signals' names."""
+    controllers = Controllers(load_rig(rig) if isinstance(rig, str) else rig, mode)
+    axis = controllers.axes[0]
+    axis.host.cycle = 1
+    for name, value in fields.items():
+        part, _, field = name.partition("__")
+        getattr(axis, part)[field] = value
+    return axis, said(controllers, axis)
+
+
+def said(controllers, axis, t_ns=5):
+    rows = new_records(FRAME, MOST_FRAMES)
+    count = tell(axis, 0, t_ns, rows, 0)
+    found = {}
+    attached = inside_attachment(controllers.each[0].law_state)[NAME]
+    for pdo in inside_pdos(controllers.rig, attached):
+        words = rows[:count]["word"][rows[:count]["can_id"] == pdo.layout.cob_id]
+        for entry, start, signal in zip(pdo.layout.entries, pdo.layout.starts, pdo.signals, strict=False):
+            found[signal.name] = [signal.si(one) for one in decode_field(words, start, entry).tolist()]
+    return found
+
+
+def test_each_field_of_a_cycle_is_told_by_its_name():
+    _, found = told(
+        host__phase=int(Phase.RUN),
+        host__trip=int(Trip.SIGN_TRAVEL),
+        host__gain=0.5,
+        host__position_age=3,
+        host__deadman_ok=1,
+        motion__v_rad_s=-0.75,
+        state__stuck=1,
+        state__x_stuck=-1.25,
+        state__psi_Nm=2.5,
+        state__brake_Nm=3.5,
+    )
+    assert found == {
+        "host.phase": [5],
+        "host.trip": [38],
+        "host.limits": [0],
+        "host.gain": [0.5],
+        "host.stuck": [1],
+        "host.position_age": [3],
+        "host.law_Nm": [2.5],
+        "host.law_brake_Nm": [3.5],
+        "host.velocity_rad_s": [-0.75],
+        "host.x_stuck_rad": [-1.25],
+    }
+
+
+@pytest.mark.parametrize(
+    ("counter", "limit"),
+    [
+        ("clipped_torque", Limit.TORQUE_CLIPPED),
+        ("slowed_torque", Limit.TORQUE_SLOWED),
+        ("limited_by_drive", Limit.BY_DRIVE),
+        ("clipped_setpoints", Limit.SETPOINT_CLIPPED),
+        ("negative_setpoints", Limit.SETPOINT_NEGATIVE),
+        ("withheld_compensation", Limit.COMPENSATION_WITHHELD),
+    ],
+)
+def test_a_limit_shows_in_the_cycle_in_which_it_acted(counter, limit):
+    controllers = Controllers(load_rig("bench"), "hybrid")
+    axis = controllers.axes[0]
+    axis.host.deadman_ok = 1
+    seen = []
+    for cycle in range(1, 5):
+        axis.host.cycle = cycle
+        axis.host[counter] += cycle in (2, 3)
+        seen += said(controllers, axis)["host.limits"]
+    assert seen == [0, limit, limit, 0]
+
+
+def test_a_missed_tpdo_and_an_open_switch_show():
+    _, found = told(host__missed_in_a_row=2, host__deadman_ok=0)
+    assert found["host.limits"] == [Limit.TPDO_MISSED | Limit.DEADMAN_OPEN]
+
+
+def test_a_cycle_is_told_once_and_not_before_its_end():
+    controllers = Controllers(load_rig("two_axes"), "hybrid")
+    rows = new_records(FRAME, 4 * MOST_FRAMES)
+    controllers.axes[0].host.cycle = controllers.axes[1].host.cycle = 1
+    controllers.axes[1].host.waiting = 1
+    assert tell_all(controllers.axes, 7, rows, 2) == 5
+    assert rows["can_id"][2:5].tolist() == [FIRST, FIRST + 1, FIRST + 2]
+    assert set(rows["t_ns"][2:5].tolist()) == {7}
+    assert set(rows["source"][2:5].tolist()) == {SOURCE_INSIDE}
+    controllers.axes[1].host.waiting = 0
+    assert tell_all(controllers.axes, 8, rows, 5) == 8
+    assert rows["can_id"][5:8].tolist() == [FIRST + PER_AXIS + k for k in range(3)]
+    assert tell_all(controllers.axes, 9, rows, 8) == 8
+
+
+def test_an_age_and_a_gain_beyond_their_fields_end_at_them():
+    _, found = told(host__position_age=1000, host__gain=1.5)
+    assert found["host.position_age"] == [127]
+    assert found["host.gain"] == [1.0]
+
+
+def test_what_a_law_keeps_has_its_names_and_units():
+    rig = load_rig("bench", overrides=["law.function=gms"])
+    controllers = Controllers(rig, "active")
+    axis = controllers.axes[0]
+    axis.host.cycle = 1
+    axis.state["user"] = np.arange(16) + 0.5
+    found = said(controllers, axis)
+    kept = {name: value for name, value in found.items() if name.startswith("host.law.")}
+    assert kept == {f"host.law.F_{k + 1}_Nm": [k + 0.5] for k in range(4)} | {
+        f"host.law.slips_{k + 1}": [k + 4.5] for k in range(4)
+    }
+    pdos = inside_pdos(rig, inside_attachment(controllers.each[0].law_state)[NAME])
+    units = {signal.name: signal.unit for pdo in pdos for signal in pdo.signals}
+    assert units["host.law.F_2_Nm"] == "Nm"
+    assert units["host.law.slips_1"] == ""
+
+
+def test_an_odd_number_that_a_law_keeps_is_one_signal():
+    rig = load_rig("bench", overrides=["law.function=lugre"])
+    controllers = Controllers(rig, "active")
+    controllers.axes[0].host.cycle = 1
+    controllers.axes[0].state["user"] = 0.125
+    assert said(controllers, controllers.axes[0])["host.law.z_rad"] == [0.125]
+
+
+def test_a_damaged_attachment_tells_of_nothing():
+    rig = load_rig("bench")
+    assert inside_pdos(rig, None) == ()
+    assert inside_pdos(rig, b"\xff{") == ()
+    assert inside_pdos(rig, b"7") == ()
+    assert len(inside_pdos(rig, json.dumps(["a"] * 99).encode())) == MOST_FRAMES
+
+
+def test_an_axis_sees_its_own():
+    pdos = inside_pdos(load_rig("two_axes"), b"[]")
+    left, right = load_rig("two_axes").axis_names
+    assert [signal.name for pdo in of_axis(pdos, right) for signal in pdo.signals] == NAMES
+    assert {pdo.layout.cob_id for pdo in of_axis(pdos, right)} == {FIRST + PER_AXIS + k for k in range(3)}
+    assert {pdo.layout.cob_id for pdo in of_axis(pdos, left)} == {FIRST + k for k in range(3)}
+
+
+# in a file
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory):
+    path = tmp_path_factory.mktemp("inside") / "run.pcapng"
+    simulate("bench", mode="hybrid", seconds=1.0, record=path)
+    return path
+
+
+def test_a_simulated_run_has_them_once_a_cycle_behind_their_frames(simulated):
+    recording = read(simulated)
+    assert [name for name in recording.signals if name.startswith("host.")] == NAMES
+    cycles = np.count_nonzero(recording.frames["can_id"] == 0x80)
+    assert {len(recording[name]) for name in NAMES} == {cycles}
+    phases = recording["host.phase"].values
+    assert phases[0] == Phase.STILL
+    assert (np.diff(phases) >= 0).all()
+    assert Phase.RUN in phases
+    gain = recording["host.gain"]
+    assert 0.1 < gain.values.max() <= 1.0
+    run = recording["host.phase"].values == Phase.RUN
+    expected = gain.values * recording["host.law_brake_Nm"].values
+    assert recording["brake.setpoint_Nm"].values[run] == pytest.approx(expected[run], abs=0.002)
+
+
+def test_the_frames_of_the_bus_are_those_without_it(simulated):
+    capture = read_pcapng(simulated)
+    assert not (capture.frames["can_id"] >= FIRST).any()
+    assert (capture.inside["can_id"] >= FIRST).all()
+    assert next(text for _, text in read(simulated).markers) == "run hybrid"
+    assert (np.diff(capture.inside["t_ns"]) >= 0).all()
+
+
+def test_blocks_have_the_same_signals(simulated):
+    whole = read(simulated)
+    for name in NAMES:
+        (one,) = series(blocks(simulated), name)
+        assert np.array_equal(one.values, whole[name].values)
+        assert np.array_equal(one.t_s, whole[name].t_s)
+
+
+def test_exports_and_plots_know_them(simulated, tmp_path):
+    export(simulated, tmp_path / "run.csv", "csv", signals=["host.phase", "motor.position_rad"])
+    lines = [line for line in (tmp_path / "run.csv").read_text().splitlines() if not line.startswith("#")]
+    assert lines[0] == "t_s,motor.position_rad,host.phase"
+    times = [float(line.split(",")[0]) for line in lines[1:]]
+    assert times == sorted(times)
+    assert len(times) == 2 * len(read(simulated)["host.phase"])
+    shown = traces_of(read(simulated), ["host.gain", "host.law_brake_Nm"])
+    assert [trace.name for trace in shown.traces] == ["host.gain", "host.law_brake_Nm"]
+    assert not [trace for trace in traces_of(read(simulated)).traces if trace.name.startswith("host.")]
+
+
+def test_a_log_of_frames_has_none_of_them(simulated, tmp_path):
+    made = export(simulated, tmp_path / "run.log", "candump").path
+    assert len(made.read_text().splitlines()) == len(read(simulated).frames)
+
+
+def test_runs_that_differ_inside_alone_differ(simulated, tmp_path):
+    capture = read_pcapng(simulated)
+    merged = np.concatenate((capture.frames, capture.inside)).view(np.recarray)
+    merged["source"][len(capture.frames) :] = SOURCE_INSIDE
+    merged = merged[np.argsort(merged["t_ns"], kind="stable")]
+    changed = np.flatnonzero(merged["can_id"] == FIRST + 1)[500]
+    merged["word"][changed] ^= 1 << 62
+    with PcapngWriter(tmp_path / "b.pcapng", attachments=capture.attachments, second=HOST_INTERFACE) as writer:
+        writer.write(merged)
+    found = compare(simulated, tmp_path / "b.pcapng")
+    assert [one.name for one in found.signals if not one.equal] == ["host.law_brake_Nm"]
+    assert compare(simulated, tmp_path / "b.pcapng", tolerances={"rad": 0.0}).equal is False  # no phases are in it
+
+
+def test_a_recording_without_them_is_compared_by_the_others(simulated, tmp_path):
+    capture = read_pcapng(simulated)
+    with PcapngWriter(tmp_path / "b.pcapng", attachments=capture.attachments) as writer:
+        comments: dict[int, str] = {}
+        for row, text in capture.comments:
+            comments[row] = f"{comments[row]}\n{text}" if row in comments else text
+        writer.write(capture.frames, comments)
+    bare = tmp_path / "bare.pcapng"
+    others = {name: content for name, content in capture.attachments.items() if name != NAME}
+    with PcapngWriter(bare, attachments=others) as writer:
+        writer.write(capture.frames, comments)
+    assert compare(simulated, bare, tolerances={"": 0.0}).equal
+    found = compare(simulated, bare)
+    assert not found.equal
+    assert any("what the host told of itself" in text for text in found.remarks)
+
+
+def test_markers_stand_at_frames_of_the_bus(tmp_path):
+    rig = load_rig("bench")
+    frames = new_records(FRAME, 4)
+    frames["t_ns"], frames["can_id"] = [1, 2, 3, 4], [0x80, FIRST, FIRST + 1, 0x181]
+    frames["source"] = [0, SOURCE_INSIDE, SOURCE_INSIDE, 0]
+    with Recorder(tmp_path / "a.pcapng", rig, "hybrid", law_state=()) as recorder:
+        recorder.mark(2, "here")
+        recorder.write(frames[1:3])
+        recorder.write(frames)
+    capture = read_pcapng(tmp_path / "a.pcapng")
+    assert capture.comments == [(1, "here")]
+    assert capture.frames["can_id"].tolist() == [0x80, 0x181]
+    assert capture.inside["can_id"].tolist() == [FIRST, FIRST + 1, FIRST, FIRST + 1]
+
+
+def test_a_comment_on_a_frame_that_was_on_no_bus_goes_to_the_one_behind(tmp_path):
+    frames = new_records(FRAME, 3)
+    frames["t_ns"], frames["can_id"], frames["source"] = [1, 2, 3], [0x80, FIRST, 0x181], [0, SOURCE_INSIDE, 0]
+    with PcapngWriter(tmp_path / "a.pcapng", attachments={}, second=HOST_INTERFACE) as writer:
+        writer.write(frames, {1: "by hand"})
+    assert read_pcapng(tmp_path / "a.pcapng").comments == [(1, "by hand")]
+
+
+def test_the_bus_own_recording_has_no_second_interface(tmp_path):
+    path = record(tmp_path / "a.pcapng")
+    assert HOST_INTERFACE.encode() not in path.read_bytes()
+    assert not [name for name in read(path).signals if name.startswith("host.")]
+
+
+@pytest.mark.skipif(shutil.which("tshark") is None, reason="tshark is not installed")
+def test_wireshark_names_the_second_interface(simulated):
+    command = ["tshark", "-r", os.fspath(simulated), "-T", "fields", "-e", "frame.interface_name", "-e", "can.id"]
+    lines = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
+    assert lines.count(f"{HOST_INTERFACE}\t{0x1FC00000}") == len(read(simulated)["host.phase"])
