@@ -6,6 +6,7 @@ import logging
 import math
 import os
 import threading
+import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
@@ -13,6 +14,7 @@ from coulombus.recording.signals import signal_of
 from coulombus.rigs.arguments import WrongCall
 from coulombus.rigs.buses import one_bus
 from coulombus.rigs.rig import Rig, load_rig
+from coulombus.rigs.signals import RigPdo
 from coulombus.scope.live import values_of
 from coulombus.wire.client import BusDown, BusFull, Client
 from coulombus.wire.hello import Flags, Hello
@@ -20,6 +22,7 @@ from coulombus.wire.hello import Flags, Hello
 __all__ = ["Callback", "LiveBus", "live"]
 
 WAIT_S = 0.1
+ASK_S = 1.0
 
 logger = logging.getLogger(__name__)
 
@@ -59,13 +62,19 @@ class Callback:
 
 
 class LiveBus:
-    """A bus that is listened to in a thread of its own, until `close` or the end of ``with``."""
+    """A bus that is listened to in a thread of its own, until `close` or the end of ``with``.
+
+    `malformed` counts by "motor.TPDO1" the frames of a PDO whose length is not the rig's: they call
+    nothing. The first of each PDO, and the first frames that are lost, are logged as a warning.
+    """
 
     def __init__(self, client: Client, rig: Rig) -> None:
         self.rig = rig
         self._client = client
         self._pdos = {pdo.layout.cob_id: pdo for pdo in rig.pdos()}
         self._carried = {can_id: {signal.name for signal in pdo.signals} for can_id, pdo in self._pdos.items()}
+        self.malformed: dict[str, int] = {}
+        self._told_lost = False
         self._callbacks: tuple[Callback, ...] = ()
         self._lock = threading.Lock()
         self._stop = threading.Event()
@@ -99,7 +108,7 @@ class LiveBus:
         if not names:
             raise ValueError('no signal is named: on("motor.position_rad", f) or on(["...", "..."], f)')
         for name in names:
-            signal_of(self.rig, name, f"rig {self.rig.name}")
+            signal_of(self.rig.pdos(), name, f"rig {self.rig.name}")
         callback = Callback(names, function)
         with self._lock:
             self._callbacks = (*(one for one in self._callbacks if not one._ended), callback)
@@ -107,7 +116,9 @@ class LiveBus:
 
     @property
     def lost(self) -> int:
-        """Frames that the bus could not give to this listener, as far as the bus has told."""
+        """Frames that found no place in this listener's queue: the call-backs are slower than the
+        bus. The virtual bus is asked once a second.
+        """
         return self._client.lost
 
     def wait(self, seconds: float | None = None) -> bool:
@@ -131,21 +142,44 @@ class LiveBus:
 
     def _run(self) -> None:
         with self._client as client:
+            asked = time.monotonic()
             while not self._stop.is_set():
                 try:
                     client.wait(WAIT_S)
                     while not self._stop.is_set() and (found := client.receive()):
                         for t_ns, can_id, length, data in found:
                             self._take(t_ns, can_id, length, data)
+                        if time.monotonic() - asked > ASK_S:
+                            break
+                    if time.monotonic() - asked > ASK_S:
+                        asked = time.monotonic()
+                        client.ask()
+                    self._tell_lost()
                 except (BusDown, BusFull):
                     self._stop.wait(WAIT_S)
                 except OSError as error:
                     self._failure = error
                     return
 
+    def _tell_lost(self) -> None:
+        if self.lost and not self._told_lost:
+            self._told_lost = True
+            text = "%s: %d frames were lost: the call-backs are slower than the bus; it is told once, and counted"
+            logger.warning(text, self._client.address, self.lost)
+
+    def _tell_malformed(self, pdo: RigPdo, length: int) -> None:
+        name = f"{pdo.node}.{pdo.name}"
+        self.malformed[name] = self.malformed.get(name, 0) + 1
+        if self.malformed[name] == 1:
+            text = "%s came with %d bytes, the rig has %d: is this the rig of this bus? it is told once, and counted"
+            logger.warning(text, name, length, pdo.layout.length)
+
     def _take(self, t_ns: int, can_id: int, length: int, data: bytes) -> None:
         pdo = self._pdos.get(can_id)
-        if pdo is None or pdo.layout.length != length:
+        if pdo is None:
+            return
+        if pdo.layout.length != length:
+            self._tell_malformed(pdo, length)
             return
         wanting = [one for one in self._callbacks if not self._carried[can_id].isdisjoint(one.names)]
         told = values_of(pdo, data) if wanting else {}

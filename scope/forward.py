@@ -151,7 +151,12 @@ def forward(
     error = next((one.error for one in called if one.error is not None), None)
     if error is not None:
         raise error
-    return {"pdos": sent, "unheard": getattr(sink, "unheard", 0), "lost": bus.lost}
+    return {
+        "pdos": sent,
+        "unheard": getattr(sink, "unheard", 0),
+        "lost": bus.lost,
+        "malformed": sum(bus.malformed.values()),
+    }
 
 
 def _nested(values: Mapping[str, Any]) -> dict[str, Any]:

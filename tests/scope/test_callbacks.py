@@ -64,6 +64,34 @@ def test_a_callback_may_close_the_bus(bus):
     assert only.calls == 1
 
 
+def test_a_pdo_of_another_length_is_counted_and_told_once(bus, caplog):
+    done = threading.Event()
+    with live("bench") as heard:
+        only = heard.on(NAME, lambda t_s, value: done.set())
+        can_id, data = frames_of(heard)
+        bus.deliver((can_id, data[:-1]), (can_id, data[:-2]), (can_id, data))
+        assert done.wait(5)
+        assert heard.malformed == {"motor.TPDO1": 2}
+    assert only.calls == 1
+    assert [record.getMessage() for record in caplog.records] == [
+        "motor.TPDO1 came with 7 bytes, the rig has 8: is this the rig of this bus? it is told once, and counted"
+    ]
+
+
+def test_frames_that_found_no_place_are_asked_for(bus, monkeypatch, caplog):
+    monkeypatch.setattr("coulombus.scope.callbacks.ASK_S", 0.0)
+    with live("bench") as heard:
+        assert heard.lost == 0
+        bus.lost = 12
+        for _ in range(100):
+            bus.deliver(frames_of(heard))
+            if heard.lost == 12 and caplog.records:
+                break
+            heard.wait(0.05)
+        assert heard.lost == 12
+    assert "12 frames were lost" in caplog.text
+
+
 def test_what_is_wrong_is_said(bus):
     with live("coulombus:bench") as heard:
         with pytest.raises(UnknownSignal, match=r"no signal 'motor.positon_rad' .* there is motor.position_rad"):

@@ -145,7 +145,7 @@ def test_the_verb_says_where_and_how_much(bus):
     assert result.exit_code == 0, result.output
     ready, end = map(json.loads, result.stdout.splitlines())
     assert ready == {"event": "ready", "url": f"udp://127.0.0.1:{port}"}
-    assert end == {"event": "end", "pdos": 0, "unheard": 0, "lost": 0}
+    assert end == {"event": "end", "pdos": 0, "unheard": 0, "lost": 0, "malformed": 0}
 
 
 @pytest.mark.parametrize(
