@@ -101,8 +101,8 @@ def export(
     Raises
     ------
     ExportError
-        There is no frame, a library is not installed, or `kind` holds whole frames and `signals` or
-        a grid is given.
+        There is no frame, a library is not installed, `kind` holds whole frames and `signals` or a
+        grid is given, or `out` is the recording itself or has the ending of another kind.
     coulombus.recording.signals.UnknownSignal
         A signal that the recording does not have.
     OSError
@@ -114,6 +114,7 @@ def export(
     path, out = path_text(path, "path", call), path_text(out, "out", call)
     if kind not in KINDS:
         raise ExportError(f"{kind!r}: expected one of {', '.join(KINDS)}")
+    _check_place(Path(path), Path(out), kind)
     if kind in FRAMES:
         if signals is not None or grid_ns is not None:
             raise ExportError(f"{kind} holds whole frames: leave the signals and the grid out")
@@ -132,6 +133,20 @@ def export(
             progress(until)
     names = tuple(column.name for group in groups for column in group.columns)
     return Exported(Path(out), kind, until, rows, names, source.remarks)
+
+
+def _check_place(path: Path, out: Path, kind: str) -> None:
+    """Refuse to write over the recording itself, and a name that is another kind's."""
+    whole = out.exists() and path.exists()
+    if whole and (out.samefile(path) or (path.is_dir() and path.resolve() in out.resolve().parents)):
+        raise ExportError(f"{out}: that is the recording itself; nothing is written over it; choose another name")
+    others = {suffix: name for name, suffix in KINDS.items() if suffix != KINDS[kind]} | {".pcapng": ""}
+    suffix = out.suffix.lower()
+    if suffix in others:
+        other = others[suffix]
+        remedy = f", or --to {other}" if other else ""
+        wanted = out.with_suffix(KINDS[kind]).name
+        raise ExportError(f"{out}: {suffix} is the ending of {other or 'a recording'}; expected {wanted}{remedy}")
 
 
 @contextmanager

@@ -327,3 +327,24 @@ def test_a_library_that_is_absent_is_named_with_its_extra(source, tmp_path, monk
     with pytest.raises(MissingExtra, match=r"parquet needs pyarrow.*coulombus\[export\]"):
         export(source, tmp_path / "run.parquet", "parquet")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("kind", ["csv", "candump"])
+def test_nothing_is_written_over_the_recording_itself(source, tmp_path, kind):
+    copied = tmp_path / "run.pcapng"
+    shutil.copy(source, copied)
+    link = tmp_path / "link.csv"
+    link.symlink_to(copied)
+    for out in (copied, link):
+        with pytest.raises(ExportError, match="that is the recording itself"):
+            export(copied, out, kind, force=True)
+    assert copied.read_bytes() == source.read_bytes()
+
+
+def test_a_name_of_another_kind_is_refused(source, tmp_path):
+    with pytest.raises(ExportError, match=r".parquet is the ending of parquet; expected g.csv, or --to parquet"):
+        export(source, tmp_path / "g.parquet", "csv")
+    with pytest.raises(ExportError, match=r".pcapng is the ending of a recording; expected g.log"):
+        export(source, tmp_path / "g.pcapng", "candump")
+    assert not list(tmp_path.iterdir())
+    assert export(source, tmp_path / "g.txt", "csv").rows == 4 * CYCLES
