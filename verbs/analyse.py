@@ -17,6 +17,7 @@ from coulombus.verbs.common import (
     errors,
     force_option,
     json_option,
+    on_terminal,
     print_json,
     printed,
     remark,
@@ -112,7 +113,7 @@ def _tell(as_json: bool, value: Callable[[], Any], lines: Callable[[], Any]) -> 
             print_json(plain(value()))
             return
         for line in lines():
-            click.echo(line)
+            click.echo(on_terminal(line, 22))
 
 
 def _tell_paths(paths: list[Path]) -> None:

@@ -16,6 +16,7 @@ from coulombus.verbs.common import (
     print_json,
     rig_option,
     set_option,
+    terminal_columns,
     verdict,
 )
 
@@ -184,27 +185,25 @@ class _Findings:
             click.echo(f"\nbring-up in mode {self.rig.modes[-1]}:")
             for step in self._steps():
                 when = " if it differs" if step["only_if_different"] else ""
-                click.echo(
-                    f"  {step['device']:<12} {step['object']} := {step['value']:#x} ({step['bits']} bits){when}  {step['why']}"
-                )
+                value = f"{step['value']:#x} ({step['bits']} bits){when}"
+                click.echo(on_terminal(f"  {step['device']:<12} {step['object']} := {value}  {step['why']}", 15))
         self._tell_reactions()
         for mode, limit in self.limits.items():
             click.echo(f"mode {mode}: drive torque limit 6072h = {limit} per mille")
         if self.rig.law_function.strip() not in OWN_LAWS:
-            click.echo(
-                f"law {self.rig.law_function}: what a limit cuts off of it is not known before it runs; the run tells"
-            )
+            unknown = "what a limit cuts off of it is not known before it runs; the run tells"
+            click.echo(on_terminal(f"law {self.rig.law_function}: {unknown}", 4))
         for text in self.rig.host.accept:
-            click.echo(f"accepted: {text}")
+            click.echo(on_terminal(f"accepted: {text}", 4))
         for text in self.losses:
-            click.echo(f"lost: {text}")
+            click.echo(on_terminal(f"lost: {text}", 4))
         for text in self.questions:
-            click.echo(f"open: {text}")
+            click.echo(on_terminal(f"open: {text}", 4))
         for problem in (*self.problems, *self.cut):
-            click.echo(f"FAIL: {problem}")
+            click.echo(on_terminal(f"FAIL: {problem}", 4))
         for planned in self.buses.values():
             if not planned.fits:
-                click.echo(f"FAIL: {planned.verdict()}")
+                click.echo(on_terminal(f"FAIL: {planned.verdict()}", 4))
         if self.ok:
             click.echo("ok, if the devices answer what is open above" if self.questions else "ok")
 
@@ -215,12 +214,14 @@ class _Findings:
             for one in axis.allocation.bound.bindings
             if one.decided
         }
+        width = terminal_columns()
+        columns = {} if width is None else {"columns": width}
         for pdo in self.rig.pdos():
             click.echo(
                 f"\n{pdo.node} {pdo.name}, COB-ID {pdo.layout.cob_id:03X}h, transmission type {pdo.layout.transmission}"
                 + (", its map is fixed" if pdo.fixed else "")
             )
-            click.echo(pdo.layout.diagram())
+            click.echo(pdo.layout.diagram(**columns))
             for signal in pdo.signals:
                 unit = f" {signal.unit}" if signal.unit else ""
                 by = f"  by {decided[signal.name]}" if signal.name in decided else ""
@@ -243,4 +244,4 @@ class _Findings:
         for one in self.reactions:
             within = f"within {one.within_s:g} s by {one.who}" if one.who else "nobody notices"
             off = "" if one.safe_s is None else f" within {one.safe_s:g} s"
-            click.echo(f"  {one.device:<12} {one.fault:<10} {within}: {one.what}{off}")
+            click.echo(on_terminal(f"  {one.device:<12} {one.fault:<10} {within}: {one.what}{off}", 26))

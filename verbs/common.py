@@ -74,6 +74,7 @@ __all__ = [
     "shared_machine_option",
     "signals_option",
     "table_console",
+    "terminal_columns",
     "verdict",
 ]
 
@@ -589,9 +590,13 @@ def on_terminal(line: str, indent: int) -> str:
     """Return a line of stdout: broken as `hanging` does where a terminal ends, whole in a file or a
     pipe.
     """
-    if not sys.stdout.isatty():
-        return line
-    return hanging(line, shutil.get_terminal_size().columns, indent)
+    columns = terminal_columns()
+    return line if columns is None else hanging(line, columns, indent)
+
+
+def terminal_columns() -> int | None:
+    """Return the width of the terminal that stdout is; None of a file or a pipe."""
+    return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
 
 
 def hanging(text: str, width: int, indent: int) -> str:

@@ -15,7 +15,7 @@ from coulombus.analysis.rig.friction_study import FrictionStudy
 from coulombus.analysis.rig.hold import HoldStudy
 from coulombus.analysis.rig.maps import OscillationMap, at
 from coulombus.analysis.rig.through_bus import BusCycle
-from coulombus.lab.demo.traces import draw_detail, draw_traces
+from coulombus.lab.demo.traces import draw_detail, draw_traces, share_labels
 from coulombus.recording.friction.identify import Identification
 from coulombus.recording.pictures.style import BLACK, BLUE, COLOURS, DASHES, GREY, VERMILION, figure, label, save
 
@@ -140,7 +140,7 @@ def write_fig14(directory: Path, data: HoldStudy) -> list[Path]:
             traces = data.traces[mode]
             draw_traces(axes[0, column], axes[1, column], traces, name)
             draw_detail(axes[2, column], traces)
-        axes[0, 0].legend(loc="lower left", ncols=2)
+        share_labels(made, axes)
         return [*save(made, directory, "fig14-hold-and-stroke")]
 
 

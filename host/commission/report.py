@@ -15,7 +15,6 @@ from coulombus.rigs.rig import Rig
 __all__ = ["report"]
 
 PICTURE_INCHES = (4.4, 2.9)
-COLOURS = ("#0b5394", "#b45f06", "#38761d")
 STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; color: #1a1a1a; max-width: 980px; margin: 2em auto; padding: 0 1em; }
 h1 { font-size: 1.5em; margin-bottom: 0; } h2 { font-size: 1.15em; margin: 1.6em 0 .3em; border-bottom: 1px solid #bbb; }
@@ -89,22 +88,21 @@ def _picture(curve: Mapping[str, Any]) -> str:
     """Return a curve as an SVG element."""
     from matplotlib import rc_context
     from matplotlib.backends.backend_svg import FigureCanvasSVG
-    from matplotlib.figure import Figure
 
-    with rc_context({"svg.fonttype": "none", "font.size": 9, "svg.hashsalt": "coulombus"}):
-        figure = Figure(figsize=PICTURE_INCHES, layout="constrained")
-        ax = figure.add_subplot()
-        for colour, (name, (x, y, style)) in zip(COLOURS * 3, curve["lines"].items(), strict=False):
-            ax.plot(x, y, style, color=colour, label=name, linewidth=1.2, markersize=3.5)
-        ax.set(title=curve["title"], xlabel=curve["x"], ylabel=curve["y"])
-        ax.grid(alpha=0.3)
+    from coulombus.recording.pictures.style import COLOURS, figure, label
+
+    with figure(*PICTURE_INCHES) as (made, ax), rc_context({"svg.fonttype": "none"}):
+        lines = tuple(curve["lines"].items())
+        for colour, (name, (x, y, style)) in zip(COLOURS * 3, lines, strict=False):
+            ax.plot(x, y, style, color=colour, label=name, markersize=3.5)
+        label(ax, curve["x"], curve["y"], curve["title"])
         low, high = ax.get_ylim()
         middle = 0.5 * (low + high)
         if high - low < 0.1 * abs(middle):  # what hardly differs is to look so
             ax.set_ylim(middle - 0.1 * abs(middle), middle + 0.1 * abs(middle))
-        if len(curve["lines"]) > 1:
-            ax.legend(fontsize=8, framealpha=0.9)
+        if len(lines) > 1:
+            ax.legend()
         file = io.StringIO()
-        FigureCanvasSVG(figure).print_svg(file, metadata={"Date": None})  # type: ignore[no-untyped-call]
+        FigureCanvasSVG(made).print_svg(file, metadata={"Date": None})  # type: ignore[no-untyped-call]
     text = file.getvalue()
     return text[text.index("<svg") :]

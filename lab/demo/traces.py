@@ -17,8 +17,9 @@ from coulombus.recording.signals import Source, series
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
-__all__ = ["HANDLE", "Traces", "draw_detail", "draw_traces", "figure_14", "traces"]
+__all__ = ["HANDLE", "Traces", "draw_detail", "draw_traces", "figure_14", "share_labels", "traces"]
 
 SHADES = {"rest": "#ffffff", "hold": "#ececec", "stroke": "#f7f7f7"}
 HANDLE = "brake.handle_torque_Nm"
@@ -133,6 +134,18 @@ def draw_detail(axes: Axes, data: Traces) -> None:
     axes.margins(x=0)
 
 
+def share_labels(made: Figure, axes: Any) -> None:
+    """Let the columns share the labels of their quantities, and one legend below all of them."""
+    for one in axes[:, 1:].flat:
+        one.set_ylabel("")
+    low, high = axes[0, 0].get_ylim()
+    axes[0, 0].set_ylim(low, high + 0.1 * (high - low))  # room for the phases' names
+    known: dict[str, Any] = {
+        label: artist for one in axes[0] for artist, label in zip(*one.get_legend_handles_labels(), strict=True)
+    }
+    made.legend(known.values(), known.keys(), loc="outside lower center", ncols=len(known))
+
+
 def figure_14(recordings: Mapping[str, tuple[str, Source]], path: Path) -> None:
     """Save torque and velocity of recordings, a column each, as a picture (the ending names the
     format).
@@ -147,14 +160,7 @@ def figure_14(recordings: Mapping[str, tuple[str, Source]], path: Path) -> None:
             data = traces(recording, mode)
             draw_traces(axes[0, column], axes[1, column], data, name)
             draw_detail(axes[2, column], data)
-        for one in axes[:, 1:].flat:
-            one.set_ylabel("")
-        low, high = axes[0, 0].get_ylim()
-        axes[0, 0].set_ylim(low, high + 0.1 * (high - low))  # room for the phases' names
-        known: dict[str, Any] = {
-            label: artist for one in axes[0] for artist, label in zip(*one.get_legend_handles_labels(), strict=True)
-        }
-        made.legend(known.values(), known.keys(), loc="outside lower center", ncols=len(known))
+        share_labels(made, axes)
         rig = next(iter(recordings.values()))[1].rig.name
         made.suptitle(f"Friction display on the rig '{rig}', from the recorded PDOs", fontsize=12)
         metadata: dict[str, Any] = {"Date": None} if path.suffix == ".svg" else {"Software": None}

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from coulombus.recording.difference import Comparison, Difference, Pair
+from coulombus.recording.inside import NODE
 from coulombus.recording.pictures.plot import Envelope
 from coulombus.recording.pictures.style import BLUE, GREY, VERMILION, figure
 
@@ -19,8 +20,11 @@ MOST_ROWS = 8
 
 
 def draw_differences(found: Comparison) -> Figure:
-    """Return a figure with a row for each signal: those with a unit first, at most `MOST_ROWS`."""
-    shown = sorted((one for one in found.signals if one.samples), key=lambda one: not one.unit)[:MOST_ROWS]
+    """Return a figure with a row for each signal: those with a unit first, at most `MOST_ROWS`; what
+    the host told of itself only where it differs.
+    """
+    there = [one for one in found.signals if one.samples and not (_inside(one.name) and one.equal)]
+    shown = sorted(there, key=lambda one: (not one.unit, _inside(one.name)))[:MOST_ROWS]
     with figure(11, 1.2 + 1.6 * max(len(shown), 1), max(len(shown), 1), 2, squeeze=False, sharex=True) as (made, axes):
         for row, one in zip(axes, shown, strict=False):
             _draw_row(row, one, found.pairs[one.name])
@@ -31,6 +35,10 @@ def draw_differences(found: Comparison) -> Figure:
         for axis in axes[-1]:
             axis.set_xlabel("time in A [s]")
     return made
+
+
+def _inside(name: str) -> bool:
+    return f".{name}".rfind(f".{NODE}.") >= 0
 
 
 def _draw_row(row: tuple[Axes, Axes], one: Difference, pair: Pair) -> None:

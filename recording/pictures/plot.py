@@ -6,7 +6,7 @@ the largest value: a spike of one sample is seen at any length.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from coulombus.recording.pictures.style import COLOURS, DASHES, figure
+from coulombus.recording.pictures.style import COLOURS, DASHES, QUANTITIES, WORDS, figure
 from coulombus.recording.readable import Readable
 from coulombus.recording.samples import EXAMPLE
 from coulombus.recording.span import SpanError, checked_span
@@ -160,9 +160,10 @@ def draw(made: Figure, data: Plot) -> None:
         panels.setdefault(trace.unit or trace.name, []).append(trace)
     axes = made.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
     for one, traces in zip(axes, panels.values(), strict=True):
-        for k, trace in enumerate(traces):
-            _draw_trace(one, trace, k)
-        one.set_ylabel(f"[{traces[0].unit}]" if traces[0].unit else "bits")
+        for trace, (colour, dashes) in zip(traces, _manners(traces), strict=True):
+            _draw_trace(one, trace, colour, dashes)
+        unit = traces[0].unit
+        one.set_ylabel(f"{WORDS.get(unit, '')} [{unit}]".strip() if unit else traces[0].name.rpartition(".")[2])
         one.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
         one.margins(x=0)
         for t_s, _ in data.markers:
@@ -173,8 +174,23 @@ def draw(made: Figure, data: Plot) -> None:
     _write_markers(axes[0], data)
 
 
-def _draw_trace(axes: Axes, trace: Trace, k: int) -> None:
-    colour, dashes = COLOURS[k % len(COLOURS)], DASHES[k % len(DASHES)]
+def _manners(traces: Sequence[Trace]) -> Iterator[tuple[str, Any]]:
+    """Yield colour and dashes: a quantity has its own colour, the same one of another axis other
+    dashes, and the rest what is left.
+    """
+    fixed = [QUANTITIES.get(trace.name.rpartition(".")[2]) for trace in traces]
+    free = [colour for colour in COLOURS if colour not in fixed] or list(COLOURS)
+    seen: dict[str, int] = {}
+    rest = 0
+    for known in fixed:
+        colour = known or free[rest % len(free)]
+        rest += known is None
+        again = seen.get(colour, 0)
+        seen[colour] = again + 1
+        yield colour, DASHES[again % len(DASHES)]
+
+
+def _draw_trace(axes: Axes, trace: Trace, colour: str, dashes: Any) -> None:
     if trace.is_envelope:
         axes.fill_between(trace.t_s, trace.low, trace.high, color=colour, alpha=0.35, lw=0)
         axes.plot(trace.t_s, trace.high, color=colour, lw=0.7)
@@ -190,8 +206,8 @@ def _write_markers(axes: Axes, data: Plot) -> None:
     """
     width_s = (data.end_s - data.begin_s) * 0.011
     taken: list[tuple[float, float]] = []
-    for t_s, text in sorted(data.markers, key=lambda marker: not marker[1].startswith("phase "))[:MOST_MARKERS]:
-        shown = text.removeprefix("phase ")[:24]
+    for t_s, text in sorted(data.markers, key=lambda marker: "phase " not in marker[1])[:MOST_MARKERS]:
+        shown = text.removeprefix("phase ").replace(".phase ", " ")[:24]
         end_s = t_s + width_s * (len(shown) + 1)
         if any(t_s < end and begin < end_s for begin, end in taken):
             continue

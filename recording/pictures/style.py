@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -22,8 +23,10 @@ __all__ = [
     "GREY",
     "ORANGE",
     "PINK",
+    "QUANTITIES",
     "SKY",
     "VERMILION",
+    "WORDS",
     "figure",
     "label",
     "save",
@@ -42,6 +45,25 @@ GREY = "#808080"
 COLOURS = (BLUE, VERMILION, GREEN, ORANGE, SKY, PINK)
 DASHES = ("-", "--", ":", "-.", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 3)))
 """Beside the colour, each curve has a dash of its own."""
+
+QUANTITIES = MappingProxyType(
+    {
+        "target_torque_Nm": VERMILION,
+        "torque_Nm": PINK,
+        "handle_torque_Nm": BLUE,
+        "setpoint_Nm": ORANGE,
+        "position_rad": BLACK,
+        "velocity_rad_s": GREEN,
+        "coil_current_A": SKY,
+        "coil_temperature_degC": GREY,
+    }
+)
+"""Each quantity has one colour in every figure: the ends of signals' names."""
+
+WORDS = MappingProxyType(
+    {"Nm": "torque", "rad": "angle", "rad/s": "velocity", "A": "current", "degC": "temperature", "V": "voltage"}
+)
+"""What is measured in a unit."""
 
 SETTINGS: Any = {
     "font.size": 9,

@@ -19,6 +19,7 @@ import pytest
 from click.testing import CliRunner
 
 from coulombus.eds.cia402 import CONTROLWORD_FIELDS, STATUSWORD_FIELDS, word_fields
+from coulombus.recording.mf4_log import ready
 from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.recording.signals import read
 from coulombus.rigs.rig import load_rig
@@ -146,6 +147,7 @@ def test_canmatrix_reads_the_dbc(rig, folder):
 
 def test_asammdf_with_the_dbc_has_the_numbers_of_read(rig, folder, recording, tmp_path):
     asammdf = pytest.importorskip("asammdf")
+    ready()  # a verb that ran in this process has left asammdf out
     path = tmp_path / "run.mf4"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of asammdf's own calls
