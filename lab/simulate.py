@@ -32,7 +32,7 @@ from coulombus.rigs.rig import Rig, load_rig
 from coulombus.sim_bus.faults.file import FaultPlan, read_faults
 from coulombus.sim_bus.faults.injection import Injection, controllers_of
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
-from coulombus.sim_bus.rig.plant import TRUTH_COLUMNS
+from coulombus.sim_bus.rig.plant import truth_columns
 from coulombus.wire.clock import bus_ns
 from coulombus.wire.frame import Records
 
@@ -234,7 +234,9 @@ def simulate(
             check_output(path_on(path, channel) if len(chosen.channels) > 1 else path, force=force)
     if truth is not None:
         axes = (simulated or chosen).axes
-        size = sum(seconds / axis.simulation.plant.step_s * 8 * len(TRUTH_COLUMNS) for axis in axes)
+        size = sum(
+            seconds / axis.simulation.plant.step_s * 8 * len(truth_columns(axis.simulation.plant)) for axis in axes
+        )
         if size > TRUTH_BYTES:
             raise TruthError(
                 f"{truth}: {size / 1e9:.0f} GB of truth; show less than {seconds:g} s, or raise plant.step_s"

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from pydantic import BeforeValidator, ConfigDict, Field
 
 from coulombus.rigs.model import NS, SAYS_POLARITY, Nanoseconds, Polarity, Section, to_ns
+from coulombus.rigs.plant_detail import Cable, Fluid, Friction, Handle, Heat, Iron, Ripple
 
 __all__ = ["FilePhase", "HoldPhase", "Operator", "PaperPhase", "Phase", "Plant", "RestPhase", "StrokePhase"]
 
@@ -80,6 +81,22 @@ class Plant(Section):
         le=0.9,
         description="torque that the iron remembers, as a share of the largest since it was demagnetised",
     )
+    transducer_inertia_kg_m2: float | None = Field(
+        None, ge=-1, le=1, description="crosstalk: what the transducer reads for each rad/s^2 of the handle; none"
+    )
+    cable: Cable | None = Field(None, description="elastic transmission")
+    handle: Handle | None = Field(None, description="elastic handle")
+    friction: Friction | None = Field(None, description="more of the device's own friction")
+    fluid: Fluid | None = Field(None, description="more of the brake's fluid")
+    iron: Iron | None = Field(None, description="the brake's magnetic hysteresis")
+    ripple: Ripple | None = Field(None, description="the motor's torque ripple")
+    heat: Heat | None = Field(None, description="the device's temperature")
+
+    @property
+    def in_detail(self) -> bool:
+        """Whether it has anything beyond one rigid body."""
+        parts = self.cable, self.handle, self.friction, self.fluid, self.iron, self.ripple, self.heat
+        return any(part is not None for part in (*parts, self.transducer_inertia_kg_m2))
 
     @property
     def step_ns(self) -> int:

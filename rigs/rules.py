@@ -9,6 +9,7 @@ from itertools import combinations, pairwise, permutations
 from typing import Any
 
 from coulombus.rigs.axes import TAKEN, device_keys
+from coulombus.rigs.detail_rules import check_detail
 from coulombus.rigs.devices import SENSOR_NAME
 from coulombus.rigs.mistakes import Source, dotted, shown
 from coulombus.rigs.model import CIA_301_BIT_RATES, MODES, MOST_DEVICES, WORK_WINDOW_CYCLES, to_ns
@@ -189,6 +190,7 @@ def check(values: Table, source: Source) -> None:
     rules = (*RULES, *(PER_MILLE_RULES if per_mille else ()), *_rules_of_sensors(values))
     for key, value, wanted in list(_broken_rules(rules, values, source)):
         source.stands(key, value, wanted)
+    check_detail(values, source)
     for key in device_keys(values)[2:]:
         if not re.fullmatch(SENSOR_NAME, str(key[-1])) or key[-1] in TAKEN:
             wanted = "a name of small letters, digits and _, which begins with a letter and is not " + ", ".join(TAKEN)

@@ -42,7 +42,8 @@ from coulombus.sim_bus.copper.outcome import MOST_ROWS, end_attempt
 from coulombus.sim_bus.copper.stage import Delivered, Stage
 from coulombus.sim_bus.network.agenda import keep_deadline, look_again, next_device
 from coulombus.sim_bus.rig.coupling import COUPLING, BrakeOutput, brake_torque, show
-from coulombus.sim_bus.rig.plant import advance, coil_current, encoder_rad, transducer_Nm
+from coulombus.sim_bus.rig.course import CourseFunction
+from coulombus.sim_bus.rig.plant import coil_current, encoder_rad, transducer_Nm
 from coulombus.wire.clock import CLOCK_FIELDS, bus_ns, own_ns, to_bus
 from coulombus.wire.frame import FRAME, QUEUE_CAPACITY, Queue
 
@@ -198,7 +199,7 @@ def _sample(p: Record, axis: Record, nodes: Records) -> None:
 
 
 @inlined
-def _advance(world: World, a: int, t_ns: int) -> None:
+def _advance(world: World, course: CourseFunction, a: int, t_ns: int) -> None:
     """Bring the plant of axis `a` to the last grid point at or before `t_ns` (within the force
     block) under the held commands.
     """
@@ -207,24 +208,24 @@ def _advance(world: World, a: int, t_ns: int) -> None:
     if steps > 0:
         first = p.t_ns // p.step_ns - axis.force_step
         row = first if axis.truth_on else -1
-        advance(p, world.f_h[a], axis.steps_per_knot, first, steps, world.truth[a], row)
+        course(p, world.f_h[a], axis.steps_per_knot, first, steps, world.truth[a], row)
 
 
 @inlined
-def _look(world: World, a: int, t_ns: int) -> None:
+def _look(world: World, course: CourseFunction, a: int, t_ns: int) -> None:
     """Bring the rig of axis `a` to `t_ns` and let its devices look at it."""
-    _advance(world, a, t_ns)
+    _advance(world, course, a, t_ns)
     _sample(world.plant[a], world.axes[a], world.nodes)
 
 
 @inlined
-def actuate(world: World, a: int, t_ns: int) -> None:
+def actuate(world: World, course: CourseFunction, a: int, t_ns: int) -> None:
     """Let the rig of axis `a` feel what its devices command from `t_ns` on, when that has changed."""
     axis, p = world.axes[a], world.plant[a]
     motor, brake = world.nodes[axis.motor], world.nodes[axis.brake]
     brake_Nm = brake.out_brake_Nm if axis.brake_output == BrakeOutput.TORQUE else brake_torque(axis, brake)
     if motor.out_torque_pm != p.motor_pm or brake_Nm != p.brake_Nm or brake.out_reverse_A != p.reverse_A:
-        _advance(world, a, t_ns)
+        _advance(world, course, a, t_ns)
         p.reverse_A = brake.out_reverse_A
         p.motor_pm = motor.out_torque_pm
         p.brake_Nm = brake_Nm
@@ -246,7 +247,7 @@ def _keep(w: Record, out: Queue, first: int) -> None:
 
 
 @kernel
-def end_closely(world: World, b: Record) -> None:
+def end_closely(world: World, course: CourseFunction, b: Record) -> None:
     """End a frame, or a stretch of slow motion, that was looked at closely.
 
     Tell the devices what became of their controllers.
@@ -266,7 +267,7 @@ def end_closely(world: World, b: Record) -> None:
             own_time.link_changed(nodes[i], t, link, world.out)
             keep_deadline(world.deadlines, i, nodes[i])
             if world.axis_of[i] >= 0:
-                actuate(world, world.axis_of[i], t)
+                actuate(world, course, world.axis_of[i], t)
 
 
 @kernel
@@ -307,7 +308,7 @@ def next_event(w: Record, b: Record, out: Queue, deadlines: Integers, host: Reco
 
 
 @kernel
-def run(world: World, host: Host, law_function: LawFunction, closely: int | None) -> int:
+def run(world: World, host: Host, law_function: LawFunction, course: CourseFunction, closely: int | None) -> int:
     """Run until Python is needed; return the `Exit` that says why.
 
     `closely` None: up to where a close look is needed. Numba leaves out what stands behind a
@@ -332,7 +333,7 @@ def run(world: World, host: Host, law_function: LawFunction, closely: int | None
                 b = bus[choose(bus, out)]
             if cable.fault_calls != 0:
                 for a in range(axes.shape[0]):
-                    _look(world, a, w.t_ns)
+                    _look(world, course, a, w.t_ns)
                 return Exit.FAULT
         t, what = next_event(w, b, out, deadlines, host.axes)
         if t < w.t_ns:
@@ -343,7 +344,7 @@ def run(world: World, host: Host, law_function: LawFunction, closely: int | None
             w.t_ns = t = w.force_end_ns
             for a in range(axes.shape[0]):
                 if axes[a].force_end_ns == t:
-                    _advance(world, a, t)
+                    _advance(world, course, a, t)
                     w.axis = a
                     return Exit.FORCE
         w.t_ns = t
@@ -355,7 +356,7 @@ def run(world: World, host: Host, law_function: LawFunction, closely: int | None
             continue
         if what in (NOTHING, SCRIPT):
             for a in range(axes.shape[0]):
-                _advance(world, a, t)
+                _advance(world, course, a, t)
             return Exit.UNTIL if what == NOTHING else Exit.SCRIPT
         if what == HOST:
             first, t_host = out.count, own_ns(w, t)
@@ -368,26 +369,26 @@ def run(world: World, host: Host, law_function: LawFunction, closely: int | None
             i = next_device(deadlines)
             a = axis_of[i]
             if a >= 0:
-                _look(world, a, t)
+                _look(world, course, a, t)
             if closely is None or nodes[i].clock_on == 0:
                 core.on_time(nodes[i], t, out)
             else:
                 own_time.on_time(nodes[i], t, out)
             keep_deadline(deadlines, i, nodes[i])
             if a >= 0:
-                actuate(world, a, t)
+                actuate(world, course, a, t)
         else:
             if closely is None:
                 end_frame(b, world.log, w.log_count)
                 w.log_count += 1
             else:
-                end_closely(world, b)
+                end_closely(world, course, b)
                 if b.delivered == Delivered.NOBODY:
                     continue
             w.services = w.control_plane = w.heard = 0
             if b.can_id == CobId.SYNC or b.can_id == CobId.NMT:
                 for a in range(axes.shape[0]):
-                    _look(world, a, t)
+                    _look(world, course, a, t)
             plain = b.can_id <= 0x7FF
             for k in range(wants[b.can_id, 0] if plain else nodes.shape[0]):
                 i = wants[b.can_id, k + 1] if plain else k
@@ -401,7 +402,7 @@ def run(world: World, host: Host, law_function: LawFunction, closely: int | None
                         w.services += 1
                     keep_deadline(deadlines, i, nodes[i])
                     if axis_of[i] >= 0:
-                        actuate(world, axis_of[i], t)
+                        actuate(world, course, axis_of[i], t)
             if not w.host_elsewhere and receives(b, step.SOURCE_HOST):
                 w.had[w.log_count - 1] = 1
                 first, t_host = out.count, own_ns(w, t)
@@ -417,7 +418,7 @@ def run(world: World, host: Host, law_function: LawFunction, closely: int | None
             w.heard = world.listening[b.can_id] if plain else w.listen_all
             if w.services != 0 or w.control_plane != 0 or w.heard != 0:
                 for a in range(axes.shape[0]):
-                    _look(world, a, t)
+                    _look(world, course, a, t)
                 return Exit.SERVICE
         if w.to_begin > 0:
             for a in range(axes.shape[0]):

@@ -60,6 +60,7 @@ from coulombus.sim_bus.network.agenda import IDENTIFIERS, new_deadlines, new_wan
 from coulombus.sim_bus.network.interrupts import InterruptsHeld
 from coulombus.sim_bus.network.kernel import AXIS, LOG_FRAMES, MOST_DEVICES, TOLD_FRAMES, WORLD, Exit, Host, World, run
 from coulombus.sim_bus.network.stations import CanopenNetwork, Heard, Station
+from coulombus.sim_bus.rig.course import CourseFunction, course_of
 from coulombus.sim_bus.rig.plant import PLANT, TRUTH_COLUMNS
 from coulombus.wire.clock import own_ns, to_bus
 from coulombus.wire.frame import (
@@ -182,7 +183,7 @@ class VirtualNetwork:
         agenda = new_deadlines(capacity), new_wants(capacity), self._listening
         rigs = m.axes, m.axis_of, m.plant, m.f_h, m.truth
         world = World(state, self.bus, self._out, self._log, self.nodes, *agenda, *rigs)
-        self._arguments = (world, m.host, m.law_function)
+        self._arguments = (world, m.host, m.law_function, course_of(m.plant))
         attach(self.bus[0], TAP)
         if mechanics is not None:
             attach(self.bus[0], SOURCE_HOST)
@@ -190,7 +191,7 @@ class VirtualNetwork:
         self._run = Entry(run)
 
     @property
-    def arguments(self) -> tuple[World, Host, Any]:
+    def arguments(self) -> tuple[World, Host, Any, CourseFunction]:
         """The arguments of `sim_bus.network.kernel.run` but for `closely`.
 
         Since it ran last, somebody may have written to the records.

@@ -25,7 +25,7 @@ from coulombus.sim_bus.network.kernel import AXIS, BRAKE, MOTOR, TOLD_FRAMES, Ex
 from coulombus.sim_bus.network.network import CanopenNetwork, Mechanics, VirtualNetwork
 from coulombus.sim_bus.rig.coupling import brake_torque
 from coulombus.sim_bus.rig.operator import KNOT_S, Operator
-from coulombus.sim_bus.rig.plant import COIL_INTACT, COIL_OPEN, COIL_SHORT, PLANT, TRUTH_COLUMNS, new_plant
+from coulombus.sim_bus.rig.plant import COIL_INTACT, COIL_OPEN, COIL_SHORT, PLANT, new_plant, truth_columns
 from coulombus.sim_bus.rig.stand_ins import couple, stand_ins
 from coulombus.wire.clock import own_ns, set_clock
 from coulombus.wire.frame import FRAME, Records, new_records
@@ -111,7 +111,8 @@ class VirtualRig(VirtualNetwork):
         self._axes["steps_per_knot"] = [max(1, round(KNOT_S / one.simulation.plant.step_s)) for one in rig.axes]
         self._f_h = np.zeros((n, knots + 1))
         steps = knots * int(self._axes["steps_per_knot"].max())
-        self._truth_block = np.zeros((n, steps if truth else 1, len(TRUTH_COLUMNS)))
+        self._columns = [truth_columns(one.simulation.plant) for one in rig.axes]
+        self._truth_block = np.zeros((n, steps if truth else 1, max(map(len, self._columns))))
         self._truth: list[list[Any]] = [[] for _ in range(n)]
         self._truth_from = [0] * n
         plant = new_records(PLANT, n)
@@ -368,9 +369,9 @@ class VirtualRig(VirtualNetwork):
 
     def truth(self, a: int = 0) -> Mapping[str, Any]:
         """Return the true course of the plant of axis `a` so far, one array for each of
-        TRUTH_COLUMNS.
+        `plant.TRUTH_COLUMNS`, and of `detail.DETAIL_COLUMNS` where the plant has these.
         """
         self._keep_truth(a)
-        table = np.concatenate(self._truth[a]) if self._truth[a] else np.zeros((0, len(TRUTH_COLUMNS)))
+        table = np.concatenate(self._truth[a]) if self._truth[a] else np.zeros((0, self._truth_block.shape[2]))
         self._truth[a] = [table]
-        return dict(zip(TRUTH_COLUMNS, table.T, strict=True))
+        return dict(zip(self._columns[a], table.T, strict=False))  # another axis may have more

@@ -56,6 +56,8 @@ import numpy as np
 
 from coulombus.compiled.decorator import inlined, kernel
 from coulombus.rigs.axis import Axis
+from coulombus.rigs.plant import Plant
+from coulombus.sim_bus.rig.detail import DETAIL, DETAIL_COLUMNS, detail_of
 from coulombus.sim_bus.rig.operator import drawn
 from coulombus.wire.frame import Records, new_records
 
@@ -67,10 +69,17 @@ __all__ = [
     "TRUTH_COLUMNS",
     "advance",
     "coil_current",
+    "coil_target",
     "encoder_rad",
+    "heat_coil",
+    "keep_truth",
+    "magnetise",
+    "motor_target",
     "new_plant",
     "sample_noise",
+    "settled",
     "transducer_Nm",
+    "truth_columns",
 ]
 
 COIL_INTACT, COIL_OPEN, COIL_SHORT = 0, 1, 2
@@ -131,6 +140,7 @@ PLANT = np.dtype(
         ("fluid", np.float64),  # brake torque that the fluid can bear now, without the off-state part
         ("inherent", np.float64),  # the device's own friction at the present speed
         ("transduced", np.float64),  # what the transducer's filter has of the hand's torque
+        ("filtered", np.int64),  # 1: the transducer shows that, and not the torque itself
         ("random", np.int64),
         # torques on the handle in the step that ended at t_ns
         ("f_operator", np.float64),
@@ -143,6 +153,7 @@ PLANT = np.dtype(
         ("w_brake", np.float64),
         ("w_friction", np.float64),
         ("w_viscous", np.float64),
+        ("detail", DETAIL),  # what it has beyond one rigid body
     ],
     align=True,
 )
@@ -165,6 +176,11 @@ TRUTH_COLUMNS = (
 """Columns of the true course at the plant's step; torques are those on the handle at the end of the
 step that ends at t (after the stop, where the speed crosses zero within it); the works are exact.
 """
+
+
+def truth_columns(p: Plant) -> tuple[str, ...]:
+    """Return the columns of the true course of a plant."""
+    return (*TRUTH_COLUMNS, *DETAIL_COLUMNS) if p.in_detail else TRUTH_COLUMNS
 
 
 def _decay(step_s: float, lag_s: float) -> float:
@@ -197,6 +213,8 @@ def new_plant(axis: Axis, seed: int = 0) -> Records:
     r["eccentric"], r["eccentric_rad"] = p.encoder_eccentricity_rad / p.ratio, p.ratio
     r["bias"], r["drift"] = p.transducer_bias_Nm, p.transducer_drift_Nm_s
     r["transducer_decay"] = _decay(p.step_s, p.transducer_lag_s)
+    r["detail"] = detail_of(p, hand.inertia_kg_m2)
+    r["filtered"] = int(p.transducer_lag_s > 0.0 or p.in_detail)
     r["coil_step"] = p.coil_step_A / axis.brake.coil_A_Nm
     r["noise"], r["transducer_polarity"] = p.transducer_noise_Nm, p.transducer_polarity
     r["temperature"], r["ambient"] = p.temperature_degC, p.ambient_degC
@@ -225,7 +243,7 @@ def transducer_Nm(p: Any) -> float:
     """Return what the transducer reads of the hand's torque on the handle [Nm]: filter, bias, drift
     and noise, and its polarity.
     """
-    torque = p.f_operator if p.transducer_decay == 0.0 else p.transduced
+    torque = p.f_operator if p.filtered == 0 else p.transduced
     offset = p.bias + p.drift * (p.t_ns * 1e-9)
     reads: float = p.transducer_polarity * (torque + offset + p.noise * sample_noise(p))
     return reads
@@ -248,7 +266,7 @@ def coil_current(p: Any, brake_Nm: float) -> float:
 
 
 @kernel
-def _magnetise(p: Any) -> float:
+def magnetise(p: Any) -> float:
     """Let the coil's present current act on the iron; return the torque that it stands for."""
     if p.coil > -1e-4 * p.brake_max:  # a lag only comes near to 0
         p.remanent = max(p.remanent, p.remanence * p.coil)
@@ -260,14 +278,14 @@ def _magnetise(p: Any) -> float:
 
 
 @kernel
-def _heat(p: Any, duration_s: float, square: float) -> None:
+def heat_coil(p: Any, duration_s: float, square: float) -> None:
     """Let the coil warm up for `duration_s` with the mean `square` of its torque [Nm^2]."""
     target = p.ambient + p.K_A2 * square * p.coil_A_Nm * p.coil_A_Nm
     p.temperature = target + (p.temperature - target) * math.exp(-duration_s / p.thermal_s)
 
 
 @inlined
-def _settled(value: float) -> float:
+def settled(value: float) -> float:
     """Let a lag that decays to 0 reach it: it would stay at a subnormal number for ever, with which
     a processor computes slowly.
     """
@@ -336,6 +354,43 @@ def _move(p: Any, dt: float, drive: float, f_h: float, level: float, motor: floa
     return left
 
 
+@inlined
+def motor_target(p: Any) -> float:
+    """Return the torque that the motor's command asks for [Nm at the handle]."""
+    motor_pm = min(max(p.motor_pm, -p.motor_peak_pm), p.motor_peak_pm)
+    return float(motor_pm * p.motor_Nm_pm)
+
+
+@inlined
+def coil_target(p: Any) -> float:
+    """Return the torque that the coil's current is driven to stand for [Nm]."""
+    target = min(max(p.brake_Nm, 0.0), p.brake_max)
+    if p.reverse_A > 0.0:
+        target = -min(p.reverse_A / p.coil_A_Nm, p.brake_max)
+    if p.coil_fault != COIL_INTACT:
+        target = 0.0
+    if p.coil_step > 0.0:
+        target = math.floor(target / p.coil_step + 0.5) * p.coil_step
+    return float(target)
+
+
+@inlined
+def keep_truth(p: Any, out: Any) -> None:
+    """Write the first columns of the true course, `TRUTH_COLUMNS` up to the works."""
+    out[0] = p.t_ns * 1e-9
+    out[1] = p.x
+    out[2] = p.v
+    out[3] = p.f_operator
+    out[4] = p.f_motor
+    out[5] = p.f_brake
+    out[6] = p.f_friction
+    out[7] = p.w_operator
+    out[8] = p.w_motor
+    out[9] = p.w_brake
+    out[10] = p.w_friction
+    out[11] = p.w_viscous
+
+
 @kernel
 def advance(p: Any, f_h: Any, per_knot: int, first: int, steps: int, truth: Any, row: int) -> None:
     """Advance the plant by `steps` of its steps under the commands that are held (`motor_pm`,
@@ -350,16 +405,8 @@ def advance(p: Any, f_h: Any, per_knot: int, first: int, steps: int, truth: Any,
     truth : float64 array (rows, len(TRUTH_COLUMNS)); rows from `row` on are written unless `row` is
         negative
     """
-    motor_pm = min(max(p.motor_pm, -p.motor_peak_pm), p.motor_peak_pm)
-    target = motor_pm * p.motor_Nm_pm
-    coil_target = min(max(p.brake_Nm, 0.0), p.brake_max)
-    if p.reverse_A > 0.0:
-        coil_target = -min(p.reverse_A / p.coil_A_Nm, p.brake_max)
-    if p.coil_fault != COIL_INTACT:
-        coil_target = 0.0
-    if p.coil_step > 0.0:
-        coil_target = math.floor(coil_target / p.coil_step + 0.5) * p.coil_step
-    remembers = p.remanence > 0.0 or coil_target < 0.0 or p.coil < 0.0
+    target, coil_wants = motor_target(p), coil_target(p)
+    remembers = p.remanence > 0.0 or coil_wants < 0.0 or p.coil < 0.0
     square = 0.0
     h = p.h
     knot = first // per_knot
@@ -371,9 +418,9 @@ def advance(p: Any, f_h: Any, per_knot: int, first: int, steps: int, truth: Any,
         if p.cogging > 0.0:
             torque -= p.cogging * math.sin(p.cogging_rad * p.x)
         p.motor = motor
-        p.coil = coil_target + (p.coil - coil_target) * p.coil_decay
+        p.coil = coil_wants + (p.coil - coil_wants) * p.coil_decay
         square += p.coil * p.coil
-        iron = _magnetise(p) if remembers else p.coil
+        iron = magnetise(p) if remembers else p.coil
         p.fluid = iron + (p.fluid - iron) * p.fluid_decay
         capacity = p.brake_gain * p.fluid + p.off_state
         p.inherent = _inherent(p)
@@ -395,19 +442,8 @@ def advance(p: Any, f_h: Any, per_knot: int, first: int, steps: int, truth: Any,
             slope = (f_h[knot + 1] - f_h[knot]) / per_knot
         if row >= 0:
             out = truth[row + k]
-            out[0] = p.t_ns * 1e-9
-            out[1] = p.x
-            out[2] = p.v
-            out[3] = p.f_operator
-            out[4] = p.f_motor
-            out[5] = p.f_brake
-            out[6] = p.f_friction
-            out[7] = p.w_operator
-            out[8] = p.w_motor
-            out[9] = p.w_brake
-            out[10] = p.w_friction
-            out[11] = p.w_viscous
+            keep_truth(p, out)
             out[12] = 0.5 * p.inertia * p.v * p.v
-    p.motor, p.coil, p.fluid = _settled(p.motor), _settled(p.coil), _settled(p.fluid)
+    p.motor, p.coil, p.fluid = settled(p.motor), settled(p.coil), settled(p.fluid)
     if p.K_A2 > 0.0 and steps > 0:
-        _heat(p, steps * h, square / steps)
+        heat_coil(p, steps * h, square / steps)

@@ -39,6 +39,7 @@ from coulombus.node.record import LOOP_WORDS, NODE
 from coulombus.node.sizes import FAR_FUTURE_NS
 from coulombus.sim_bus.network.kernel import MOST_DEVICES, Exit, World, actuate, refresh
 from coulombus.sim_bus.network.network import VirtualNetwork
+from coulombus.sim_bus.rig.course import CourseFunction
 from coulombus.wire.frame import new_records, push
 
 __all__ = ["FRAME", "RECORD", "Beside", "Worker", "collect", "drained", "leave", "settle"]
@@ -130,7 +131,7 @@ def _copy(to: Integers, source: Integers, first: int, end: int) -> None:
 
 
 @kernel
-def leave(beside: Beside, world: World, pace: Record, why: int, axis: int) -> bool:
+def leave(beside: Beside, world: World, course: CourseFunction, pace: Record, why: int, axis: int) -> bool:
     """Let Python do beside the loop what the kernel has just returned for; tell whether it will.
 
     `axis`: whose hand it is; `FRAME`: the last frame of the log is for services; `RECORD`: what
@@ -148,7 +149,7 @@ def leave(beside: Beside, world: World, pace: Record, why: int, axis: int) -> bo
             return True  # it is asked for already, or will be when what is under way is done
         beside.asked[place] += 1
     if j.waiting == JOBS:
-        _await(beside, world, pace)
+        _await(beside, world, course, pace)
     job = j.jobs[(j.first + j.waiting) % JOBS]
     j.waiting += 1
     j.most_waiting = max(j.most_waiting, j.waiting)
@@ -204,7 +205,7 @@ def _begin(beside: Beside, world: World) -> None:
 
 
 @kernel
-def collect(beside: Beside, world: World, pace: Record) -> None:
+def collect(beside: Beside, world: World, course: CourseFunction, pace: Record) -> None:
     """Take over what Python has made of its job, and let it begin with the next one."""
     j, w, python = beside.state, world.state, beside.python
     if j.turn != Turn.DONE:
@@ -237,7 +238,7 @@ def collect(beside: Beside, world: World, pace: Record) -> None:
         push(world.out, frame.source, frame.t_ns, frame.can_id, frame.length, frame.word)
     python.out.count = 0
     for k in range(world.axes.shape[0]):
-        actuate(world, k, w.t_ns)
+        actuate(world, course, k, w.t_ns)
     j.served += 1
     j.turn = Turn.FREE
     refresh(w, world.nodes, world.axes, world.deadlines, world.wants)
@@ -251,22 +252,22 @@ def drained(beside: Beside) -> None:
 
 
 @kernel
-def _await(beside: Beside, world: World, pace: Record) -> None:
+def _await(beside: Beside, world: World, course: CourseFunction, pace: Record) -> None:
     """Sleep until Python's job is done, and take over what became of it."""
     j = beside.state
     while j.turn == Turn.PYTHON:
         beside.words[2] = (j.loop & 0xFFFFFFFF) | POLLIN << 32
         if ppoll_ns(beside.words.ctypes.data + 16, 1, PATIENCE_NS) > 0:
             drained(beside)
-    collect(beside, world, pace)
+    collect(beside, world, course, pace)
 
 
 @kernel
-def settle(beside: Beside, world: World, pace: Record) -> None:
+def settle(beside: Beside, world: World, course: CourseFunction, pace: Record) -> None:
     """Let all jobs end: Python needs the whole world."""
     j = beside.state
     while j.turn != Turn.FREE or j.waiting > 0:
-        _await(beside, world, pace)
+        _await(beside, world, course, pace)
 
 
 class Worker:

@@ -39,6 +39,7 @@ from coulombus.eds.cia402 import PowerState
 from coulombus.host.cycle.records import LawFunction
 from coulombus.sim_bus.copper.cut import choose
 from coulombus.sim_bus.network.kernel import Exit, Host, World, next_event, refresh, run
+from coulombus.sim_bus.rig.course import CourseFunction
 from coulombus.sim_bus.server.beside import FRAME, RECORD, Beside, collect, drained, leave
 from coulombus.sim_bus.server.clients import Clients, State, flush, hand_out, take
 
@@ -157,7 +158,15 @@ def _forgive(p: Record, slots: Records, planned_ns: int, t_ns: int) -> int:
 
 
 @kernel
-def serve(pace: Record, clients: Clients, beside: Beside, world: World, host: Host, law_function: LawFunction) -> int:
+def serve(
+    pace: Record,
+    clients: Clients,
+    beside: Beside,
+    world: World,
+    host: Host,
+    law_function: LawFunction,
+    course: CourseFunction,
+) -> int:
     """Serve until Python is needed; return an `Exit` or a `Serve` that says why.
 
     `sim_bus.server.beside.settle` comes next: it ends what Python does beside this loop.
@@ -171,7 +180,7 @@ def serve(pace: Record, clients: Clients, beside: Beside, world: World, host: Ho
     if w.stale:
         refresh(w, world.nodes, world.axes, world.deadlines, world.wants)
     while True:
-        collect(beside, world, p)
+        collect(beside, world, course, p)
         t_ns = now_ns() - p.start_ns
         offset_ns = t_ns - clock_ns(CLOCK_REALTIME)
         taken = take(w, p, bus, clients, out, offset_ns, t_ns)
@@ -190,7 +199,7 @@ def serve(pace: Record, clients: Clients, beside: Beside, world: World, host: Ho
             if t_event > t_ns:
                 break
             w.until_ns = max(t_event, w.t_ns)
-            reason = run(world, host, law_function, 1)
+            reason = run(world, host, law_function, course, 1)
             if w.log_count > p.handed_out:
                 p.latest_ns = max(p.latest_ns, t_ns - world.log[w.log_count - 1].t_ns)
                 lost = hand_out(w, p, bus, world.log, clients)
@@ -198,10 +207,10 @@ def serve(pace: Record, clients: Clients, beside: Beside, world: World, host: Ho
                     return lost
             why = 0
             if reason == Exit.SERVICE:
-                if not leave(beside, world, p, reason, FRAME):
+                if not leave(beside, world, course, p, reason, FRAME):
                     why += reason
             elif reason == Exit.ENABLED:
-                if not leave(beside, world, p, reason, w.axis):
+                if not leave(beside, world, course, p, reason, w.axis):
                     why += reason
             elif reason not in (Exit.UNTIL, Exit.LOG):
                 why += reason
@@ -209,7 +218,7 @@ def serve(pace: Record, clients: Clients, beside: Beside, world: World, host: Ho
                 if p.keep == 0:
                     p.handed_out = w.log_count = 0
                 elif reason == Exit.LOG or (
-                    w.log_count >= p.keep and not leave(beside, world, p, Serve.RECORD, RECORD)
+                    w.log_count >= p.keep and not leave(beside, world, course, p, Serve.RECORD, RECORD)
                 ):
                     why = Serve.RECORD
                 for a in range(world.axes.shape[0]):
@@ -217,10 +226,10 @@ def serve(pace: Record, clients: Clients, beside: Beside, world: World, host: Ho
                     state = world.nodes[axis.motor].power_state
                     if axis.operator_start_ns >= 0 and state != PowerState.OPERATION_ENABLED:
                         w.axis = a
-                        if not leave(beside, world, p, Serve.RESTED, a):
+                        if not leave(beside, world, course, p, Serve.RESTED, a):
                             why = Serve.RESTED
                     elif axis.force_end_ns - t_ns < AHEAD_NS:
-                        leave(beside, world, p, Exit.FORCE, a)
+                        leave(beside, world, course, p, Exit.FORCE, a)
             if why != 0:
                 for i in range(slots.shape[0]):
                     flush(slots[i], batches[i])
@@ -233,7 +242,7 @@ def serve(pace: Record, clients: Clients, beside: Beside, world: World, host: Ho
         if taken != 0:
             return taken
         waits = p.keep != 0 and 0 < w.log_count <= p.handed_out
-        if waits and t_ns - world.log[0].t_ns >= KEPT_NS and not leave(beside, world, p, Serve.RECORD, RECORD):
+        if waits and t_ns - world.log[0].t_ns >= KEPT_NS and not leave(beside, world, course, p, Serve.RECORD, RECORD):
             return Serve.RECORD
         if load_acquire(flag) != 0:
             return Serve.STOP

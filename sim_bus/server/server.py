@@ -179,7 +179,7 @@ class BusServer:
     def _serve(self) -> int:
         worker = self._worker
         why = int(self._run(self._pace, self._clients, worker.shared, worker.loop, *self.world.arguments[1:]))
-        self._settle(worker.shared, worker.loop, self._pace[0])
+        self._settle(worker.shared, worker.loop, self.world.arguments[-1], self._pace[0])
         return why
 
     @property

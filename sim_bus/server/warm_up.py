@@ -25,6 +25,7 @@ from coulombus.sim_bus.copper.noise import next_noise
 from coulombus.sim_bus.copper.outcome import end_attempt
 from coulombus.sim_bus.network.kernel import Host, World, end_closely, refresh, run
 from coulombus.sim_bus.network.network import VirtualNetwork
+from coulombus.sim_bus.rig.course import CourseFunction
 from coulombus.sim_bus.server.beside import Beside, collect, leave, settle
 from coulombus.sim_bus.server.clients import Clients, hand_out, take
 from coulombus.sim_bus.server.paced import serve
@@ -78,7 +79,13 @@ def _rare(bus: Records, node: Record, out: Queue) -> list[Work]:
 
 
 def compile_loop(
-    pace: Record, clients: Clients, beside: Beside, world: World, host: Host, law_function: LawFunction
+    pace: Record,
+    clients: Clients,
+    beside: Beside,
+    world: World,
+    host: Host,
+    law_function: LawFunction,
+    course: CourseFunction,
 ) -> None:
     """Compile the parts of `sim_bus.server.paced.serve`, those first that take long and have
     nothing in common.
@@ -89,8 +96,8 @@ def compile_loop(
         *((core.set_nmt, (node, 0, 0, 0, out)) for node in world.nodes[:1]),
         (axes.on_time, (host.axes, law_function, 0, out)),
         (end_attempt, (cable, out, world.log, 0)),
-        (collect, (beside, world, pace)),
-        (leave, (beside, world, pace, 0, 0)),
+        (collect, (beside, world, course, pace)),
+        (leave, (beside, world, course, pace, 0, 0)),
         (take, (w, pace, bus, clients, out, 0, 0)),
         (hand_out, (w, pace, bus, world.log, clients)),
     ]
@@ -102,9 +109,9 @@ def compile_loop(
             (own_time.on_frame, (node, *frame, out)),
         ]
     parts += [
-        (end_closely, (world, cable)),
+        (end_closely, (world, course, cable)),
         (refresh, (w, world.nodes, world.axes, world.deadlines, world.wants)),
-        (run, (world, host, law_function, 1)),
-        (settle, (beside, world, pace)),
+        (run, (world, host, law_function, course, 1)),
+        (settle, (beside, world, course, pace)),
     ]
     compile_together(serve, parts)

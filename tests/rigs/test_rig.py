@@ -473,6 +473,8 @@ def _sections() -> list[tuple[str, type[BaseModel]]]:
     found += [("`[sensor.NAME]`", Sensor), ("`[[motor.sdo]]`", Sdo)]
     roles = {kinds_of(info)[""]: name for name, info in reversed(Roles.model_fields.items())}
     found += [(f"`[role.{name}]`", model) for model, name in roles.items()]
+    plant = kinds_of(fields["plant"])[""]
+    found += [(f"`[plant.{name}]`", kinds_of(info)[""]) for name, info in fields_of(plant).items() if kinds_of(info)]
     modes = kinds_of(fields["mode"])[""]
     found.append(("`[mode.active]`", kinds_of(fields_of(modes)["active"])[""]))
     return found + [(f'`kind = "{kind}"`', model) for kind, model in kinds_of(fields["phase"]).items()]

@@ -1,0 +1,278 @@
+r"""Up to three bodies in a row with springs, dampers and backlash between them, and dry friction on
+each: one step, exact in its events.
+
+With the mean speed :math:`u` of a step of length :math:`h` the implicit midpoint rule reads, for
+body :math:`i` with its couplings to :math:`i \pm 1`,
+
+.. math::
+
+    \frac{2 m_i}{h}(u_i - v_i) + b_i u_i + T_{i,i+1} - T_{i-1,i} = L_i - \lambda_i, \qquad
+    T_{i,j} = k\,(q_i - q_j \mp g + \tfrac{h}{2}(u_i - u_j)) + d\,(u_i - u_j),
+
+a symmetric tridiagonal system in :math:`u`. Dry friction is set-valued,
+:math:`\lambda_i \in F_i\,\mathrm{Sgn}(u_i)`: a body at rest is taken as stuck (:math:`u_i = 0`),
+unless it would need more than :math:`F_i`; the system's matrix is symmetric, positive definite and
+has no positive element beside its diagonal, so this has one solution. When a speed would change its
+sign within the step, or a coupling its side of the backlash, the step is split at that instant,
+which is found to rounding. So :math:`\lambda_i u_i \ge 0` in every part of a step, stuck is exactly
+:math:`v_i = 0`, and each torque's work is its torque times :math:`h u_i`: the energy balance closes
+to rounding, whatever the step's length.
+
+Sources: V. Acary and B. Brogliato, Numerical Methods for Nonsmooth Dynamical Systems, 2008,
+doi:10.1007/978-3-540-75392-6; backlash as a dead zone: M. Nordin and P.-O. Gutman, Automatica
+38(10), 2002, doi:10.1016/S0005-1098(02)00047-X.
+
+In the kernels: `p` a record of `sim_bus.rig.plant.PLANT`, `d` its `detail`.
+"""
+
+from __future__ import annotations
+
+from coulombus.compiled.decorator import inlined, kernel
+from coulombus.compiled.records import Record
+from coulombus.sim_bus.rig.own_friction import bristles, set_levels
+
+__all__ = ["MOST_EVENTS", "move"]
+
+MOST_EVENTS = 24
+"""In one step; what is more is not split."""
+MOST_GUESSES = 40
+MOST_SWITCHES = 12
+NO_EVENT = -1
+
+
+@inlined
+def _side(value: float) -> int:
+    return 1 if value > 0.0 else -1
+
+
+@kernel
+def _solve(d: Record) -> None:
+    """Solve the tridiagonal system for the mean speeds by Cramer's rule, one division for all
+    bodies, and find what the stuck ones bear.
+
+    A body that is stuck or not there has the row u = 0.
+    """
+    main, load, side, level, u, react = d.main, d.load, d.side, d.level, d.u, d.react
+    a0 = a1 = a2 = 1.0
+    r0 = r1 = r2 = s0 = s1 = 0.0
+    n = d.count
+    if side[0] != 0:
+        a0, r0 = main[0], load[0] - side[0] * level[0]
+    if n > 1 and side[1] != 0:
+        a1, r1 = main[1], load[1] - side[1] * level[1]
+        if side[0] != 0:
+            s0 = d.stiff[0]
+    if n > 2 and side[2] != 0:
+        a2, r2 = main[2], load[2] - side[2] * level[2]
+        if side[1] != 0:
+            s1 = d.stiff[1]
+    right, left = a1 * a2 - s1 * s1, a0 * a1 - s0 * s0
+    one = 1.0 / (a0 * right - s0 * s0 * a2)
+    across = s0 * a2 * r1 + s0 * s1 * r2
+    u[0] = (right * r0 + across) * one
+    u[1] = (s0 * a2 * r0 + a0 * (a2 * r1 + s1 * r2)) * one
+    u[2] = (s0 * s1 * r0 + s1 * a0 * r1 + left * r2) * one
+    for i in range(n):
+        if side[i] != 0:
+            react[i] = side[i] * level[i]
+            continue
+        u[i] = 0.0
+        bears = load[i]
+        if i > 0:
+            bears += d.stiff[i - 1] * u[i - 1]
+        if i + 1 < n:
+            bears += d.stiff[i] * u[i + 1]
+        react[i] = bears
+
+
+@kernel
+def _try(p: Record, h: float, hand: float, torque: float) -> None:
+    """Find the mean speeds of a step of `h` [s] and which bodies stick in it."""
+    d = p.detail
+    n = d.count
+    rate = 2.0 / h
+    for i in range(n):
+        inert = rate * d.total[i]
+        constant, slope = bristles(d, i, h)
+        d.main[i] = inert + d.viscous[i] + slope
+        d.load[i] = inert * d.v[i] - constant
+    d.load[0] += torque
+    d.main[d.drum] += d.wet
+    last = n - 1
+    d.main[last] += p.operator_damping + 0.5 * h * p.operator_stiffness
+    d.load[last] += hand - p.operator_stiffness * d.q[last]
+    for j in range(n - 1):
+        d.tied[j] = d.stiff[j] = 0.0
+        if d.contact[j] != 0 or d.gap[j] == 0.0:
+            d.tied[j] = d.k[j] * (d.q[j] - d.q[j + 1] - d.contact[j] * d.gap[j])
+            d.stiff[j] = 0.5 * h * d.k[j] + d.d[j]
+        d.main[j] += d.stiff[j]
+        d.main[j + 1] += d.stiff[j]
+        d.load[j] -= d.tied[j]
+        d.load[j + 1] += d.tied[j]
+    at_rest = False
+    for i in range(n):
+        d.side[i] = _side(d.v[i])
+        if d.v[i] == 0.0 and d.level[i] > 0.0:
+            d.side[i] = 0
+            at_rest = True
+    _solve(d)
+    if not at_rest:
+        return
+    for _ in range(MOST_SWITCHES):
+        again = False
+        for i in range(n):
+            if d.v[i] != 0.0 or d.level[i] == 0.0:
+                continue
+            if d.side[i] == 0:
+                if abs(d.react[i]) > d.level[i]:
+                    d.side[i] = _side(d.react[i])
+                    again = True
+            elif d.u[i] * d.side[i] < 0.0:
+                d.side[i] = 0
+                again = True
+        if not again:
+            return
+        _solve(d)
+
+
+@inlined
+def _crosses(d: Record, event: int, h: float) -> float:
+    """Return a value that is negative where the `event` lies within the step of `h` that was tried:
+    of bodies 0 to 2 the speed at its end, of couplings 3 and 4 the way to the backlash's side.
+    """
+    if event < 3:
+        value = (2.0 * d.u[event] - d.v[event]) * _side(d.v[event])
+    else:
+        j = event - 3
+        between = d.q[j] - d.q[j + 1] + h * (d.u[j] - d.u[j + 1])
+        value = d.contact[j] * between - d.gap[j] if d.contact[j] != 0 else d.gap[j] - abs(between)
+    return float(value)
+
+
+@kernel
+def _next_event(d: Record, h: float) -> int:
+    """Return an event within the step of `h` that was tried, or `NO_EVENT`."""
+    for i in range(d.count):
+        if d.v[i] != 0.0 and d.level[i] > 0.0 and _crosses(d, i, h) < 0.0:
+            return i
+    for j in range(d.count - 1):
+        if d.gap[j] > 0.0 and _crosses(d, 3 + j, h) < 0.0:
+            return 3 + j
+    return NO_EVENT
+
+
+@kernel
+def _first_event(p: Record, h: float, hand: float, torque: float) -> tuple[float, int]:
+    """Try a step of `h`; return how long it is to its first event, and that event.
+
+    The instant is found by the Illinois method; the step up to there is tried last.
+    """
+    d = p.detail
+    _try(p, h, hand, torque)
+    event = _next_event(d, h)
+    found = NO_EVENT
+    while event != NO_EVENT:
+        found = event
+        low, high, f_high = 0.0, h, _crosses(d, event, h)
+        if event < 3:
+            f_low = abs(d.v[event])
+        else:
+            j = event - 3
+            between = d.q[j] - d.q[j + 1]
+            f_low = d.contact[j] * between - d.gap[j] if d.contact[j] != 0 else d.gap[j] - abs(between)
+        small = 1e-14 * (abs(f_low) + abs(f_high))
+        if f_low <= small:  # it is there already
+            h = 0.0
+            break
+        for _ in range(MOST_GUESSES):
+            h = high - f_high * (high - low) / (f_high - f_low)
+            _try(p, h, hand, torque)
+            value = _crosses(d, event, h)
+            if abs(value) <= small or high - low <= 1e-16:
+                break
+            if value < 0.0:
+                high, f_high = h, value
+                f_low *= 0.5
+            else:
+                low, f_low = h, value
+                f_high *= 0.5
+        event = _next_event(d, h)
+        if event == found:
+            break
+    return h, found
+
+
+@kernel
+def _go(p: Record, h: float, hand: float, torque: float) -> None:
+    """Take the step of `h` that was tried last."""
+    d = p.detail
+    rate = 2.0 / h
+    n, last, drum = d.count, d.count - 1, d.drum
+    u_last, q_last = d.u[last], d.q[last]
+    p.f_operator = (
+        hand
+        - p.operator_inertia * rate * (u_last - d.v[last])
+        - p.operator_damping * u_last
+        - p.operator_stiffness * (q_last + 0.5 * h * u_last)
+    )
+    p.w_operator += p.f_operator * u_last * h
+    p.w_motor += torque * d.u[0] * h
+    p.f_friction = 0.0
+    for j in range(n - 1):
+        if d.stiff[j] > 0.0:
+            between = d.u[j] - d.u[j + 1]
+            p.w_viscous += d.d[j] * between * between * h
+    for i in range(n):
+        u = d.u[i]
+        brake = 0.0
+        own = d.react[i]
+        if i == drum:
+            # stuck, the device's own friction bears what it can, the brake the rest
+            free = d.level[i] - d.dry[i]
+            own = min(max(own, -free), free)
+            brake = d.react[i] - own
+            viscous = d.wet * u
+            p.f_brake = -brake - viscous
+            p.w_brake -= (brake + viscous) * u * h
+        if d.bristles != 0 and d.share[i] > 0.0:
+            constant, slope = bristles(d, i, h)
+            own += constant + slope * u
+            z = (d.z[i] * (1.0 - 0.5 * h * d.alpha[i]) + h * u) / (1.0 + 0.5 * h * d.alpha[i])
+            # the work is what is lost: what the bristles keep, they can give back
+            p.w_friction += 0.5 * d.share[i] * d.sigma_0 * (z * z - d.z[i] * d.z[i])
+            d.z[i] = z
+        p.f_friction -= own
+        p.w_friction -= own * u * h
+        p.w_viscous += d.viscous[i] * u * u * h
+        d.q[i] += u * h
+        d.v[i] = 0.0 if d.side[i] == 0 else 2.0 * u - d.v[i]
+
+
+@kernel
+def move(p: Record, hand: float, torque: float, capacity: float) -> None:
+    """Move all bodies on by one step of the plant under the hand's and the motor's torque, with the
+    brake's `capacity` [Nm].
+    """
+    d = p.detail
+    left = p.h
+    set_levels(p, capacity)
+    for _ in range(MOST_EVENTS):
+        h, event = _first_event(p, left, hand, torque)
+        if h > 0.0:
+            _go(p, h, hand, torque)
+        if event == NO_EVENT:
+            return
+        d.events += 1
+        if event < 3:
+            d.v[event] = 0.0
+        else:
+            j = event - 3
+            d.contact[j] = 0 if d.contact[j] != 0 else _side(d.q[j] - d.q[j + 1])
+        left -= h
+        if left <= 0.0:
+            return
+        set_levels(p, capacity)
+    d.missed_events += 1
+    _try(p, left, hand, torque)
+    _go(p, left, hand, torque)

@@ -1,0 +1,89 @@
+r"""The device's own friction, as it truly is: Coulomb, Stribeck, LuGre, with the angle, the
+temperature and time.
+
+Its level at the speed :math:`v`, the angle :math:`q` of its body, the device's temperature
+:math:`T` and the time :math:`t` is
+
+.. math::
+
+    g = (F_c + \Delta F\,e^{-|v/v_S|^\delta})\,(1 + a \sin(n q + \varphi))\,(1 + c\,(T - T_0))\,(1 + r t),
+
+never below 0, at the begin of a step. As dry friction it is the level of a set-valued element.
+Bristles (LuGre) instead have the deflection :math:`z` and give
+
+.. math:: F = \sigma_0 z + \sigma_1 \dot z, \qquad \dot z = v - \alpha z, \quad \alpha = \sigma_0 |v| / g,
+
+by the midpoint rule with :math:`\alpha` of the step's begin: linear in the mean speed, stable at
+any stiffness and step, of first order. LuGre's friction can give energy where
+:math:`\sigma_1 |v| > 4 g` (the quadratic form :math:`\sigma_0\alpha z^2 + \sigma_1\alpha z\dot z +
+\sigma_1\dot z^2` is then indefinite); the plant takes :math:`\min(\sigma_1, 4 g/|v|)` and so never
+does. With :math:`\sigma_1 = 0` and no Stribeck rise this is Dahl's friction.
+
+Sources: H. Olsson and others, Friction Models and Friction Compensation, European Journal of
+Control 4(3), 1998, doi:10.1016/S0947-3580(98)70113-X; C. Canudas de Wit and others, IEEE
+Transactions on Automatic Control 40(3), 1995, doi:10.1109/9.376053.
+
+In the kernels: `p` a record of `sim_bus.rig.plant.PLANT`, `d` its `detail`, `i` a body.
+"""
+
+from __future__ import annotations
+
+import math
+
+from coulombus.compiled.decorator import inlined, kernel
+from coulombus.compiled.records import Record
+from coulombus.sim_bus.rig.wave import wave
+
+__all__ = ["bristles", "set_levels"]
+
+NOTHING = 40.0
+"""e to the minus this is nothing beside 1."""
+LEAST_Nm = 1e-9
+"""Level of bristles where the friction has vanished: they need one."""
+
+
+@kernel
+def set_levels(p: Record, capacity: float) -> None:
+    """Set what each body's dry friction can bear now, the brake's `capacity` [Nm] on the drum, and
+    the bristles' parameters.
+    """
+    d = p.detail
+    scale = (1.0 + d.friction_K * (d.degC - d.reference)) * (1.0 + d.friction_s * (p.t_ns * 1e-9))
+    for i in range(d.count):
+        speed = abs(d.v[i])
+        own = 0.0
+        if d.share[i] > 0.0:
+            own = p.coulomb
+            if p.stribeck > 0.0 and speed == 0.0:
+                own += p.stribeck
+            elif p.stribeck > 0.0:
+                part = speed / p.stribeck_v
+                part = part * part if d.exponent == 2.0 else part**d.exponent
+                if part < NOTHING:
+                    own += p.stribeck * math.exp(-part)
+            if d.angle_share > 0.0:
+                own *= 1.0 + d.angle_share * wave(d.waves[i], d.angle_rad * d.q[i] + d.angle_phase)
+            own = max(own * scale, 0.0) * d.share[i]
+        if i == d.drum:
+            p.inherent = own
+        d.dry[i] = capacity if i == d.drum else 0.0
+        if d.bristles != 0:
+            g = max(own, LEAST_Nm)
+            d.alpha[i] = d.share[i] * d.sigma_0 * speed / g
+            damping = d.share[i] * d.sigma_1
+            d.bristle_damping[i] = damping if damping * speed <= 4.0 * g else 4.0 * g / speed
+            own = 0.0
+        d.level[i] = own + d.dry[i]
+
+
+@inlined
+def bristles(d: Record, i: int, h: float) -> tuple[float, float]:
+    """Return (constant, slope): the bristles' torque over a step of `h` is constant + slope u
+    [Nm]."""
+    constant = slope = 0.0
+    if d.bristles != 0 and d.share[i] > 0.0:
+        damping = d.bristle_damping[i]
+        stiffness = (d.share[i] * d.sigma_0 - damping * d.alpha[i]) / (1.0 + 0.5 * h * d.alpha[i])
+        constant = stiffness * d.z[i]
+        slope = 0.5 * h * stiffness + damping
+    return constant, slope
