@@ -45,7 +45,7 @@ check: $(VENV)/.dev  ## lint, format, types, import contracts
 	@scripts/check
 
 docs: $(VENV)/.docs  ## the site of the documents, in out/site; fails on a warning
-	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict  # --quiet would count no warning
 	@echo "built without a warning: out/site/index.html"
 
 bench: $(VENV)/.dev  ## the figures of speed, as ratios

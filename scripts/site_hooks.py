@@ -261,9 +261,9 @@ def on_page_markdown(text: str, page: Any, config: Any, files: Files) -> str:
 
     def link(found: re.Match[str]) -> str:
         target = _target(written, found[2])
-        if target is None:
+        if target is None or not target.exists():  # MkDocs warns of a link to nowhere
             return found[0]
-        if not target.is_file():  # a folder: the site has none
+        if target.is_dir():  # the site has none
             return found[1].strip("[]")
         there = place_of(target)
         there = there.removesuffix(".ipynb") + ".md" if there.endswith(".ipynb") else there

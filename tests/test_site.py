@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import importlib
+import os
 import re
+import subprocess
 import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -65,6 +67,31 @@ def test_what_cannot_be_drawn_ends_the_build():
     for text in ("pie\n  a: 1", "stateDiagram-v2\n  a => b", "sequenceDiagram\n  loop"):
         with pytest.raises(ValueError, match=r"^no "):
             diagrams.svg(text)
+
+
+def test_make_docs_fails_on_a_warning(tmp_path):
+    (words,) = re.findall(r"-m (mkdocs build [^#\n]*)", (ROOT / "Makefile").read_text())
+    (tmp_path / "mkdocs.yml").write_text("site_name: x\n")
+    (tmp_path / "docs").mkdir()
+    (tmp_path / "docs" / "index.md").write_text("[to nowhere](nowhere.md)\n")
+    environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
+    done = subprocess.run(
+        [sys.executable, "-m", *words.split()],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 1, done.stderr
+    assert "nowhere.md" in done.stderr
+
+
+def test_a_link_to_nowhere_is_left_to_mkdocs_which_warns():
+    page = SimpleNamespace(file=SimpleNamespace(src_path="faq.md"))
+    text = "[a](theory.md) [b](theorie.md) [c](../nowhere.py) [d](../examples) [e](../LICENSE)"
+    wanted = "[a](theory.md) [b](theorie.md) [c](../nowhere.py) d [e](repository/LICENSE.md)"
+    assert hooks.on_page_markdown(text, page, None, None) == wanted
 
 
 @pytest.mark.parametrize("tag", ['<script src="https://x.org/a.js">', '<link rel="stylesheet" href="//x.org/a.css">'])
