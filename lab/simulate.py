@@ -27,7 +27,7 @@ from coulombus.recording.output_file import check as check_output
 from coulombus.recording.output_file import open_new
 from coulombus.recording.pcapng_blocks import RecordingError
 from coulombus.recording.recorder import Recorder
-from coulombus.rigs.arguments import path_text, texts
+from coulombus.rigs.arguments import a_number, path_text, texts
 from coulombus.rigs.rig import Rig, load_rig
 from coulombus.sim_bus.faults.file import FaultPlan, read_faults
 from coulombus.sim_bus.faults.injection import Injection, controllers_of
@@ -224,6 +224,8 @@ def simulate(
     chosen = rig.variant(*overrides) if isinstance(rig, Rig) else load_rig(rig, overrides)
     if mode not in chosen.modes:
         raise ValueError(f"mode {mode!r}: the rig has {', '.join(chosen.modes)}")
+    a_number(seconds, "seconds", "13.0")
+    a_number(seed, "seed", "7", whole=True)
     if not (math.isfinite(seconds) and seconds > 0):
         raise ValueError(f"seconds {seconds!r}: expected a number above 0")
     if record is not None or truth is not None or len(chosen.channels) > 1:

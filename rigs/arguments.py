@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable
+from numbers import Integral, Real
 from typing import Any
 
-__all__ = ["WrongCall", "path_text", "texts"]
+__all__ = ["WrongCall", "a_number", "path_text", "texts"]
 
 
 class WrongCall(TypeError):
@@ -64,3 +65,25 @@ def texts(values: Any, name: str, example: str) -> tuple[str, ...]:
     if wrong is not None:
         raise WrongCall(f"{name} has {wrong!r} in it: expected texts alone, as in {name}=[{example!r}]")
     return found
+
+
+def a_number(value: Any, name: str, example: str, *, whole: bool = False) -> None:
+    """Refuse what is no number.
+
+    Parameters
+    ----------
+    value
+        The number; NumPy's are numbers, too. True and False are none.
+    name, example
+        What the argument is called, and a value that it could have: both are told.
+    whole
+        Whether it has to be an integer.
+
+    Raises
+    ------
+    WrongCall
+        It is something else.
+    """
+    if isinstance(value, bool) or not isinstance(value, Integral if whole else Real):
+        kind = "an integer" if whole else "a number"
+        raise WrongCall(f"{name} is {value!r}: expected {kind}, as in {name}={example}")

@@ -90,10 +90,6 @@ def export_command(
         if kind in ("candump", "asc", "blf") and (signals is not None or grid_ns is not None):
             raise click.UsageError(f"{kind} has whole frames: leave --signals and --grid out")
         place = out or (Path(f"{file}{SUFFIXES[kind]}") if file.is_dir() else file.with_suffix(SUFFIXES[kind]))
-        if place.exists() and file.exists() and place.samefile(file):
-            raise click.UsageError(
-                f"{place} is the recording itself, which an export never replaces; name another by -o"
-            )
         reason = reason_against(place, force=overwrite, remedy="choose another name by -o, or replace it with --force")
         if reason is not None:
             raise click.UsageError(reason)

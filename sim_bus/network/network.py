@@ -52,6 +52,7 @@ from coulombus.node.device import Device
 from coulombus.node.kinds import GENERIC
 from coulombus.node.profile import Profile
 from coulombus.node.record import new_nodes
+from coulombus.rigs.arguments import a_number, path_text
 from coulombus.sim_bus.copper.arbiter import FAR_NS, new_bus
 from coulombus.sim_bus.copper.cut import divide, wire_of
 from coulombus.sim_bus.copper.stations import attach, detach
@@ -157,6 +158,9 @@ class VirtualNetwork:
         on_frames: Callable[[Records], None] | None = None,
         mechanics: Mechanics | None = None,
     ) -> None:
+        a_number(bitrate_bit_s, "bitrate_bit_s", "500_000", whole=True)
+        if bitrate_bit_s < 0:
+            raise ValueError(f"bitrate_bit_s {bitrate_bit_s}; expected bit/s, as in 500_000, or 0: frames take no time")
         if not 0 <= capacity <= MOST_DEVICES:
             raise ValueError(f"capacity {capacity}; expected 0 to {MOST_DEVICES} devices")
         self.exits = dict.fromkeys(Exit, 0)
@@ -224,7 +228,8 @@ class VirtualNetwork:
             raise ValueError(f"the network has room for {row} devices; make it with capacity={min(2 * row + 2, 127)}")
         if node_id != UNCONFIGURED and any(device.node_id == node_id for device in self.devices):
             raise ValueError(f"node id {node_id} is taken")
-        description = eds if isinstance(eds, Description) else read_eds(Path(eds))
+        a_number(node_id, "node_id", "5", whole=True)
+        description = eds if isinstance(eds, Description) else read_eds(Path(path_text(eds, "eds", 'add("my.eds", 5)')))
         self.devices.append(Device(description, node_id, profile, self.nodes[row], **options))
         return self.devices[row]
 

@@ -34,6 +34,7 @@ from coulombus.eds.description import Value
 from coulombus.eds.object_name import object_key
 from coulombus.node import device as node_device
 from coulombus.node.profile import Key
+from coulombus.rigs.arguments import a_number, path_text
 from coulombus.sim_bus.network.network import VirtualNetwork
 from coulombus.sim_bus.server.live_nodes import LiveNodes, run_nodes
 from coulombus.sim_bus.server.server import BusServer
@@ -65,7 +66,8 @@ class Device:
     """
 
     def __init__(self, eds: str | Path, node_id: int, *, period_s: float = 0.01) -> None:
-        self._nodes = LiveNodes(((Path(eds), node_id),))
+        a_number(node_id, "node_id", "5", whole=True)
+        self._nodes = LiveNodes(((Path(path_text(eds, "eds", 'Device("my_device.eds", node_id=5)')), node_id),))
         self._nodes.on_begin = self._begin
         self.description = self._nodes.descriptions[0]
         self.missed = 0

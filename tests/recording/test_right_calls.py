@@ -14,6 +14,8 @@ from coulombus.recording.signals import blocks, read, series
 from coulombus.rigs.arguments import WrongCall
 from coulombus.rigs.rig import load_rig
 from coulombus.scope.callbacks import live
+from coulombus.sim_bus.network.network import VirtualNetwork
+from coulombus.sim_bus.server.own_device import Device
 
 
 class Place(os.PathLike):
@@ -182,3 +184,16 @@ def test_the_picture_of_a_comparison_is_looked_at_before_it_is_made(source, tmp_
         result = CliRunner().invoke(main, ["diff", str(source), str(source), "-o", str(out)])
         assert result.exit_code == 2
         assert out.name in result.output or "no directory" in result.output
+
+
+def test_numbers_of_a_simulation_and_of_a_device_are_numbers():
+    eds = Path(__file__).resolve().parent.parent.parent / "eds" / "motor.eds"
+    told(lambda: simulate("bench", "hybrid", "1s"), "seconds is '1s'", "seconds=13.0")
+    told(lambda: simulate("bench", "hybrid", 1.0, seed="x"), "seed is 'x': expected an integer", "seed=7")
+    told(lambda: simulate("bench", "hybrid", True), "seconds is True")
+    told(lambda: Device(eds, "five"), "node_id is 'five': expected an integer", "node_id=5")
+    told(lambda: Device(3, 5), "eds is 3", "Device(")
+    told(lambda: VirtualNetwork("fast"), "bitrate_bit_s is 'fast'", "bitrate_bit_s=500_000")
+    told(lambda: VirtualNetwork().add(eds, "five"), "node_id is 'five'")
+    with pytest.raises(ValueError, match="bitrate_bit_s -1; expected bit/s"):
+        VirtualNetwork(-1)

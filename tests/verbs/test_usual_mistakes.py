@@ -114,7 +114,7 @@ USUAL = [
     ("law dahl --motion semicolons.csv", 3, "got 't_s;x_rad', expected a header with the columns t_s,x_rad"),
     ("analyse study folder", 2, "folder: holds no study (participants.tsv)"),
     ("sweep my-rig.toml -o out", 3, "my-rig.toml:1: design: is missing"),
-    ("export run.pcapng --to csv -o run.pcapng --force", 2, "run.pcapng is the recording itself"),
+    ("export run.pcapng --to csv -o run.pcapng --force", 2, "that is the recording itself"),
     # a value of another kind
     ("check --set host.accept=everything", 3, "got '\"everything\"', expected a list of texts"),
     ("check --set mode.active=3", 3, "got '3', expected a section"),
