@@ -188,12 +188,15 @@ def analyse(ctx: click.Context, /, **options: Any) -> None:
 @analyse.command(epilog=EXIT_STATUS)
 @click.argument("folder", type=click.Path(path_type=Path, file_okay=False))
 @figures_option
+@click.option("--exploration", is_flag=True, help="How the hands moved, from the recordings.")
 @json_option
-def study(folder: Path, figures: Path | None, as_json: bool) -> None:
+def study(folder: Path, figures: Path | None, exploration: bool, as_json: bool) -> None:
     """Thresholds of a study that `coulombus experiment` has kept in FOLDER.
 
     Just noticeable differences with intervals of 95 % (profile likelihood), Weber fractions,
     exponents of magnitudes, all subjects together, and a mixed model where statsmodels is installed.
+    How the hands explored is told where nothing was asked, or with --exploration. With --figures the
+    report is written there with its pictures, as report.md.
 
     \b
     Examples:
@@ -201,9 +204,10 @@ def study(folder: Path, figures: Path | None, as_json: bool) -> None:
       coulombus analyse study out/study --figures out/figures --json
     """
     with errors():
-        from coulombus.analysis.study.report import lines, report, write_figures
+        from coulombus.analysis.study.pictures import write_figures
+        from coulombus.analysis.study.report import lines, report
 
-        found = report(folder)
+        found = report(folder, exploration=exploration)
         if figures is not None:
             _tell_paths(write_figures(found, figures))
         if found["no_mixed_model"] is not None and len(found["subjects"]) > 1:

@@ -1,9 +1,10 @@
-"""The report of a study's folder: each subject, each condition, all subjects, and a picture."""
+"""The report of a study's folder: each subject, each condition, and all subjects."""
 
 from __future__ import annotations
 
 import importlib
 import math
+import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,14 +12,20 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student
 
-from coulombus.analysis.study.fit import Fit, fit_comparisons, fit_magnitudes
+from coulombus.analysis.study.exploration import Exploration, explored, mean_of
+from coulombus.analysis.study.fit import fit_comparisons, fit_magnitudes
+from coulombus.analysis.study.staircase import staircase
 from coulombus.lab.experiment.folder import FolderError, read_events, subjects_of
+from coulombus.recording.pcapng_blocks import RecordingError
 
-__all__ = ["lines", "report", "write_figures"]
+__all__ = ["lines", "report"]
 
 
-def report(folder: Path) -> dict[str, Any]:
+def report(folder: Path, *, exploration: bool = False) -> dict[str, Any]:
     """Return what the answers of a folder come to, as plain values for JSON.
+
+    How the hands explored is read from the recordings where nothing was asked, and everywhere where
+    `exploration` is set.
 
     Training is left out. Thresholds over the subjects are a geometric mean with the interval of
     Student's t of their logarithms. Of two subjects and two conditions or more there is a mixed
@@ -30,41 +37,83 @@ def report(folder: Path) -> dict[str, Any]:
     FolderError
         it is the folder of no study, or a file of it cannot be used
     """
-    subjects = {subject: _subject(folder, subject) for subject in subjects_of(folder)}
+    subjects = {subject: _subject(folder, subject, exploration) for subject in subjects_of(folder)}
     names = list(dict.fromkeys(name for found in subjects.values() for name in found))
     conditions = {name: _over([one[name] for one in subjects.values() if name in one]) for name in names}
     model, why_not = _mixed(subjects)
     return {"subjects": subjects, "conditions": conditions, "mixed_model": model, "no_mixed_model": why_not}
 
 
-def _subject(folder: Path, subject: str) -> dict[str, Any]:
+def _subject(folder: Path, subject: str, exploration: bool) -> dict[str, Any]:
+    kind = _kind(folder)
     paths = sorted((folder / f"sub-{subject}").glob(f"sub-{subject}_task-*_events.tsv"))
     rows: list[dict[str, str]] = []
     for path in paths:
         rows += read_events(path)
         try:
-            [_numbers(row) for row in rows]
+            for row in rows:
+                _check_numbers(row)
         except ValueError as error:
             raise FolderError(f"{path}: a cell is no number ({error}); mend or remove the row") from None
     counted = [row for row in rows if row["training"] == "0"]
     names = dict.fromkeys(row["condition"] for row in counted)
-    return {name: _condition([row for row in counted if row["condition"] == name]) for name in names}
+    found = {}
+    for name in names:
+        own = [row for row in counted if row["condition"] == name]
+        found[name] = _condition(own, kind)
+        if exploration or all(row["answer"] == "n/a" for row in own):
+            found[name]["exploration"] = _explored(folder / f"sub-{subject}" / "recordings", own)
+    return found
 
 
-def _numbers(row: Mapping[str, str]) -> tuple[float, float | None, int]:
-    return float(row["level"]), None if row["reference"] == "n/a" else float(row["reference"]), int(row["first"])
+def _kind(folder: Path) -> str | None:
+    """Return the method of the study's copy; None where that cannot be read."""
+    try:
+        kind = tomllib.loads((folder / "study.toml").read_text(encoding="utf-8"))["method"]["kind"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return kind if isinstance(kind, str) else None
 
 
-def _condition(rows: Sequence[Mapping[str, str]]) -> dict[str, Any]:
+def _explored(recordings: Path, rows: Sequence[Mapping[str, str]]) -> dict[str, Any]:
+    """Return the mean figures of the displays of each level."""
+    found: dict[str, list[Exploration]] = {}
+    for row in rows:
+        path = recordings / f"trial-{int(row['trial']):04d}_display-{max(int(row['first']), 1)}.pcapng"
+        try:
+            one = explored(path)
+        except (OSError, RecordingError) as error:
+            raise FolderError(f"{path}: cannot be read ({error}); restore it, or leave --exploration out") from None
+        if one is not None:
+            found.setdefault(f"{float(row['level']):g}", []).append(one)
+    levels = sorted(found, key=float)
+    return {level: {"displays": len(found[level]), **mean_of(found[level]).as_dict()} for level in levels}
+
+
+def _check_numbers(row: Mapping[str, str]) -> None:
+    _ = float(row["level"]), int(row["first"]), int(row["trial"])
+    if row["reference"] != "n/a":
+        float(row["reference"])
+    elif row["answer"] != "n/a":
+        float(row["answer"])
+
+
+def _condition(rows: Sequence[Mapping[str, str]], kind: str | None) -> dict[str, Any]:
     """Return the fit of one subject in one condition, with the answers that it is of."""
     told: dict[str, Any] = {"trials": len(rows), "fit": None, "magnitudes": None, "levels": {}}
+    told |= {"staircase": None, "exploration": None, "track": None}
     answered = [row for row in rows if row["answer"] != "n/a"]
     if not answered:
         return told
     levels = [float(row["level"]) for row in answered]
     if answered[0]["reference"] == "n/a":
         found = fit_magnitudes(levels, [float(row["answer"]) for row in answered])
-        return told | {"magnitudes": None if found is None else found.as_dict()}
+        track = [[x, float(row["answer"])] for x, row in zip(levels, answered, strict=True)]
+        return told | {"magnitudes": None if found is None else found.as_dict(), "track": track}
+    if kind in ("staircase", "quest"):
+        right = [row["right"] == "1" for row in answered]
+        told["track"] = [[x, int(one)] for x, one in zip(levels, right, strict=True)]
+        told["staircase"] = staircase(levels, right) if kind == "staircase" else None
     larger = [row["answer"] == row["first"] for row in answered]
     for level in sorted(set(levels)):
         took = [one for x, one in zip(levels, larger, strict=True) if x == level]
@@ -122,6 +171,12 @@ def _mixed(subjects: Mapping[str, Mapping[str, Any]]) -> tuple[dict[str, Any] | 
     return {"against": names[0], "jnd_ratio": effects}, None
 
 
+def _told_hand(hand: Mapping[str, Any]) -> str:
+    text = f"path {hand['path_rad']:.3g} rad, {hand['reversals']:.3g} reversals, moving {hand['moving']:.0%}"
+    text += f" at {hand['speed_rad_s']:.3g} rad/s"
+    return text if hand["work_J"] is None else f"{text}, peak {hand['peak_Nm']:.3g} Nm, work {hand['work_J']:.3g} J"
+
+
 def _between(bounds: Sequence[float | None] | None) -> str:
     if bounds is None:
         return ""
@@ -141,34 +196,17 @@ def lines(found: Mapping[str, Any]) -> Iterable[str]:
                 text += f", {fit['right']:.1%} right"
             if magnitudes is not None:
                 text += f", exponent {magnitudes['exponent']:.3g}{_between(magnitudes['exponent_95'])}"
+            if one["staircase"] is not None:
+                turned = one["staircase"]
+                text += (
+                    f", {turned['turns']} turns around {turned['threshold']:.4g} ({turned['right']:.1%} right there)"
+                )
             yield text
+            for level, hand in (one["exploration"] or {}).items():
+                yield f"  level {level}: {_told_hand(hand)}"
     for name, one in found["conditions"].items():
         if one["jnd"] is not None and one["subjects"] > 1:
             yield f"{name}: JND {one['jnd']:.4g}{_between(one['jnd_95'])} of {one['subjects']} subjects"
     model = found["mixed_model"]
     for name, effect in (model or {"jnd_ratio": {}})["jnd_ratio"].items():
         yield f"{name}: JND {effect['ratio']:.3g}{_between(effect['ratio_95'])} times that of {model['against']}"
-
-
-def write_figures(found: Mapping[str, Any], folder: Path) -> list[Path]:
-    """Draw the psychometric functions of each subject, and return the files: PNG and SVG."""
-    from coulombus.recording.pictures.style import figure, save
-
-    paths: list[Path] = []
-    for subject, conditions in found["subjects"].items():
-        shown = {name: one for name, one in conditions.items() if one["fit"] is not None}
-        if not shown:
-            continue
-        with figure(6.0, 4.0) as (made, axes):
-            for k, (name, one) in enumerate(shown.items()):
-                fit = Fit(**one["fit"])
-                levels = np.array([float(level) for level in one["levels"]])
-                counts = np.array(list(one["levels"].values()), float)
-                colour = f"C{k}"
-                axes.scatter(levels, counts[:, 0] / counts[:, 1], s=8 + 2 * counts[:, 1], color=colour, alpha=0.6)
-                x = np.linspace(levels.min(), levels.max(), 200)
-                axes.plot(x, fit.chance(x), color=colour, label=f"{name}: JND {fit.jnd:.3g}")
-            axes.set(xlabel="level", ylabel="share taken as larger", ylim=(-0.03, 1.03), title=f"subject {subject}")
-            axes.legend()
-            paths += save(made, folder, f"sub-{subject}_psychometric")
-    return paths

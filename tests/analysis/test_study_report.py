@@ -4,8 +4,10 @@ from collections.abc import Callable
 
 import pytest
 from click.testing import CliRunner
+from scipy.special import ndtri
 
-from coulombus.analysis.study.report import _mixed, lines, report, write_figures
+from coulombus.analysis.study.pictures import write_figures
+from coulombus.analysis.study.report import _mixed, lines, report
 from coulombus.lab.experiment.folder import FolderError, SubjectFolder
 from coulombus.lab.experiment.observer import Observer
 from coulombus.lab.experiment.session import People, SubjectSession, run_session
@@ -54,15 +56,21 @@ def test_staircases_come_to_the_observers_thresholds(keep, tmp_path):
             assert one["fit"]["trials"] == one["trials"] == 80
             assert one["fit"]["jnd"] == pytest.approx(jnd, rel=0.5)
             assert one["fit"]["right"] == pytest.approx(0.7071, abs=0.08)
+            assert one["staircase"]["right"] == pytest.approx(0.7071, abs=0.1)
+            at_707 = 2.0 + jnd / ndtri(0.75) * ndtri(0.7071)
+            assert one["staircase"]["threshold"] == pytest.approx(at_707, abs=0.06)
     low, high = found["conditions"]["a"]["jnd_95"]
     assert low < 0.15 < high
     assert "2 subjects" in "\n".join(lines(found))
+    names = {path.name for path in write_figures(found, tmp_path / "figures")}
+    assert {"sub-S01_track.png", "sub-S02_psychometric.svg", "conditions.png", "report.md"} <= names
 
 
 def test_pictures_are_the_same_for_the_same_answers(keep, tmp_path):
     keep(TEXT, 0.15)
     first, second = (write_figures(report(tmp_path / "out"), tmp_path / name) for name in ("one", "two"))
-    assert [path.name for path in first] == ["sub-S01_psychometric.png", "sub-S01_psychometric.svg"]
+    assert [path.name for path in first] == ["sub-S01_psychometric.png", "sub-S01_psychometric.svg", "report.md"]
+    assert "JND" in first[-1].read_text()
     assert [path.read_bytes() for path in first] == [path.read_bytes() for path in second]
 
 
