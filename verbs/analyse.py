@@ -523,9 +523,11 @@ def _map(rig: Rig, options: dict[str, Any]) -> None:
 @click.option("--figure", type=PICTURE, metavar="F", help="Write the plot there (.png, .svg, .pdf).")
 @force_option
 @click.option("--axis", metavar="A", help="Which axis of a rig that has several.")
+@click.option("--law", "law", metavar="NAME", help="Fit this law's parameters instead.")
+@click.option("--set", "overrides", multiple=True, metavar="KEY=V", help="With --law: hold a parameter at a value.")
 @json_option
 def identify_command(
-    file: Path, rig_name: str | None, figure: Path | None, overwrite: bool, axis: str | None, as_json: bool
+    file: Path, rig_name: str | None, figure: Path | None, overwrite: bool, axis: str | None, **options: Any
 ) -> None:
     """Identify friction from a recording by least squares: Coulomb, viscous, and Stribeck where the
     data carry it.
@@ -534,12 +536,25 @@ def identify_command(
     second, each with its 95 % confidence interval. The recording needs strokes, to and fro, best at
     several speeds and with the coil off.
 
+    With --law the parameters of that law are sought that give the hand's torque along the recorded
+    angle. FILE may be a CSV file with the columns t_s,x_rad,torque_Nm, too.
+
     \b
     Examples:
       coulombus simulate --mode active --record active.pcapng && coulombus identify active.pcapng
       coulombus identify strokes.pcapng --json
       coulombus identify strokes.pcapng --figure friction.png
+      coulombus identify strokes.csv --law lugre --set sigma_2_Nms_rad=0
     """
+    as_json = options["as_json"]
+    if options["law"] is not None:
+        if figure is not None:
+            raise click.UsageError("--figure is of the fit without --law")
+        with errors():
+            _identify_law(file, rig_name, axis, options)
+        return
+    if options["overrides"]:
+        raise click.UsageError("--set holds a parameter of a law: give --law NAME, too")
     with errors():
         from coulombus.recording.friction.identify import identify, lines
         from coulombus.recording.output_file import new_file
@@ -563,3 +578,32 @@ def identify_command(
                 print_json(found.as_dict())
             else:
                 click.echo("\n".join(lines(found)))
+
+
+def _identify_law(file: Path, rig_name: str | None, axis: str | None, options: dict[str, Any]) -> None:
+    from coulombus.analysis.rig.law_fit import Stretch, fit_law, lines, stretches_of
+    from coulombus.host.laws.path import read_columns
+    from coulombus.recording.friction.sliding import IdentifyError
+    from coulombus.recording.signals import blocks
+    from coulombus.rigs.rig import load_rig
+
+    table = file.suffix.lower() == ".csv"
+    data: tuple[Stretch, ...]
+    if table:
+        data = (Stretch(*read_columns(file, ("t_s", "x_rad", "torque_Nm"))),)
+    else:
+        recording = blocks(file, rig=None if rig_name is None else load_rig(rig_name))
+        seen = recording.one_axis(axis)
+        try:
+            data = stretches_of(seen)
+        finally:
+            remark(seen.remarks)
+    try:
+        found = fit_law(options["law"], data, options["overrides"], rig=not table)
+    except IdentifyError as error:
+        raise IdentifyError(f"{file}: {error}".replace(f"{file}: {file}:", f"{file}:")) from error
+    with printed():
+        if options["as_json"]:
+            print_json(found.as_dict())
+        else:
+            click.echo("\n".join(lines(found)))

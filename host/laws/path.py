@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import math
 from pathlib import Path
 from typing import NamedTuple
@@ -11,7 +12,7 @@ import numpy.typing as npt
 
 from coulombus.eds.regular_file import read_regular
 
-__all__ = ["MotionFileError", "MotionPath", "ramp", "read_motion", "sine"]
+__all__ = ["MotionFileError", "MotionPath", "ramp", "read_columns", "read_motion", "sine"]
 
 COLUMNS = ("t_s", "x_rad")
 MOST_ERRORS = 10
@@ -51,7 +52,19 @@ def read_motion(path: Path) -> MotionPath:
     MotionFileError
         with the first mistakes, each with ``file:line``
     """
-    wanted = "a CSV file with the columns t_s,x_rad"
+    t_s, x_rad = read_columns(path, COLUMNS)
+    return MotionPath(t_s, x_rad)
+
+
+def read_columns(path: Path, columns: tuple[str, ...]) -> tuple[npt.NDArray[np.float64], ...]:
+    """Read columns of numbers from a CSV file, the first of which is times that grow.
+
+    Raises
+    ------
+    MotionFileError
+        with the first mistakes, each with ``file:line``
+    """
+    wanted = f"a CSV file with the columns {','.join(columns)}"
     try:
         lines = read_regular(path).decode("utf-8-sig").splitlines()
     except OSError as error:
@@ -62,15 +75,16 @@ def read_motion(path: Path) -> MotionPath:
     if not rows:
         raise MotionFileError(f"{path}:1: the file is empty; expected {wanted}")
     number, head = rows[0]
-    names = [cell.strip().strip('"') for cell in head.split(",")]
-    if any(names.count(column) != 1 for column in COLUMNS):
+    names = [cell.strip() for cell in _cells(head)]
+    if any(names.count(column) != 1 for column in columns):
+        hint = "; columns are parted by commas" if ";" in head or "\t" in head else ""
         raise MotionFileError(
-            f"{path}:{number}: got '{head[:60].strip()}', expected a header with the columns t_s,x_rad"
+            f"{path}:{number}: got '{head[:60].strip()}', expected a header with the columns {','.join(columns)}{hint}"
         )
-    places = [names.index(column) for column in COLUMNS]
+    places = [names.index(column) for column in columns]
     values, mistakes, before = [], [], -math.inf
     for number, line in rows[1:]:
-        cells = line.split(",")
+        cells = _cells(line)
         row = [_number(cells[place]) for place in places] if len(cells) == len(names) else [math.nan]
         if not all(map(math.isfinite, row)):
             mistakes.append(
@@ -87,10 +101,17 @@ def read_motion(path: Path) -> MotionPath:
         more = [f"{path}: {len(mistakes) - MOST_ERRORS} further lines are wrong"] if len(mistakes) > MOST_ERRORS else []
         raise MotionFileError("\n".join(mistakes[:MOST_ERRORS] + more))
     table = np.array(values)
-    return MotionPath(table[:, 0].copy(), table[:, 1].copy())
+    return tuple(table[:, k].copy() for k in range(len(columns)))
+
+
+def _cells(line: str) -> list[str]:
+    """Return a line's cells; quotes may stand around one."""
+    return line.split(",") if '"' not in line else next(csv.reader([line]))
 
 
 def _number(cell: str) -> float:
+    if "_" in cell:  # Python's own grouping: 1_000
+        return math.nan
     try:
         return float(cell)
     except ValueError:

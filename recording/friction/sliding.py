@@ -29,7 +29,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -38,7 +38,7 @@ from scipy.signal import savgol_coeffs, savgol_filter
 from coulombus.eds.cia402 import STATE_OF_STATUSWORD, PowerState
 from coulombus.recording.signals import Series, Source, series
 
-__all__ = ["Equations", "Floats", "IdentifyError", "Slide", "Sliding", "equations", "sliding"]
+__all__ = ["Equations", "Floats", "IdentifyError", "Slide", "Sliding", "equations", "sliding", "stretches"]
 
 Floats: TypeAlias = npt.NDArray[np.float64]
 Flags: TypeAlias = npt.NDArray[np.bool_]
@@ -203,17 +203,25 @@ class _Samples:
         self.good &= flags
 
 
-def sliding(recording: Source, window_s: float = WINDOW_S) -> Sliding:
-    """Return the samples of a recording that obey the regression.
+class _Signals(NamedTuple):
+    """What a recording has of the handle, cycle by cycle."""
 
-    Raises
-    ------
-    IdentifyError
-            the rig has no transducer; hardly a sample does, the text counts why; or the recording's
-        stamps go back
-    """
-    axis, period = recording.rig.one_axis(), recording.rig.bus.period_s
-    size = 2 * max(round(0.5 * (window_s / period - 1)), 2) + 1
+    t: Floats
+    x: Floats
+    moved: Floats
+    """Counts since the cycle before."""
+    hand: Floats
+    motor: Floats
+    brake: Floats
+    shown: Flags
+    """In the display at full gain."""
+    notes: tuple[str, ...]
+    count_rad: float
+    """An encoder count at the handle [rad]."""
+
+
+def _signals(recording: Source) -> _Signals:
+    period = recording.rig.bus.period_s
     names = ("motor.position_rad", "brake.handle_torque_Nm")
     if not recording.has(names[1]):
         raise IdentifyError(
@@ -242,6 +250,50 @@ def sliding(recording: Source, window_s: float = WINDOW_S) -> Sliding:
     if not told:
         motor = _held(drive_torque, t)
         notes += ("the motor's torque is not measured: the device's own friction is with the torque that it was told",)
+    return _Signals(t, x, moved, hand, motor, brake, shown, notes, count)
+
+
+def stretches(recording: Source) -> tuple[Slide, ...]:
+    """Return the samples in a row of the display at full gain, those at rest, too.
+
+    Raises
+    ------
+    IdentifyError
+        the rig has no transducer, there is hardly a sample, or the recording's stamps go back
+    """
+    period, seen = recording.rig.bus.period_s, _signals(recording)
+    good = seen.shown & np.isfinite(seen.x) & np.isfinite(seen.hand) & np.isfinite(seen.motor)
+    gaps = np.abs(np.diff(seen.t, prepend=seen.t[:1] - period) - period) >= 0.5 * period
+    edges = [(a, b) for first, end in _runs(good) for a, b in _apart(first, end, gaps)]
+    found = tuple(
+        Slide(seen.t[a:b], seen.x[a:b], seen.hand[a:b], seen.motor[a:b]) for a, b in edges if b - a >= LEAST_SAMPLES
+    )
+    if not found:
+        raise IdentifyError(
+            f"{recording.path}: {int(good.sum())} samples are in the display at full gain; expected at least {LEAST_SAMPLES} in a row: "
+            "record strokes, to and fro"
+        )
+    return found
+
+
+def _apart(first: int, end: int, gaps: Flags) -> list[tuple[int, int]]:
+    """Split a run of samples where a cycle is missing."""
+    cuts = first + 1 + np.flatnonzero(gaps[first + 1 : end])
+    return list(pairwise([first, *cuts.tolist(), end]))
+
+
+def sliding(recording: Source, window_s: float = WINDOW_S) -> Sliding:
+    """Return the samples of a recording that obey the regression.
+
+    Raises
+    ------
+    IdentifyError
+            the rig has no transducer; hardly a sample does, the text counts why; or the recording's
+        stamps go back
+    """
+    axis, period = recording.rig.one_axis(), recording.rig.bus.period_s
+    size = 2 * max(round(0.5 * (window_s / period - 1)), 2) + 1
+    t, x, moved, hand, motor, brake, shown, notes, count = _signals(recording)
 
     samples = _Samples(len(t))
     samples.keep("not in the display at full gain (arming, gain ramp, after the end)", shown)
