@@ -156,6 +156,8 @@ function coulombus.dissector(tvb, pinfo, root)
     pinfo.cols.info = head .. (said == "" and "" or "  " .. said)
 end
 
-local ids = DissectorTable.get("can.id")
-for id in pairs(PDOS) do ids:add(id, coulombus) end
+local ids, extended = DissectorTable.get("can.id"), DissectorTable.get("can.extended_id")
+for id in pairs(PDOS) do
+    if id < 0x800 then ids:add(id, coulombus) elseif extended then extended:add(id, coulombus) end
+end
 for id in pairs(SERVICES) do ids:add(id, coulombus) end

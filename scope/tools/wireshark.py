@@ -12,6 +12,7 @@ from pathlib import Path
 
 from coulombus.eds.cia301 import EMCY_TEXT, CobId, NmtCommand
 from coulombus.eds.cia402 import word_fields
+from coulombus.recording.inside import inside_pdos
 from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo
 from coulombus.scope.names import fields, plain, signals
@@ -25,12 +26,19 @@ COLOURS = (
     ("Coulombus: NMT", "coulombus.nmt.command", "0,0,0", "65535,64000,47000"),
     ("Coulombus: SYNC", 'coulombus.service == "sync"', "30000,30000,30000", "62000,62000,62000"),
     ("Coulombus: heartbeat", "coulombus.heartbeat.state", "20000,20000,20000", "65535,60000,64000"),
+    ("Coulombus: told by the host", 'coulombus.pdo contains "told"', "20000,20000,20000", "65535,65535,57000"),
     ("Coulombus: from the host", 'coulombus.pdo contains "RPDO"', "0,0,0", "57000,61000,65535"),
     ("Coulombus: to the host", 'coulombus.pdo contains "TPDO"', "0,0,0", "58000,65535,58000"),
 )
 """Name, filter, text and background; the first that fits counts."""
 LINES = ("#1f77b4", "#d62728", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf", "#8c564b", "#e377c2")
+TOLD = "told"
+"""What the frames are called that were on no bus (`recording.inside`)."""
+NO_STATE = b"[]"
+"""What a law keeps has names that the recording tells, not the rig."""
+CAN_EFF_MASK = 0x1FFFFFFF
 BUTTONS = (
+    ("The bus alone", 'frame.interface_name != "coulombus-host"'),
     ("Emergencies", "coulombus.emcy.code != 0"),
     ("No SYNC, no heartbeats", '!(coulombus.service == "sync") && !coulombus.heartbeat.state'),
     ("NMT", "coulombus.nmt.command"),
@@ -59,7 +67,8 @@ def dissector(rig: Rig) -> str:
         *rows,
         "}",
         "local PDOS = {",
-        *map(_pdo, rig.pdos()),
+        *(_pdo(pdo, pdo.name) for pdo in rig.pdos()),
+        *(_pdo(pdo, f"{TOLD} {pdo.layout.number}") for pdo in inside_pdos(rig, NO_STATE)),
         "}",
         "",
         Path(__file__).with_name("dissector.lua").read_text(encoding="utf-8"),
@@ -67,15 +76,15 @@ def dissector(rig: Rig) -> str:
     return "\n".join(lines)
 
 
-def _pdo(pdo: RigPdo) -> str:
-    head = f"node = {_quoted(pdo.node)}, pdo = {_quoted(pdo.name)}, length = {pdo.layout.length}"
+def _pdo(pdo: RigPdo, name: str) -> str:
+    head = f"node = {_quoted(pdo.node)}, pdo = {_quoted(name)}, length = {pdo.layout.length}"
     rows = []
     for signal, entry, start in fields(pdo):
         words = {
             "key": _quoted(plain(signal)),
             "label": _quoted(plain(signal).rpartition(".")[2]),
             "unit": _quoted(signal.unit),
-            "object": _quoted(f"{entry.index:04X}h:{entry.subindex}"),
+            "object": _quoted(f"{entry.index:04X}h:{entry.subindex}" if entry.index else "no object"),
             "start": str(start),
             "bits": str(entry.bits),
             "signed": str(entry.signed).lower(),
@@ -93,7 +102,7 @@ def _pdo(pdo: RigPdo) -> str:
             )
             words["parts"] = "{\n            " + ",\n            ".join(shown) + "}"
         rows.append("        {" + ", ".join(f"{key} = {value}" for key, value in words.items()) + "},")
-    return "\n".join((f"    [{pdo.layout.cob_id:#05x}] = {{{head}, fields = {{", *rows, "    }},"))
+    return "\n".join((f"    [{pdo.layout.cob_id & CAN_EFF_MASK:#05x}] = {{{head}, fields = {{", *rows, "    }},"))
 
 
 def _table(values: Mapping[int, str]) -> str:

@@ -33,6 +33,7 @@ from coulombus.recording.pictures.plot import traces_of
 from coulombus.recording.recorder import Recorder
 from coulombus.recording.signals import blocks, decode_field, read, series
 from coulombus.rigs.rig import load_rig
+from coulombus.scope.tools.folder import tool_files
 from coulombus.wire.frame import FRAME, new_records
 
 NAMES = [
@@ -298,6 +299,25 @@ def test_the_bus_own_recording_has_no_second_interface(tmp_path):
     path = record(tmp_path / "a.pcapng")
     assert HOST_INTERFACE.encode() not in path.read_bytes()
     assert not [name for name in read(path).signals if name.startswith("host.")]
+
+
+@pytest.mark.skipif(shutil.which("tshark") is None, reason="tshark is not installed")
+def test_the_dissector_has_the_numbers_of_read(simulated, tmp_path):
+    rig = load_rig("bench")
+    (tmp_path / "bench.lua").write_text(tool_files(rig)["bench.lua"])
+    keys = ["host.phase", "host.gain", "host.law_brake", "host.x_stuck"]
+    shown = ["-T", "fields", "-E", "separator=,", *(word for key in keys for word in ("-e", f"coulombus.{key}"))]
+    command = ["tshark", "-X", f"lua_script:{tmp_path / 'bench.lua'}", "-r", os.fspath(simulated)]
+    done = subprocess.run([*command, *shown], capture_output=True, text=True, check=True)
+    columns = zip(*(line.split(",") for line in done.stdout.splitlines()), strict=True)
+    recording = read(simulated)
+    names = ["host.phase", "host.gain", "host.law_brake_Nm", "host.x_stuck_rad"]
+    for name, column in zip(names, columns, strict=True):
+        found = [float(text) for text in column if text]
+        np.testing.assert_allclose(found, recording[name].values, rtol=1e-12, atol=1e-12)
+    least = [*command, "-Y", "coulombus.host.phase == 5", "-T", "fields", "-e", "frame.number"]
+    run = subprocess.run(least, capture_output=True, text=True, check=True).stdout.splitlines()
+    assert len(run) == np.count_nonzero(recording["host.phase"].values == Phase.RUN)
 
 
 @pytest.mark.skipif(shutil.which("tshark") is None, reason="tshark is not installed")
