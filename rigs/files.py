@@ -15,9 +15,10 @@ from coulombus.rigs.mistakes import Source, nearest
 from coulombus.rigs.signals import Node
 from coulombus.rigs.toml_lines import Table
 
-__all__ = ["read_descriptions", "read_schedules"]
+__all__ = ["COLUMNS", "read_descriptions", "read_schedules"]
 
-COLUMNS = ("t_s", "torque_Nm")
+COLUMNS = {"file": ("t_s", "torque_Nm"), "motion": ("t_s", "x_rad")}
+"""Columns of the CSV file, by the kind of the phase."""
 MOST_ERRORS = 10
 
 
@@ -70,7 +71,8 @@ def _from_file(name: str, rig_path: str) -> Description:
 
 
 def read_schedules(values: Table, source: Source, *, attached: bool = False) -> None:
-    """Fill in `t_s`, `torque_Nm` and `duration_s` of the phases of kind "file".
+    """Fill in `t_s`, `torque_Nm` and `duration_s` of the phases of kind "file", `t_s`,
+    `x_rad` and `duration_s` of those of kind "motion".
 
     Mistakes are noted in `source`.
 
@@ -79,12 +81,15 @@ def read_schedules(values: Table, source: Source, *, attached: bool = False) -> 
     """
     phases = values.get("phase")
     for i, phase in enumerate(phases if isinstance(phases, list) else ()):
-        if not isinstance(phase, dict) or phase.get("kind") != "file":
+        kind = phase.get("kind") if isinstance(phase, dict) else None
+        if not isinstance(phase, dict) or not isinstance(kind, str) or kind not in COLUMNS:
             continue
-        if not phase.keys() & set(COLUMNS) and attached:
-            source.say(("phase", i, "path"), "the schedule's values are not attached; expected t_s and torque_Nm")
-            source.wrong.update(("phase", i, column) for column in (*COLUMNS, *({"duration_s"} - phase.keys())))
-        elif not phase.keys() & set(COLUMNS):
+        names = COLUMNS[kind]
+        if not phase.keys() & set(names) and attached:
+            wanted = " and ".join(names)
+            source.say(("phase", i, "path"), f"the schedule's values are not attached; expected {wanted}")
+            source.wrong.update(("phase", i, column) for column in (*names, *({"duration_s"} - phase.keys())))
+        elif not phase.keys() & set(names):
             _read_schedule(phase, ("phase", i), source)
         times = phase.get("t_s")
         if "duration_s" not in phase and isinstance(times, list) and times and type(times[-1]) in (int, float):
@@ -92,47 +97,49 @@ def read_schedules(values: Table, source: Source, *, attached: bool = False) -> 
 
 
 def _read_schedule(phase: dict[str, Any], key: tuple[str, int], source: Source) -> None:
-    name = phase.get("path")
+    name, names = phase.get("path"), COLUMNS[phase["kind"]]
+    header = ",".join(names)
     if not isinstance(name, str):
         if "path" not in phase:
-            source.say((*key, "path"), "missing in [[phase]]; expected a CSV file with the columns t_s,torque_Nm")
+            source.say((*key, "path"), f"missing in [[phase]]; expected a CSV file with the columns {header}")
     else:
         path, tried = _find(name, source.path, None)
         if path is None:
             looked = ", ".join(map(str, tried))
-            source.stands((*key, "path"), name, f"a CSV file with the columns t_s,torque_Nm; looked for {looked}")
+            source.stands((*key, "path"), name, f"a CSV file with the columns {header}; looked for {looked}")
         else:
             columns: tuple[list[float], list[float]] = ([], [])
-            mistakes = list(_rows(path, columns))
+            mistakes = list(_rows(path, columns, names))
             place, _ = source.where((*key, "path"))
             source.found += [(place, mistake) for mistake in mistakes[:MOST_ERRORS]]
             if len(mistakes) > MOST_ERRORS:
                 source.found.append((place, f"{path}: {len(mistakes) - MOST_ERRORS} further lines cannot be read"))
             if not mistakes:
-                phase["t_s"], phase["torque_Nm"] = columns
+                phase[names[0]], phase[names[1]] = columns
                 return
-    source.wrong.update((*key, column) for column in (*COLUMNS, *({"duration_s"} - phase.keys())))
+    source.wrong.update((*key, column) for column in (*names, *({"duration_s"} - phase.keys())))
 
 
-def _rows(path: Path, columns: tuple[list[float], list[float]]) -> Iterator[str]:
+def _rows(path: Path, columns: tuple[list[float], list[float]], names: tuple[str, str]) -> Iterator[str]:
     """Read a schedule into `columns`; yield the mistakes, each with file:line."""
+    header = ",".join(names)
     try:
         lines = read_regular(path).decode("utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "no UTF-8"
-        yield f"{path}:1: cannot be read ({reason}); expected a CSV file with the columns t_s,torque_Nm"
+        yield f"{path}:1: cannot be read ({reason}); expected a CSV file with the columns {header}"
         return
     rows = [(n, line.strip()) for n, line in enumerate(lines, 1) if line.strip() and not line.lstrip().startswith("#")]
-    if not rows or [cell.strip() for cell in rows[0][1].split(",")] != list(COLUMNS):
+    if not rows or [cell.strip() for cell in rows[0][1].split(",")] != list(names):
         number, head = rows[0] if rows else (1, "")
-        yield f"{path}:{number}: got '{head[:60]}', expected the header t_s,torque_Nm"
+        yield f"{path}:{number}: got '{head[:60]}', expected the header {header}"
         return
     before = -math.inf
     for number, line in rows[1:]:
         cells = line.split(",")
         row = [_number(cell) for cell in cells]
         if len(cells) != 2 or any(cell is None for cell in row):
-            yield f"{path}:{number}: got '{line[:60]}', expected two finite numbers, t_s,torque_Nm"
+            yield f"{path}:{number}: got '{line[:60]}', expected two finite numbers, {header}"
             continue
         t, torque = (cell for cell in row if cell is not None)
         if t <= before or t < 0:

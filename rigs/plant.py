@@ -13,7 +13,17 @@ from pydantic import BeforeValidator, ConfigDict, Field
 from coulombus.rigs.model import NS, SAYS_POLARITY, Nanoseconds, Polarity, Section, to_ns
 from coulombus.rigs.plant_detail import Cable, Fluid, Friction, Handle, Heat, Iron, Ripple
 
-__all__ = ["FilePhase", "HoldPhase", "Operator", "PaperPhase", "Phase", "Plant", "RestPhase", "StrokePhase"]
+__all__ = [
+    "FilePhase",
+    "HoldPhase",
+    "MotionPhase",
+    "Operator",
+    "PaperPhase",
+    "Phase",
+    "Plant",
+    "RestPhase",
+    "StrokePhase",
+]
 
 
 class Plant(Section):
@@ -210,4 +220,38 @@ class FilePhase(Section):
         return hash(self._key())
 
 
-Phase: TypeAlias = Annotated[RestPhase | HoldPhase | StrokePhase | PaperPhase | FilePhase, Field(discriminator="kind")]
+class MotionPhase(Section):
+    """[[phase]] of kind "motion": where a recorded hand was, from a CSV file, straight lines between
+    its rows.
+
+    The hand's impedance follows it: f_h = K_o theta_d + B_o theta_d'. The loader reads `path` into
+    `t_s` and `x_rad`.
+    """
+
+    model_config = ConfigDict(arbitrary_types_allowed=True)
+
+    kind: Literal["motion"]
+    path: str = Field("", description="CSV file, beside the rig file; columns t_s,x_rad")
+    duration_s: float = Field(
+        gt=0, le=86400, description="length of the phase; the file's last t_s where it is not given"
+    )
+    t_s: Annotated[Floats, BeforeValidator(_column)] = Field(
+        description="times instead of a file", json_schema_extra={"expected": "a list of numbers that grow, from 0 on"}
+    )
+    x_rad: Annotated[Floats, BeforeValidator(_column)] = Field(
+        description="angles at these times", json_schema_extra={"expected": "a list of as many numbers as t_s has"}
+    )
+
+    def _key(self) -> tuple[str, float, bytes, bytes]:
+        return self.path, self.duration_s, self.t_s.tobytes(), self.x_rad.tobytes()
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, MotionPhase) and self._key() == other._key()
+
+    def __hash__(self) -> int:
+        return hash(self._key())
+
+
+Phase: TypeAlias = Annotated[
+    RestPhase | HoldPhase | StrokePhase | PaperPhase | FilePhase | MotionPhase, Field(discriminator="kind")
+]

@@ -11,6 +11,7 @@ from typing import Any
 from coulombus.rigs.axes import TAKEN, device_keys
 from coulombus.rigs.detail_rules import check_detail
 from coulombus.rigs.devices import SENSOR_NAME
+from coulombus.rigs.files import COLUMNS
 from coulombus.rigs.mistakes import Source, dotted, shown
 from coulombus.rigs.model import CIA_301_BIT_RATES, MODES, MOST_DEVICES, WORK_WINDOW_CYCLES, to_ns
 from coulombus.rigs.pdo_maps import allocate
@@ -209,8 +210,9 @@ def check(values: Table, source: Source) -> None:
         source.say(("mode",), f"no mode is given; expected at least one of {wanted}")
     phases = values.get("phase")
     for i, phase in enumerate(phases if isinstance(phases, list) else ()):
-        if isinstance(phase, dict) and phase.get("kind") == "file" and not source.is_wrong(("phase", i)):
-            _check_columns(phase, ("phase", i), source)
+        kind = phase.get("kind") if isinstance(phase, dict) else None
+        if isinstance(kind, str) and kind in COLUMNS and not source.is_wrong(("phase", i)):
+            _check_columns(phase, ("phase", i), COLUMNS[kind][1], source)
 
 
 def check_roles(parts: Parts, values: Table, source: Source) -> None:
@@ -228,17 +230,17 @@ def check_roles(parts: Parts, values: Table, source: Source) -> None:
         source.problems.append(problem)
 
 
-def _check_columns(phase: Table, key: Key, source: Source) -> None:
-    times, torques = phase.get("t_s"), phase.get("torque_Nm")
+def _check_columns(phase: Table, key: Key, column: str, source: Source) -> None:
+    times, torques = phase.get("t_s"), phase.get(column)
     if (
         not isinstance(times, list)
         or not isinstance(torques, list)
-        or any(source.is_wrong((*key, column)) for column in ("t_s", "torque_Nm"))
+        or any(source.is_wrong((*key, one)) for one in ("t_s", column))
     ):
         return
     if len(times) != len(torques) or len(times) < 2:
         source.say(
-            (*key, "torque_Nm"),
+            (*key, column),
             f"got {len(torques)} values where t_s has {len(times)}, expected as many, two or more",
         )
     elif times[0] < 0 or any(later <= earlier for earlier, later in pairwise(times)):

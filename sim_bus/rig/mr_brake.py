@@ -80,5 +80,5 @@ def thin(d: Record) -> None:
 def heat(p: Record, lost_J: float, current_A: float) -> None:
     """Let the device warm up for one step by what friction lost in it [J], and by the coil."""
     d = p.detail
-    d.degC += d.heat_1_JK / p.h * lost_J + d.heat_1_JK * d.coil_ohm * current_A * current_A
-    d.degC -= d.cooling * (d.degC - p.ambient)
+    gained = lost_J / p.h + d.coil_ohm * current_A * current_A
+    d.degC += d.heat_1_JK * gained - d.cooling * (d.degC - p.ambient)

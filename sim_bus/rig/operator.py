@@ -28,6 +28,9 @@ __all__ = ["KNOT_S", "LET_GO_S", "Operator", "drawn", "paper_force_N"]
 
 KNOT_S = 1e-3
 LET_GO_S = 2.0
+LATE_S = 0.1
+"""By how much a tap comes late, for a population of 1: the normal spread."""
+MOST_TAPS = 1000
 SUBJECT = 0x68616E64
 """Keeps the draws of a subject apart from others of the same seed."""
 
@@ -63,12 +66,20 @@ def _subject(seed: int, what: int = 0) -> np.random.Generator:
 
 class Operator:
     """The muscle torque of the operator of `axis` in mode `mode`, which sets the size of a push
-    (share of F_s), as the subject `seed`: of a population its tremor begins anywhere in its period.
+    (share of F_s), as the subject `seed`.
+
+    Of a population its tremor begins anywhere in its period, its pushes and taps are as strong as
+    the subject makes them, and its taps come a little late.
     """
 
     def __init__(self, axis: Axis, mode: str, seed: int = 0) -> None:
         self._hand = drawn(axis.simulation.operator, seed)
-        self._tremor_rad = 2 * np.pi * _subject(seed, 1).random() if self._hand.population > 0 else 0.0
+        self._tremor_rad, self._push, self._tap = 0.0, 1.0, 1.0
+        spread = self._hand.population
+        self._late_s = LATE_S * spread * np.abs(_subject(seed, 3).standard_normal(MOST_TAPS))
+        if spread > 0:
+            self._tremor_rad = 2 * np.pi * _subject(seed, 1).random()
+            self._push, self._tap = np.exp(spread * _subject(seed, 2).standard_normal(2))
         self._phases = axis.phases
         self._F_s = axis.mode[mode].F_s_Nm
         self.starts_s = np.array(axis.phase_starts_s)
@@ -105,15 +116,18 @@ class Operator:
             if phase.kind == "stroke":
                 end, _ = _stroke(np.array([phase.duration_s]), phase.speed_rad_s, phase.move_s, phase.dwell_s)
                 wanted += float(end[0])
+            elif phase.kind == "motion":
+                wanted += float(np.interp(phase.duration_s, phase.t_s, phase.x_rad))
             first, after = np.searchsorted(t, (begin, begin + phase.duration_s))
             if first == after:
                 continue
             inside = slice(first, after)
             s = t[inside] - begin
             if phase.kind == "hold":
-                push = phase.push_F_s * self._F_s * np.sin(2 * np.pi * phase.frequency_Hz * s)
-                for tap in phase.taps_s:
-                    push = push + phase.tap_Nm * ((s >= tap) & (s < tap + phase.tap_s))
+                push = self._push * phase.push_F_s * self._F_s * np.sin(2 * np.pi * phase.frequency_Hz * s)
+                for k, at in enumerate(phase.taps_s):
+                    tap = at + self._late_s[k]
+                    push = push + self._tap * phase.tap_Nm * ((s >= tap) & (s < tap + phase.tap_s))
                 torque[inside] = rest + push
             elif phase.kind == "stroke":
                 angle, speed = _stroke(s, phase.speed_rad_s, phase.move_s, phase.dwell_s)
@@ -122,6 +136,12 @@ class Operator:
                 torque[inside] = rest + paper_force_N(s)
             elif phase.kind == "file":
                 torque[inside] = rest + np.interp(s, phase.t_s, phase.torque_Nm)
+            elif phase.kind == "motion":
+                angle = np.interp(s, phase.t_s, phase.x_rad)
+                moves = (s >= phase.t_s[0]) & (s < phase.t_s[-1])
+                leg = np.clip(np.searchsorted(phase.t_s, s, "right") - 1, 0, len(phase.t_s) - 2)
+                speed = moves * (np.diff(phase.x_rad) / np.diff(phase.t_s))[leg]
+                torque[inside] = rest + hand.stiffness_Nm_rad * angle + hand.damping_Nms_rad * speed
             else:
                 torque[inside] = rest
         return torque

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from coulombus.rigs.rig import load_rig
+from coulombus.rigs.rig import RigError, load_rig, load_rig_text
 from coulombus.sim_bus.network.kernel import Exit
 from coulombus.sim_bus.rig.operator import LET_GO_S, Operator, paper_force_N
 from coulombus.sim_bus.server.rig_server import PacedRig
@@ -92,3 +92,43 @@ def test_the_simulated_hand_lets_go_when_the_drive_is_disabled():
     world._axes["operator_start_ns"] = world.t_ns  # enabled again: the schedule begins anew
     world.answer(Exit.ENABLED)
     assert np.max(np.abs(world._f_h[0][:900])) <= 0.021
+
+
+MOTION = '[[phase]]\nkind = "motion"\npath = "hand.csv"\n'
+
+
+def with_motion(folder, rows):
+    """Return a rig file with a recorded hand's motion as its only phase, and another rest."""
+    (folder / "hand.csv").write_text(rows)
+    file = folder / "mine.toml"
+    rest = '[[phase]]\nkind = "rest"\nduration_s = 1.0\n'
+    file.write_text(load_rig("bench").text.split("[[phase]]")[0] + MOTION + rest)
+    return str(file)
+
+
+def test_a_recorded_motion_is_followed_by_the_hands_impedance(tmp_path):
+    operator = Operator(load_rig(with_motion(tmp_path, "t_s,x_rad\n0,0\n1,0.5\n2,0.2\n")).one_axis(), "active")
+    assert list(operator.starts_s) == [0.0, 2.0, 3.0]
+    expected = [5.0 * 0.25 + 0.1 * 0.5, 5.0 * 0.35 - 0.1 * 0.3, 5.0 * 0.2]
+    assert list(at(operator, 0.5, 1.5, 2.5)) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("rows", "line", "said"),
+    [
+        ("t_s,torque_Nm\n0,0\n1,1\n", 1, "expected the header t_s,x_rad"),
+        ("t_s,x_rad\n0,0\n1,nan\n", 3, "expected two finite numbers, t_s,x_rad"),
+        ("t_s,x_rad\n1,0\n0.5,1\n", 3, "times that grow"),
+        ("t_s,x_rad\n1,0\n", 2, "at least two"),
+    ],
+)
+def test_a_recorded_motion_that_is_wrong_is_refused_with_its_line(tmp_path, rows, line, said):
+    with pytest.raises(RigError, match=f"hand.csv:{line}: .*{said}"):
+        load_rig(with_motion(tmp_path, rows))
+
+
+def test_a_recorded_motion_travels_with_the_rig(tmp_path):
+    rig = load_rig(with_motion(tmp_path, "t_s,x_rad\n0,0\n1,0.5\n2,0.2\n"))
+    (tmp_path / "hand.csv").unlink()
+    again = load_rig_text(rig.effective(), "elsewhere.toml", rig.eds_texts)
+    assert again.one_axis().phases == rig.one_axis().phases

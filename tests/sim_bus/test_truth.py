@@ -92,6 +92,23 @@ def test_plant_and_muscles_belong_to_the_same_subject():
     assert np.corrcoef(one, other)[0, 1] < 0.99
 
 
+def test_subjects_push_and_tap_each_in_their_own_way():
+    axis = load_rig("bench", ("operator.population=0.3", "operator.tremor_Nm=0.0")).one_axis()
+    t = 1.0 + np.arange(0.0, 4.0, 1e-3)
+    pushes, taps, late = [], [], []
+    for seed in range(200):
+        force = Operator(axis, "hybrid", seed).schedule_Nm(t)
+        pushes.append(force[500] / (0.6 * 3.5))  # the sine's peak, before the first tap
+        tap = np.diff(force)
+        late.append(np.argmax(tap[590:1500]) + 591)
+        taps.append(tap.max() / 0.6)
+    assert np.std(np.log(pushes)) == pytest.approx(0.3, rel=0.15)
+    assert np.median(pushes) == pytest.approx(1.0, rel=0.1)
+    assert np.std(np.log(taps)) == pytest.approx(0.3, rel=0.2)
+    assert min(late) >= 600
+    assert np.mean(late) - 600 == pytest.approx(0.3 * 100 * math.sqrt(2 / math.pi), rel=0.2)  # ms
+
+
 def test_without_a_population_every_seed_has_the_rig_files_hand():
     axis = load_rig("bench").one_axis()
     assert drawn(axis.simulation.operator, 5) is axis.simulation.operator
