@@ -1,8 +1,8 @@
 """`make bench`: the project's figures of speed, each with what it is measured against.
 
 ``python -m benchmarks WHAT`` with one of `virtual`, `first`, `bus`, `nodes`, `eds`, `exports`,
-`network`, `page`, `sweep`, `bits`, `loss`, `realtime`, `lost`, `disturbed`, `faulty`; real time is
-`benchmarks.realtime`.
+`network`, `page`, `detail`, `sweep`, `bits`, `loss`, `realtime`, `lost`, `disturbed`, `faulty`;
+real time is `benchmarks.realtime`.
 
 This machine's clock is not yours: every figure is a ratio (simulated to real time, or to a
 reference that ran in between in the same process). Each is the median of several rounds; the
@@ -199,6 +199,7 @@ def main() -> None:
             "eds",
             "exports",
             "network",
+            "detail",
             "sweep",
             "bits",
             "loss",
@@ -252,6 +253,10 @@ def main() -> None:
         from benchmarks.page import page
 
         page(show)
+    if options.what in ("all", "detail"):
+        from benchmarks.detail import detail
+
+        detail(show)
     if options.what in ("all", "sweep"):
         from benchmarks.sweep import sweep
 

@@ -119,7 +119,7 @@ WRONG_VALUES = {
     ),
     "a kind": (
         ('kind = "stroke"', 'kind = "strok"'),
-        'phase.2.kind: got \'"strok"\', expected one of "rest", "hold", "stroke", "paper", "file"; did you mean \'stroke\'?',
+        'phase.2.kind: got \'"strok"\', expected one of "rest", "hold", "stroke", "paper", "file", "motion"; did you mean \'stroke\'?',
     ),
 }
 WRONG_KEYS = {
@@ -273,7 +273,7 @@ def test_what_is_no_toml_gives_one_error_with_a_hint(change: tuple[str, str], wh
         (
             ('kind = "stroke"\n', ""),
             "[[phase]]\nduration_s = 8",
-            'phase.2.kind: missing in [[phase]]; expected one of "rest", "hold", "stroke", "paper", "file"',
+            'phase.2.kind: missing in [[phase]]; expected one of "rest", "hold", "stroke", "paper", "file", "motion"',
         ),
     ],
 )
