@@ -82,4 +82,4 @@ def test_every_study_file_can_be_read():
 
 def test_every_sweep_file_can_be_read():
     found = [read_sweep(path) for path in EXAMPLES.glob("sweep_*.toml")]
-    assert [sweep.runs for sweep in found] == [64]
+    assert [sweep.runs for sweep in found] == [128]
