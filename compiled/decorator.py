@@ -50,6 +50,7 @@ from numba.core.imputils import impl_ret_untracked  # noqa: E402
 from numba.extending import intrinsic  # noqa: E402
 from numba.np.arrayobj import make_array  # noqa: E402
 
+from coulombus.compiled.dispatcher import BodyCache, KernelDispatcher  # noqa: E402
 from coulombus.compiled.kernel_files import KernelCache, keep_interrupts  # noqa: E402
 from coulombus.compiled.record_pointer import read_by_address  # noqa: E402
 
@@ -81,43 +82,30 @@ def cached(compiled: F) -> F:
     return compiled
 
 
-def _variable(given: Any) -> Any:
-    """Return the type of a variable that may hold a constant of the type `given`."""
-    return given.dtype if isinstance(given, types.IntEnumMember) else types.unliteral(given)  # type: ignore[attr-defined]
-
-
-def _compiled(function: F, **options: Any) -> F:
-    """Compile `function` on its first call, once for the types of its arguments.
-
-    Numba by itself compiles a function anew for each constant with which another kernel calls it,
-    so a state or a length is one argument of many signatures; a fifth of all compilations were such
-    copies. Nobody takes a kernel's address, so its wrapper for C is left out.
-    """
-    compiled: F = numba.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options)(function)
-    if JIT_DISABLED:
-        return compiled
-    dispatcher: Any = compiled
-    resolve = dispatcher.get_call_template
-
-    def get_call_template(args: Any, kws: Any) -> Any:
-        return resolve(tuple(map(_variable, args)), {name: _variable(given) for name, given in kws.items()})
-
-    dispatcher.get_call_template = get_call_template
-    return cached(compiled)
+OPTIONS = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+"""Of all kernels. Nobody takes a kernel's address, so its wrapper for C is left out."""
 
 
 def kernel(function: F) -> F:
     """Compile `function` on its first call: no GIL, cached on disk, C's arithmetic errors (no
-    exceptions).
+    exceptions). What is compiled of it, and when: `compiled.dispatcher`.
 
     Inside a kernel all integers are int64: mixing int64 with uint64 gives float64.
     """
-    return _compiled(function)
+    if JIT_DISABLED or "<locals>" in function.__qualname__:
+        plain: F = numba.njit(**OPTIONS)(function)
+        return cached(plain)
+    dispatcher: Any = KernelDispatcher(function, targetoptions={**OPTIONS, "nopython": True, "boundscheck": None})
+    if CACHE_DIR is not None:
+        dispatcher.body_cache = KernelCache(function, {**OPTIONS, "part": "body"}, BodyCache)
+    compiled: F = cached(dispatcher)
+    return compiled
 
 
 def inlined(function: F) -> F:
     """Compile `function` as `kernel` does, but into each of its callers."""
-    return _compiled(function, inline="always")
+    compiled: F = numba.njit(inline="always", **OPTIONS)(function)
+    return cached(compiled)
 
 
 if JIT_DISABLED:
@@ -228,16 +216,11 @@ def compile_together(whole: Callable[..., Any], parts: Sequence[tuple[Callable[.
     What another process compiles at the moment is left for later. So processes that start at the
     same time share the work: each takes what is not taken.
     """
-    if JIT_DISABLED or CACHE_DIR is None or _cache_of(whole).kept:
+    dispatcher: Any = whole
+    if JIT_DISABLED or CACHE_DIR is None or dispatcher._cache.kept:
         return
-    left = list(parts)
+    left: list[tuple[Any, tuple[Any, ...]]] = list(parts)
     while left:
-        free = next((k for k, (function, _) in enumerate(left) if not _cache_of(function).taken), 0)
-        function, arguments = left.pop(free)
-        Entry(function).load(*arguments)
-
-
-def _cache_of(function: Callable[..., Any]) -> KernelCache:
-    dispatcher: Any = function
-    cache: KernelCache = dispatcher._cache
-    return cache
+        free = next((k for k, (dispatcher, _) in enumerate(left) if not dispatcher.body_cache.taken), 0)
+        dispatcher, arguments = left.pop(free)
+        dispatcher.body(tuple(map(numba.typeof, arguments)))

@@ -125,15 +125,17 @@ class KernelCache:
     a kernel, which has none.
     """
 
-    def __init__(self, function: Callable[..., Any], options: Mapping[str, Any]) -> None:
-        self._function = function
+    def __init__(
+        self, function: Callable[..., Any], options: Mapping[str, Any], numbas: type[FunctionCache] = FunctionCache
+    ) -> None:
+        self._function, self._make = function, numbas
         self._options = zlib.crc32(repr(sorted(options.items())).encode())
         self._lock: int | None = None  # held while it is compiled
 
     @cached_property
     def _numbas(self) -> FunctionCache | None:
         try:
-            cache = FunctionCache(self._function)
+            cache = self._make(self._function)
         except RuntimeError:  # it stands in no file
             return None
         self._locator = cache._impl.locator

@@ -48,7 +48,8 @@ def test_an_edited_callee_in_another_file_is_compiled_anew(tmp_path):
         (tmp_path / package).mkdir()
         (tmp_path / package / "__init__.py").touch()
     rooms = tmp_path / "coulombus"
-    for name in ("decorator.py", "kernel_cache.py", "kernel_files.py", "notice.py", "record_pointer.py", "sources.py"):
+    for module in (ROOT / "compiled").glob("*.py"):
+        name = module.name
         (rooms / "compiled" / name).write_text((ROOT / "compiled" / name).read_text())
     (rooms / "host" / "caller.py").write_text(CALLER)
     call = "from coulombus.host.caller import caller; print(caller(1), sum(caller.stats.cache_hits.values()))"
@@ -246,6 +247,27 @@ def own_kernels(tmp_path):
 
 
 @pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
+def test_a_kernel_that_only_kernels_call_has_no_machine_code(tmp_path):
+    (tmp_path / "own.py").write_text(OWN)
+    code = f"import sys; sys.path.append({str(tmp_path)!r}); import own; print(own.g(5), len(own.f.signatures), len(own.f.bodies))"
+    assert run(code, ROOT, NUMBA_CACHE_DIR=str(tmp_path / "cache")) == "-1 0 1"
+    assert [len(list((tmp_path / "cache").rglob(f"own.{name}-*.nbc"))) for name in "fg"] == [1, 2]
+
+
+@pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
+def test_a_callee_that_is_no_longer_kept_is_lowered_again(tmp_path):
+    (tmp_path / "own.py").write_text(OWN)
+    begin = f"import sys; sys.path.append({str(tmp_path)!r}); import own, numba; "
+    cache = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    assert run(begin + "own.g.body((numba.int64,)); print(len(own.f.bodies))", ROOT, **cache) == "1"
+    for path in (tmp_path / "cache").rglob("own.f-*"):
+        path.unlink()
+    code = begin + "print(own.g(5), len(own.f.bodies))"
+    assert run(code, ROOT, **cache) == "-1 1"
+    assert len(list((tmp_path / "cache").rglob("own.f-*.nbc"))) == 1
+
+
+@pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
 @pytest.mark.parametrize(
     "spoil",
     [
@@ -259,8 +281,9 @@ def own_kernels(tmp_path):
 def test_a_damaged_cache_is_told_once_and_compiled_again(own_kernels, tmp_path, spoil):
     assert own_kernels() == ("2 -1 0", "")
     for pattern in ("own.f-*.nbc", "own.g-*.nbi"):
-        (path,) = (tmp_path / "cache").rglob(pattern)
-        path.write_bytes(spoil(path.read_bytes()))
+        body, entry = (tmp_path / "cache").rglob(pattern)
+        for path in (body, entry):
+            path.write_bytes(spoil(path.read_bytes()))
     result, told = own_kernels()
     assert result == "2 -1 0"
     assert told.count("\n") == told.count("was damaged; it is compiled again") == 1
@@ -270,8 +293,10 @@ def test_a_damaged_cache_is_told_once_and_compiled_again(own_kernels, tmp_path, 
 @pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
 def test_a_file_that_two_processes_named_alike_is_not_taken_for_the_other(own_kernels, tmp_path):
     own_kernels()
-    (one, other) = sorted((tmp_path / "cache").rglob("*.nbc"))
-    one.write_bytes(other.read_bytes())  # whole, and of another function
+    f, g = (sorted((tmp_path / "cache").rglob(f"own.{name}-*.nbc")) for name in "fg")
+    assert len(f) == len(g) == 2  # a body and an entry
+    for one, other in zip(f, g, strict=True):
+        one.write_bytes(other.read_bytes())  # whole, and of another function
     assert own_kernels()[0] == "2 -1 0"
 
 
@@ -309,14 +334,14 @@ def test_what_another_process_compiles_comes_last(tmp_path):
         "@kernel\ndef first(x):\n    return x\n@kernel\ndef second(x):\n    return x\n"
         "@kernel\ndef whole(x):\n    return x\n"
         "def taken_until_the_other_is_there():\n"
-        "    place, base = Path(first._cache.cache_path), first._cache._base\n"
+        "    place, base = Path(first.body_cache.cache_path), first.body_cache._base\n"
         "    lock, wanted = _lock_of(place, base)\n"
         "    fcntl.fcntl(lock, fcntl.F_OFD_SETLK, wanted)\n"
-        "    assert first._cache.taken and not second._cache.taken\n"
+        "    assert first.body_cache.taken and not second.body_cache.taken\n"
         "    threading.Thread(target=free, args=(lock,)).start()\n"
         "def free(lock):\n"
-        "    while not second.signatures:\n        pass\n"
-        "    order.append(len(first.signatures))\n"
+        "    while not second.bodies:\n        pass\n"
+        "    order.append(len(first.bodies))\n"
         "    os.close(lock)\n"
         "order = []\nimport fcntl, os, threading\nfrom pathlib import Path\n"
         "from coulombus.compiled.kernel_files import _lock_of\n"
@@ -325,7 +350,7 @@ def test_what_another_process_compiles_comes_last(tmp_path):
         f"import sys; sys.path.append({str(tmp_path)!r}); import several as own\n"
         "own.taken_until_the_other_is_there()\n"
         "own.compile_together(own.whole, [(own.first, (1,)), (own.second, (1,))])\n"
-        "print(own.first._cache.taken, own.first(3), own.order)"
+        "print(own.first.body_cache.taken, own.first(3), own.order)"
     )
     done = python(code, ROOT, NUMBA_CACHE_DIR=str(tmp_path / "cache"))
     assert (done.stdout, done.stderr) == ("False 3 [0]\n", "")
