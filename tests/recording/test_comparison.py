@@ -137,7 +137,12 @@ def test_few_samples_are_drawn_as_they_are(recording):
 @pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
 def test_a_plot_has_a_panel_for_each_unit_and_the_same_bytes_again(recording, tmp_path, suffix):
     made = recording.plot()
-    assert [axes.get_ylabel() for axes in made.axes] == ["[Nm]", "[rad]", "[A]", "[degC]"]
+    assert [axes.get_ylabel() for axes in made.axes] == [
+        "torque [Nm]",
+        "angle [rad]",
+        "current [A]",
+        "temperature [degC]",
+    ]
     assert made.axes[0].texts[0].get_text() == "hold"
     save_picture(made, tmp_path / f"a{suffix}")
     save_picture(plot(blocks(recording.path)), tmp_path / f"b{suffix}")
