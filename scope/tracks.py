@@ -62,33 +62,42 @@ class Envelope:
 
 
 class Samples:
-    """The last samples of a signal, `capacity` of them."""
+    """The last samples of a signal, `capacity` of them.
+
+    Each stands twice, `capacity` apart: so the last ones are one piece, and nothing is copied to look
+    at them.
+    """
 
     def __init__(self, capacity: int) -> None:
-        self._t_ns = np.zeros(capacity, np.int64)
-        self._values = np.zeros(capacity)
-        self._count = 0
+        self._t_ns = np.zeros(2 * capacity, np.int64)
+        self._values = np.zeros(2 * capacity)
+        self._capacity, self._count = capacity, 0
 
     def __len__(self) -> int:
-        return min(self._count, len(self._values))
+        return min(self._count, self._capacity)
 
     def add(self, t_ns: Integers, values: Floats) -> None:
         """Add samples."""
-        t_ns, values = t_ns[-len(self._values) :], values[-len(self._values) :]
-        places = np.arange(self._count, self._count + len(t_ns)) % len(self._values)
+        t_ns, values = t_ns[-self._capacity :], values[-self._capacity :]
+        places = np.arange(self._count, self._count + len(t_ns)) % self._capacity
         self._t_ns[places], self._values[places] = t_ns, values
+        self._t_ns[places + self._capacity], self._values[places + self._capacity] = t_ns, values
         self._count += len(t_ns)
+
+    def _piece(self, n: int) -> slice:
+        end = self._count % self._capacity + self._capacity
+        return slice(end - min(n, len(self)), end)
 
     def last(self, n: int) -> tuple[Integers, Floats]:
         """Return the last `n` samples, or as many as there are: times [ns], values."""
-        places = np.arange(self._count - min(n, len(self)), self._count) % len(self._values)
-        return self._t_ns[places], self._values[places]
+        piece = self._piece(n)
+        return self._t_ns[piece].copy(), self._values[piece].copy()
 
     def since(self, t_ns: int) -> tuple[Integers, Floats]:
-        """Return the samples of `t_ns` and later: times [ns], values."""
-        times, values = self.last(len(self))
-        right = times >= t_ns
-        return times[right], values[right]
+        """Return the samples of `t_ns` and later, as far as times rise: times [ns], values."""
+        piece = self._piece(len(self))
+        first = piece.start + int(np.searchsorted(self._t_ns[piece], t_ns))
+        return self._t_ns[first : piece.stop].copy(), self._values[first : piece.stop].copy()
 
 
 def velocity(t_ns: Integers, angle: Floats, period_ns: int, cycles: int) -> tuple[Integers, Floats]:

@@ -79,6 +79,10 @@ class _Pdo:
 
     def __init__(self, pdo: RigPdo, capacity: int) -> None:
         self.pdo = pdo
+        starts, entries = pdo.layout.starts, pdo.layout.entries
+        self.fields = tuple(zip(pdo.signals, entries, starts, strict=True))
+        ends = (start + entry.bits - 1 for start, entry in zip(starts, entries, strict=True))
+        self.places = tuple(f"{a}-{b}" if b > a else str(a) for a, b in zip(starts, ends, strict=True))
         self.data: bytes | None = None
         self.stamps = Samples(capacity)
         self.samples = {s.name: Samples(capacity) for s in pdo.signals if s.unit}
@@ -87,8 +91,7 @@ class _Pdo:
     def take(self, t_ns: Integers, words: Integers) -> None:
         """Take the frames of a batch that have this PDO's length."""
         self.stamps.add(t_ns, np.zeros(len(t_ns)))
-        layout = self.pdo.layout
-        for signal, entry, start in zip(self.pdo.signals, layout.entries, layout.starts, strict=True):
+        for signal, entry, start in self.fields:
             if signal.unit:
                 values = np.asarray(decode_field(words, start, entry) * signal.scale + signal.offset, np.float64)
                 self.samples[signal.name].add(t_ns, values)
@@ -214,11 +217,9 @@ class Capture:
         """Return the data of the last right frame of a PDO."""
         return self._pdos[can_id].data
 
-    def places(self, can_id: int) -> list[str]:
+    def places(self, can_id: int) -> tuple[str, ...]:
         """Return which bits of a PDO each signal is: "0-15"."""
-        layout = self._pdos[can_id].pdo.layout
-        ends = (start + entry.bits - 1 for start, entry in zip(layout.starts, layout.entries, strict=True))
-        return [f"{start}-{end}" if end > start else str(start) for start, end in zip(layout.starts, ends, strict=True)]
+        return self._pdos[can_id].places
 
     def period(self, can_id: int, now_ns: int) -> Period | None:
         """Return the figures of a PDO's period in the last second."""

@@ -122,10 +122,11 @@ class Browser:
             await asyncio.sleep(0.05)
         return found
 
-    async def press(self, key: str, code: int) -> None:
-        """Press a key."""
+    async def press(self, key: str, code: int, text: str = "") -> None:
+        """Press a key; `text` is what it types."""
         for kind in ("keyDown", "keyUp"):
-            await self.call("Input.dispatchKeyEvent", type=kind, key=key, windowsVirtualKeyCode=code)
+            more = {"text": text} if text and kind == "keyDown" else {}
+            await self.call("Input.dispatchKeyEvent", type=kind, key=key, windowsVirtualKeyCode=code, **more)
 
     async def screenshot(self, path: str) -> None:
         """Write a picture of the page."""

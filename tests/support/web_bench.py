@@ -59,11 +59,11 @@ def cycles(first: int, count: int) -> list[tuple[int, int, int, bytes]]:
 class Door:
     """A host that runs until it is asked to stop, whose parameters are live."""
 
-    def __init__(self, arm_key: str = "") -> None:
+    def __init__(self, arm_key: str = "", mode: str = "hybrid", overrides: tuple[str, ...] = ()) -> None:
         self.stops = 0
         self.marks: list[str] = []
         self.orders: list[dict[str, Any]] = []
-        self.controllers = Controllers(load_rig("bench"), "hybrid")
+        self.controllers = Controllers(load_rig("bench", overrides), mode)
         self.changes = Changes(LiveParameters(self.controllers), arm_key, self._apply, lambda: None)
         self.door = HostDoor(
             status=self.status,

@@ -1,0 +1,251 @@
+"""What a person needs of the page: contrast, room, the keyboard alone, zoom and freeze, a tab that
+sleeps. In a headless Chromium, against a server in this process.
+"""
+
+import asyncio
+import re
+
+import pytest
+
+pytest.importorskip("tornado", reason="the page needs Tornado: pip install 'coulombus[web]'")
+
+from chromium import CHROMIUM, Browser
+from web_bench import BEGIN_NS, MS, Door, cycles, page, served
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(CHROMIUM is None, reason="no chromium: apt install chromium (some 300 MB)"),
+]
+
+CONTRAST = """(() => {
+  const channel = (c) => (c /= 255) <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4;
+  const parse = (text) => (text.match(/[\\d.]+/g) || [0, 0, 0, 0]).map(Number);
+  const luminance = ([r, g, b]) => 0.2126 * channel(r) + 0.7152 * channel(g) + 0.0722 * channel(b);
+  const ratio = (one, other) => {
+    const [low, high] = [luminance(one), luminance(other)].sort((a, b) => a - b);
+    return (high + 0.05) / (low + 0.05);
+  };
+  const ground = (element) => {
+    for (let e = element; e; e = e.parentElement) {
+      const colour = parse(getComputedStyle(e).backgroundColor);
+      if (colour.length < 4 || colour[3] === 1) return colour;
+    }
+    return parse(getComputedStyle(document.documentElement).getPropertyValue("--ground"));
+  };
+  const found = [], seen = (e) => e.checkVisibility() && e.getClientRects().length;
+  for (const e of document.querySelectorAll("body *")) {
+    if (!seen(e)) continue;
+    const style = getComputedStyle(e), field = e.matches("input:not([type=range])");
+    const text = field || [...e.childNodes].some((n) => n.nodeType === 3 && n.data.trim());
+    const name = `${e.tagName} ${e.id || e.className || e.dataset.signal || e.dataset.action || ""}`;
+    if (text) found.push([name, ratio(parse(style.color), ground(e)), 4.5, parseFloat(style.fontSize), parseFloat(style.opacity)]);
+    if (e.matches("button") || field) {
+      found.push([name + " border", ratio(parse(style.borderTopColor), ground(e.parentElement)), 3, 12, 1]);
+    }
+  }
+  return found;
+})()"""
+"""Each visible text with the contrast to its ground, what WCAG 2.2 AA asks for, its size and
+opacity; each button's and field's border against what is around it (1.4.11).
+"""
+
+
+async def with_page(tmp_path, use, *, size=(1280, 720), dark=False, door=None, rig="bench", status=None):
+    """Serve a page whose bus goes on, and let `use` look at it in a browser."""
+    door = door or Door()
+    shown = page(rig, door)
+    shown.capture.take(cycles(0, 400))
+
+    async def ticking():
+        k = 400
+        while True:
+            with shown.lock:
+                shown.capture.take(cycles(k, 33))
+                shown.host.tell(door.status() | (status or {}))
+            k += 33
+            shown.tick(BEGIN_NS + k * MS)
+            await asyncio.sleep(0.033)
+
+    async with served(shown) as url:
+        task = asyncio.create_task(ticking())
+        async with Browser(url, str(tmp_path / "profile"), size, dark) as browser:
+            await browser.until("plots.length === 7 && action('set:F_s_Nm') && frames > 3")
+            await use(browser, shown)
+            assert browser.errors == []
+        task.cancel()
+
+
+@pytest.mark.parametrize("dark", [False, True])
+def test_all_text_has_the_contrast_of_wcag_aa(tmp_path, dark):
+    """Also of a trip, of what is stale or silent, and of controls that are disabled."""
+
+    async def use(browser, shown):
+        await browser.evaluate("say('something'), action('control').hidden = false")
+        await browser.until("!one('trip').hidden && document.querySelector('#nodes tr')")
+        await browser.evaluate(
+            "document.querySelectorAll('#pdos tr')[1].className = 'stale', document.querySelector('#nodes tr').className = 'grave'"
+        )
+        for change in ("0", "document.querySelectorAll('button, input').forEach((e) => e.disabled = true)", "freeze()"):
+            await browser.evaluate(f"{change}, 0")
+            found = await browser.evaluate(CONTRAST)
+            assert len(found) > 80
+            wrong = [row for row in found if row[1] < row[2] or row[3] < 11 or row[4] < 1]
+            assert wrong == []
+        await browser.evaluate("document.body.className = 'cut', 0")
+        assert [row for row in await browser.evaluate(CONTRAST) if row[1] < row[2] or row[4] < 1] == []
+        colours = "Object.values(colours).flat().every((one) => /^#[0-9a-f]{6}$/.test(one))"
+        assert await browser.evaluate(colours)  # those of the canvases are the legends'
+
+    asyncio.run(with_page(tmp_path, use, dark=dark, door=Door("123456"), status={"trip": "SPEED: too fast"}))
+
+
+@pytest.mark.parametrize("size", [(1280, 720), (1024, 768), (768, 1024)])
+def test_everything_has_room(tmp_path, size):
+    """Nothing is beyond the window's side, nothing of the top and of the parameters is cut off, and
+    STOP is always in the window.
+    """
+
+    async def use(browser, shown):
+        assert await browser.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        if size == (1280, 720):
+            assert await browser.evaluate("document.documentElement.scrollHeight <= innerHeight")
+        cut_off = (
+            "[...document.querySelectorAll('dd, button, .times h2, .times p, .legend, #sliders b, #live')]"
+            ".filter((e) => e.checkVisibility() && e.scrollWidth > e.clientWidth + 1 && e.clientWidth)"
+            ".map((e) => e.dataset.signal || e.dataset.action || e.textContent)"
+        )
+        assert await browser.evaluate(cut_off) == []
+        overlapping = (
+            "[...document.querySelectorAll('.plot')].filter((p) => p.querySelector('.title').getBoundingClientRect().right >"
+            " p.querySelector('.legend').getBoundingClientRect().left).map((p) => p.id)"
+        )
+        assert await browser.evaluate(overlapping) == []
+        wide = "document.querySelector('#pdos').closest('section')"
+        assert await browser.evaluate(f"{wide}.scrollWidth <= {wide}.clientWidth")  # rate and jitter are seen
+        await browser.evaluate("scrollTo(0, 1e6), 0")
+        stop = "(({top, bottom, height}) => top >= 0 && bottom <= innerHeight && height > 40)(action('stop').getBoundingClientRect())"
+        assert await browser.evaluate(stop)
+        drawn = "plots.every((p) => p.canvas.width > 100 && p.drawn.bottom - p.drawn.top > 40)"
+        assert await browser.evaluate(drawn)
+
+    asyncio.run(with_page(tmp_path, use, size=size))
+
+
+def test_the_keyboard_alone_reaches_and_does_everything(tmp_path):
+    door = Door()
+
+    async def use(browser, shown):
+        wanted = await browser.evaluate(
+            "[...document.querySelectorAll('button, input')].filter((e) => e.checkVisibility() && !e.disabled)"
+            ".map((e) => e.dataset.action)"
+        )
+        assert {"stop", "freeze", "zoom-in", "undo", "mark:9", "set:F_s_Nm", "value:K_p_Nm_rad"} <= set(wanted)
+        reached = []
+        for _ in range(len(wanted) + 8):
+            await browser.press("Tab", 9)
+            name, ring = await browser.evaluate(
+                "[document.activeElement.dataset.action || document.activeElement.ariaLabel,"
+                " getComputedStyle(document.activeElement).outlineStyle]"
+            )
+            reached.append(name)
+            assert ring == "solid" or name is None, name  # None: it has left the page
+        assert set(wanted) <= set(reached)
+        await browser.evaluate("action('set:F_s_Nm').focus()")
+        await browser.press("ArrowLeft", 37)
+        await browser.until("one('said').textContent === 'set F_s_Nm 3.5 -> 3.48 Nm in 0.5 s'")
+        await browser.evaluate("action('undo').focus()")
+        await browser.press("Enter", 13, "\r")
+        await browser.until("one('said').textContent.includes('3.48 -> 3.5 Nm')")
+        await browser.evaluate("action('mark:4').focus()")
+        await browser.press("Enter", 13, "\r")
+        await browser.until("one('said').textContent === 'mark 4'")
+        await browser.evaluate("action('value:F_s_Nm').focus()")
+        await browser.press("Escape", 27)  # also in a field
+        await browser.until("one('said').textContent.includes('stopped safely')")
+        assert door.stops == 1
+
+    asyncio.run(with_page(tmp_path, use, door=door))
+
+
+def test_zoom_and_freeze(tmp_path):
+    async def use(browser, shown):
+        envelope = "plots.find((p) => p.kind === 'envelope')"
+        await browser.until(f"{envelope}.drawn.x[0] === -10")
+        await browser.press("+", 187)
+        await browser.until(f"{envelope}.drawn.x.join() === '-5,0'")
+        await browser.press("f", 70)
+        assert await browser.evaluate("action('freeze').getAttribute('aria-pressed')") == "true"
+        still = await browser.evaluate("frozen.nowBin")
+        await browser.press("ArrowLeft", 37)
+        await browser.until(f"{envelope}.drawn.x.join() === '-6.25,-1.25'")
+        await browser.until(f"known.nowBin > {still} + 2")  # it goes on behind
+        assert await browser.evaluate("frozen.nowBin") == still
+        await browser.press("f", 70)
+        assert await browser.evaluate("frozen") is None
+        box = await browser.evaluate(f"(({{x, y}}) => [x, y])({envelope}.canvas.getBoundingClientRect())")
+        at = {"x": box[0] + 150, "y": box[1] + 50}
+        await browser.call("Input.dispatchMouseEvent", type="mouseWheel", **at, deltaX=0, deltaY=-100)
+        await browser.until(f"{envelope}.drawn.x[1] - {envelope}.drawn.x[0] < 4.5")
+        for kind, dx in (("mousePressed", 0), ("mouseMoved", 60), ("mouseReleased", 60)):
+            here = {"x": at["x"] + dx, "y": at["y"] + dx / 3}
+            await browser.call("Input.dispatchMouseEvent", type=kind, **here, button="left", buttons=1, clickCount=1)
+        await browser.until(f"{envelope}.zoomY !== null && {envelope}.drawn.x[1] - {envelope}.drawn.x[0] < 1")
+        await browser.press("z", 90)
+        await browser.until(f"{envelope}.zoomY === null && {envelope}.drawn.x.join() === '-10,0'")
+
+    asyncio.run(with_page(tmp_path, use))
+
+
+def test_a_tab_that_sleeps_is_sent_nothing_and_misses_nothing(tmp_path):
+    async def use(browser, shown):
+        (session,) = shown.sessions
+        await browser.call("Debugger.enable")
+        await browser.call("Debugger.pause")  # no script of the page runs
+        while session.flow.free:
+            await asyncio.sleep(0.01)
+        sent = session.flow.sent
+        begun = shown.capture.newest_ns
+        while shown.capture.newest_ns < begun + 1500 * MS:
+            await asyncio.sleep(0.01)
+        assert session.flow.sent <= sent + 1
+        await browser.call("Debugger.resume")
+        await browser.until("known.nowBin * 20 > " + str(shown.capture.newest_ns // MS))
+        holes = (
+            "(({low, newest}) => { let n = 0; for (let bin = newest - 100; bin < newest; bin++) n += isNaN(low[bin % BINS]); return n; })"
+            "(known.envelopes.get('brake.handle_torque_Nm'))"
+        )
+        assert await browser.evaluate(holes) == 0
+
+    asyncio.run(with_page(tmp_path, use))
+
+
+@pytest.mark.parametrize("law", ["karnopp", "lugre"])
+def test_each_parameter_and_each_signal_has_its_element(tmp_path, law):
+    door = Door(overrides=(f"law.function='{law}'",), mode="active")
+
+    async def use(browser, shown):
+        rows = door.changes.rows()[0]
+        assert {"karnopp": "K_p_Nm_rad", "lugre": "sigma_0_Nm_rad"}[law] in [row["name"] for row in rows]
+        for row in rows:
+            name = row["name"]
+            told = await browser.evaluate(
+                f"(({{min, max, step, type}}) => [Number(min), Number(max), Number(step), type])(action('set:{name}'))"
+            )
+            likely = 10 * row["value"] if row["high"] > 20 * row["value"] > 0 else row["high"]
+            assert told == [row["low"], pytest.approx(likely), row["step"], "range"], name
+            assert (likely - row["low"]) / row["step"] >= 100
+            assert await browser.evaluate(f"Number(action('value:{name}').max)") == row["high"]
+            assert float(await browser.text(f"set:{name}")) == pytest.approx(row["now"], rel=1e-3)
+        for pdo in shown.capture.rig.pdos():
+            for signal in pdo.signals:
+                assert await browser.text(signal.name) not in (None, "-"), signal.name
+        for name in ("motor.RPDO1", "motor.TPDO1", "brake.RPDO1", "brake.TPDO1"):
+            assert [await browser.text(f"{what}:{name}") for what in ("rate", "jitter")] == ["1000", "0.00"]
+            assert re.fullmatch(r"([0-9A-F]{2} ?)+", await browser.text(f"raw:{name}"))
+        assert await browser.text("bits:motor.position_rad") == "16-47"
+        assert await browser.text("meaning:motor.statusword") == "operation enabled; remote"
+        assert (await browser.text("subject"), await browser.text("trial")) == ("S01", "7")
+        bars = await browser.evaluate("document.querySelector('#wakeup-histogram .bars').getAttribute('d')")
+        assert bars.count("M") == 4
+
+    asyncio.run(with_page(tmp_path, use, door=door))
