@@ -33,7 +33,7 @@ from coulombus.sim_bus.rig.own_friction import bristles, set_levels
 
 __all__ = ["MOST_EVENTS", "move"]
 
-MOST_EVENTS = 24
+MOST_EVENTS = 400
 """In one step; what is more is not split."""
 MOST_GUESSES = 40
 MOST_SWITCHES = 12
@@ -151,13 +151,15 @@ def _crosses(d: Record, event: int, h: float) -> float:
 
 
 @kernel
-def _next_event(d: Record, h: float) -> int:
-    """Return an event within the step of `h` that was tried, or `NO_EVENT`."""
+def _next_event(d: Record, h: float, found: int) -> int:
+    """Return an event within the step of `h` that was tried and is not the one that was `found` at its
+    end, or `NO_EVENT`.
+    """
     for i in range(d.count):
-        if d.v[i] != 0.0 and d.level[i] > 0.0 and _crosses(d, i, h) < 0.0:
+        if i != found and d.v[i] != 0.0 and d.level[i] > 0.0 and _crosses(d, i, h) < 0.0:
             return i
     for j in range(d.count - 1):
-        if d.gap[j] > 0.0 and _crosses(d, 3 + j, h) < 0.0:
+        if 3 + j != found and d.gap[j] > 0.0 and _crosses(d, 3 + j, h) < 0.0:
             return 3 + j
     return NO_EVENT
 
@@ -170,9 +172,11 @@ def _first_event(p: Record, h: float, hand: float, torque: float) -> tuple[float
     """
     d = p.detail
     _try(p, h, hand, torque)
-    event = _next_event(d, h)
+    event = _next_event(d, h, NO_EVENT)
     found = NO_EVENT
-    while event != NO_EVENT:
+    for _ in range(MOST_SWITCHES):
+        if event == NO_EVENT:
+            break
         found = event
         low, high, f_high = 0.0, h, _crosses(d, event, h)
         if event < 3:
@@ -197,9 +201,7 @@ def _first_event(p: Record, h: float, hand: float, torque: float) -> tuple[float
             else:
                 low, f_low = h, value
                 f_high *= 0.5
-        event = _next_event(d, h)
-        if event == found:
-            break
+        event = _next_event(d, h, found)
     return h, found
 
 
