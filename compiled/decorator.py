@@ -219,7 +219,7 @@ def compile_together(whole: Callable[..., Any], parts: Sequence[tuple[Callable[.
     dispatcher: Any = whole
     if JIT_DISABLED or CACHE_DIR is None or dispatcher._cache.kept:
         return
-    left: list[tuple[Any, tuple[Any, ...]]] = list(parts)
+    left: list[tuple[Any, tuple[Any, ...]]] = [part for part in parts if hasattr(part[0], "body_cache")]
     while left:
         free = next((k for k, (dispatcher, _) in enumerate(left) if not dispatcher.body_cache.taken), 0)
         dispatcher, arguments = left.pop(free)
