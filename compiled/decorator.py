@@ -50,7 +50,7 @@ from numba.core.imputils import impl_ret_untracked  # noqa: E402
 from numba.extending import intrinsic  # noqa: E402
 from numba.np.arrayobj import make_array  # noqa: E402
 
-from coulombus.compiled.dispatcher import BodyCache, KernelDispatcher  # noqa: E402
+from coulombus.compiled.dispatcher import BodyCache, KernelDispatcher, fits  # noqa: E402
 from coulombus.compiled.kernel_files import KernelCache, keep_interrupts  # noqa: E402
 from coulombus.compiled.record_pointer import read_by_address  # noqa: E402
 
@@ -92,7 +92,7 @@ def kernel(function: F) -> F:
 
     Inside a kernel all integers are int64: mixing int64 with uint64 gives float64.
     """
-    if JIT_DISABLED or "<locals>" in function.__qualname__:
+    if JIT_DISABLED or "<locals>" in function.__qualname__ or not fits():
         plain: F = numba.njit(**OPTIONS)(function)
         return cached(plain)
     dispatcher: Any = KernelDispatcher(function, targetoptions={**OPTIONS, "nopython": True, "boundscheck": None})

@@ -9,7 +9,8 @@ processor time that it took.
 
 A body's symbol is made of the module, the name and the types, so one process can link what others
 have lowered. What refers to its callees by name alone must find them by that: a function that
-stands in another function is compiled in numba's way.
+stands in another function is compiled in numba's way. So is everything with another numba than
+those of `KNOWN`, because what is built on here is not its public interface.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from importlib import import_module
 from typing import Any, TypeAlias
 from zlib import crc32
 
+import numba
 from llvmlite import binding
 from numba.core import compiler, event, types, typing
 from numba.core.bytecode import FunctionIdentity
@@ -32,7 +34,10 @@ from numba.core.untyped_passes import ExtractByteCode
 
 from coulombus.compiled.kernel_files import KernelCache
 
-__all__ = ["BodyCache", "KernelDispatcher"]
+__all__ = ["KNOWN", "BodyCache", "KernelDispatcher", "fits"]
+
+KNOWN = frozenset({(0, 68)})
+"""Releases of numba with which this module is tested."""
 
 Types: TypeAlias = tuple[Any, ...]
 """Numba's types of a call's arguments."""
@@ -44,6 +49,11 @@ ENVIRONMENT = "_ZN08NumbaEnv"
 """How the names begin of the globals that hold a function's Python constants."""
 ADDRESS = "numba.dynamic.globals"
 """How the names begin of those that hold an address of this process."""
+
+
+def fits() -> bool:
+    """Tell whether this numba is one that is known."""
+    return tuple(numba.version_info.short) in KNOWN  # type: ignore[attr-defined,unused-ignore]
 
 
 _dispatchers: dict[tuple[str, str], KernelDispatcher] = {}

@@ -255,6 +255,20 @@ def test_a_kernel_that_only_kernels_call_has_no_machine_code(tmp_path):
 
 
 @pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
+def test_with_another_numba_all_is_compiled_in_its_way(tmp_path):
+    (tmp_path / "own.py").write_text(OWN)
+    code = (
+        "import numba.core.utils, numba; numba.version_info = numba.version_info._replace(short=(0, 59))\n"
+        f"import sys; sys.path.append({str(tmp_path)!r}); import own\n"
+        "from coulombus.compiled.decorator import compile_together\n"
+        "compile_together(own.g, [(own.f, (1,))])\n"
+        "print(own.g(5), type(own.f).__name__, len(own.f.signatures), len(own.g.stats.cache_hits))"
+    )
+    said = [run(code, ROOT, NUMBA_CACHE_DIR=str(tmp_path / "cache")) for _ in range(2)]
+    assert said == ["-1 CPUDispatcher 1 0", "-1 CPUDispatcher 0 1"]
+
+
+@pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
 def test_a_callee_that_is_no_longer_kept_is_lowered_again(tmp_path):
     (tmp_path / "own.py").write_text(OWN)
     begin = f"import sys; sys.path.append({str(tmp_path)!r}); import own, numba; "
