@@ -8,7 +8,8 @@ of their own, `HOST_INTERFACE`, with extended identifiers that no bus of a rig h
                               phase  trip   limits        gain          stuck  position_age
                          + 1  law_Nm (real32)             law_brake_Nm (real32)
                          + 2  velocity_rad_s (real32)     x_stuck_rad (real32)
-                         + 3  and further: two numbers (real32) each of what the law keeps
+                         + 3  and further: two numbers (real32) each of what the law keeps;
+                              of an odd number the last frame has one, and 4 bytes
 
 The names of what the law keeps are attached (`NAME`): a JSON list of texts. So the recording tells
 all of it by itself, and `read` has it as signals: ``host.phase``, ``host.law_Nm``.
@@ -19,7 +20,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import replace
-from enum import IntFlag
+from enum import IntEnum
 from typing import NamedTuple
 
 from coulombus.eds.pdo import Entry, PdoLayout
@@ -57,7 +58,7 @@ GAIN = 1e-4
 """What one count of the gain is."""
 
 
-class Limit(IntFlag):
+class Limit(IntEnum):
     """What acted in a cycle: bits of ``host.limits``."""
 
     TORQUE_CLIPPED = 1  # the motor's torque was more than its limit
@@ -126,7 +127,6 @@ def inside_pdos(rig: Rig, attached: bytes | None) -> tuple[RigPdo, ...]:
 
 
 def _pdo(rig: Rig, prefix: str, first: int, number: int, fields: tuple[_Field, ...]) -> RigPdo:
-    whole = fields if sum(one.bits for one in fields) == 64 else (*fields, _Field("", 32))
     layout = PdoLayout(
         number=number + 1,
         direction="tpdo",
@@ -137,7 +137,7 @@ def _pdo(rig: Rig, prefix: str, first: int, number: int, fields: tuple[_Field, .
         sync_start=0,
         rtr_allowed=False,
         entries=tuple(
-            Entry(0, k, one.bits, False, "real" if one.real else "int", one.name) for k, one in enumerate(whole)
+            Entry(0, k, one.bits, False, "real" if one.real else "int", one.name) for k, one in enumerate(fields)
         ),
     )
     signals = tuple(

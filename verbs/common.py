@@ -229,9 +229,9 @@ def _failure(error: Exception) -> Failure:
     if isinstance(error, OSError):  # a file that cannot be read or written
         if isinstance(error, FileNotFoundError) and not error.filename and not _has_folder():
             return Failure("the current folder is no longer there; change into another one (cd)", 2)
-        where = error.filename or "what this verb reads or writes"
+        where = f"{error.filename}: " if error.filename else ""
         full = "; free some space, or write elsewhere" if error.errno in (errno.ENOSPC, errno.EDQUOT) else ""
-        return Failure(f"{where}: {error.strerror or error}{full}", 2)
+        return Failure(f"{where}{error.strerror or error}{full}", 2)
     return Failure(f"a mistake of this program, please report it: {type(error).__name__}: {error}", FAULT)
 
 

@@ -16,15 +16,6 @@ __all__ = ["tell", "tell_all"]
 MOST_GAIN = round(1.0 / GAIN)
 MOST_AGE = 127
 
-TORQUE_CLIPPED = int(Limit.TORQUE_CLIPPED)
-TORQUE_SLOWED = int(Limit.TORQUE_SLOWED)
-BY_DRIVE = int(Limit.BY_DRIVE)
-SETPOINT_CLIPPED = int(Limit.SETPOINT_CLIPPED)
-SETPOINT_NEGATIVE = int(Limit.SETPOINT_NEGATIVE)
-COMPENSATION_WITHHELD = int(Limit.COMPENSATION_WITHHELD)
-TPDO_MISSED = int(Limit.TPDO_MISSED)
-DEADMAN_OPEN = int(Limit.DEADMAN_OPEN)
-
 
 @kernel
 def _grown(told: Records, k: int, count: int) -> int:
@@ -38,25 +29,25 @@ def _grown(told: Records, k: int, count: int) -> int:
 def _limits(c: ControlRecord, h: HostRecord) -> int:
     """Return which limits acted in this cycle: bits of `recording.inside.Limit`."""
     told = h.told
-    limits = TORQUE_CLIPPED * _grown(told, 0, h.clipped_torque)
-    limits |= TORQUE_SLOWED * _grown(told, 1, h.slowed_torque)
-    limits |= BY_DRIVE * _grown(told, 2, h.limited_by_drive)
-    limits |= SETPOINT_CLIPPED * _grown(told, 3, h.clipped_setpoints)
-    limits |= SETPOINT_NEGATIVE * _grown(told, 4, h.negative_setpoints)
-    limits |= COMPENSATION_WITHHELD * _grown(told, 5, h.withheld_compensation)
+    limits = Limit.TORQUE_CLIPPED * _grown(told, 0, h.clipped_torque)
+    limits |= Limit.TORQUE_SLOWED * _grown(told, 1, h.slowed_torque)
+    limits |= Limit.BY_DRIVE * _grown(told, 2, h.limited_by_drive)
+    limits |= Limit.SETPOINT_CLIPPED * _grown(told, 3, h.clipped_setpoints)
+    limits |= Limit.SETPOINT_NEGATIVE * _grown(told, 4, h.negative_setpoints)
+    limits |= Limit.COMPENSATION_WITHHELD * _grown(told, 5, h.withheld_compensation)
     if h.missed_in_a_row > 0:
-        limits |= TPDO_MISSED
+        limits |= Limit.TPDO_MISSED
     if not h.deadman_ok:
-        limits |= DEADMAN_OPEN
+        limits |= Limit.DEADMAN_OPEN
     return limits
 
 
 @kernel
-def _put(rows: Records, row: int, t_ns: int, can_id: int, word: int) -> None:
+def _put(rows: Records, row: int, t_ns: int, can_id: int, word: int, length: int = 8) -> None:
     f = rows[row]
     f.t_ns = t_ns
     f.can_id = can_id
-    f.length = 8
+    f.length = length
     f.word = word
     f.source = SOURCE_INSIDE
 
@@ -84,8 +75,9 @@ def tell(axis: AxisRecord, number: int, t_ns: int, rows: Records, row: int) -> i
     row += 3
     for k in range(0, c.law_keeps, 2):
         two.first = state.user[k]
-        two.second = state.user[k + 1] if k + 1 < c.law_keeps else 0.0
-        _put(rows, row, t_ns, first + 3 + k // 2, two.word)
+        another = k + 1 < c.law_keeps
+        two.second = state.user[k + 1] if another else 0.0
+        _put(rows, row, t_ns, first + 3 + k // 2, two.word, 8 if another else 4)
         row += 1
     return row
 

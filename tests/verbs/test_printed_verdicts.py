@@ -130,4 +130,7 @@ def test_a_full_disk_is_an_error_and_hides_none(call, name):
 def test_what_is_printed_in_front_of_a_verb_has_the_same_ends(call, words):
     assert call(words, "reader gone", cold=True)[0] == 0
     if Path("/dev/full").exists():
-        assert call(words, "full", cold=True) == (2, "coulombus: [Errno 28] No space left on device\n")
+        assert call(words, "full", cold=True) == (
+            2,
+            "coulombus: No space left on device; free some space, or write elsewhere\n",
+        )

@@ -99,7 +99,7 @@ async def said(url, message, upgraded=False):
         writer.write(message)
         writer.write_eof()
         await asyncio.wait_for(reader.read(), 60)
-    except (ConnectionError, asyncio.IncompleteReadError):
+    except (OSError, asyncio.IncompleteReadError):  # the server has closed, perhaps before the last word
         pass
     finally:
         writer.close()
