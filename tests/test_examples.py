@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+from coulombus import simulate
 from coulombus.lab.experiment.study import read_study
 from coulombus.lab.sweep.file import read_sweep
 
@@ -83,3 +84,12 @@ def test_every_study_file_can_be_read():
 def test_every_sweep_file_can_be_read():
     found = [read_sweep(path) for path in EXAMPLES.glob("sweep_*.toml")]
     assert [sweep.runs for sweep in found] == [128]
+
+
+def test_on_the_elastic_rig_hybrid_holds_still_with_damping_alone():
+    rig = str(EXAMPLES / "elastic.toml")
+    swings = simulate(rig, "hybrid", 3, measured=True)
+    damped = simulate(rig, "hybrid", 3, overrides=["plant.cable.damping_Nms_rad=0.01"], measured=True)
+    assert (swings.trip, damped.trip) == (None, None)
+    assert swings.hold_counts_p2p > 100
+    assert damped.hold_counts_p2p == 0
