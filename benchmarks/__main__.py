@@ -199,6 +199,7 @@ def main() -> None:
             "eds",
             "exports",
             "network",
+            "page",
             "detail",
             "sweep",
             "bits",
