@@ -4,8 +4,7 @@ Numba compiles each kernel as if Python called it: a wrapper that takes Python's
 callees optimised anew, machine code. Of 200 kernels of a run Python calls a dozen. So here a body is
 typed and lowered to LLVM's intermediate code, once, and that is all; it refers to its callees by
 name. An entry is a wrapper, linked with all bodies that it reaches, optimised as a whole, and
-machine code. Both are kept on disk. A cold start takes 0.73 of the
-processor time that it took.
+machine code. Both are kept on disk. A cold start takes 0.73 of the processor time that it took.
 
 A body's symbol is made of the module, the name and the types, so one process can link what others
 have lowered. What refers to its callees by name alone must find them by that: a function that

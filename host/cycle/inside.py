@@ -7,7 +7,7 @@ does: it is read, and what was told last is kept beside it.
 from __future__ import annotations
 
 from coulombus.compiled.decorator import kernel
-from coulombus.host.cycle.records import AxisRecord, ControlRecord, HostRecord
+from coulombus.host.cycle.records import AxisRecord, HostRecord
 from coulombus.recording.inside import FIRST, GAIN, PER_AXIS, SOURCE_INSIDE, Limit
 from coulombus.wire.frame import Records
 
@@ -26,7 +26,7 @@ def _grown(told: Records, k: int, count: int) -> int:
 
 
 @kernel
-def _limits(c: ControlRecord, h: HostRecord) -> int:
+def _limits(h: HostRecord) -> int:
     """Return which limits acted in this cycle: bits of `recording.inside.Limit`."""
     told = h.told
     limits = Limit.TORQUE_CLIPPED * _grown(told, 0, h.clipped_torque)
@@ -63,7 +63,7 @@ def tell(axis: AxisRecord, number: int, t_ns: int, rows: Records, row: int) -> i
     h.told_cycle = h.cycle
     first, two = FIRST + PER_AXIS * number, h.two
     gain = min(max(round(h.gain / GAIN), 0), MOST_GAIN)
-    word = h.phase | h.trip << 8 | _limits(c, h) << 16 | gain << 32
+    word = h.phase | h.trip << 8 | _limits(h) << 16 | gain << 32
     word |= (1 if state.stuck else 0) << 48 | min(max(h.position_age, 0), MOST_AGE) << 56
     _put(rows, row, t_ns, first, word)
     two.first = state.psi_Nm
