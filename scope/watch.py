@@ -1,8 +1,9 @@
 """``coulombus watch``: a bus in one live table, or line by line where no terminal is.
 
 The bus is read in a thread of its own, so that frames do not wait for the drawing; the main thread
-draws and takes the signals. Nothing is ever sent. Chosen signals are drawn over time. In a terminal p or the space bar holds the
-picture while the counting goes on, b shows the raw bytes before other columns, q ends it.
+draws and takes the signals. Nothing is ever sent. Chosen signals are drawn over time. In a terminal
+p or the space bar holds the picture while the counting goes on, b shows the raw bytes before other
+columns, w takes status- and controlwords apart in lines of their own, q ends it.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from coulombus.rigs.rig import Rig
 from coulombus.scope.braille import drawn
 from coulombus.scope.live import Event, Live, NodeRow, PdoRow, Snapshot, Value
 from coulombus.scope.traces import WINDOW_S, Trace, Traces
-from coulombus.scope.word_bits import bits_set, meaning
+from coulombus.scope.word_bits import WORDS, bits_set, meaning
 from coulombus.wire.address import BusAddress
 from coulombus.wire.client import BusDown, BusFull, BusGone, Client
 from coulombus.wire.hello import Flags, Hello
@@ -46,7 +47,7 @@ SCOPE_LINES = 5
 STALE_S = 0.1
 HOST_S = 0.5
 CHANGED = "bold reverse"
-PAUSE_KEYS, RAW_KEYS, END_KEYS = b"p ", b"b", b"q"
+PAUSE_KEYS, RAW_KEYS, WORD_KEYS, END_KEYS = b"p ", b"b", b"w", b"q"
 
 
 def watch(
@@ -110,10 +111,8 @@ def watch(
                 running = not stop.wait(wait_s) and reader.failure is None and not keys.ended
                 running = running and (end is None or time.monotonic() < end)
                 snapshot, facts = look()
-                draw(
-                    snapshot,
-                    facts | {"paused": keys.paused, "raw": keys.raw, "host": asker.told} if terminal else facts,
-                )
+                asked = {"paused": keys.paused, "raw": keys.raw, "words": keys.words, "host": asker.told}
+                draw(snapshot, facts | asked if terminal else facts)
         if reader.failure is not None:
             raise reader.failure
 
@@ -141,13 +140,14 @@ class ViewKeys:
     """What the keys of the terminal ask for; `struck` is called in the keys' thread."""
 
     def __init__(self) -> None:
-        self.paused = self.raw = self.ended = False
+        self.paused = self.raw = self.words = self.ended = False
 
     def struck(self, strokes: bytes) -> None:
         """Take strokes as the terminal gives them; keys that mean nothing are passed over."""
         for key in strokes:
             self.paused ^= key in PAUSE_KEYS
             self.raw ^= key in RAW_KEYS
+            self.words ^= key in WORD_KEYS
             self.ended |= key in END_KEYS
 
 
@@ -359,6 +359,8 @@ class Screen:
         if self.facts.get("paused"):
             since = self.facts["frames"] - self.snapshot.frames
             head.append(Text(f"PAUSED: p goes on, q ends; {since} frames came since", style="bold reverse"))
+        if self.facts.get("words"):
+            head.extend(line for text in _words(self.snapshot) for line in Text(text).wrap(console, width))
         for trace in self.traces:
             head.extend(_scope(trace, width, max(1, min(SCOPE_LINES, (height // 2) // len(self.traces) - 1))))
         nodes = _table(NODE_COLUMNS, list(map(_node_row, _heard(self.snapshot.nodes, self.all_nodes))), width)
@@ -384,6 +386,14 @@ class Screen:
     def _event(self, event: Event) -> Text:
         text = f"{(event.t_ns - self.begin_ns) / 1e9:10.3f}  {event.text}"
         return Text(text, style="red" if event.grave else "")
+
+
+def _words(snapshot: Snapshot) -> Iterator[str]:
+    """Yield status- and controlwords in words, a line for each that came: no column is wide enough."""
+    for value in (value for row in snapshot.pdos for value in row.values):
+        if value.value is not None and _short(value) in WORDS:
+            set_bits = bits_set(value)
+            yield f"{value.name} {_number(value)}: {meaning(value)}" + (f"; {set_bits}" if set_bits else "")
 
 
 def _scope(trace: Trace, width: int, height: int) -> list[Text]:
@@ -491,7 +501,7 @@ def _short(value: Value) -> str:
 def _number(value: Value) -> str:
     if value.value is None:
         return "-"
-    if _short(value) in ("controlword", "statusword"):
+    if _short(value) in WORDS:
         return f"0x{int(value.value):04X}"
     return f"{value.value:+.5f}" if isinstance(value.value, float) else str(value.value)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
@@ -16,9 +17,9 @@ from coulombus.verbs.common import (
     print_json,
     rig_option,
     set_option,
-    terminal_columns,
     verdict,
 )
+from coulombus.wire.folding import columns_of
 
 if TYPE_CHECKING:
     from coulombus.host.setup.device_plan import DevicePlan
@@ -214,7 +215,7 @@ class _Findings:
             for one in axis.allocation.bound.bindings
             if one.decided
         }
-        width = terminal_columns()
+        width = columns_of(sys.stdout)
         columns = {} if width is None else {"columns": width}
         for pdo in self.rig.pdos():
             click.echo(

@@ -8,10 +8,8 @@ import errno
 import json
 import os
 import re
-import shutil
 import signal
 import sys
-import textwrap
 import traceback
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -22,6 +20,7 @@ import click
 
 from coulombus.recording.output_file import is_stream, reason_against
 from coulombus.verbs.exit_status import FAULT, STATUSES
+from coulombus.wire.folding import columns_of, hanging
 from coulombus.wire.stopping import Stopped, as_exceptions, raised, status_of, told
 from coulombus.wire.verdict import abandon_stdout, printed, say, verdict
 
@@ -74,15 +73,12 @@ __all__ = [
     "shared_machine_option",
     "signals_option",
     "table_console",
-    "terminal_columns",
     "verdict",
 ]
 
 EXIT_STATUS = (
     "\b\nExit status:\n"
-    + "".join(
-        textwrap.fill(f"{status:>3}  {text}", 76, subsequent_indent=" " * 5) + "\n" for status, text in STATUSES.items()
-    )
+    + "".join(hanging(f"{status:>3}  {text}", 76, 5) + "\n" for status, text in STATUSES.items())
     + """With --json, what ends a verb before its result is an object on stdout, too:
 {"event": "error", "error": TEXT, "exit_status": N}
 """
@@ -590,18 +586,8 @@ def on_terminal(line: str, indent: int) -> str:
     """Return a line of stdout: broken as `hanging` does where a terminal ends, whole in a file or a
     pipe.
     """
-    columns = terminal_columns()
+    columns = columns_of(sys.stdout)
     return line if columns is None else hanging(line, columns, indent)
-
-
-def terminal_columns() -> int | None:
-    """Return the width of the terminal that stdout is; None of a file or a pipe."""
-    return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
-
-
-def hanging(text: str, width: int, indent: int) -> str:
-    """Return a line broken at spaces, what is beyond `width` under its column `indent`."""
-    return textwrap.fill(text, width, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False)
 
 
 def listed(texts: tuple[str, ...]) -> tuple[str, ...] | None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,6 +28,7 @@ from coulombus.verbs.common import (
     set_option,
 )
 from coulombus.verbs.web import PageOptions, page_options, serve_page
+from coulombus.wire.folding import columns_of
 
 if TYPE_CHECKING:
     from coulombus.rigs.rig import Rig
@@ -63,7 +63,7 @@ def decode(file: Path, rig_name: str | None, as_json: bool) -> None:
 
         recording = blocks(file, rig=None if rig_name is None else load_rig(rig_name))
         out = sys.stdout
-        width = shutil.get_terminal_size().columns if out.isatty() else None
+        width = columns_of(out)
 
         def line(row: dict[str, Any]) -> str:
             text = as_json_line(row) if as_json else printable(as_text(row))
@@ -155,9 +155,9 @@ def watch(
     emergencies, losses.
 
     Nothing is sent. A live table in a terminal (p holds the picture, b shows raw bytes, those that
-    changed stand out, q ends it), else lines; with --web a page in a browser, whose
-    STOP asks for what `coulombus stop` does. Ends with 0 on Ctrl-C, SIGTERM, SIGHUP
-    or SIGQUIT, with 4 when the bus goes away.
+    changed stand out, w names the bits of status- and controlwords, q ends it), else lines; with
+    --web a page in a browser, whose STOP asks for what `coulombus stop` does. Ends with 0 on
+    Ctrl-C, SIGTERM, SIGHUP or SIGQUIT, with 4 when the bus goes away.
 
     \b
     Examples:

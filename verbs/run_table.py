@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from coulombus.verbs.common import table_console
+from coulombus.wire.folding import folded
 
 if TYPE_CHECKING:
     from coulombus.host.run.result import RunResult
@@ -82,7 +84,7 @@ def print_runs(results: dict[str, RunResult]) -> None:
             table.add_row(label, *cells)
     console.print(table)
     for line in beneath:  # paths and sentences, whole
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
+        print(folded(line, sys.stdout))
     for title, texts in remarks.items():
         for text in texts:
             print_remark(f"{title}: {text}")
@@ -90,16 +92,18 @@ def print_runs(results: dict[str, RunResult]) -> None:
 
 def print_remark(text: str) -> None:
     """Print a line that begins with "remark"."""
-    from rich.console import Console
-    from rich.markup import escape
-
-    Console(highlight=False).print(f"[yellow]remark[/] {escape(text)}", soft_wrap=True)
+    _print_marked("yellow", "remark", f" {text}")
 
 
 def print_verdict(holds: bool | None, text: str) -> None:
     """Print whether a criterion holds (None: it could not be judged), and its text."""
+    colour, mark = ("yellow", "?   ") if holds is None else ("green", "ok  ") if holds else ("red", "FAIL")
+    _print_marked(colour, mark, f" {text}")
+
+
+def _print_marked(colour: str, mark: str, text: str) -> None:
     from rich.console import Console
     from rich.markup import escape
 
-    mark = "[yellow]?   [/]" if holds is None else "[green]ok  [/]" if holds else "[red]FAIL[/]"
-    Console(highlight=False).print(f"{mark} {escape(text)}", soft_wrap=True)
+    rest = folded(mark + text, sys.stdout, len(mark) + 1)[len(mark) :]
+    Console(highlight=False).print(f"[{colour}]{mark}[/]{escape(rest)}", soft_wrap=True)

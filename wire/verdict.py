@@ -10,6 +10,8 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
+from coulombus.wire.folding import folded
+
 __all__ = ["abandon_stdout", "printed", "say", "verdict"]
 
 
@@ -54,6 +56,8 @@ def printed(status: int = 0) -> Iterator[None]:
 
 
 def say(text: str) -> None:
-    """Say something on stderr; one that is closed keeps nothing from its course."""
+    """Say something on stderr, in a terminal broken between words; one that is closed keeps nothing
+    from its course.
+    """
     with suppress(OSError):
-        print(text, file=sys.stderr, flush=True)
+        print(folded(text, sys.stderr), file=sys.stderr, flush=True)

@@ -313,12 +313,21 @@ def test_a_held_picture_says_so_and_the_host_is_told(rig):
     assert not any("PAUSED" in line.plain for line in screen_lines(live, 80))
 
 
+def test_bits_of_words_have_lines_of_their_own_where_no_column_is_wide_enough(rig):
+    live = Live(rig)
+    live.take([tpdo1(0.1, 0x1237)])
+    lines = [line.plain for line in screen_lines(live, 80, words=True)]
+    assert "motor.statusword 0x1237: operation enabled; remote, mode 12" in lines
+    assert not any("controlword" in line and ":" in line for line in lines)  # none came
+    assert not any("mode 12" in line.plain for line in screen_lines(live, 80))
+
+
 def test_the_keys_of_a_view():
     keys = ViewKeys()
     keys.struck(b"p")
-    assert (keys.paused, keys.raw, keys.ended) == (True, False, False)
-    keys.struck(b" bq")
-    assert (keys.paused, keys.raw, keys.ended) == (False, True, True)
+    assert (keys.paused, keys.raw, keys.words, keys.ended) == (True, False, False, False)
+    keys.struck(b" bwq")
+    assert (keys.paused, keys.raw, keys.words, keys.ended) == (False, True, True, True)
 
 
 def test_the_table_of_a_pdo_is_filled_with_what_came(rig):

@@ -1,5 +1,6 @@
 """Tables in a terminal of 80 columns: nothing is cut, nothing wraps within a row."""
 
+import io
 from types import SimpleNamespace
 
 import pytest
@@ -8,8 +9,10 @@ from rich.console import Console
 from rich.table import Table
 
 from coulombus.scope.decode import as_text, fitted
-from coulombus.verbs.common import hanging, print_fitting
+from coulombus.verbs.common import print_fitting
 from coulombus.verbs.main import main
+from coulombus.wire.folding import folded, hanging
+from coulombus.wire.verdict import say
 
 COLUMNS = 80
 TABLES = (
@@ -74,6 +77,40 @@ def test_a_decoded_frame_is_broken_between_its_signals():
 
 def test_prose_goes_on_under_its_own_column():
     assert hanging("word       one two three", 15, 11) == "word       one\n           two\n           three"
+
+
+@pytest.mark.parametrize(
+    ("text", "piece"),
+    [
+        ("start one in another terminal with `coulombus sim --rig my-rig.toml`", "`coulombus sim --rig my-rig.toml`"),
+        ("on a machine with others: --set motor.setpoint_fault_s=0.05 --seed 3", "--set motor.setpoint_fault_s=0.05 --seed 3"),
+        ("what is withheld is told by coulombus commission --step friction: see", "coulombus commission --step friction:"),
+    ],
+)  # fmt: skip
+def test_what_is_to_be_copied_is_not_broken(text, piece):
+    broken = hanging(text, 50, 2)
+    assert piece in broken
+    assert " ".join(broken.split()) == text
+    assert len(broken.splitlines()) > 1
+
+
+def test_what_is_said_breaks_between_words_and_a_pipe_has_it_whole(capsys, monkeypatch):
+    text = "coulombus: " + "so many words that a terminal breaks them somewhere " * 3
+    say(text)
+    assert capsys.readouterr().err == text + "\n"
+    monkeypatch.setenv("COLUMNS", str(COLUMNS))
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    say(text + "\n    of a traceback" + 80 * "!")
+    *lines, last = capsys.readouterr().err.splitlines()
+    assert last == "    of a traceback" + 80 * "!"
+    assert max(map(len, lines)) <= COLUMNS
+    assert " ".join(line.strip() for line in lines) == text.strip()
+
+
+def test_a_closed_stream_is_no_terminal():
+    stream = io.StringIO()
+    stream.close()
+    assert folded(100 * "word ", stream) == 100 * "word "
 
 
 def test_long_texts_of_a_run_stand_beneath_its_table_whole(capsys, monkeypatch):

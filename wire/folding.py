@@ -1,0 +1,47 @@
+"""Sentences broken where a terminal ends: between words, and never within what is to be copied."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import textwrap
+from typing import TextIO
+
+__all__ = ["columns_of", "folded", "hanging"]
+
+_GLUE = "\0"
+"""In the place of a space at which nothing is broken."""
+_OPTION = r"(?:--[a-z][\w-]*(?: (?!--)[^\s,;:()]+)? ?)"
+_COPIED = re.compile(rf"`[^`\n]*`|\bcoulombus [a-z]+ {_OPTION}*|{_OPTION}+")
+
+
+def hanging(text: str, width: int, indent: int) -> str:
+    """Return a line broken at spaces, what is beyond `width` under its column `indent`.
+
+    A word, a command in backquotes and a row of options stay in one piece, also where they are
+    wider: a terminal breaks them by itself, and then they are copied whole.
+    """
+    kept = _COPIED.sub(lambda found: found[0].rstrip().replace(" ", _GLUE) + " " * found[0].endswith(" "), text)
+    lines = textwrap.fill(kept, width, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False)
+    return lines.replace(_GLUE, " ")
+
+
+def columns_of(stream: TextIO) -> int | None:
+    """Return the width of the terminal that a stream is; None of a file or a pipe."""
+    try:
+        return shutil.get_terminal_size().columns if stream.isatty() else None
+    except ValueError:  # it is closed
+        return None
+
+
+def folded(text: str, stream: TextIO, indent: int = 2) -> str:
+    """Return lines as `hanging` breaks them for a terminal, whole for a file or a pipe; lines that
+    begin with a space (a traceback's) as they are.
+    """
+    columns = columns_of(stream)
+    if columns is None:
+        return text
+    return "\n".join(
+        line if len(line) <= columns or line[:1].isspace() else hanging(line, columns, indent)
+        for line in text.split("\n")
+    )
