@@ -14,7 +14,6 @@ from coulombus.verbs.common import (
     PICTURE,
     errors,
     force_option,
-    hanging,
     json_option,
     load,
     print_fitting,
@@ -25,6 +24,7 @@ from coulombus.verbs.common import (
     table_console,
     verdict,
 )
+from coulombus.wire.folding import hanging
 
 if TYPE_CHECKING:
     from coulombus.rigs.plan.by_role import Change
