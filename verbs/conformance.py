@@ -5,11 +5,13 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from coulombus.verbs.bundle import bundle
 from coulombus.verbs.common import EXIT_STATUS, OutputFile, errors, json_option, print_json, printed, say
 
 if TYPE_CHECKING:
@@ -21,52 +23,88 @@ __all__ = ["conformance"]
 LONGEST_TIMEOUT_S = 60.0
 
 
+@dataclass(frozen=True)
+class Tested:
+    """The device and how it is tested, as the options say it."""
+
+    bus_name: str
+    node_id: int
+    eds_path: Path
+    timeout: float
+    seed: int
+    force: bool
+
+
+@dataclass(frozen=True)
+class Reports:
+    """What ``conformance`` writes, as the options say it."""
+
+    overwrite: bool
+    junit: Path | None
+    report_path: Path | None
+
+    def write(self, report: Report) -> None:
+        """Write the files that were asked for."""
+        from coulombus.conformance.report import write_junit, write_report
+        from coulombus.recording.output_file import new_file
+
+        for place, write in ((self.junit, write_junit), (self.report_path, write_report)):
+            if place is not None:
+                with new_file(place, force=self.overwrite) as path:
+                    write(report, path)
+
+
+tested_options = bundle(
+    "tested",
+    Tested,
+    click.option("--bus", "bus_name", required=True, metavar="B", help="coulombus:NAME or socketcan:IF."),
+    click.option(
+        "--node", "node_id", required=True, type=click.IntRange(1, 127), metavar="N", help="The device's node id."
+    ),
+    click.option(
+        "--eds", "eds_path", required=True, type=click.Path(path_type=Path), metavar="E", help="Its EDS or DCF file."
+    ),
+    click.option("--timeout", default=1.0, show_default=True, metavar="S", help="How long an answer may take."),
+    click.option("--seed", default=0, show_default=True, help="Start of everything random."),
+    click.option(
+        "--force",
+        is_flag=True,
+        help="Also on a device in NMT OPERATIONAL, a drive in Operation Enabled, or one that is not the EDS's.",
+    ),
+)
+reports_options = bundle(
+    "reports",
+    Reports,
+    click.option(
+        "--overwrite",
+        is_flag=True,
+        is_eager=True,
+        help="Replace reports that exist; else they are refused. --force is about the device.",
+    ),
+    click.option("--junit", type=OutputFile(), metavar="F.xml", help="Write JUnit XML there."),
+    click.option(
+        "--report",
+        "report_path",
+        type=OutputFile(),
+        metavar="F.md|F.html",
+        help="Write a readable report there, with the frames of each failure.",
+    ),
+)
+
+
 @click.command(
     "conformance", epilog=EXIT_STATUS, short_help="Test a CANopen device against its EDS and CiA 301, 305, 402"
 )
-@click.option("--bus", "bus_name", required=True, metavar="B", help="coulombus:NAME or socketcan:IF.")
-@click.option(
-    "--node", "node_id", required=True, type=click.IntRange(1, 127), metavar="N", help="The device's node id."
-)
-@click.option(
-    "--eds", "eds_path", required=True, type=click.Path(path_type=Path), metavar="E", help="Its EDS or DCF file."
-)
+@tested_options
 @click.option(
     "--case", "numbers", multiple=True, metavar="ID", help="Only this case, as 2.10. May be given several times."
 )
-@click.option("--timeout", default=1.0, show_default=True, metavar="S", help="How long an answer may take.")
-@click.option("--seed", default=0, show_default=True, help="Start of everything random.")
-@click.option(
-    "--force",
-    is_flag=True,
-    help="Also on a device in NMT OPERATIONAL, a drive in Operation Enabled, or one that is not the EDS's.",
-)
-@click.option(
-    "--overwrite",
-    is_flag=True,
-    is_eager=True,
-    help="Replace reports that exist; else they are refused. --force is about the device.",
-)
-@click.option("--junit", type=OutputFile(), metavar="F.xml", help="Write JUnit XML there.")
-@click.option(
-    "--report",
-    "report_path",
-    type=OutputFile(),
-    metavar="F.md|F.html",
-    help="Write a readable report there, with the frames of each failure.",
-)
+@reports_options
 @json_option
 def conformance(
-    bus_name: str,
-    node_id: int,
-    eds_path: Path,
+    tested: Tested,
     numbers: tuple[str, ...],
-    timeout: float,
-    seed: int,
-    force: bool,
-    overwrite: bool,
-    junit: Path | None,
-    report_path: Path | None,
+    reports: Reports,
     as_json: bool,
 ) -> None:
     """Test a CANopen device against its EDS and CiA 301, 305 and 402, over its bus alone.
@@ -81,27 +119,27 @@ def conformance(
     Examples:
       coulombus conformance --bus coulombus:bench --node 1 --eds eds/motor.eds
       coulombus conformance --bus socketcan:can0 --node 5 --eds drive.eds --report drive.html
-      coulombus conformance --bus coulombus:bench --node 2 --eds eds/mr_brake.eds --case 2.10 --case
-      3.6
+      coulombus conformance --bus coulombus:bench --node 2 --eds eds/mr_brake.eds --case 2.10
     """
     with errors():
-        from coulombus.conformance.report import as_dict, write_junit, write_report
+        from coulombus.conformance.report import as_dict
         from coulombus.conformance.runner import check_before, run, select
         from coulombus.conformance.tester.unit import Timing, Unit
         from coulombus.eds.reader import read_eds
-        from coulombus.recording.output_file import new_file
         from coulombus.wire.address import parse_address
         from coulombus.wire.bus_link import BusLink
 
-        if not 0.01 <= timeout <= LONGEST_TIMEOUT_S:
-            raise click.BadParameter(f"{timeout}: expected 0.01 to {LONGEST_TIMEOUT_S:.0f} s", param_hint="--timeout")
+        if not 0.01 <= tested.timeout <= LONGEST_TIMEOUT_S:
+            raise click.BadParameter(
+                f"{tested.timeout}: expected 0.01 to {LONGEST_TIMEOUT_S:.0f} s", param_hint="--timeout"
+            )
         cases = select(numbers)
-        address = parse_address(bus_name)
-        description = read_eds(eds_path)
+        address = parse_address(tested.bus_name)
+        description = read_eds(tested.eds_path)
         with BusLink(address) as link:
-            unit = Unit(link, description, node_id, Timing.of(timeout), seed)
-            check_before(unit, force=force)
-            say(f"node {node_id} on {address} is reset and changed now, and has its defaults at the end")
+            unit = Unit(link, description, tested.node_id, Timing.of(tested.timeout), tested.seed)
+            check_before(unit, force=tested.force)
+            say(f"node {tested.node_id} on {address} is reset and changed now, and has its defaults at the end")
             with _progress(len(cases), not as_json) as progress:
                 report = run(unit, cases, progress)
         failed = bool(report.count("fail") + report.count("error"))
@@ -110,12 +148,7 @@ def conformance(
                 print_json(as_dict(report))
             else:
                 _print(report)
-        if junit is not None:
-            with new_file(junit, force=overwrite) as path:
-                write_junit(report, path)
-        if report_path is not None:
-            with new_file(report_path, force=overwrite) as path:
-                write_report(report, path)
+        reports.write(report)
         if report.ended_by is not None:
             raise report.ended_by
         sys.exit(1 if failed else 0)

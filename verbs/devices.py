@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from coulombus.verbs.bundle import bundle
 from coulombus.verbs.common import SECONDS, InputPath, load, say
 
 if TYPE_CHECKING:
@@ -17,12 +19,12 @@ if TYPE_CHECKING:
     from coulombus.wire.bus_link import BusLink
 
 __all__ = [
+    "DeviceOptions",
     "LiveLine",
     "beside_option",
     "device_options",
     "devices_bus_option",
     "eds_folder_option",
-    "open_device",
     "open_link",
     "timeout_option",
 ]
@@ -106,33 +108,44 @@ class LiveLine:
             self._console.file.flush()
 
 
-def device_options(function: Callable[..., None]) -> Callable[..., None]:
-    """Give a verb the options of who asks a device."""
-    for option in (beside_option, timeout_option, rig_option, eds_option, devices_bus_option):
-        function = option(function)
-    return function
+@dataclass(frozen=True)
+class DeviceOptions:
+    """How a device is reached and described, as the options say it."""
+
+    bus_name: str
+    eds: Path | None
+    rig_name: str | None
+    timeout_s: float
+    beside: bool
+
+    @contextmanager
+    def open(self, node_id: int, *, to_write: bool = False) -> Iterator[tuple[BusLink, Device]]:
+        """Open the bus and a node on it, with its EDS file where there is one.
+
+        Parameters
+        ----------
+        to_write : a host at work on the bus is a reason to refuse, unless the options allow it
+        """
+        from coulombus.host.devices.device import Device, describe
+        from coulombus.host.devices.sdo import SdoClient
+
+        if self.eds is not None and self.rig_name is not None:
+            raise click.UsageError("the EDS file is that of --eds, or that of --rig; give one of them")
+        with open_link(self.bus_name, beside=self.beside or not to_write) as link:
+            client = SdoClient(link, node_id, self.timeout_s)
+            if self.rig_name is not None:
+                description, units = _of_rig(self.rig_name, node_id)
+                yield link, Device(client, description, units)
+                return
+            with LiveLine() as show:
+                source = "device" if self.eds is not None and str(self.eds) == "device" else self.eds
+                description = describe(client, source, lambda done, total: show(f"EDS file: {done} of {total} bytes"))
+            yield link, Device(client, description)
 
 
-@contextmanager
-def open_device(
-    node_id: int, bus_name: str, eds: Path | None, rig_name: str | None, timeout_s: float, *, beside: bool
-) -> Iterator[tuple[BusLink, Device]]:
-    """Open a bus and a node on it, with its EDS file where there is one."""
-    from coulombus.host.devices.device import Device, describe
-    from coulombus.host.devices.sdo import SdoClient
-
-    if eds is not None and rig_name is not None:
-        raise click.UsageError("the EDS file is that of --eds, or that of --rig; give one of them")
-    with open_link(bus_name, beside=beside) as link:
-        client = SdoClient(link, node_id, timeout_s)
-        if rig_name is not None:
-            description, units = _of_rig(rig_name, node_id)
-            yield link, Device(client, description, units)
-            return
-        with LiveLine() as show:
-            source = "device" if eds is not None and str(eds) == "device" else eds
-            description = describe(client, source, lambda done, total: show(f"EDS file: {done} of {total} bytes"))
-        yield link, Device(client, description)
+device_options = bundle(
+    "reached", DeviceOptions, devices_bus_option, eds_option, rig_option, timeout_option, beside_option
+)
 
 
 def _of_rig(rig_name: str, node_id: int) -> tuple[Any, dict[tuple[int, int], Any]]:

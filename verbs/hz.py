@@ -12,7 +12,6 @@ from coulombus.verbs.common import (
     EXIT_STATUS,
     SECONDS,
     InputPath,
-    bus_option,
     errors,
     json_option,
     load,
@@ -22,6 +21,7 @@ from coulombus.verbs.common import (
     rig_option,
     set_option,
 )
+from coulombus.verbs.rig_options import OneBusOptions, one_bus_options, one_channel_option
 
 if TYPE_CHECKING:
     from coulombus.scope.live import PdoRow
@@ -32,23 +32,16 @@ STAMPS = {
     "coulombus": "SO_TIMESTAMPNS: when the virtual bus sent the message",
     "socketcan": "SO_TIMESTAMPNS: when the kernel took the frame",
 }
-one_channel_option = click.option("--channel", metavar="C", help="Which bus of a rig that has several.")
 
 
 @click.command(epilog=EXIT_STATUS, short_help="Measure rate and jitter of each identifier")
 @click.argument("file", required=False, type=InputPath())
-@rig_option
-@set_option
-@bus_option
-@one_channel_option
+@one_bus_options
 @click.option("--seconds", type=SECONDS, default=5.0, show_default=True, help="How long to listen to a bus.")
 @json_option
 def hz(
     file: Path | None,
-    rig_name: str,
-    overrides: tuple[str, ...],
-    bus_name: str | None,
-    channel: str | None,
+    chosen: OneBusOptions,
     seconds: float,
     as_json: bool,
 ) -> None:
@@ -67,19 +60,17 @@ def hz(
         from coulombus.scope.timing import as_dict, as_lines, listen, recorded, timing
 
         if file is not None:
-            if bus_name is not None:
+            if chosen.bus_name is not None:
                 raise click.UsageError("a file and --bus: give one of them")
             from coulombus.recording.signals import blocks
 
             given = click.get_current_context().get_parameter_source("rig_name") is not ParameterSource.DEFAULT
-            recording = blocks(file, rig=load(rig_name, overrides) if given or overrides else None)
+            recording = blocks(file, rig=chosen.load() if given or chosen.overrides else None)
             rig, stamps, lost = recording.rig, recorded(recording), None
             where, source = str(file), "the recording's"
             remark(recording.remarks)
         else:
-            from coulombus.rigs.buses import one_bus
-
-            rig, address = one_bus(load(rig_name, overrides), bus_name, channel)
+            rig, address = chosen.found()
             stamps, lost = listen(address, seconds)
             where, source = str(address), STAMPS[address.kind]
         rows = timing(rig, stamps)

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from coulombus.verbs.bundle import bundle
 from coulombus.verbs.common import EXIT_STATUS, InputPath, OutputFile, errors, say, verdict
 
 if TYPE_CHECKING:
+    from coulombus.rigs.draft.gather import Wanted
     from coulombus.rigs.rig import Rig
 
 __all__ = ["init"]
@@ -19,15 +22,69 @@ __all__ = ["init"]
 NODE_ID = click.IntRange(1, 127)
 
 
-@click.command(epilog=EXIT_STATUS, short_help="Draft a rig file from EDS files or from live devices")
-@click.option("--drive", default="", metavar="F.eds", help="EDS file of the motor's drive; `bench`: our own.")
-@click.option("--brake", default="", metavar="G.eds", help="EDS file of the brake's driver; `bench`: our own.")
-@click.option(
-    "--sensor", "sensors", multiple=True, metavar="H.eds", help="EDS file of a further node: the handle's transducer."
+@dataclass(frozen=True)
+class Wishes:
+    """Which devices the rig shall have, as the options say it."""
+
+    drive: str
+    brake: str
+    sensors: tuple[str, ...]
+    drive_id: int | None
+    brake_id: int | None
+    sensor_ids: tuple[int, ...]
+
+    def check(self, asked: bool) -> None:
+        """Refuse what is not enough, or contradicts itself.
+
+        Parameters
+        ----------
+        asked : the devices of a bus are asked who they are
+
+        Raises
+        ------
+        click.UsageError
+            It says which options are missing or too many.
+        """
+        if not asked and not (self.drive and self.brake):
+            raise click.UsageError("give --drive and --brake, or --bus to ask who is there")
+        if len(self.sensor_ids) > len(self.sensors):
+            raise click.UsageError("--sensor-id is given more often than --sensor")
+        given = [one for one in (self.drive_id, self.brake_id, *self.sensor_ids) if one is not None]
+        if len(set(given)) < len(given):
+            raise click.UsageError("each device has a node id of its own")
+
+    def wanted(self) -> list[Wanted]:
+        """Return them by the names that they have in the rig file."""
+        from coulombus.rigs.draft.gather import Wanted
+
+        found = [Wanted("motor", self.drive, self.drive_id), Wanted("brake", self.brake, self.brake_id)]
+        for number, (eds, node_id) in enumerate(zip_longest(self.sensors, self.sensor_ids), 1):
+            found.append(Wanted("transducer" if number == 1 else f"sensor_{number}", eds, node_id))
+        return found
+
+
+wishes_options = bundle(
+    "wishes",
+    Wishes,
+    click.option("--drive", default="", metavar="F.eds", help="EDS file of the motor's drive; `bench`: our own."),
+    click.option("--brake", default="", metavar="G.eds", help="EDS file of the brake's driver; `bench`: our own."),
+    click.option(
+        "--sensor",
+        "sensors",
+        multiple=True,
+        metavar="H.eds",
+        help="EDS file of a further node: the handle's transducer.",
+    ),
+    click.option("--drive-id", type=NODE_ID, help="Node id of the drive.  [default: a DCF's own, else 1]"),
+    click.option("--brake-id", type=NODE_ID, help="Node id of the brake's driver.  [default: a DCF's own, else 2]"),
+    click.option(
+        "--sensor-id", "sensor_ids", type=NODE_ID, multiple=True, help="Node id of each sensor, in their order."
+    ),
 )
-@click.option("--drive-id", type=NODE_ID, help="Node id of the drive.  [default: a DCF's own, else 1]")
-@click.option("--brake-id", type=NODE_ID, help="Node id of the brake's driver.  [default: a DCF's own, else 2]")
-@click.option("--sensor-id", "sensor_ids", type=NODE_ID, multiple=True, help="Node id of each sensor, in their order.")
+
+
+@click.command(epilog=EXIT_STATUS, short_help="Draft a rig file from EDS files or from live devices")
+@wishes_options
 @click.option("--like", default="bench", show_default=True, metavar="R", help="The rig that all else is taken from.")
 @click.option("--bus", "bus_name", metavar="B", help="Ask who is on coulombus:NAME or socketcan:IF.")
 @click.option(
@@ -38,12 +95,7 @@ NODE_ID = click.IntRange(1, 127)
 @click.option("--rehearse", is_flag=True, help="With a simulated rig, for `coulombus simulate`; never for a real bus.")
 @click.option("-o", "--output", type=OutputFile(".toml"), metavar="MY.toml", help="A new file.  [default: stdout]")
 def init(
-    drive: str,
-    brake: str,
-    sensors: tuple[str, ...],
-    drive_id: int | None,
-    brake_id: int | None,
-    sensor_ids: tuple[int, ...],
+    wishes: Wishes,
     like: str,
     bus_name: str | None,
     eds_folder: Path | None,
@@ -65,25 +117,16 @@ def init(
       coulombus init --drive vendor.eds --brake bench --rehearse -o try.toml
       coulombus init --bus socketcan:can0 --eds-folder eds -o my-rig.toml
     """
-    if bus_name is None and not (drive and brake):
-        raise click.UsageError("give --drive and --brake, or --bus to ask who is there")
-    if len(sensor_ids) > len(sensors):
-        raise click.UsageError("--sensor-id is given more often than --sensor")
-    given = [one for one in (drive_id, brake_id, *sensor_ids) if one is not None]
-    if len(set(given)) < len(given):
-        raise click.UsageError("each device has a node id of its own")
+    wishes.check(asked=bus_name is not None)
     with errors():
         from coulombus.rigs.draft.draft import Draft
-        from coulombus.rigs.draft.gather import Wanted, gather
+        from coulombus.rigs.draft.gather import gather
         from coulombus.rigs.draft.text import CHECK
         from coulombus.rigs.rig import load_rig
 
-        wanted = [Wanted("motor", drive, drive_id), Wanted("brake", brake, brake_id)]
-        for number, (eds, node_id) in enumerate(zip_longest(sensors, sensor_ids), 1):
-            wanted.append(Wanted("transducer" if number == 1 else f"sensor_{number}", eds, node_id))
         folder = None if output is None else output.parent.resolve()
         answered = {} if bus_name is None else _answered(bus_name)
-        devices = gather(wanted, folder, answered, eds_folder)
+        devices = gather(wishes.wanted(), folder, answered, eds_folder)
         path = "rig.toml" if output is None else str(output)
         draft = Draft(devices, load_rig(like).one_axis(), path, rehearse=rehearse)
         if rehearse:

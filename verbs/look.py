@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
 
+from coulombus.verbs.bundle import bundle
 from coulombus.verbs.common import (
     EXIT_STATUS,
     SECONDS,
     InputPath,
     OutputFile,
-    bus_option,
     errors,
     force_option,
     listed,
-    load,
     printable,
     printed,
     remark,
@@ -27,6 +27,7 @@ from coulombus.verbs.common import (
     say,
     set_option,
 )
+from coulombus.verbs.rig_options import OneBusOptions, one_bus_options, one_channel_option
 from coulombus.verbs.web import PageOptions, page_options, serve_page
 from coulombus.wire.folding import columns_of
 
@@ -35,9 +36,6 @@ if TYPE_CHECKING:
     from coulombus.wire.address import BusAddress
 
 __all__ = ["dbc", "decode", "host_text", "watch"]
-
-
-one_channel_option = click.option("--channel", metavar="C", help="Which bus of a rig that has several.")
 
 
 @click.command(epilog=EXIT_STATUS, short_help="Print a recording frame by frame, in SI units")
@@ -89,64 +87,96 @@ def host_text(address: BusAddress) -> str | None:
     return printable(text + (f"  trip: {found['trip']}" if found.get("trip") else ""))
 
 
+@dataclass(frozen=True)
+class View:
+    """How a live bus is shown, or to whom it is handed on, as the options say it."""
+
+    interval: float | None
+    pcapng: Path | None
+    overwrite: bool
+    scope: tuple[str, ...]
+    foxglove: int | None
+    plotjuggler: int | None
+
+    def check(self, page: PageOptions, as_json: bool) -> None:
+        """Refuse what does not go together.
+
+        Raises
+        ------
+        click.UsageError
+            It says which options, and which of them to leave out.
+        """
+        ways = {
+            "--web": page.web,
+            "--pcapng": self.pcapng,
+            "--foxglove": self.foxglove,
+            "--plotjuggler": self.plotjuggler,
+        }
+        given = [option for option, value in ways.items() if value is not None and value is not False]
+        if len(given) > 1:
+            raise click.UsageError(f"{given[0]} and {given[1]}: choose one of them")
+        if self.scope and (given or as_json or not sys.stdout.isatty()):
+            raise click.UsageError(f"--scope draws in a terminal: leave {' and '.join(given) or 'it'} out")
+        if given and self.interval is not None:
+            raise click.UsageError(f"--interval is of the table in a terminal: leave it or {given[0]} out")
+        if self.pcapng is not None and as_json:
+            raise click.UsageError("--pcapng shows nothing: leave --json out")
+
+
+view_options = bundle(
+    "view",
+    View,
+    click.option(
+        "--interval",
+        type=click.FloatRange(0.02),
+        default=None,
+        help="Seconds between two looks.  [default: 0.1 in a terminal, else 1]",
+    ),
+    click.option(
+        "--pcapng",
+        "pcapng",
+        type=OutputFile(".pcapng", dash=True),
+        metavar="F",
+        help="Show nothing; write the frames there as they come: - for stdout, a named pipe, or a file.",
+    ),
+    force_option,
+    click.option(
+        "--scope",
+        multiple=True,
+        callback=lambda ctx, param, texts: listed(texts) or (),
+        metavar="A,B",
+        help="Draw these signals over the last 10 s, in a terminal.",
+    ),
+    click.option(
+        "--foxglove",
+        type=click.IntRange(0, 65535),
+        is_flag=False,
+        flag_value=8765,
+        metavar="[PORT]",
+        help="Show nothing; serve Foxglove at this port of the loopback; 0: a free one.  [default: 8765]",
+    ),
+    click.option(
+        "--plotjuggler",
+        type=click.IntRange(1, 65535),
+        is_flag=False,
+        flag_value=9870,
+        metavar="[PORT]",
+        help="Show nothing; send JSON by UDP to PlotJuggler at this port of the loopback.  [default: 9870]",
+    ),
+)
+
+
 @click.command(epilog=EXIT_STATUS, short_help="Show a bus live, in SI units")
-@rig_option
-@set_option
-@bus_option
-@one_channel_option
+@one_bus_options
 @click.option("--seconds", type=SECONDS, default=None, help="End after this time.")
-@click.option(
-    "--interval",
-    type=click.FloatRange(0.02),
-    default=None,
-    help="Seconds between two looks.  [default: 0.1 in a terminal, else 1]",
-)
-@click.option(
-    "--pcapng",
-    "pcapng",
-    type=OutputFile(".pcapng", dash=True),
-    metavar="F",
-    help="Show nothing; write the frames there as they come: - for stdout, a named pipe, or a file.",
-)
-@force_option
-@click.option(
-    "--scope",
-    multiple=True,
-    callback=lambda ctx, param, texts: listed(texts) or (),
-    metavar="A,B",
-    help="Draw these signals over the last 10 s, in a terminal.",
-)
-@click.option(
-    "--foxglove",
-    type=click.IntRange(0, 65535),
-    is_flag=False,
-    flag_value=8765,
-    metavar="[PORT]",
-    help="Show nothing; serve Foxglove at this port of the loopback; 0: a free one.  [default: 8765]",
-)
-@click.option(
-    "--plotjuggler",
-    type=click.IntRange(1, 65535),
-    is_flag=False,
-    flag_value=9870,
-    metavar="[PORT]",
-    help="Show nothing; send JSON by UDP to PlotJuggler at this port of the loopback.  [default: 9870]",
-)
+@view_options
 @page_options
 @click.option("--beside", is_flag=True, hidden=True, help="Another verb began this page, and ends it.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line to stdout.")
 def watch(
-    rig_name: str,
-    overrides: tuple[str, ...],
-    bus_name: str | None,
-    channel: str | None,
+    chosen: OneBusOptions,
     seconds: float | None,
-    interval: float | None,
-    pcapng: Path | None,
-    overwrite: bool,
-    scope: tuple[str, ...],
-    foxglove: int | None,
-    plotjuggler: int | None,
+    view: View,
     page: PageOptions,
     beside: bool,
     as_json: bool,
@@ -170,60 +200,37 @@ def watch(
       coulombus watch --bus coulombus:bench --foxglove
     """
     with errors():
-        from coulombus.rigs.buses import one_bus
         from coulombus.scope.watch import watch as run
 
-        rig, address = one_bus(load(rig_name, overrides), bus_name, channel)
-        ways = {"--web": page.web, "--pcapng": pcapng, "--foxglove": foxglove, "--plotjuggler": plotjuggler}
-        given = [option for option, value in ways.items() if value is not None and value is not False]
-        if len(given) > 1:
-            raise click.UsageError(f"{given[0]} and {given[1]}: choose one of them")
-        if scope and (given or as_json or not sys.stdout.isatty()):
-            raise click.UsageError(f"--scope draws in a terminal: leave {' and '.join(given) or 'it'} out")
-        if foxglove is not None or plotjuggler is not None:
-            _forward(rig, address, foxglove, plotjuggler, seconds=seconds, as_json=as_json)
-            return
-        if page.web:
-            if pcapng is not None or interval is not None:
-                raise click.UsageError("--web is a page: leave --pcapng and --interval out")
+        rig, address = chosen.found()
+        view.check(page, as_json)
+        if view.foxglove is not None or view.plotjuggler is not None:
+            _forward(rig, address, view, seconds=seconds, as_json=as_json)
+        elif page.web:
             serve_page(rig, address, page, seconds=seconds, as_json=as_json, beside=beside)
-            return
-        if pcapng is None:
+        elif view.pcapng is not None:
+            from coulombus.recording.stream import stream
+
+            stream(
+                *(rig, address, str(view.pcapng)),
+                seconds=seconds,
+                say=lambda text: say(f"coulombus: {text}"),
+                force=view.overwrite,
+            )
+        else:
             named = click.get_current_context().get_parameter_source("rig_name") is not ParameterSource.DEFAULT
             run(
-                rig,
-                address,
+                *(rig, address),
                 seconds=seconds,
                 as_json=as_json,
-                interval_s=interval,
+                interval_s=view.interval,
                 all_nodes=named,
                 host=lambda: host_text(address),
-                scope=scope,
+                scope=view.scope,
             )
-            return
-        from coulombus.recording.stream import stream
-
-        if as_json or interval is not None:
-            raise click.UsageError("--pcapng shows nothing: leave --json and --interval out")
-        stream(
-            rig,
-            address,
-            str(pcapng),
-            seconds=seconds,
-            say=lambda text: say(f"coulombus: {text}"),
-            force=overwrite,
-        )
 
 
-def _forward(
-    rig: Rig,
-    address: BusAddress,
-    foxglove: int | None,
-    plotjuggler: int | None,
-    *,
-    seconds: float | None,
-    as_json: bool,
-) -> None:
+def _forward(rig: Rig, address: BusAddress, view: View, *, seconds: float | None, as_json: bool) -> None:
     """Feed Foxglove or PlotJuggler until a signal; tell where, and at the end how much."""
     from coulombus.scope.forward import Foxglove, PlotJuggler, Sink, forward
 
@@ -233,7 +240,7 @@ def _forward(
         else:
             say(f"{address} at {url}; Ctrl-C ends it")
 
-    sink: Sink = Foxglove(rig, foxglove) if foxglove is not None else PlotJuggler(plotjuggler or 0)
+    sink: Sink = Foxglove(rig, view.foxglove) if view.foxglove is not None else PlotJuggler(view.plotjuggler or 0)
     try:
         found = forward(rig, address, sink, seconds=seconds, ready=ready)
     finally:

@@ -15,14 +15,12 @@ from coulombus.verbs.common import (
     EXIT_STATUS,
     errors,
     json_option,
-    load,
     print_json,
-    rig_option,
     say,
-    set_option,
     table_console,
     verdict,
 )
+from coulombus.verbs.rig_options import OneBusOptions, one_bus_options
 
 if TYPE_CHECKING:
     from coulombus.host.run.measure import Measured
@@ -36,26 +34,20 @@ MARK = "measured by coulombus measure"
 
 
 @click.command(epilog=EXIT_STATUS, short_help="Measure response times of devices and host")
-@rig_option
-@click.option("--bus", "bus_name", metavar="B", help="coulombus:NAME or socketcan:IF.  [default: coulombus:RIG]")
-@click.option("--channel", metavar="C", help="Which bus of a rig that has several.")
+@one_bus_options
 @click.option("--rounds", type=click.IntRange(10, 100_000), default=500, show_default=True, help="SYNCs a device.")
 @click.option(
     "--cycles", type=click.IntRange(100, 1_000_000), default=2000, show_default=True, help="Cycles of the host."
 )
 @click.option("--write", is_flag=True, help="Write the values into the rig file; the old one is kept beside it.")
 @click.option("--cpu", type=CPU, default=None, help="CPU for the cycle's process.  [default: the last one]")
-@set_option
 @json_option
 def measure(
-    rig_name: str,
-    bus_name: str | None,
-    channel: str | None,
+    chosen: OneBusOptions,
     rounds: int,
     cycles: int,
     write: bool,
     cpu: int | None,
-    overrides: tuple[str, ...],
     as_json: bool,
 ) -> None:
     """Measure how long the devices take from SYNC to their TPDOs, and the host from the last TPDO
@@ -78,10 +70,10 @@ def measure(
         from coulombus.rigs.buses import one_bus
         from coulombus.rigs.plan.rig_plan import plan
 
-        rig = load(rig_name, overrides)
+        rig = chosen.load()
         if write:
-            _refuse_to_write(rig_name, rig, overrides)
-        on_bus, address = one_bus(rig, bus_name, channel)
+            _refuse_to_write(chosen.rig_name, rig, chosen.overrides)
+        on_bus, address = one_bus(rig, chosen.bus_name, chosen.channel)
         with _progress(not as_json, rounds, cycles) as report:
             found = measure_rig(on_bus, address, rounds=rounds, cycles=cycles, cpu=cpu, progress=report)
         numbers = found.numbers(on_bus)
@@ -102,7 +94,7 @@ def measure(
             if as_json:
                 print_json(document)
             else:
-                _print(document, rig_name)
+                _print(document, chosen.rig_name)
 
 
 def _refuse_to_write(rig_name: str, rig: Rig, overrides: tuple[str, ...]) -> None:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from coulombus.verbs.bundle import bundle
 from coulombus.verbs.common import (
     BIT_RATE,
     EXIT_STATUS,
@@ -15,21 +17,19 @@ from coulombus.verbs.common import (
     errors,
     force_option,
     json_option,
-    load,
     print_fitting,
     print_json,
-    rig_option,
     say,
-    set_option,
     table_console,
     verdict,
 )
+from coulombus.verbs.rig_options import RigOptions, rig_options
 from coulombus.wire.folding import hanging
 
 if TYPE_CHECKING:
     from coulombus.rigs.plan.by_role import Change
-    from coulombus.rigs.plan.response_times import Response
-    from coulombus.rigs.plan.rig_plan import Plan
+    from coulombus.rigs.plan.response_times import Errors, Response
+    from coulombus.rigs.plan.rig_plan import Assumptions, Plan
     from coulombus.rigs.rig import Rig
 
 __all__ = ["as_dict", "message_rows", "plan_command", "role_rows"]
@@ -232,7 +232,7 @@ def _draw(path: Path, found: dict[str, Plan], *, force: bool) -> None:
         say(f"figure: {each}")
 
 
-def _errors_option(ctx: click.Context, param: click.Parameter, value: str) -> Any:
+def _errors_option(ctx: click.Context, param: click.Parameter, value: str) -> Errors:
     from coulombus.rigs.plan.response_times import Errors
 
     try:
@@ -241,41 +241,84 @@ def _errors_option(ctx: click.Context, param: click.Parameter, value: str) -> An
         raise click.BadParameter(str(error), ctx=ctx, param=param) from None
 
 
+@dataclass(frozen=True)
+class Traffic:
+    """What the planned traffic has otherwise than the rig, as the options say it."""
+
+    bitrate: int | None
+    period_us: float | None
+    axes: int | None
+
+    def options(self) -> dict[str, Any]:
+        """Return them as `rigs.plan.rig_plan.plans` takes them."""
+        period_ns = None if self.period_us is None else round(self.period_us * 1e3)
+        return {"bitrate_bit_s": self.bitrate, "period_ns": period_ns, "axes": self.axes}
+
+
+@dataclass(frozen=True)
+class Times:
+    """What is assumed of devices, host and bus, as the options say it."""
+
+    bus_errors: Errors
+    node_us: float | None
+    host_us: float | None
+    sporadic_ms: float | None
+
+    def assumptions(self) -> Assumptions:
+        """Return them in ns, as the planner takes them."""
+        from coulombus.rigs.plan.rig_plan import Assumptions
+
+        node, host = (None if us is None else round(us * 1e3) for us in (self.node_us, self.host_us))
+        sporadic = None if self.sporadic_ms is None else round(self.sporadic_ms * 1e6)
+        return Assumptions(node, host, sporadic, self.bus_errors)
+
+
+traffic_options = bundle(
+    "traffic",
+    Traffic,
+    click.option("--bitrate", type=BIT_RATE, metavar="BIT/S", help="Bit rate, such as 500k.  [default: the rig's]"),
+    click.option(
+        "--period-us",
+        type=click.FloatRange(100, 1e6),
+        help="SYNC period; the TPDO window and the watches keep their share of it.  [default: the rig's]",
+    ),
+    click.option("--axes", type=click.IntRange(1, 16), help="So many axes like the rig's.  [default: the rig's]"),
+)
+times_options = bundle(
+    "times",
+    Times,
+    click.option(
+        "--errors",
+        "bus_errors",
+        default="0",
+        show_default=True,
+        metavar="N/INTERVAL",
+        callback=_errors_option,
+        help="At most N bus errors in any INTERVAL, perhaps at once: 1/10ms, 3/ms, 20/s.",
+    ),
+    click.option(
+        "--node-us",
+        type=click.FloatRange(0, 1e6),
+        help="Longest time from SYNC to a TPDO's queue.  [default: each device's response_us in the rig]",
+    ),
+    click.option(
+        "--host-us",
+        type=click.FloatRange(0, 1e6),
+        help="Longest time of the host's computing.  [default: the rig's host.compute_s]",
+    ),
+    click.option(
+        "--sporadic-ms",
+        type=click.FloatRange(0.1, 1e6),
+        help="Least interval of EMCYs, SDO transfers, NMT.  [default: 10 periods]",
+    ),
+)
+
+
 @click.command("plan", epilog=EXIT_STATUS, short_help="Compute whether a rig's traffic fits on its bus")
-@rig_option
-@set_option
+@rig_options
 @json_option
-@click.option("--bitrate", type=BIT_RATE, metavar="BIT/S", help="Bit rate, such as 500k.  [default: the rig's]")
-@click.option(
-    "--period-us",
-    type=click.FloatRange(100, 1e6),
-    help="SYNC period; the TPDO window and the watches keep their share of it.  [default: the rig's]",
-)
-@click.option("--axes", type=click.IntRange(1, 16), help="So many axes like the rig's.  [default: the rig's]")
-@click.option(
-    "--errors",
-    "bus_errors",
-    default="0",
-    show_default=True,
-    metavar="N/INTERVAL",
-    callback=_errors_option,
-    help="At most N bus errors in any INTERVAL, perhaps at once: 1/10ms, 3/ms, 20/s.",
-)
-@click.option(
-    "--node-us",
-    type=click.FloatRange(0, 1e6),
-    help="Longest time from SYNC to a TPDO's queue.  [default: each device's response_us in the rig]",
-)
-@click.option(
-    "--host-us",
-    type=click.FloatRange(0, 1e6),
-    help="Longest time of the host's computing.  [default: the rig's host.compute_s]",
-)
-@click.option(
-    "--sporadic-ms",
-    type=click.FloatRange(0.1, 1e6),
-    help="Least interval of EMCYs, SDO transfers, NMT.  [default: 10 periods]",
-)
+@traffic_options
+@times_options
 @click.option(
     "--gantt",
     type=PICTURE,
@@ -284,15 +327,9 @@ def _errors_option(ctx: click.Context, param: click.Parameter, value: str) -> An
 )
 @force_option
 def plan_command(
-    rig_name: str,
-    overrides: tuple[str, ...],
-    bitrate: int | None,
-    period_us: float | None,
-    axes: int | None,
-    bus_errors: Any,
-    node_us: float | None,
-    host_us: float | None,
-    sporadic_ms: float | None,
+    chosen: RigOptions,
+    traffic: Traffic,
+    times: Times,
     gantt: Path | None,
     overwrite: bool,
     as_json: bool,
@@ -312,21 +349,11 @@ def plan_command(
       coulombus plan --json | jq .messages
     """
     with errors():
-        from coulombus.rigs.plan.rig_plan import Assumptions, plans
+        from coulombus.rigs.plan.rig_plan import plans
 
-        rig = load(rig_name, overrides)
-        sporadic = None if sporadic_ms is None else round(sporadic_ms * 1e6)
-        host = None if host_us is None else round(host_us * 1e3)
-        node = None if node_us is None else round(node_us * 1e3)
-        given = Assumptions(node, host, sporadic, bus_errors)
-        options = {
-            "bitrate_bit_s": bitrate,
-            "period_ns": None if period_us is None else round(period_us * 1e3),
-            "axes": axes,
-            "assumptions": given,
-        }
+        rig = chosen.load()
         try:
-            found = plans(rig, **options)
+            found = plans(rig, **traffic.options(), assumptions=times.assumptions())
         except ValueError as error:
             raise click.BadParameter(str(error), param_hint="--axes") from None
         if gantt is not None:

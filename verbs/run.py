@@ -14,22 +14,20 @@ from coulombus.verbs.common import (
     EXIT_STATUS,
     SECONDS,
     buses_option,
-    channel_option,
     check_mode,
     check_shared_machine,
     errors,
     json_option,
-    load,
     mode_option,
     print_json,
     progress,
     rig_option,
     say,
-    set_option,
     shared_machine_option,
     verdict,
 )
 from coulombus.verbs.outputs import OutputOptions, outputs_options
+from coulombus.verbs.rig_options import BusesOptions, buses_options
 from coulombus.verbs.run_table import print_runs
 from coulombus.verbs.web import PageOptions, page_options
 
@@ -40,13 +38,10 @@ __all__ = ["run_command", "stop"]
 
 
 @click.command("run", epilog=EXIT_STATUS, short_help="Run the host in real time on a bus with devices")
-@rig_option
-@buses_option
-@channel_option
+@buses_options
 @mode_option
 @click.option("--seconds", type=SECONDS, default=None, help="Length of the display.  [default: until it is stopped]")
 @outputs_options
-@set_option
 @shared_machine_option
 @click.option(
     "--cpu",
@@ -57,13 +52,10 @@ __all__ = ["run_command", "stop"]
 @page_options
 @json_option
 def run_command(
-    rig_name: str,
-    bus_names: tuple[str, ...],
-    channel: str | None,
+    chosen: BusesOptions,
     mode: str,
     seconds: float | None,
     outputs: OutputOptions,
-    overrides: tuple[str, ...],
     shared_machine: bool,
     cpu: int | None,
     page: PageOptions,
@@ -88,30 +80,29 @@ def run_command(
         from coulombus.host.run.buses import path_on
         from coulombus.host.run.real_run import real_run
         from coulombus.recording.output_file import check as check_output
-        from coulombus.rigs.buses import bus_addresses
         from coulombus.rigs.overrides import SHARED_MACHINE
         from coulombus.wire.stopping import Signals
 
-        rig = load(rig_name, (*SHARED_MACHINE, *overrides) if shared_machine else overrides)
-        addresses = bus_addresses(rig, bus_names, channel)
+        rig = chosen.load(*(SHARED_MACHINE if shared_machine else ()))
+        addresses = chosen.addresses(rig)
         if shared_machine:
             check_shared_machine(addresses.values())
-        check_mode(rig, rig_name, mode)
+        check_mode(rig, chosen.rig_name, mode)
         out = outputs.outputs(rig)
-        if channel is not None:
-            rig = rig.on(channel)
+        if chosen.channel is not None:
+            rig = rig.on(chosen.channel)
         if len(rig.channels) > 1:
             page.refuse_several()
-            words = ["run", "--rig", rig_name, "--mode", mode, "--json"]
+            words = ["run", "--rig", chosen.rig_name, "--mode", mode, "--json"]
             words += [] if seconds is None else ["--seconds", str(seconds)]
-            words += repeated("--set", overrides)
+            words += repeated("--set", chosen.overrides)
             words += ["--shared-machine"] if shared_machine else []
             words += [] if cpu is None else ["--cpu", str(cpu)]
             for path in (path_on(path, channel) for path in outputs.refusable() for channel in addresses):
                 check_output(path, force=outputs.overwrite)  # of all buses before the first one starts
             _run_buses([*words, *outputs.words()], addresses, outputs.files, mode, as_json)
         (address,) = addresses.values()
-        with page.beside(rig_name, address, channel, overrides), Signals() as signals, progress(not as_json) as report:
+        with page.beside(chosen, address), Signals() as signals, progress(not as_json) as report:
             result = real_run(
                 rig,
                 mode,

@@ -21,11 +21,11 @@ from coulombus.verbs.common import (
     verdict,
 )
 from coulombus.verbs.devices import (
+    DeviceOptions,
     LiveLine,
     beside_option,
     device_options,
     devices_bus_option,
-    open_device,
     open_link,
     timeout_option,
 )
@@ -90,11 +90,7 @@ def sdo() -> None:
 def get(
     node_id: int,
     name: str,
-    bus_name: str,
-    eds: Path | None,
-    rig_name: str | None,
-    timeout_s: float,
-    beside: bool,
+    reached: DeviceOptions,
     output: Path | None,
     overwrite: bool,
     as_json: bool,
@@ -110,7 +106,7 @@ def get(
     with errors():
         from coulombus.recording.output_file import new_file
 
-        with open_device(node_id, bus_name, eds, rig_name, timeout_s, beside=True) as (_, device), LiveLine() as show:
+        with reached.open(node_id) as (_, device), LiveLine() as show:
             variable = device.find(name)
             reading = device.read(variable, lambda done, total: show(f"{done} of {total or '?'} bytes"))
         if output is not None:
@@ -136,11 +132,7 @@ def set_command(
     node_id: int,
     name: str,
     value: str,
-    bus_name: str,
-    eds: Path | None,
-    rig_name: str | None,
-    timeout_s: float,
-    beside: bool,
+    reached: DeviceOptions,
     type_name: str,
     as_json: bool,
 ) -> None:
@@ -158,7 +150,7 @@ def set_command(
       coulombus sdo set 5 2000h:03 7 --type UNSIGNED8 --bus socketcan:can0
     """
     with errors():
-        with open_device(node_id, bus_name, eds, rig_name, timeout_s, beside=beside) as (_, device), LiveLine() as show:
+        with reached.open(node_id, to_write=True) as (_, device), LiveLine() as show:
             variable = device.find(name)
             data = device.parse(variable, value, type_name=type_name)
             back = device.write(variable, data, lambda done, total: show(f"{done} of {total} bytes"))
@@ -181,11 +173,7 @@ def set_command(
 def dump(
     node_id: int,
     output: Path,
-    bus_name: str,
-    eds: Path | None,
-    rig_name: str | None,
-    timeout_s: float,
-    beside: bool,
+    reached: DeviceOptions,
     overwrite: bool,
     as_json: bool,
 ) -> None:
@@ -206,7 +194,7 @@ def dump(
         from coulombus.recording.output_file import new_file
 
         with (
-            open_device(node_id, bus_name, eds, rig_name, timeout_s, beside=True) as (link, device),
+            reached.open(node_id) as (link, device),
             LiveLine() as show,
         ):
             description = _described(device)
@@ -366,7 +354,7 @@ def restore_defaults(node_id: int, bus_name: str, part: int, beside: bool) -> No
 @sdo.command(epilog=EXIT_STATUS)
 @node_argument
 @device_options
-def shell(node_id: int, bus_name: str, eds: Path | None, rig_name: str | None, timeout_s: float, beside: bool) -> None:
+def shell(node_id: int, reached: DeviceOptions) -> None:
     """Read and write objects one after the other, with completion of names (Tab) and a history.
 
     From a pipe the first line that fails ends it, with that line's exit status.
@@ -379,5 +367,5 @@ def shell(node_id: int, bus_name: str, eds: Path | None, rig_name: str | None, t
     with errors():
         from coulombus.verbs.sdo_shell import Shell, run
 
-        with open_device(node_id, bus_name, eds, rig_name, timeout_s, beside=True) as (link, device):
-            run(Shell(link, device, beside=beside))
+        with reached.open(node_id) as (link, device):
+            run(Shell(link, device, beside=reached.beside))

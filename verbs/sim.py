@@ -16,17 +16,14 @@ from coulombus.verbs.common import (
     MODES,
     SECONDS,
     OutputFile,
-    buses_option,
-    channel_option,
     errors,
     faults_option,
     force_option,
     json_option,
-    rig_option,
     script_option,
     seed_option,
-    set_option,
 )
+from coulombus.verbs.rig_options import BusesOptions, buses_options
 from coulombus.verbs.web import PageOptions, page_options
 from coulombus.wire.verdict import abandon_stdout
 
@@ -87,10 +84,30 @@ simulated_options = bundle(
 )
 
 
+@dataclass(frozen=True)
+class Realtime:
+    """The scheduling of the bus, as the options say it."""
+
+    priority: int
+    cpu: int | None
+
+    def words(self) -> list[str]:
+        """Return the options' words for the processes of several buses."""
+        return ["--priority", str(self.priority), *([] if self.cpu is None else ["--cpu", str(self.cpu)])]
+
+
+realtime_options = bundle(
+    "realtime",
+    Realtime,
+    click.option(
+        "--priority", type=click.IntRange(0, 99), default=79, show_default=True, help="SCHED_FIFO; 0: ordinary."
+    ),
+    click.option("--cpu", type=CPU, default=None, help="Keep the bus on this CPU."),
+)
+
+
 @click.command(epilog=EXIT_STATUS, short_help="Serve a bus with simulated devices and rig in real time")
-@rig_option
-@buses_option
-@channel_option
+@buses_options
 @click.option("--seconds", type=SECONDS, default=None, help="End after so long.  [default: never]")
 @click.option(
     "--record",
@@ -100,22 +117,16 @@ simulated_options = bundle(
 )
 @force_option
 @simulated_options
-@click.option("--priority", type=click.IntRange(0, 99), default=79, show_default=True, help="SCHED_FIFO; 0: ordinary.")
-@click.option("--cpu", type=CPU, default=None, help="Keep the bus on this CPU.")
-@set_option
+@realtime_options
 @page_options
 @json_option
 def sim(
-    rig_name: str,
-    bus_names: tuple[str, ...],
-    channel: str | None,
+    chosen: BusesOptions,
     seconds: float | None,
     record: Path | None,
     overwrite: bool,
     simulated: Simulated,
-    priority: int,
-    cpu: int | None,
-    overrides: tuple[str, ...],
+    realtime: Realtime,
     page: PageOptions,
     as_json: bool,
 ) -> None:
@@ -133,13 +144,12 @@ def sim(
       coulombus sim --bus coulombus:test --seconds 60 --script script.toml --json
     """
     with errors():
-        from coulombus.rigs.buses import bus_addresses
         from coulombus.rigs.rig import load_rig
         from coulombus.sim_bus.server.rig_server import SimServer
         from coulombus.sim_bus.server.serving import run_sim
 
-        rig = load_rig(rig_name, overrides)
-        addresses = bus_addresses(rig, bus_names, channel)
+        rig = load_rig(chosen.rig_name, chosen.overrides)
+        addresses = chosen.addresses(rig)
         told = simulated.of(rig)
         virtual = next(iter(addresses.values())).kind == "coulombus"
         if record is not None and (simulated.unpaced or len(addresses) > 1 or not virtual):
@@ -148,20 +158,19 @@ def sim(
             )
         if len(addresses) > 1:
             page.refuse_several()
-            words = ["sim", "--rig", rig_name, "--priority", str(priority), *simulated.words()]
+            words = ["sim", "--rig", chosen.rig_name, *realtime.words(), *simulated.words()]
             words += [] if seconds is None else ["--seconds", str(seconds)]
-            words += [] if cpu is None else ["--cpu", str(cpu)]
-            words += repeated("--set", overrides)
+            words += repeated("--set", chosen.overrides)
             sys.exit(_sim_buses([*words, "--json"] if as_json else words, addresses))
-        if channel is not None:
-            rig = rig.on(channel)
+        if chosen.channel is not None:
+            rig = rig.on(chosen.channel)
         (address,) = addresses.values()
 
         def make() -> SimServer:
             return SimServer(rig, address, record=record, force=overwrite, **told[rig.channels[0]])
 
-        with page.beside(rig_name, address, channel, overrides):
-            run_sim(make, seconds, priority=priority or None, cpu=cpu, as_json=as_json)
+        with page.beside(chosen, address):
+            run_sim(make, seconds, priority=realtime.priority or None, cpu=realtime.cpu, as_json=as_json)
 
 
 def _sim_buses(words: list[str], addresses: dict[str, BusAddress]) -> int:

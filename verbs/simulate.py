@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import shlex
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from coulombus.verbs.bundle import bundle
 from coulombus.verbs.common import (
     EXIT_STATUS,
     OutputDirectory,
@@ -32,44 +34,72 @@ from coulombus.verbs.common import (
     set_option,
     verdict,
 )
+from coulombus.verbs.rig_options import RigOptions, rig_options
 from coulombus.verbs.run_table import print_runs, print_verdict
 
 if TYPE_CHECKING:
     from coulombus.lab.demo.demo import Demo
+    from coulombus.rigs.rig import Rig
+    from coulombus.sim_bus.network.script import Entry
 
 __all__ = ["demo", "simulate_command"]
 
 
+@dataclass(frozen=True)
+class Files:
+    """What ``simulate`` writes, as the options say it."""
+
+    record: Path | None
+    truth: Path | None
+    overwrite: bool
+
+
+@dataclass(frozen=True)
+class Events:
+    """What happens in the run beside the rig's schedule, as the options say it."""
+
+    faults: Path | None
+    script: Path | None
+
+    def entries(self, rig: Rig) -> tuple[Entry, ...]:
+        """Return what the script file says of the nodes of `rig`."""
+        from coulombus.sim_bus.network.script import read_script
+
+        return () if self.script is None else read_script(self.script, [node.name for node in rig.nodes])
+
+
+files_options = bundle(
+    "files",
+    Files,
+    record_option,
+    force_option,
+    click.option(
+        "--truth",
+        type=OutputFile(),
+        metavar="F.npz",
+        help="Save the plant's true course there, at its own step: time, angle, speed, torques, works.",
+    ),
+)
+events_options = bundle("events", Events, faults_option, script_option)
+
+
 @click.command("simulate", epilog=EXIT_STATUS, short_help="Run a simulated rig in virtual time")
-@rig_option
+@rig_options
 @mode_option
 @seconds_option
-@record_option
-@force_option
+@files_options
 @seed_option
-@faults_option
-@set_option
+@events_options
 @click.option("--law", metavar="NAME", help="Display this law: one of `coulombus law`, or FILE.py:FUNCTION.")
-@click.option(
-    "--truth",
-    type=OutputFile(),
-    metavar="F.npz",
-    help="Save the plant's true course there, at its own step: time, angle, speed, torques, works.",
-)
-@script_option
 @json_option
 def simulate_command(
-    rig_name: str,
+    chosen: RigOptions,
     mode: str,
     seconds: float | None,
-    record: Path | None,
-    overwrite: bool,
+    files: Files,
     seed: int,
-    faults: Path | None,
-    overrides: tuple[str, ...],
+    events: Events,
     law: str | None,
-    truth: Path | None,
-    script: Path | None,
     as_json: bool,
 ) -> None:
     """Run the rig in virtual time: bring-up, arming, display, safe end - over real PDOs.
@@ -90,26 +120,25 @@ def simulate_command(
     with errors():
         from coulombus.lab.simulate import simulate
         from coulombus.sim_bus.faults.lines import injected_lines
-        from coulombus.sim_bus.network.script import read_script
 
-        rig = load(rig_name, overrides)
+        rig = chosen.load()
         if law is not None:
             rig = rig.with_law(law)
-        check_mode(rig, rig_name, mode)
+        check_mode(rig, chosen.rig_name, mode)
         total = display_s(rig, seconds)
-        entries = () if script is None else read_script(script, [node.name for node in rig.nodes])
+        entries = events.entries(rig)
         with progress(not as_json) as report:
             result = simulate(
                 rig,
                 mode,
                 total,
-                record=record,
+                record=files.record,
                 seed=seed,
-                truth=truth,
+                truth=files.truth,
                 script=lambda world: world.plan(entries),
-                faults=faults,
+                faults=events.faults,
                 progress=lambda t: report(mode, t, total),
-                force=overwrite,
+                force=files.overwrite,
             )
         remark((*(result.opened or ()), *(result.losses or ())))
         with verdict(result.exit_status):

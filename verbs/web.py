@@ -7,7 +7,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -19,6 +19,7 @@ from coulombus.verbs.common import say
 
 if TYPE_CHECKING:
     from coulombus.rigs.rig import Rig
+    from coulombus.verbs.rig_options import BusesOptions
     from coulombus.wire.address import BusAddress
 
 __all__ = ["LOOPBACK", "PORT", "PageOptions", "page_options", "serve_page"]
@@ -48,9 +49,7 @@ class PageOptions:
             raise click.UsageError("--web is of one bus: serve each bus' page with `coulombus watch --web --channel C`")
 
     @contextmanager
-    def beside(
-        self, rig_name: str, address: BusAddress, channel: str | None, overrides: Sequence[str]
-    ) -> Iterator[None]:
+    def beside(self, chosen: BusesOptions, address: BusAddress) -> Iterator[None]:
         """Serve the page of a bus in a process of its own meanwhile, where it is asked for.
 
         The process ends with this one, however that ends; what goes wrong there concerns nobody
@@ -59,9 +58,9 @@ class PageOptions:
         if not self.web:
             yield
             return
-        words = ["--rig", rig_name, "--bus", str(address), "--web-host", self.web_host]
-        words += ["--web-port", str(self.web_port), *([] if channel is None else ["--channel", channel])]
-        words += repeated("--set", overrides)
+        words = ["--rig", chosen.rig_name, "--bus", str(address), "--web-host", self.web_host]
+        words += ["--web-port", str(self.web_port), *([] if chosen.channel is None else ["--channel", chosen.channel])]
+        words += repeated("--set", chosen.overrides)
         command = [sys.executable, "-m", "coulombus", "watch", "--web", "--beside", *words]
         child = None
         try:
