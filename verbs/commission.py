@@ -69,47 +69,114 @@ rehearsal_options = bundle(
 )
 
 
+@dataclass(frozen=True)
+class Own:
+    """The rig file that is written, and its bus, as the options say it."""
+
+    rig_path: Path | None
+    bus_name: str | None
+    axis: str | None
+    overrides: tuple[str, ...]
+    shared_machine: bool
+
+    def path(self) -> Path:
+        """Return the rig file.
+
+        Raises
+        ------
+        click.UsageError
+            None is named, or one that is not written.
+        """
+        from coulombus.rigs.rig import known_rigs
+
+        if self.rig_path is None:
+            raise click.UsageError("give --rig MY.toml: what is found is written into it")
+        if not self.rig_path.is_file() and str(self.rig_path) in known_rigs():
+            raise click.UsageError(
+                f"{self.rig_path} is a rig of the package, which is not written; make a file of your own: "
+                "coulombus init --drive bench --brake bench --rehearse -o my-rig.toml"
+            )
+        return self.rig_path
+
+    def all_overrides(self) -> tuple[str, ...]:
+        """Return what is set in the rig, the wider limits of a shared machine before it."""
+        from coulombus.rigs.overrides import SHARED_MACHINE
+        from coulombus.wire.address import parse_address
+
+        if not self.shared_machine:
+            return self.overrides
+        check_shared_machine(() if self.bus_name is None else (parse_address(self.bus_name),))
+        return (*SHARED_MACHINE, *self.overrides)
+
+
+@dataclass(frozen=True)
+class Doing:
+    """Which steps are done, and how, as the options say it."""
+
+    names: tuple[str, ...]
+    listed: bool
+    again: bool
+    yes: bool
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """What a person has measured for a step, as the options say it."""
+
+    weight_Nm: float | None
+    marks_rad: float | None
+
+
+own_options = bundle(
+    "own",
+    Own,
+    click.option(
+        "--rig",
+        "rig_path",
+        type=click.Path(path_type=Path, dir_okay=False),
+        metavar="MY.toml",
+        help="The rig file to commission; it is written.",
+    ),
+    bus_option,
+    click.option("--axis", metavar="NAME", help="The axis, where the rig file names axes."),
+    set_option,
+    shared_machine_option,
+)
+doing_options = bundle(
+    "doing",
+    Doing,
+    click.option("--step", "names", multiple=True, metavar="NAME", help="Only this step; may be given several times."),
+    click.option("--list", "listed", is_flag=True, help="Print the steps, and which are done; nothing moves."),
+    click.option("--again", is_flag=True, help="Do the steps that are done once more."),
+    click.option("--yes", is_flag=True, help="Ask nothing: for a rehearsal, or a rig that nobody touches."),
+)
+weighed_options = bundle(
+    "weighed",
+    Weighed,
+    click.option(
+        "--weight-Nm", "weight_Nm", type=float, help="Torque of a known weight at the handle, for the step weight."
+    ),
+    click.option(
+        "--marks-rad", "marks_rad", type=float, help="Angle between two marks at the handle, for the step encoder."
+    ),
+)
+
+
 @click.command(epilog=EXIT_STATUS, short_help="Measure a rig, and write the figures into its rig file")
-@click.option(
-    "--rig",
-    "rig_path",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="MY.toml",
-    help="The rig file to commission; it is written.",
-)
-@bus_option
-@click.option("--step", "names", multiple=True, metavar="NAME", help="Only this step; may be given several times.")
-@click.option("--axis", metavar="NAME", help="The axis, where the rig file names axes.")
-@click.option("--list", "listed", is_flag=True, help="Print the steps, and which are done; nothing moves.")
-@click.option("--again", is_flag=True, help="Do the steps that are done once more.")
-@click.option("--yes", is_flag=True, help="Ask nothing: for a rehearsal, or a rig that nobody touches.")
+@own_options
+@doing_options
 @rehearsal_options
-@click.option(
-    "--weight-Nm", "weight_Nm", type=float, help="Torque of a known weight at the handle, for the step weight."
-)
-@click.option(
-    "--marks-rad", "marks_rad", type=float, help="Angle between two marks at the handle, for the step encoder."
-)
+@weighed_options
 @click.option("--report", type=OutputFile(".html"), metavar="F.html", help="Write the report there, too.")
 @force_option
-@set_option
-@shared_machine_option
 @json_option
 def commission(
-    rig_path: Path | None,
-    bus_name: str | None,
-    names: tuple[str, ...],
-    axis: str | None,
-    listed: bool,
-    again: bool,
-    yes: bool,
+    own: Own,
+    doing: Doing,
     rehearsal: Rehearsal,
-    weight_Nm: float | None,
-    marks_rad: float | None,
+    weighed: Weighed,
     report: Path | None,
-    overwrite: bool,
-    overrides: tuple[str, ...],
-    shared_machine: bool,
+    overwrite: bool,  # of the report: `OutputFile` asks for it
     as_json: bool,
 ) -> None:
     """Measure the rig step by step, and write what is found into its rig file.
@@ -130,34 +197,24 @@ def commission(
         from coulombus.host.commission.session import Session, results
         from coulombus.host.commission.step import Given
         from coulombus.host.commission.steps import STEPS
-        from coulombus.rigs.overrides import SHARED_MACHINE
-        from coulombus.rigs.rig import known_rigs
-        from coulombus.wire.address import parse_address
 
-        chosen = _chosen(STEPS, names)
-        if listed:
-            _print_list(chosen, rig_path, axis, as_json)
-        if rig_path is None:
-            raise click.UsageError("give --rig MY.toml: what is found is written into it")
-        if not rig_path.is_file() and str(rig_path) in known_rigs():
-            raise click.UsageError(
-                f"{rig_path} is a rig of the package, which is not written; make a file of your own: "
-                "coulombus init --drive bench --brake bench --rehearse -o my-rig.toml"
-            )
+        chosen = _chosen(STEPS, doing.names)
+        if doing.listed:
+            _print_list(chosen, own.rig_path, own.axis, as_json)
+        path = own.path()
         if rehearsal.truth is not None and not rehearsal.virtual:
             raise click.UsageError("--truth is for --virtual")
-        if rehearsal.virtual and bus_name is not None:
+        if rehearsal.virtual and own.bus_name is not None:
             raise click.UsageError("--virtual has a bus of its own; leave out --bus")
-        if shared_machine:
-            check_shared_machine(() if bus_name is None else (parse_address(bus_name),))
-            overrides = (*SHARED_MACHINE, *overrides)
-        if not yes and not _somebody():
+        overrides = own.all_overrides()
+        if not doing.yes and not _somebody():
             raise click.UsageError("nobody is there to be asked: give --yes")
-        load(str(rig_path.resolve()), overrides)
-        run = rehearsal.runner(axis) if rehearsal.virtual else _real(bus_name, as_json)
-        session = Session(rig_path, run, Given(weight_Nm, marks_rad), _now, overrides, axis)
-        done = _commission(session, chosen, again=again or bool(names), yes=yes, report=report)
-        asked_for_what_lacks = bool(names) and any(one.what == "lacking" for one in done)
+        load(str(path.resolve()), overrides)
+        run = rehearsal.runner(own.axis) if rehearsal.virtual else _real(own.bus_name, as_json)
+        given = Given(weighed.weight_Nm, weighed.marks_rad)
+        session = Session(path, run, given, _now, overrides, own.axis)
+        done = _commission(session, chosen, doing, report)
+        asked_for_what_lacks = bool(doing.names) and any(one.what == "lacking" for one in done)
         with verdict(1 if asked_for_what_lacks else 0):
             if as_json:
                 print_json(results(done))
@@ -191,16 +248,14 @@ def _print_list(steps: tuple[Step, ...], rig_path: Path | None, axis: str | None
                 click.echo(f"{row['step']:<12}{row['title']:<52}{row['done'] or '-'}")
 
 
-def _commission(
-    session: Session, steps: tuple[Step, ...], *, again: bool, yes: bool, report: Path | None
-) -> list[Done]:
+def _commission(session: Session, steps: tuple[Step, ...], doing: Doing, report: Path | None) -> list[Done]:
     """Do the steps, and return what came of them."""
     done: list[Done] = []
     for step in steps:
-        if step.name in session.state.steps and not again:
+        if step.name in session.state.steps and not (doing.again or doing.names):
             say(f"{step.name}: done at {session.state.steps[step.name]['at']} (--again: once more)")
             continue
-        one = session.do(step, lambda step, risk: _agree(step, risk, yes))
+        one = session.do(step, lambda step, risk: _agree(step, risk, doing.yes))
         done.append(one)
         _tell(one)
         if one.what == "done":

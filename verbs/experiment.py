@@ -10,12 +10,14 @@ import time
 import tty
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from coulombus.verbs.bundle import bundle
 from coulombus.verbs.common import (
     EXIT_STATUS,
     bus_option,
@@ -43,6 +45,58 @@ LAST_S = 0.5
 """So long the page may take to fetch its last text."""
 
 
+@dataclass(frozen=True)
+class Where:
+    """On which bus a study is displayed, as the options say it."""
+
+    bus_name: str | None
+    virtual: bool
+    shared_machine: bool
+
+    def words(self) -> list[str]:
+        """Return the options' words."""
+        words = ["--virtual"] if self.virtual else [] if self.bus_name is None else ["--bus", self.bus_name]
+        return words + ["--shared-machine"] * self.shared_machine
+
+
+@dataclass(frozen=True)
+class Asked:
+    """Who answers, how, and who hears of it, as the options say it."""
+
+    observer: float | None
+    page: bool
+    port: int | None
+    lsl: bool
+
+    def words(self) -> list[str]:
+        """Return the options' words."""
+        words = [] if self.observer is None else ["--observer", f"{self.observer:g}"]
+        words += ["--page"] * self.page + (["--port", str(self.port)] if self.port else [])
+        return words + ["--lsl"] * self.lsl
+
+
+where_options = bundle(
+    "where",
+    Where,
+    bus_option,
+    click.option("--virtual", is_flag=True, help="Display in virtual time, on the simulated rig."),
+    shared_machine_option,
+)
+asked_options = bundle(
+    "asked",
+    Asked,
+    click.option(
+        "--observer",
+        type=click.FloatRange(0, min_open=True),
+        metavar="JND",
+        help="A simulated observer of this just noticeable difference answers.",
+    ),
+    click.option("--page", is_flag=True, help="Ask in a browser on this machine; its address is printed."),
+    click.option("--port", type=click.IntRange(0, 65535), help="The page's port.  [default: a free one]"),
+    click.option("--lsl", is_flag=True, help="Send markers by the lab streaming layer."),
+)
+
+
 @click.command("experiment", epilog=EXIT_STATUS, short_help="Show a study to a subject, trial by trial")
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option(
@@ -54,30 +108,15 @@ LAST_S = 0.5
     help="Keep the study there.",
 )
 @click.option("--subject", required=True, metavar="S", help="The subject, by letters and digits: S01.")
-@click.option(
-    "--observer",
-    type=click.FloatRange(0, min_open=True),
-    metavar="JND",
-    help="A simulated observer of this just noticeable difference answers.",
-)
-@bus_option
-@click.option("--virtual", is_flag=True, help="Display in virtual time, on the simulated rig.")
-@click.option("--page", is_flag=True, help="Ask in a browser on this machine; its address is printed.")
-@click.option("--port", type=click.IntRange(0, 65535), help="The page's port.  [default: a free one]")
-@click.option("--lsl", is_flag=True, help="Send markers by the lab streaming layer.")
-@shared_machine_option
+@where_options
+@asked_options
 @json_option
 def experiment_command(
     file: Path,
     out: Path,
     subject: str,
-    observer: float | None,
-    bus_name: str | None,
-    virtual: bool,
-    page: bool,
-    port: int | None,
-    lsl: bool,
-    shared_machine: bool,
+    where: Where,
+    asked: Asked,
     as_json: bool,
 ) -> None:
     """Show a study's trials to a subject, ask, and keep the answers.
@@ -100,45 +139,42 @@ def experiment_command(
         from coulombus.lab.experiment.session import SubjectSession, run_session
         from coulombus.lab.experiment.study import read_study
 
-        if virtual and (bus_name is not None or shared_machine):
+        if where.virtual and (where.bus_name is not None or where.shared_machine):
             raise click.UsageError("--virtual needs no bus and no wider limits; take --bus and --shared-machine out")
-        if observer is not None and page:
+        if asked.observer is not None and asked.page:
             raise click.UsageError("--observer answers by itself; take --page out")
-        if port is not None and not page:
+        if asked.port is not None and not asked.page:
             raise click.UsageError("--port is the page's; add --page")
         study = read_study(file)
-        meta = {"observer": "a person" if observer is None else f"simulated, JND {observer:g}"}
-        if observer is None:
+        meta = {"observer": "a person" if asked.observer is None else f"simulated, JND {asked.observer:g}"}
+        if asked.observer is None:
             meta["began"] = datetime.now(UTC).isoformat(timespec="seconds")
-        displays, meta["bus"] = _displays(study, bus_name, virtual, shared_machine)
+        displays, meta["bus"] = _displays(study, where)
         with SubjectFolder(study, out, subject, meta) as folder:
-            session = SubjectSession(folder, displays, *_marks(folder, lsl))
-            with _people(session, observer, page, port or 0) as people:
+            session = SubjectSession(folder, displays, *_marks(folder, asked.lsl))
+            with _people(session, asked) as people:
                 came = run_session(session, people)
         with verdict(came.exit_status):
             if not came.complete:
                 words = ["coulombus", "experiment", str(file), "-o", str(out), "--subject", subject]
-                words += [] if observer is None else ["--observer", f"{observer:g}"]
-                words += ["--virtual"] if virtual else [] if bus_name is None else ["--bus", bus_name]
-                words += ["--page"] * page + (["--port", str(port)] if port else []) + ["--lsl"] * lsl
-                words += ["--shared-machine"] if shared_machine else []
+                words += [*asked.words(), *where.words()]
                 say(f"coulombus: ended: {came.ended_by}; nothing is lost; to go on: {shlex.join(words)}")
             _tell(came, out, as_json)
 
 
-def _displays(study: Study, bus_name: str | None, virtual: bool, shared_machine: bool) -> tuple[Displays, str]:
+def _displays(study: Study, where: Where) -> tuple[Displays, str]:
     from coulombus.lab.experiment.displays import BusDisplays, VirtualDisplays
     from coulombus.rigs.overrides import SHARED_MACHINE
     from coulombus.wire.address import default_address, parse_address
 
-    if virtual:
+    if where.virtual:
         return VirtualDisplays(), "virtual time"
     if len(study.rig.channels) > 1:
         raise click.UsageError(f"the rig {study.rig.name} has several buses; a study runs on one")
-    address = default_address(study.rig.name) if bus_name is None else parse_address(bus_name)
-    if shared_machine:
+    address = default_address(study.rig.name) if where.bus_name is None else parse_address(where.bus_name)
+    if where.shared_machine:
         check_shared_machine([address])
-    return BusDisplays(address, SHARED_MACHINE if shared_machine else ()), str(address)
+    return BusDisplays(address, SHARED_MACHINE if where.shared_machine else ()), str(address)
 
 
 def _marks(folder: SubjectFolder, lsl: bool) -> list[Callable[[str], None]]:
@@ -150,17 +186,17 @@ def _marks(folder: SubjectFolder, lsl: bool) -> list[Callable[[str], None]]:
 
 
 @contextmanager
-def _people(session: SubjectSession, observer: float | None, page: bool, port: int) -> Iterator[People]:
+def _people(session: SubjectSession, asked: Asked) -> Iterator[People]:
     from coulombus.lab.experiment.observer import Observer
     from coulombus.lab.experiment.session import People
 
     study = session.study
-    if observer is not None:
-        yield _simulated(Observer(observer, study.file.seed, session.folder.number))
-    elif page:
+    if asked.observer is not None:
+        yield _simulated(Observer(asked.observer, study.file.seed, session.folder.number))
+    elif asked.page:
         from coulombus.lab.experiment.page import AnswerPage
 
-        with AnswerPage(study.file.question, session.stop, port) as asking:
+        with AnswerPage(study.file.question, session.stop, asked.port or 0) as asking:
             say(f"coulombus: the page: {asking.url}")
             yield People(asking.tell, asking.ask, asking.go_on, time.monotonic)
             asking.over("The study is over. Thank you." if session.trial is None else "The session has ended.")

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from coulombus.lab.replay.host_replay import HostReplay
     from coulombus.lab.replay.player import Tape
     from coulombus.lab.replay.virtual_replay import VirtualReplay
+    from coulombus.rigs.rig import Rig
     from coulombus.sim_bus.server.bridge import Between
 
 __all__ = ["bridge", "replay"]
@@ -98,6 +99,42 @@ playing_options = bundle(
 )
 
 
+@dataclass(frozen=True)
+class Otherwise:
+    """What differs from the recording's own rig, as the options say it."""
+
+    rig_name: str | None
+    law: str | None
+    overrides: tuple[str, ...]
+
+    def rig(self) -> Rig | None:
+        """Return the rig that is named; None: the recording's own."""
+        from coulombus.rigs.rig import load_rig
+
+        return None if self.rig_name is None else load_rig(self.rig_name)
+
+    def all_overrides(self) -> tuple[str, ...]:
+        """Return what is set in the rig, the law as one of them."""
+        if self.law is None:
+            return self.overrides
+        path, colon, function = self.law.rpartition(":")
+        place = str(Path(path).absolute()) if path.endswith(".py") else path
+        return (*self.overrides, f"law.function={place}{colon}{function}")
+
+
+otherwise_options = bundle(
+    "otherwise",
+    Otherwise,
+    click.option("--rig", "rig_name", metavar="R", help="This rig instead of the attached one."),
+    click.option(
+        "--law",
+        metavar="M:F",
+        help="With --host: what this law would have commanded. A law of one's own runs only if it is named here.",
+    ),
+    click.option("--set", "overrides", multiple=True, metavar="SECTION.KEY=V", help="With --host: other values."),
+)
+
+
 @click.command("replay", epilog=EXIT_STATUS, short_help="Play a recording onto a bus, or check it bit for bit")
 @click.argument("file", type=InputPath())
 @click.option("--bus", "bus_name", metavar="B", help="Play it there: coulombus:NAME or socketcan:IF.")
@@ -105,13 +142,7 @@ playing_options = bundle(
 @click.option("--virtual", is_flag=True, help="Feed the bus with it in virtual time: do its frames come out again?")
 @playing_options
 @choice_options
-@click.option("--rig", "rig_name", metavar="R", help="This rig instead of the attached one.")
-@click.option(
-    "--law",
-    metavar="M:F",
-    help="With --host: what this law would have commanded. A law of one's own runs only if it is named here.",
-)
-@click.option("--set", "overrides", multiple=True, metavar="SECTION.KEY=V", help="With --host: other values.")
+@otherwise_options
 @json_option
 def replay(
     file: Path,
@@ -120,9 +151,7 @@ def replay(
     virtual: bool,
     playing: Playing,
     choice: Choice,
-    rig_name: str | None,
-    law: str | None,
-    overrides: tuple[str, ...],
+    otherwise: Otherwise,
     as_json: bool,
 ) -> None:
     """Play a recording onto a bus, or hold the host (--host) or the bus model (--virtual) against
@@ -143,29 +172,21 @@ def replay(
     with errors():
         if (bus_name is not None) + as_host + virtual != 1:
             raise click.UsageError("give one of --bus B (play it there), --host and --virtual (check it)")
-        if (overrides or law) and not as_host:
+        if (otherwise.overrides or otherwise.law) and not as_host:
             raise click.UsageError("--law and --set go with --host")
         if bus_name is not None:
-            _play(file, bus_name, rig_name, playing, choice, as_json)
+            _play(file, bus_name, otherwise.rig_name, playing, choice, as_json)
         else:
-            _check(file, rig_name, law, overrides, as_host, as_json)
+            _check(file, otherwise, as_host, as_json)
 
 
-def _check(
-    file: Path, rig_name: str | None, law: str | None, overrides: tuple[str, ...], as_host: bool, as_json: bool
-) -> None:
+def _check(file: Path, otherwise: Otherwise, as_host: bool, as_json: bool) -> None:
     """Hold the host, or the bus model, against a recording."""
-    from coulombus.rigs.rig import load_rig
-
-    rig = None if rig_name is None else load_rig(rig_name)
+    rig = otherwise.rig()
     if as_host:
         from coulombus.lab.replay.host_replay import host_replay
 
-        if law is not None:
-            path, colon, function = law.rpartition(":")
-            place = str(Path(path).absolute()) if path.endswith(".py") else path
-            overrides = (*overrides, f"law.function={place}{colon}{function}")
-        checked = host_replay(file, overrides, rig)
+        checked = host_replay(file, otherwise.all_overrides(), rig)
         found: HostReplay | VirtualReplay = checked
         lines = _host_lines(checked)
     else:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 from typing import Any
 
 import click
 
+from coulombus.verbs.bundle import bundle
 from coulombus.verbs.common import (
     EXIT_STATUS,
     bus_option,
@@ -56,22 +58,45 @@ def _seconds(ctx: click.Context, param: click.Parameter, text: str | None) -> fl
         raise click.BadParameter(f"{text!r}: expected a time, as in 0.5s or 500ms") from None
 
 
+@dataclass(frozen=True)
+class Manner:
+    """Of which axis, how fast and by whose right values change, as the options say it."""
+
+    axis: str
+    over_s: float | None
+    undo: bool
+    key: str
+
+    def order(self, values: dict[str, float]) -> dict[str, Any]:
+        """Return what the host is asked for."""
+        order: dict[str, Any] = {"values": values, "axis": self.axis, "undo": self.undo, "key": self.key}
+        return order if self.over_s is None else {**order, "over_s": self.over_s}
+
+
+manner_options = bundle(
+    "manner",
+    Manner,
+    click.option("--axis", default="", metavar="NAME", help="Of this axis, where the rig has several."),
+    click.option(
+        "--over", "over_s", callback=_seconds, metavar="TIME", help="Go there within so long.  [default: 0.5s]"
+    ),
+    click.option("--undo", is_flag=True, help="Take the last change back; again: the one before it."),
+    click.option(
+        "--key", default="", metavar="KEY", help="The arm key that `coulombus run` has printed, on a real rig."
+    ),
+)
+
+
 @click.command("set", epilog=EXIT_STATUS, short_help="Change the law's parameters of a running host")
 @click.argument("values", nargs=-1, metavar="[NAME=VALUE]...", callback=_values)
-@click.option("--axis", default="", metavar="NAME", help="Of this axis, where the rig has several.")
-@click.option("--over", "over_s", callback=_seconds, metavar="TIME", help="Go there within so long.  [default: 0.5s]")
-@click.option("--undo", is_flag=True, help="Take the last change back; again: the one before it.")
-@click.option("--key", default="", metavar="KEY", help="The arm key that `coulombus run` has printed, on a real rig.")
+@manner_options
 @rig_option
 @bus_option
 @channel_option
 @json_option
 def set_command(
     values: dict[str, float],
-    axis: str,
-    over_s: float | None,
-    undo: bool,
-    key: str,
+    manner: Manner,
     rig_name: str,
     bus_name: str | None,
     channel: str | None,
@@ -95,11 +120,10 @@ def set_command(
         from coulombus.rigs.rig import load_rig
         from coulombus.wire.address import parse_address
 
-        if undo and values:
+        if manner.undo and values:
             raise click.UsageError("--undo takes the last change back: leave the values out")
         address = parse_address(bus_name) if bus_name else one_bus(load_rig(rig_name), None, channel)[1]
-        order: dict[str, Any] = {"values": values, "axis": axis, "undo": undo, "key": key}
-        found = ask_change(address, order if over_s is None else {**order, "over_s": over_s})
+        found = ask_change(address, manner.order(values))
         with verdict(0):
             if as_json:
                 print_json(found)

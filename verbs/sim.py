@@ -30,6 +30,7 @@ from coulombus.wire.verdict import abandon_stdout
 if TYPE_CHECKING:
     from coulombus.node.profile import Profile
     from coulombus.rigs.rig import Rig
+    from coulombus.sim_bus.server.live_nodes import LiveNodes
     from coulombus.wire.address import BusAddress
 
 __all__ = ["node_command", "sim"]
@@ -229,63 +230,94 @@ class Kind(click.ParamType):  # type: ignore[type-arg]  # generic to some versio
             self.fail(str(error), param, ctx)
 
 
+@dataclass(frozen=True)
+class Served:
+    """What ``node`` makes of the EDS files, as the options say it."""
+
+    node_ids: tuple[int, ...]
+    kind: Profile | Literal["auto"] | None
+    store: Path | None
+    processing_us: float
+    bitrate: int | None
+    io: Path | None
+
+    def of(self, eds: tuple[Path, ...], as_json: bool) -> LiveNodes:
+        """Return the nodes of these EDS files.
+
+        Raises
+        ------
+        NodeError
+            There are not as many node ids as files.
+        """
+        from coulombus.sim_bus.server.live_nodes import LiveNodes, NodeError
+
+        if self.node_ids and len(self.node_ids) != len(eds):
+            raise NodeError(
+                f"{len(eds)} EDS files and {len(self.node_ids)} --node-id; give one --node-id for each file"
+            )
+        files = tuple(zip(eds, self.node_ids or (None,) * len(eds), strict=True))
+        return LiveNodes(files, self.kind, self.store, self.processing_us, as_json, self.bitrate or 0, self.io)
+
+
+served_options = bundle(
+    "served",
+    Served,
+    click.option(
+        "--node-id",
+        "node_ids",
+        type=NodeId(),
+        multiple=True,
+        help="One for each EDS, in order; 255: none yet, `coulombus lss` gives it one.  [default: NodeID of a DCF]",
+    ),
+    click.option(
+        "--kind",
+        type=Kind(),
+        default=None,
+        help="What lives behind the objects: generic (nothing), drive (CiA 402), brake (our driver of CiA 404), "
+        "io (CiA 401), io404 (CiA 404), auto: as the file's objects allow; what contradicts the real device is opened "
+        "and told.  [default: our own devices' files as what they describe, else generic]",
+    ),
+    click.option(
+        "--store",
+        type=click.Path(dir_okay=False, path_type=Path),
+        metavar="FILE",
+        help="Keep what 1010h and LSS store there.  [default: in memory]",
+    ),
+    click.option(
+        "--processing-us",
+        type=click.FloatRange(0, 1e6),
+        default=20.0,
+        show_default=True,
+        help="From a request to the answer that is ready to be sent.",
+    ),
+    click.option(
+        "--bitrate",
+        type=click.IntRange(1000, 100_000_000),
+        default=None,
+        help="Bit/s of the bus, where this command serves it.  [default: Baudrate of a DCF, else 1000000]",
+    ),
+    click.option(
+        "--io",
+        type=click.Path(dir_okay=False, path_type=Path),
+        metavar="FILE",
+        help="Put real hardware behind the one node: which object is which channel of a DAC, ADC, PWM or counter, or of a Python class "
+        "(docs/own-device.md).",
+    ),
+)
+
+
 @click.command("node", epilog=EXIT_STATUS, short_help="Serve any EDS file as a live device")
 @click.argument("eds", nargs=-1, required=True, metavar="EDS...", type=click.Path(path_type=Path))
-@click.option(
-    "--node-id",
-    "node_ids",
-    type=NodeId(),
-    multiple=True,
-    help="One for each EDS, in order; 255: none yet, `coulombus lss` gives it one.  [default: NodeID of a DCF]",
-)
 @click.option("--bus", metavar="B", required=True, help="coulombus:NAME (built in) or socketcan:IF.")
-@click.option(
-    "--kind",
-    type=Kind(),
-    default=None,
-    help="What lives behind the objects: generic (nothing), drive (CiA 402), brake (our driver of CiA 404), io (CiA 401), io404 (CiA 404), auto: as "
-    "the file's objects allow; what contradicts the real device is opened and told.  [default: our own devices' files as what they describe, else "
-    "generic]",
-)
-@click.option(
-    "--store",
-    type=click.Path(dir_okay=False, path_type=Path),
-    metavar="FILE",
-    help="Keep what 1010h and LSS store there.  [default: in memory]",
-)
-@click.option(
-    "--processing-us",
-    type=click.FloatRange(0, 1e6),
-    default=20.0,
-    show_default=True,
-    help="From a request to the answer that is ready to be sent.",
-)
-@click.option(
-    "--bitrate",
-    type=click.IntRange(1000, 100_000_000),
-    default=None,
-    help="Bit/s of the bus, where this command serves it.  [default: Baudrate of a DCF, else 1000000]",
-)
-@click.option(
-    "--io",
-    type=click.Path(dir_okay=False, path_type=Path),
-    metavar="FILE",
-    help="Put real hardware behind the one node: which object is which channel of a DAC, ADC, PWM or counter, or of a Python class "
-    "(docs/own-device.md).",
-)
+@served_options
 @click.option("--seconds", type=SECONDS, default=None, help="End after so long.  [default: never]")
 @click.option(
     "--json", "as_json", is_flag=True, help="One JSON object a line to stdout: ready, duplicate, hardware, end."
 )
 def node_command(
     eds: tuple[Path, ...],
-    node_ids: tuple[int, ...],
     bus: str,
-    kind: Profile | Literal["auto"] | None,
-    store: Path | None,
-    processing_us: float,
-    bitrate: int | None,
-    io: Path | None,
+    served: Served,
     seconds: float | None,
     as_json: bool,
 ) -> None:
@@ -306,12 +338,7 @@ def node_command(
       coulombus node eds/mr_brake.eds --node-id 2 --bus socketcan:can0 --io brake-io.toml
     """
     with errors():
-        from coulombus.sim_bus.server.live_nodes import LiveNodes, NodeError, run_nodes
+        from coulombus.sim_bus.server.live_nodes import run_nodes
         from coulombus.wire.address import parse_address
 
-        if node_ids and len(node_ids) != len(eds):
-            raise NodeError(f"{len(eds)} EDS files and {len(node_ids)} --node-id; give one --node-id for each file")
-        address = parse_address(bus)
-        ids = node_ids or (None,) * len(eds)
-        nodes = LiveNodes(tuple(zip(eds, ids, strict=True)), kind, store, processing_us, as_json, bitrate or 0, io)
-        run_nodes(nodes, address, seconds)
+        run_nodes(served.of(eds, as_json), parse_address(bus), seconds)

@@ -314,9 +314,7 @@ def test_time_zero_is_told_in_utc(monkeypatch):
     started, attachments, comment = wall_clock(2_000_000_000)
     told = attached_object(attachments["clock.json"])
     assert started == told["start_ns"] == STARTED_NS
-    assert told["start_utc"] == utc(STARTED_NS) == "2026-11-18T08:26:40.000000Z" or told["start_utc"].startswith(
-        "2026-"
-    )
+    assert told["start_utc"] == utc(STARTED_NS) == "2026-11-18T11:06:40.000000Z"
     assert told["start_utc"] in comment
     assert told["synchronised"] in (True, False, None)
 

@@ -39,25 +39,25 @@ def test_addresses(text, kind, name):
 
 
 @pytest.mark.parametrize(
-    ("text", "fix"),
+    ("text", "shown", "fix"),
     [
-        ("bench", "coulombus:bench"),
-        ("can0", "socketcan:can0"),
-        ("vcan:can0", "socketcan:can0"),
-        ("", "coulombus:bench"),
-        ("coulombus:", "coulombus:bench"),
-        ("coulombus:a/b", "coulombus:bench"),
-        ("coulombus:../x", "coulombus:bench"),
-        ("coulombus:bench.host", ".host"),
-        ("socketcan:", "socketcan:can0"),
-        ("socketcan:a_name_too_long0", "1 to 15"),
-        ("socketcan:a b", "socketcan:can0"),
+        ("bench", "bench", "coulombus:bench"),
+        ("can0", "can0", "socketcan:can0"),
+        ("vcan:can0", "vcan:can0", "socketcan:can0"),
+        ("", "", "coulombus:bench"),
+        ("coulombus:", "", "coulombus:bench"),
+        ("coulombus:a/b", "a/b", "coulombus:bench"),
+        ("coulombus:../x", "../x", "coulombus:bench"),
+        ("coulombus:bench.host", "coulombus:bench.host", ".host"),
+        ("socketcan:", "socketcan:", "socketcan:can0"),
+        ("socketcan:a_name_too_long0", "socketcan:a_name_too_long0", "1 to 15"),
+        ("socketcan:a b", "socketcan:a b", "socketcan:can0"),
     ],
 )
-def test_what_is_no_address_is_told_with_the_fix(text, fix):
+def test_what_is_no_address_is_told_with_the_fix(text, shown, fix):
     with pytest.raises(AddressError) as caught:
         parse_address(text)
-    assert repr(text) in str(caught.value) or repr(text.partition(":")[2]) in str(caught.value)
+    assert repr(shown) in str(caught.value)
     assert fix in str(caught.value)
     assert caught.value.exit_status == 2
 
