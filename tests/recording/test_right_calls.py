@@ -180,7 +180,10 @@ def test_the_picture_of_a_comparison_is_looked_at_before_it_is_made(source, tmp_
 
     monkeypatch.setattr(comparison, "compare", never)
     (tmp_path / "there.png").write_text("mine")
-    for out, reason in ((tmp_path / "there.png", "there.png exists; choose another name"), (tmp_path / "no" / "folder.png", "no directory")):
+    for out, reason in (
+        (tmp_path / "there.png", "there.png exists; choose another name"),
+        (tmp_path / "no" / "folder.png", "no directory"),
+    ):
         result = CliRunner().invoke(main, ["diff", str(source), str(source), "-o", str(out)])
         assert result.exit_code == 2
         assert reason in result.output
