@@ -58,6 +58,31 @@ def test_the_package_shows_what_a_script_needs_and_no_verbs():
         coulombus.decode  # noqa: B018
 
 
+def contracts():
+    linter = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]
+    return linter, linter["contracts"]
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_each_folder_within_a_folder_has_its_place_in_a_contract(room):
+    inner = {path.parent.name for path in (ROOT / room).glob("*/*.py")}
+    placed = {
+        name
+        for one in contracts()[1]
+        if one.get("containers") == [f"coulombus.{room}"]
+        for layer in one["layers"]
+        for name in layer.replace("|", " ").split()
+    }
+    assert inner <= placed
+
+
+def test_circles_are_forbidden_everywhere_also_among_imports_for_types():
+    linter, all_of_them = contracts()
+    assert "exclude_type_checking_imports" not in linter
+    assert [one["ancestors"] for one in all_of_them if one["type"] == "acyclic_siblings"] == [["coulombus"]]
+    assert not [one["name"] for one in all_of_them if {"ignore_imports", "depth", "skip_descendants"} & set(one)]
+
+
 def test_plugins_of_python_can_load_without_numba():
     points = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"]
     modules = sorted({place.partition(":")[0] for group in points.values() for place in group.values()})
