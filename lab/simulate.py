@@ -26,7 +26,7 @@ from coulombus.recording.measures import Measures, measure
 from coulombus.recording.output_file import check as check_output
 from coulombus.recording.output_file import open_new
 from coulombus.recording.pcapng_blocks import RecordingError
-from coulombus.recording.recorder import Recorder
+from coulombus.recording.recorder import About, Recorder
 from coulombus.rigs.arguments import a_number, path_text, texts
 from coulombus.rigs.rig import Rig, load_rig
 from coulombus.sim_bus.faults.file import FaultPlan, read_faults
@@ -60,8 +60,8 @@ class _VirtualRun(Course):
         super().__init__(self.world.controllers, order.record, order.progress)
         self.measured = MeasuredFrames(rig) if order.measured else None
         if order.record is not None:
-            law, law_state = law_attachments(rig), self.world.controller.law_state
-            self.recorder = Recorder(order.record, rig, mode, seed, law=law, law_state=law_state, force=order.force)
+            about = About(law=law_attachments(rig), law_state=self.world.controller.law_state)
+            self.recorder = Recorder(order.record, rig, mode, seed, about=about, force=order.force)
             self.world.on_host = self._write_host
             self.world.keep_told()
         self.world.on_change = lambda change: self.mark(self.world.t_ns, change.marker)

@@ -73,11 +73,13 @@ class PcapngMessageWriter(SizedMessageWriter):
     def __init__(self, file: Any, append: bool = False, channel: Any = None, **_: Any) -> None:
         if append:
             raise ValueError(f"{file}: a pcapng file is not appended to; record to a new one, join with mergecap")
-        from coulombus.recording.pcapng_writer import PcapngWriter
+        from coulombus.recording.pcapng_writer import PcapngWriter, SectionTexts
         from coulombus.wire.frame import frames
 
         name = str(channel) if channel else "can0"
-        self._writer = PcapngWriter(_path(file), attachments={}, application="python-can", interface=name, force=True)
+        self._writer = PcapngWriter(
+            _path(file), attachments={}, texts=SectionTexts(application="python-can"), interface=name, force=True
+        )
         self._batch: Records = frames(BATCH)
         self._count = 0
         self._stopped = False

@@ -12,6 +12,7 @@ import os
 import struct
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
@@ -41,7 +42,7 @@ from coulombus.recording.pcapng_blocks import (
 )
 from coulombus.wire.frame import Records
 
-__all__ = ["PcapngWriter"]
+__all__ = ["PcapngWriter", "SectionTexts"]
 
 CAN_FRAME_BYTES = 16
 
@@ -64,6 +65,20 @@ PACKET_BLOCK = np.dtype(
 """One frame without options: 48 bytes."""
 
 
+@dataclass(frozen=True)
+class SectionTexts:
+    """Texts of a file's section (options of the Section Header Block); empty ones are left out."""
+
+    comment: str = ""
+    """Of the whole recording."""
+    application: str = OWN_APPLICATION
+    hardware: str = ""
+    operating_system: str = "Linux"
+
+
+OWN_TEXTS = SectionTexts()
+
+
 class PcapngWriter:
     """Write frames to a pcapng file.
 
@@ -73,8 +88,6 @@ class PcapngWriter:
         The file; a named pipe works too (``wireshark -k -i PIPE``).
     attachments
         Name -> content, stored in front of the frames with its SHA-256.
-    comment
-        Comment of the whole recording.
     epoch_ns
         Added to each frame's `t_ns`: nanoseconds from 1970 to the frames' time 0.
     started_ns
@@ -83,8 +96,10 @@ class PcapngWriter:
         file of ours our reader leaves it out.
     force
         Replace a file that exists.
-    application, hardware, operating_system, interface
-        Texts of the section and of its interface; empty ones are left out.
+    texts
+        What the section says of the recording and of who made it.
+    interface
+        Name of the interface; an empty one is left out.
     second
         Name of a second interface, for frames whose `source` is `SOURCE_INSIDE`.
 
@@ -99,13 +114,10 @@ class PcapngWriter:
         path: str | Path,
         *,
         attachments: Mapping[str, bytes],
-        comment: str = "",
         epoch_ns: int = 0,
         started_ns: int = 0,
         force: bool = False,
-        application: str = OWN_APPLICATION,
-        hardware: str = "",
-        operating_system: str = "Linux",
+        texts: SectionTexts = OWN_TEXTS,
         interface: str = "can0",
         second: str = "",
     ) -> None:
@@ -115,7 +127,7 @@ class PcapngWriter:
         self.bytes = 0
         self._failure: str | None = None
         self._buffer = _template(0)
-        head = _section(comment, hardware, operating_system, application)
+        head = _section(texts)
         head += _interface(interface, started_ns // 1_000_000_000)
         self._second = bool(second)
         if second:
@@ -243,10 +255,15 @@ def _template(count: int) -> Records:
     return blocks
 
 
-def _section(comment: str, hardware: str, operating_system: str, application: str) -> bytes:
-    texts = ((OPT_COMMENT, comment), (SHB_HARDWARE, hardware), (SHB_OS, operating_system))
+def _section(texts: SectionTexts) -> bytes:
+    options = (
+        (OPT_COMMENT, texts.comment),
+        (SHB_HARDWARE, texts.hardware),
+        (SHB_OS, texts.operating_system),
+        (SHB_APPLICATION, texts.application),
+    )
     section = struct.pack("<IHHq", BYTE_ORDER_MAGIC, 1, 0, -1)
-    section += b"".join(option(code, text.encode()) for code, text in (*texts, (SHB_APPLICATION, application)) if text)
+    section += b"".join(option(code, text.encode()) for code, text in options if text)
     return block(SECTION_HEADER, section + option(OPT_END, b""))
 
 

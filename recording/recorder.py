@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import MappingProxyType, TracebackType
@@ -16,12 +17,12 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.recording.inside import HOST_INTERFACE, SOURCE_INSIDE, inside_attachment
-from coulombus.recording.pcapng_writer import PcapngWriter
+from coulombus.recording.pcapng_writer import PcapngWriter, SectionTexts
 from coulombus.recording.trace import NAME, SENT, pack, pack_sent
 from coulombus.rigs.rig import Rig
 from coulombus.wire.frame import Records
 
-__all__ = ["PACED", "Markers", "Recorder", "project_version"]
+__all__ = ["PACED", "About", "Markers", "Recorder", "project_version"]
 
 NO_LAW: Mapping[str, bytes] = MappingProxyType({})
 """What a bus attaches of the law: nobody asked it for one."""
@@ -71,11 +72,28 @@ class Markers:
         return comments
 
 
+@dataclass(frozen=True)
+class About:
+    """What a recording says of its run, beside the rig and its EDS files."""
+
+    law: Mapping[str, bytes] = field(default_factory=lambda: NO_LAW)
+    law_state: Sequence[tuple[str, int]] | None = None
+    """What the law keeps, by name and number; with it frames of `SOURCE_INSIDE` are taken, too."""
+    bus: str = ""
+    more: Mapping[str, bytes] = field(default_factory=lambda: NO_LAW)
+    """Further attachments."""
+    comment: str = ""
+    """Of the file."""
+    started_ns: int = 0
+    """CLOCK_REALTIME at time 0; 0: there is none, as in virtual time."""
+
+
+NOTHING_MORE = About()
+
+
 class Recorder:
     """Writes frames to a pcapng file, a new one unless `force` is given; a marker is the comment of
-    the first frame at or after its time. `more` are further attachments, `comment` the file's,
-    `started_ns` is CLOCK_REALTIME at time 0; 0: there is none, as in virtual time. `law_state` is
-    what the law keeps, by name and number; with it frames of `SOURCE_INSIDE` are taken, too.
+    the first frame at or after its time.
 
     Raises
     ------
@@ -91,12 +109,7 @@ class Recorder:
         mode: str,
         seed: int | None = None,
         *,
-        law: Mapping[str, bytes] = NO_LAW,
-        law_state: Sequence[tuple[str, int]] | None = None,
-        bus: str = "",
-        more: Mapping[str, bytes] = NO_LAW,
-        comment: str = "",
-        started_ns: int = 0,
+        about: About = NOTHING_MORE,
         force: bool = False,
     ) -> None:
         attachments = {
@@ -106,15 +119,15 @@ class Recorder:
         }
         if seed is not None:
             attachments["seed"] = str(seed).encode()
-        if bus:
-            attachments["bus"] = bus.encode()
+        if about.bus:
+            attachments["bus"] = about.bus.encode()
         attachments |= {name: text.encode() for name, text in rig.eds_texts.items()}
-        attachments |= law
-        self._inside = law_state is not None
-        if law_state is not None:
-            attachments |= inside_attachment(law_state)
-        self._attachments, self._comment = {**attachments, **more}, comment
-        self._started_ns = started_ns
+        attachments |= about.law
+        self._inside = about.law_state is not None
+        if about.law_state is not None:
+            attachments |= inside_attachment(about.law_state)
+        self._attachments, self._texts = {**attachments, **about.more}, SectionTexts(about.comment)
+        self._started_ns = about.started_ns
         self._open(path, force=force)
         self._markers = Markers()
         self._traces = self._sents = 0
@@ -127,7 +140,7 @@ class Recorder:
         self._writer = PcapngWriter(
             path,
             attachments=self._attachments,
-            comment=self._comment,
+            texts=self._texts,
             started_ns=self._started_ns,
             force=force,
             second=HOST_INTERFACE if self._inside else "",

@@ -26,7 +26,6 @@ import queue
 import re
 import threading
 import time
-from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,7 +34,7 @@ from typing import Any
 from coulombus.recording.clock import utc
 from coulombus.recording.folders import runs, segments_of
 from coulombus.recording.pcapng_blocks import RecordingError
-from coulombus.recording.recorder import Recorder
+from coulombus.recording.recorder import About, Recorder
 from coulombus.rigs.rig import Rig
 from coulombus.wire.frame import Records
 
@@ -142,7 +141,7 @@ class SegmentedRecorder(Recorder):
     Parameters
     ----------
     folder : where the run's own folder is made
-    started_ns : CLOCK_REALTIME at the frames' time 0
+    about : with the time `started_ns`, of which the run's folder has its name
 
     Raises
     ------
@@ -156,15 +155,10 @@ class SegmentedRecorder(Recorder):
         rig: Rig,
         mode: str,
         rotation: Rotation,
-        *,
-        started_ns: int,
-        law: Mapping[str, bytes],
-        more: Mapping[str, bytes],
-        law_state: Sequence[tuple[str, int]] | None = None,
-        comment: str = "",
+        about: About,
     ) -> None:
-        self.folder, self.rotation, self._started_ns = folder, rotation, started_ns
-        self.run = _new_run(folder, started_ns)
+        self.folder, self.rotation, self._started_ns = folder, rotation, about.started_ns
+        self.run = _new_run(folder, about.started_ns)
         self._number, self._begun_ns, self._last_ns, self._frames = 1, -1, 0, 0
         self._reserved, self._told_s = 0, time.monotonic()
         self._step = min(RESERVED, rotation.most_bytes or RESERVED)
@@ -176,14 +170,7 @@ class SegmentedRecorder(Recorder):
             room = os.statvfs(self.run)
             if room.f_bavail * room.f_frsize < 2 * self._step:
                 self._prune(2 * self._step)
-            super().__init__(
-                *(self.run / "000001.pcapng", rig, mode),
-                law=law,
-                law_state=law_state,
-                more=more,
-                comment=comment,
-                started_ns=started_ns,
-            )
+            super().__init__(self.run / "000001.pcapng", rig, mode, about=about)
         except OSError as error:
             self._undo()
             if isinstance(error, RecordingError):

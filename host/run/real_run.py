@@ -49,7 +49,7 @@ from coulombus.recording.inside import SOURCE_INSIDE
 from coulombus.recording.measures import Measures
 from coulombus.recording.output_file import new_file
 from coulombus.recording.pcapng_blocks import RecordingError
-from coulombus.recording.recorder import Recorder
+from coulombus.recording.recorder import About, Recorder
 from coulombus.recording.segments import SegmentedRecorder
 from coulombus.rigs.draft.text import REHEARSAL, rehearsal_marks
 from coulombus.rigs.rig import Rig, RigError
@@ -187,18 +187,16 @@ class _RealRun(Course):
         out, mode = self.outputs, self.k.mode
         started_ns, more, comment = wall_clock(self.zero_ns)
         more |= meta_attachment(out.meta)
-        law, state = law_attachments(self.rig), self.k.each[0].law_state
-        if out.rotation is None:
-            common: Any = {"law": law, "law_state": state, "more": more, "comment": comment, "started_ns": started_ns}
-            return Recorder(path, self.rig, mode, **common, force=out.force)
-        recorder = SegmentedRecorder(
-            *(path, self.rig, mode, out.rotation),
-            started_ns=started_ns,
-            law=law,
-            law_state=state,
+        about = About(
+            law=law_attachments(self.rig),
+            law_state=self.k.each[0].law_state,
             more=more,
             comment=comment,
+            started_ns=started_ns,
         )
+        if out.rotation is None:
+            return Recorder(path, self.rig, mode, about=about, force=out.force)
+        recorder = SegmentedRecorder(path, self.rig, mode, out.rotation, about)
         self.path = recorder.run
         return recorder
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from coulombus.eds.cia402 import PowerState
 from coulombus.host.cycle.step import SOURCE_HOST
 from coulombus.recording.clock import wall_clock
-from coulombus.recording.recorder import PACED, Recorder
+from coulombus.recording.recorder import PACED, About, Recorder
 from coulombus.rigs.rig import Rig
 from coulombus.sim_bus.copper.stations import detach
 from coulombus.sim_bus.faults.file import FaultError, FaultPlan
@@ -128,7 +128,7 @@ class SimServer(BusServer):
         super().__init__(make_world, address, bit_rate, beside=faults is None)
         if record is not None:  # a bus that is refused makes no file, and replaces none
             try:
-                self._recorder = Recorder(record, rig, mode, seed, bus=PACED, force=force)
+                self._recorder = Recorder(record, rig, mode, seed, about=About(bus=PACED), force=force)
             except BaseException:
                 self.close()
                 raise

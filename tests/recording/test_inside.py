@@ -30,7 +30,7 @@ from coulombus.recording.inside import (
 from coulombus.recording.pcapng_reader import read_pcapng
 from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.recording.pictures.plot import traces_of
-from coulombus.recording.recorder import Recorder
+from coulombus.recording.recorder import About, Recorder
 from coulombus.recording.signals import blocks, decode_field, read, series
 from coulombus.rigs.rig import load_rig
 from coulombus.scope.tools.folder import tool_files
@@ -277,7 +277,7 @@ def test_markers_stand_at_frames_of_the_bus(tmp_path):
     frames = new_records(FRAME, 4)
     frames["t_ns"], frames["can_id"] = [1, 2, 3, 4], [0x80, FIRST, FIRST + 1, 0x181]
     frames["source"] = [0, SOURCE_INSIDE, SOURCE_INSIDE, 0]
-    with Recorder(tmp_path / "a.pcapng", rig, "hybrid", law_state=()) as recorder:
+    with Recorder(tmp_path / "a.pcapng", rig, "hybrid", about=About(law_state=())) as recorder:
         recorder.mark(2, "here")
         recorder.write(frames[1:3])
         recorder.write(frames)

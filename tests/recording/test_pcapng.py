@@ -25,7 +25,7 @@ from hypothesis import strategies as st
 import coulombus.recording.pcapng_writer
 from coulombus.recording.pcapng_blocks import PcapngError, RecordingError, attachment_block
 from coulombus.recording.pcapng_reader import read_pcapng
-from coulombus.recording.pcapng_writer import PcapngWriter
+from coulombus.recording.pcapng_writer import PcapngWriter, SectionTexts
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, FRAME, data_word
 
 ROOT = Path(__file__).resolve().parent.parent.parent
@@ -92,7 +92,12 @@ def can(can_id: int, data: bytes, padded: bool = True, flags: int = 0) -> bytes:
 
 
 def test_the_bytes_of_a_small_file(tmp_path: Path):
-    path = written(tmp_path / "a.pcapng", [(0x1_0000_0005, 0x181, b"\x01\x02")], interface="", operating_system="")
+    path = written(
+        tmp_path / "a.pcapng",
+        [(0x1_0000_0005, 0x181, b"\x01\x02")],
+        interface="",
+        texts=SectionTexts(operating_system=""),
+    )
     head = block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1) + b"\4\0\x09\0coulombus\0\0\0" + bytes(4))
     head += block(1, struct.pack("<HHI", 227, 0, 16) + b"\x09\0\1\0\x09\0\0\0" + bytes(4))
     frame = bytes.fromhex("06000000 30000000 00000000 01000000 05000000 10000000 10000000")
@@ -106,7 +111,8 @@ def test_written_and_read(tmp_path: Path):
     attachments = {"rig.toml": b"[rig]\n" * 40_000, "motor.eds": bytes(range(256)), "empty": b""}
     path = written(
         tmp_path / "a.pcapng", ROWS, comments,
-        attachments=attachments, comment="bench, hybrid", application="coulombus 0.1.0", hardware="virtual bus",
+        attachments=attachments,
+        texts=SectionTexts("bench, hybrid", application="coulombus 0.1.0", hardware="virtual bus"),
     )  # fmt: skip
     capture = read_pcapng(path)
     assert as_rows(capture.frames) == ROWS
@@ -595,7 +601,7 @@ def test_tshark_reads_it_without_a_complaint(tmp_path: Path):
     path = written(
         tmp_path / "a.pcapng", ROWS, {1: "phase hold", 4: "phase stroke, μ"},
         attachments={"rig.toml": b"[rig]\n" * 99, "version": b"0.1.0"},
-        comment="bench", application="coulombus 0.1.0", hardware="virtual bus",
+        texts=SectionTexts("bench", application="coulombus 0.1.0", hardware="virtual bus"),
     )  # fmt: skip
     assert len(run_tool("tshark", "-r", str(path)).splitlines()) == len(ROWS)
     packets = json.loads(run_tool("tshark", "-r", str(path), "-T", "json"))
@@ -629,7 +635,7 @@ def test_the_start_stands_beside_the_stamps_which_stay_what_they_are(tmp_path: P
 
 
 def test_another_program_s_offset_counts(tmp_path: Path):
-    path = written(tmp_path / "a.pcapng", ROWS[:2], started_ns=STARTED_NS, application="dumpcap")
+    path = written(tmp_path / "a.pcapng", ROWS[:2], started_ns=STARTED_NS, texts=SectionTexts(application="dumpcap"))
     begin_ns = STARTED_NS // 10**9 * 10**9
     assert [t_ns for t_ns, _, _ in as_rows(read_pcapng(path).frames)] == [begin_ns, begin_ns + 1_000_000]
 

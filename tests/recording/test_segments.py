@@ -20,6 +20,7 @@ from coulombus.recording.clock import attached_object, clock_state, utc, wall_cl
 from coulombus.recording.folders import runs, segments
 from coulombus.recording.pcapng_blocks import PcapngError, RecordingError
 from coulombus.recording.pcapng_reader import iter_pcapng
+from coulombus.recording.recorder import About
 from coulombus.recording.segments import Rotation, SegmentedRecorder, parse_rotation, parse_size, reserve
 from coulombus.recording.signals import blocks, read
 from coulombus.rigs.rig import load_rig
@@ -41,7 +42,7 @@ def batch(number, count=BATCH):
 
 
 def recorder(folder, rotation, **more):
-    return SegmentedRecorder(folder, RIG, "hybrid", rotation, started_ns=STARTED_NS, law={}, more={}, **more)
+    return SegmentedRecorder(folder, RIG, "hybrid", rotation, About(started_ns=STARTED_NS, **more))
 
 
 def record(folder, rotation, batches=12):
@@ -111,9 +112,7 @@ def test_the_oldest_segments_of_all_runs_are_removed_and_nothing_else(tmp_path):
 
 def test_a_clock_that_is_set_back_changes_no_order(tmp_path):
     for seconds in (0, -86_400, -86_400):
-        with SegmentedRecorder(
-            tmp_path, RIG, "hybrid", SMALL, started_ns=STARTED_NS + seconds * 10**9, law={}, more={}
-        ) as made:
+        with SegmentedRecorder(tmp_path, RIG, "hybrid", SMALL, About(started_ns=STARTED_NS + seconds * 10**9)) as made:
             made.write(batch(0, 5))
     assert [run.name[:6] for run in runs(tmp_path)] == ["000001", "000002", "000003"]
     assert segments(tmp_path)[0].parent == made.run
