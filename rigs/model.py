@@ -36,6 +36,8 @@ MOST_DEVICES = 8
 """Nodes of an axis that the host watches at most."""
 WORK_WINDOW_CYCLES = 4096
 """Cycles that the host's net-work watch can look back."""
+MOST_DELAY_CYCLES = 16
+"""Cycles from sampling to actuation at most, where a longer delay is studied."""
 WINDOW_CYCLES = 64
 """Cycles that the estimate of a slow velocity can look back."""
 CIA_301_BIT_RATES = (10_000, 20_000, 50_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
@@ -109,6 +111,16 @@ class Bus(Section):
     )
     actuation: Literal["next_sync", "on_reception"] = Field(description="when the nodes act on an RPDO")
     tpdo_window_s: float = Field(gt=0, le=1.0, description="how long after SYNC the host waits for the TPDOs")
+    delay_cycles: int | None = Field(
+        None,
+        ge=1,
+        le=MOST_DELAY_CYCLES,
+        description="cycles from sampling to actuation, for study",
+        json_schema_extra={
+            "expected": f"an integer from 1 to {MOST_DELAY_CYCLES}",
+            "range": f"1 to {MOST_DELAY_CYCLES}",
+        },
+    )
 
     @property
     def period_ns(self) -> int:
@@ -121,6 +133,13 @@ class Bus(Section):
         once.
         """
         return 1 if self.actuation == "next_sync" else 255
+
+    @property
+    def late_cycles(self) -> int:
+        """Cycles by which the host holds back what the law asks for: what `delay_cycles` has beyond
+        the one that the bus takes.
+        """
+        return (self.delay_cycles or 1) - 1
 
 
 class Host(Section):

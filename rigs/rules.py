@@ -71,6 +71,11 @@ RULES = (
         "a whole multiple of plant.step_s, which is {1}",
     ),
     _rule("bus.tpdo_window_s bus.period_s", _less, "less than bus.period_s, which is {1}"),
+    _rule(
+        "bus.delay_cycles bus.actuation",
+        lambda cycles, actuation: cycles == 1 or actuation == "next_sync",
+        "no such key, or bus.actuation = 'next_sync': only that delays by whole cycles",
+    ),
     *(
         _rule(
             f"{second}.node_id {first}.node_id", lambda a, b: a != b, f"another id than {first}.node_id, which is {{1}}"
@@ -125,6 +130,8 @@ Another object's type and limits are looked at when the limit is made of it.
 
 REMARKS = (
     _rule("bus.bitrate_bit_s", lambda rate: rate in CIA_301_BIT_RATES, "one of CiA 301's bit rates for a real bus"),
+    _rule("bus.delay_cycles", lambda cycles: cycles == 1,
+          "no such key, unless a longer delay is studied in virtual time: coulombus run refuses it"),
     *(
         _rule(f"plant.{key} mechanics.{key}", lambda truth, belief: truth == belief,
               f"the same as mechanics.{key} ({{1}}), unless a wrong rig is to be simulated")

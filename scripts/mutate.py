@@ -52,8 +52,16 @@ TARGETS = {
     "host/cycle/watch.py": Target(("test_host_watches", "test_host_cycle", "test_host_roles")),
     "host/cycle/step.py": Target(("test_host_cycle", "test_host_roles")),
     "host/cycle/phases.py": Target(
-        ("test_host_phases", "test_host_mirrored", "test_host_cycle", "test_transitions", "test_host_roles")
+        (
+            "test_host_phases",
+            "test_host_mirrored",
+            "test_host_cycle",
+            "test_transitions",
+            "test_host_roles",
+            "test_late",
+        )
     ),
+    "host/cycle/late.py": Target(("test_late",)),
     "host/cycle/axes.py": Target(("test_host_axes",)),
     "eds/description.py": Target(("test_eds_reader",), ("Variable.admits", "Variable.largest")),
     "host/laws/karnopp.py": Target(("test_law_edges",), ("karnopp",)),

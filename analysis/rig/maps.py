@@ -87,7 +87,7 @@ class LoopParameters:
     @classmethod
     def of_axis(cls, axis: Axis, mode: str = "active", **changes: Any) -> LoopParameters:
         """Return the loop of `axis` in `mode`: its plant, hand, law, encoder, set-point's
-        resolution; next_sync's delay of one cycle.
+        resolution; next_sync's delay (`bus.delay_cycles`).
         """
         (plant, hand), chosen = axis.simulation, axis.mode[mode]
         scale = {signal.name: abs(signal.scale) for pdo in axis.pdos() for signal in pdo.signals}
@@ -99,7 +99,7 @@ class LoopParameters:
             "operator_damping_Nms_rad": hand.damping_Nms_rad,
             "operator_stiffness_Nm_rad": hand.stiffness_Nm_rad,
             "rate_Hz": 1.0 / axis.bus.period_s,
-            "delay_s": axis.bus.period_s,
+            "delay_s": axis.bus.period_s * (1 + axis.bus.late_cycles),
             "motor_lag_s": plant.motor_lag_s,
             "motor_limit_Nm": axis.motor_limit_Nm(mode),
             "torque_step_Nm": scale["motor.target_torque_Nm"],

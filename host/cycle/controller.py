@@ -270,6 +270,7 @@ class Controller:
         c["friction_Nm"] = axis.mechanics.friction_Nm
         c["compensation_Nm"] = mode.compensation * axis.mechanics.friction_Nm
         c["viscous"] = axis.mechanics.viscous_Nms_rad
+        c["late_cycles"] = axis.bus.late_cycles
         c["velocity_band_counts"] = axis.law.velocity_band_counts
         c["slide_band_counts"] = axis.law.velocity_band_counts / axis.law.velocity_window_cycles
         c["window_cycles"], c["felt"] = axis.law.velocity_window_cycles, axis.law.level == "felt"

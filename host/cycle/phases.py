@@ -15,6 +15,7 @@ import math
 from coulombus.compiled.decorator import kernel
 from coulombus.eds.cia402 import INTERNAL_LIMIT, PowerState
 from coulombus.host.cycle.felt import brake_level, lead, observe, slide_velocity
+from coulombus.host.cycle.late import forget, hold_back
 from coulombus.host.cycle.records import (
     KINETIC_CYCLES,
     AxisRecord,
@@ -73,6 +74,7 @@ def enter(axis: AxisRecord, phase: int, t_ns: int) -> None:
         for k in range(KINETIC_CYCLES):
             h.port_kinetic_J[k] = 0.0
         h.port_handle_Nm = h.handle_Nm
+        forget(h)
         h.armed_ns = t_ns
     _begin(h, phase)
 
@@ -218,16 +220,19 @@ def split_law(axis: AxisRecord) -> float:
     c, h = axis.control, axis.host
     h.gain = min(h.gain + c.gain_step, 1.0)
     torque_Nm, given_Nm, withheld_Nm = 0.0, 0.0, 0.0
+    sense = 0.0
     if abs(h.slide_counts) > c.slide_band_counts:
+        sense = 1.0 if h.slide_counts * c.rad_count > 0.0 else -1.0
+    sense, psi_Nm, setpoint = hold_back(c, h, sense, axis.state.psi_Nm, axis.state.brake_Nm)
+    if sense != 0.0:
         given_Nm = h.share * c.compensation_Nm
         withheld_Nm = c.compensation_Nm - given_Nm
-        torque_Nm = given_Nm if h.slide_counts * c.rad_count > 0.0 else -given_Nm
+        torque_Nm = sense * given_Nm
         if withheld_Nm > 0.0:
             h.withheld_compensation += 1
     if c.motor_active:
-        torque_Nm -= axis.state.psi_Nm
+        torque_Nm -= psi_Nm
     if c.brake_active:
-        setpoint = axis.state.brake_Nm
         if not setpoint >= 0.0:  # negative or NaN
             h.negative_setpoints += 1
             setpoint = 0.0

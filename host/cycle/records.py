@@ -14,10 +14,11 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from coulombus.rigs.devices import TABLE_POINTS
-from coulombus.rigs.model import MOST_DEVICES, WINDOW_CYCLES, WORK_WINDOW_CYCLES
+from coulombus.rigs.model import MOST_DELAY_CYCLES, MOST_DEVICES, WINDOW_CYCLES, WORK_WINDOW_CYCLES
 from coulombus.rigs.pdo_maps import MOST_CONSTANTS, MOST_PDOS
 
 __all__ = [
+    "ASKED",
     "CONTROL",
     "DRIVE_PDOS",
     "HOST",
@@ -129,6 +130,8 @@ class Image(IntEnum):
 IMAGE_SLOTS = Image.CONSTANT + MOST_CONSTANTS
 TRACK = WINDOW_CYCLES
 """Positions that the estimate of a slow velocity looks back at, at most."""
+ASKED = MOST_DELAY_CYCLES - 1
+"""Cycles for which what the law asks for is held back, at most."""
 KINETIC_CYCLES = 4
 """Cycles of whose kinetic energies the observer takes the largest and the smallest."""
 DRIVE_PDOS = MOST_PDOS
@@ -177,6 +180,7 @@ CONTROL = np.dtype(
         ("velocity_band_counts", np.float64),
         ("slide_band_counts", np.float64),  # the band of the estimate over `window_cycles`
         ("gain_step", np.float64),  # a cycle
+        ("late_cycles", np.int64),  # for which what the law asks for is held back (`host.cycle.late`)
         # what the hand feels (`host.cycle.felt`)
         ("window_cycles", np.int64),  # of the estimate of a slow velocity; 1: a backward difference
         ("felt", np.int64),  # 1: the law says what the hand feels, and not what the brake bears
@@ -281,6 +285,10 @@ HOST = np.dtype(
         ("brake_lagged_Nm", np.float64),
         ("coil_Nm", np.float64),  # the lead's belief of what the coil's current stands for ...
         ("fluid_Nm", np.float64),  # ... and of what the fluid bears
+        ("asked_sense", np.float64, (ASKED,)),  # by the law, and held back: of the compensation ...
+        ("asked_psi_Nm", np.float64, (ASKED,)),  # ... of the motor ...
+        ("asked_brake_Nm", np.float64, (ASKED,)),  # ... and of the brake
+        ("asked_row", np.int64),
         ("share", np.float64),  # of its compensation that the motor may give
         ("port_J", np.float64),  # paid at the hand's port and still there
         ("port_kinetic_J", np.float64, (KINETIC_CYCLES,)),  # of the last fresh cycles

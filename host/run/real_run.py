@@ -602,6 +602,19 @@ def check_no_rehearsal(rig: Rig, address: BusAddress) -> None:
         raise RigError([f"{rig.path}:{line}: got '# {REHEARSAL}'; {wanted}" for line in marks])
 
 
+def check_no_delay(rig: Rig, address: BusAddress) -> None:
+    """Refuse a delay for study on a live bus, where a hand may be on the handle.
+
+    Raises
+    ------
+    RigError
+        `bus.delay_cycles` is more than 1
+    """
+    if rig.bus.late_cycles:
+        wanted = f"1 or no such key on {address}: a longer delay is for study in virtual time (coulombus simulate)"
+        raise rig.axes[0].mistake("bus.delay_cycles", wanted)
+
+
 def real_run(
     rig: Rig,
     mode: str,
@@ -635,7 +648,7 @@ def real_run(
     coulombus.wire.address.BusUnavailable, coulombus.host.errors.HostError
         nothing was armed
     coulombus.rigs.rig.RigError
-        the law, a rehearsal's file on a real bus, a limit that the drive cannot take, or a law that
+        the law, a rehearsal's file on a real bus, a delay for study, a limit that the drive cannot take, or a law that
         a limit would cut off
     coulombus.recording.pcapng_blocks.RecordingError
         the recording cannot be created, or exists
@@ -643,6 +656,7 @@ def real_run(
     address = bus or default_address(rig.name)
     with _refusing():
         check_no_rehearsal(rig, address)
+        check_no_delay(rig, address)
         check_plan(rig)
         check_demand(rig, mode)
         run = _RealRun(

@@ -19,10 +19,12 @@ from coulombus.analysis.figures.rig import (
     write_stick_figure,
 )
 from coulombus.analysis.loop.karnopp import karnopp_study
+from coulombus.analysis.loop.orbits import orbits
+from coulombus.analysis.loop.parameters import Parameters
 from coulombus.analysis.rig.friction_study import EXPERIMENT, friction_study
 from coulombus.analysis.rig.hold import hold_study
 from coulombus.analysis.rig.maps import oscillation_map
-from coulombus.analysis.rig.through_bus import BENCH_HARDWARE, through_bus
+from coulombus.analysis.rig.through_bus import BENCH_HARDWARE, bus_cycle, through_bus
 from coulombus.lab.simulate import simulate
 from coulombus.recording.friction.identify import identify
 from coulombus.recording.pcapng_writer import PcapngWriter
@@ -276,3 +278,17 @@ def test_figures_are_written_and_are_the_same_bytes_again(tmp_path, cycles, fric
         assert content == again.read_bytes()
     with pytest.raises(ValueError, match="have both among the axes"):
         write_map(tmp_path, oscillation_map({"delay_s": [0.0]}))
+
+
+@pytest.mark.parametrize(("cycles", "frequency"), [(2, 250 / 3), (3, 62.5)])
+def test_a_delay_of_whole_cycles_gives_one_of_the_predicted_orbits_through_the_bus(cycles, frequency):
+    rig = load_rig("paper").variant(f"bus.delay_cycles={cycles}")
+    found = bus_cycle(rig, "paper", settle_s=1.5, window_s=1.0)
+    assert found.delay_s == pytest.approx(cycles * 1e-3, abs=1e-9)
+    assert found.loop_frequency_Hz == pytest.approx(frequency, rel=1e-3)
+    exact = orbits(Parameters(delay_s=found.delay_s))
+    assert frequency == pytest.approx(exact.found[0].frequency_Hz)
+    nearest = min(exact.found, key=lambda orbit: abs(orbit.frequency_Hz - found.frequency_Hz))
+    assert found.frequency_Hz == pytest.approx(nearest.frequency_Hz, rel=0.005)
+    assert nearest.stable
+    assert 60 < nearest.frequency_Hz < 85

@@ -528,3 +528,36 @@ def test_the_safe_states_ramp_goes_on_by_one_step_a_cycle():
     for ramp_cycle in range(2, 7):
         bench.cycle()
         assert (bench.phase, bench.h.ramp_cycle) == (Phase.SAFE, ramp_cycle)
+
+
+def observed(share, counts, *, felt=0, setpoint=0.5):
+    """Split the law while the observer allows `share` of the compensation."""
+    bench = standing(Phase.RUN)
+    c, h, law = bench.c, bench.h, bench.k.state[0]
+    c.rad_count, c.slide_band_counts, c.compensation_Nm, c.friction_Nm = 2.0**-6, 2.0, 0.125, 0.1875
+    c.gain_step, c.brake_limit_Nm, c.viscous, c.felt = 1.0, 4.0, 0.0, felt
+    h.gain, h.share, h.slide_counts, h.withheld_compensation, law.brake_Nm = 1.0, share, counts, 5, setpoint
+    return bench.h, split_law(bench.axis)
+
+
+@BOTH
+@pytest.mark.parametrize("share", [0.0, 0.25, 1.0])
+def test_the_brake_bears_what_the_observer_withholds_of_the_compensation(share, sign):
+    h, torque = observed(share, sign * 3)
+    assert torque == sign * share * 0.125
+    assert h.brake_Nm == 0.5 + (1 - share) * 0.125
+    assert h.withheld_compensation == 5 + (share < 1)
+
+
+@pytest.mark.parametrize("felt", [0, 1])
+def test_a_handle_that_is_stuck_has_nothing_compensated_and_nothing_withheld(felt):
+    h, torque = observed(0.25, 2, felt=felt)
+    assert torque == 0.0
+    assert h.brake_Nm == 0.5 - felt * 0.1875
+    assert h.withheld_compensation == 5
+
+
+@BOTH
+def test_a_felt_level_leaves_out_what_friction_bears_already(sign):
+    h, _ = observed(0.5, sign * 3, felt=1)
+    assert h.brake_Nm == 0.5 - 0.1875 + 0.0625 + 0.0625
