@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from functools import cached_property
+from typing import Any, Literal
 
 from coulombus.eds.cia301 import DATA_TYPES
 
@@ -125,6 +126,14 @@ class Description:
     dummies: frozenset[int] = frozenset()
     node_id: int = 0
     bit_rate: int = 0
+
+    @cached_property
+    def derived(self) -> dict[Any, Any]:
+        """What others have computed of this description alone, each under a key of its own.
+
+        It does not change, so a device that is made of it again need not compute that again.
+        """
+        return {}
 
     def has(self, index: int, subindex: int | None = None) -> bool:
         """Tell whether the object, or its sub-index, is described."""

@@ -182,11 +182,11 @@ def fill(record: Record, layout: PdoLayout, slot_of: Callable[[int, int], int]) 
     record["slot"] = -1
     for name in ("start", "bits", "signed"):
         record[name] = 0
-    for i, (entry, start) in enumerate(zip(layout.entries, layout.starts, strict=True)):
-        record["slot"][i] = -1 if entry.dummy else slot_of(entry.index, entry.subindex)
-        record["start"][i] = start
-        record["bits"][i] = entry.bits
-        record["signed"][i] = entry.signed
+    if layout.entries:
+        slots, starts, bits, signed = (record[name] for name in ("slot", "start", "bits", "signed"))
+        for i, (entry, start) in enumerate(zip(layout.entries, layout.starts, strict=True)):
+            slots[i] = -1 if entry.dummy else slot_of(entry.index, entry.subindex)
+            starts[i], bits[i], signed[i] = start, entry.bits, entry.signed
 
 
 def entry_of(variable: Variable, bits: int = 0) -> Entry:

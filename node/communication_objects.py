@@ -87,9 +87,8 @@ class Communication:
         if refresh is not None:
             refresh(self, subindex, t_ns)
         place = self.pdos.locate(index)
-        if place is not None:
-            self.pdos.refresh(place[0], place[1], t_ns)
-        self._route()
+        if place is None or self.pdos.refresh(place[0], place[1], t_ns):
+            self._route()
 
     def refresh_all(self, t_ns: int) -> None:
         """Bring the record up to all communication objects (power-on, reset)."""

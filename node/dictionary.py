@@ -9,7 +9,9 @@ and limits are those of the EDS; a breach is a `SdoAbort` with CiA 301's code.
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -36,6 +38,7 @@ MAP_OFFSET = 0x200
 
 _HISTORY = 0x1003  # its entries are there or not, and are the core's
 _OCTETS = DATA_TYPES[0x000A]
+_NUMBERS = ("bool", "int", "real", "time")
 
 
 class Dictionary:
@@ -54,42 +57,38 @@ class Dictionary:
         taken = set(self._slots.values())
         self._absent = {row.slot: row.absent for row in core if row.slot not in taken}
         self._next = max(FIRST_FREE, *(row.slot + 1 for row in core), 0)
-        self._read_for, self.unreadable = 0, dict[int, str]()
-        """Index of a PDO's communication parameter -> why the EDS' default
-        cannot be read right: the PDO is not valid, and maps nothing.
-        """
         self._store: dict[Key, Value] = {}
         self.reset(0x0000, 0xFFFF)
 
     def reset(self, first: int, last: int) -> None:
         """Give the objects from index `first` to `last` the defaults of the EDS."""
-        if self._read_for != self.node_id:
-            self._read_for = self.node_id
-            self.unreadable = unreadable(self.description, 1 if self.node_id == UNCONFIGURED else self.node_id)
         for slot, value in self._absent.items():
             self.values[slot] = value
-        for index, entry in self.description.objects.items():
-            if first <= index <= last:
-                for subindex in entry.variables:
-                    self[index, subindex] = self.default(index, subindex)
+        for key, default, raw in self._defaults.rows:
+            if first <= key[0] <= last:
+                slot = self._slots.get(key)
+                if slot is None:
+                    self._store[key] = default
+                elif raw is None:
+                    self[key] = default
+                else:
+                    self.values[slot] = raw
 
-    def default(self, index: int, subindex: int) -> Value:
-        """Return the EDS' default.
+    @property
+    def _defaults(self) -> _Defaults:
+        """The defaults for the present node id: made once for a description."""
+        made = self.description.derived.setdefault(_Defaults, {})
+        if self.node_id not in made:
+            made[self.node_id] = _Defaults.of(self.description, self.node_id)
+        found: _Defaults = made[self.node_id]
+        return found
 
-        Where there is none, CiA 301's, and else the zero of its type.
+    @property
+    def unreadable(self) -> Mapping[int, str]:
+        """Index of a PDO's communication parameter -> why the EDS' default cannot be read right:
+        the PDO is not valid, and maps nothing.
         """
-        value = self._told(index, subindex)
-        if index in self.unreadable and subindex == 1:
-            return int(value) | COB_ID_INVALID if isinstance(value, int) else COB_ID_INVALID
-        return 0 if index - MAP_OFFSET in self.unreadable and subindex == 0 else value
-
-    def _told(self, index: int, subindex: int) -> Value:
-        value = self.description.default(index, subindex, self.node_id)
-        if value is not None:
-            return value
-        zero: dict[str, Value] = {"text": "", "unicode": "", "bytes": b"", "domain": b"", "real": 0.0}
-        number = predefined(index, subindex, self.node_id) or 0
-        return zero.get(data_type(self.description.variable(index, subindex)).kind, number)
+        return self._defaults.unreadable
 
     def find(self, index: int, subindex: int) -> Variable:
         """Return the variable, or abort: no such object, no such sub-index."""
@@ -102,15 +101,19 @@ class Dictionary:
         return variable
 
     def __contains__(self, key: Key) -> bool:
-        return self.description.has(*key)
+        return key in self._store or key in self._slots  # each object is in one of them
 
     def __getitem__(self, key: Key) -> Value:
         """Return the present value; KeyError where the EDS has no such object."""
-        variable = self.description.variable(*key)
         slot = self._slots.get(key)
-        if slot is None:
-            return self._store[key]
-        raw, kind = int(self.values[slot]), data_type(variable)
+        if slot is not None:
+            return self._in_slot(key, slot)
+        if key not in self._store:
+            self.description.variable(*key)  # raises, and says what the file lacks
+        return self._store[key]
+
+    def _in_slot(self, key: Key, slot: int) -> int | float:
+        raw, kind = int(self.values[slot]), data_type(self.description.variable(*key))
         if kind.kind == "real":
             return real_value(raw, kind.bits)
         return raw & 0xFFFFFFFFFFFFFFFF if kind.bits == 64 and not kind.signed else raw
@@ -121,19 +124,14 @@ class Dictionary:
         slot = self._slots.get(key)
         if slot is None:
             self._store[key] = value
-            return
-        kind = data_type(variable)
-        if kind.kind == "real":
-            self.values[slot] = real_bits(float(value or 0), kind.bits)
         else:
-            raw = int(value or 0)
-            self.values[slot] = raw - (1 << 64) if raw > 0x7FFFFFFFFFFFFFFF else raw
+            self.values[slot] = _raw(data_type(variable), value)
 
     def number(self, index: int, subindex: int = 0, fallback: int = 0) -> int:
         """Return an integer object, or `fallback` where the EDS has none."""
-        if (index, subindex) not in self:
-            return fallback
-        value = self[index, subindex]
+        key = (index, subindex)
+        slot = self._slots.get(key)
+        value = self._store.get(key) if slot is None else self._in_slot(key, slot)
         return value if isinstance(value, int) else fallback
 
     def own(self, index: int, subindex: int, fallback: int) -> int:
@@ -163,7 +161,7 @@ class Dictionary:
 
     def _is_number(self, key: Key) -> bool:
         """Tell whether an object has the type of a number, whatever CiA says it should have."""
-        return data_type(self.description.variable(*key)).kind in ("bool", "int", "real", "time")
+        return data_type(self.description.variable(*key)).kind in _NUMBERS
 
     def slot(self, index: int, subindex: int) -> int:
         """Return the slot of a numeric object of up to 64 bits, moving it there if need be."""
@@ -186,15 +184,13 @@ class Dictionary:
 
         Objects are moved into slots for that as long as there are more than `SPARE_SLOTS` left.
         """
+        derived = self.description.derived
+        if _expedited not in derived:
+            derived[_expedited] = _expedited(self.description)
         found = []
-        for index, entry in sorted(self.description.objects.items()):
-            for subindex, variable in sorted(entry.variables.items()):
-                kind, key = data_type(variable), (index, subindex)
-                if kind.kind not in ("bool", "int", "real") or kind.bits > 32 or variable.access == "wo":
-                    continue
-                if index == _HISTORY or not (key in self._slots or self._next < len(self.values) - SPARE_SLOTS):
-                    continue
-                found.append((index << 8 | subindex, self.slot(index, subindex), (kind.bits + 7) // 8))
+        for key, size in derived[_expedited]:
+            if key in self._slots or self._next < len(self.values) - SPARE_SLOTS:
+                found.append((key[0] << 8 | key[1], self.slot(*key), size))
         return found
 
     def check_read(self, index: int, subindex: int) -> Variable:
@@ -218,6 +214,62 @@ class Dictionary:
         if size is not None and kind.bits and size < longest:
             raise SdoAbort(Abort.TOO_SHORT)
         return longest
+
+
+class _Defaults(NamedTuple):
+    """What the objects of a description begin with at one node id."""
+
+    rows: tuple[tuple[Key, Value, int | None], ...]
+    """Object, default, and what stands for it in a slot, of an integer."""
+    unreadable: Mapping[int, str]
+
+    @classmethod
+    def of(cls, description: Description, node_id: int) -> _Defaults:
+        """Return them: the EDS' default; where there is none, CiA 301's, and else the zero of its
+        type.
+        """
+        wrong = unreadable(description, 1 if node_id == UNCONFIGURED else node_id)
+        rows = []
+        for index, entry in description.objects.items():
+            for subindex, variable in entry.variables.items():
+                value = _told(description, index, subindex, node_id)
+                if index in wrong and subindex == 1:
+                    value = value | COB_ID_INVALID if isinstance(value, int) else COB_ID_INVALID
+                elif index - MAP_OFFSET in wrong and subindex == 0:
+                    value = 0
+                kind = data_type(variable)
+                whole = kind.kind in ("bool", "int") and isinstance(value, int)
+                rows.append(((index, subindex), value, _raw(kind, value) if whole else None))
+        return cls(tuple(rows), MappingProxyType(wrong))
+
+
+def _told(description: Description, index: int, subindex: int, node_id: int) -> Value:
+    value = description.default(index, subindex, node_id)
+    if value is not None:
+        return value
+    zero: dict[str, Value] = {"text": "", "unicode": "", "bytes": b"", "domain": b"", "real": 0.0}
+    number = predefined(index, subindex, node_id) or 0
+    return zero.get(data_type(description.variable(index, subindex)).kind, number)
+
+
+def _expedited(description: Description) -> list[tuple[Key, int]]:
+    """Return the objects that may be uploaded in four bytes, sorted, with their bytes."""
+    found = []
+    for index, entry in sorted(description.objects.items()):
+        for subindex, variable in sorted(entry.variables.items()):
+            kind = data_type(variable)
+            short = kind.kind in ("bool", "int", "real") and kind.bits <= 32
+            if short and variable.access != "wo" and index != _HISTORY:
+                found.append(((index, subindex), (kind.bits + 7) // 8))
+    return found
+
+
+def _raw(kind: DataType, value: Value) -> int:
+    """Return what stands for a number in a slot."""
+    if kind.kind == "real":
+        return real_bits(float(value or 0), kind.bits)
+    raw = int(value or 0)
+    return raw - (1 << 64) if raw > 0x7FFFFFFFFFFFFFFF else raw
 
 
 def data_type(variable: Variable) -> DataType:

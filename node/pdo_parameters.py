@@ -155,10 +155,16 @@ class Pdos:
 
     def _read_entry(self, word: int) -> Entry:
         """Return the entry that a mapping word spells, whatever the EDS' own default maps."""
-        index, subindex, bits = word >> 16, word >> 8 & 0xFF, word & 0xFF
-        if index in DUMMY_TYPES:
-            return Entry(index, subindex, bits, DATA_TYPES[index].signed, "int", "dummy")
-        return entry_of(self._dictionary.description.variable(index, subindex), bits)
+        key = Entry, word
+        derived = self._dictionary.description.derived
+        if key not in derived:
+            index, subindex, bits = word >> 16, word >> 8 & 0xFF, word & 0xFF
+            if index in DUMMY_TYPES:
+                derived[key] = Entry(index, subindex, bits, DATA_TYPES[index].signed, "int", "dummy")
+            else:
+                derived[key] = entry_of(self._dictionary.description.variable(index, subindex), bits)
+        entry: Entry = derived[key]
+        return entry
 
     def _slot(self, index: int, subindex: int) -> int:
         """Return an entry's slot; text in a default map has none and travels as zeros."""
@@ -173,11 +179,10 @@ class Pdos:
         communication, mapping = COMMUNICATION[direction] + k, MAPPING[direction] + k
         cob_id = self._cob_id(direction, k)
         count = number(mapping, 0)
-        valid = not cob_id & COB_ID_INVALID and cob_id & 0x7FF and count and k < MAX_PDOS  # count 0: mapping disabled
         return PdoLayout(
             number=k + 1,
             direction=direction,
-            cob_id=cob_id & 0x7FF if valid else -1,
+            cob_id=cob_id & 0x7FF if self._exists(direction, k) else -1,
             transmission=number(communication, 2, 255),
             inhibit_ns=number(communication, 3) * INHIBIT_UNIT_NS if direction == "tpdo" else 0,
             event_ns=number(communication, 5) * EVENT_UNIT_NS,
@@ -186,29 +191,36 @@ class Pdos:
             entries=tuple(self._read_entry(number(mapping, sub)) for sub in range(1, count + 1)),
         )
 
-    def refresh(self, direction: Direction, k: int, t_ns: int) -> None:
-        """Bring the record of one PDO up to its parameters.
+    def _exists(self, direction: Direction, k: int) -> bool:
+        """Tell whether a PDO is valid and maps something: count 0 disables the mapping."""
+        cob_id = self._cob_id(direction, k)
+        mapped = self._dictionary.number(MAPPING[direction] + k, 0)
+        return bool(not cob_id & COB_ID_INVALID and cob_id & 0x7FF and mapped and k < MAX_PDOS)
+
+    def refresh(self, direction: Direction, k: int, t_ns: int) -> bool:
+        """Bring the record of one PDO up to its parameters; tell whether there was anything to do.
 
         An RPDO is new then, and has received nothing; a TPDO is when
-        it did not exist, else its inhibit time goes on.
+        it did not exist, else its inhibit time goes on. Of a PDO that was not valid, and is not
+        now, nobody looks at the record: it follows when the PDO becomes valid.
         """
         if k >= MAX_PDOS:
-            return
-        layout = self.layout(direction, k)
+            return False
         record, node = self._node[direction][k], self._node
+        if record["cob_id"] < 0 and not self._exists(direction, k):
+            return False
+        layout = self.layout(direction, k)
         existed = 0 <= record["cob_id"] == layout.cob_id
         counted = existed and record["transmission"] == layout.transmission
         fill(record, layout, self._slot)
-        valid = np.flatnonzero(self._node[direction]["cob_id"] >= 0)
-        used = int(valid[-1]) + 1 if len(valid) else 0
+        self._count(direction)
         if direction == "rpdo":
             acts = self._profile.acts
             node["rpdo_carries"][k] = sum(acts.get((e.index, e.subindex), 0) for e in layout.entries)
             node["rpdo_armed"][k] = node["rpdo_lost"][k] = 0
             node["rpdo_pending"] -= node["rpdo_waits"][k]
             node["rpdo_waits"][k] = 0
-            node["rpdo_used"] = used
-            return
+            return True
         mask = 0
         for entry, start in zip(layout.entries, layout.starts, strict=True):
             if layout.event_ns == 0 or entry.index not in self._changing:
@@ -219,8 +231,15 @@ class Pdos:
         if not existed:
             node["tpdo_ns"][k] = t_ns - layout.inhibit_ns
             node["tpdo_due"][k] = 1
-        node["tpdo_used"] = used
-        node["tpdo_events"] = int(np.sum(node["tpdo"]["transmission"][valid] >= _EVENT_MIN))
+        return True
+
+    def _count(self, direction: Direction) -> None:
+        """Count the valid PDOs of a direction."""
+        records, node = self._node[direction], self._node
+        valid = np.flatnonzero(records["cob_id"] >= 0)
+        node["rpdo_used" if direction == "rpdo" else "tpdo_used"] = int(valid[-1]) + 1 if len(valid) else 0
+        if direction == "tpdo":
+            node["tpdo_events"] = int(np.sum(records["transmission"][valid] >= _EVENT_MIN))
 
     def refresh_all(self, t_ns: int) -> None:
         """Bring every PDO record up to its parameters; a valid PDO
@@ -232,6 +251,10 @@ class Pdos:
             for k in range(MAX_PDOS):
                 if self._dictionary.description.has(COMMUNICATION[direction] + k):
                     self.refresh(direction, k, t_ns)
+            self._count(direction)
+            if direction == "rpdo":
+                self._node["rpdo_pending"] = 0
+                self._node["rpdo_waits"] = 0
             for index in self._beyond[direction]:
                 if (index, 1) in self._dictionary:
                     self._dictionary[index, 1] = self._dictionary.number(index, 1) | COB_ID_INVALID

@@ -222,8 +222,18 @@ class _Spectrum:
 
 
 def _welch(values: Floats, period_s: float, samples: int) -> tuple[Floats, Floats]:
-    """Return frequencies and Welch's power spectrum in segments of so many samples."""
-    from scipy.signal import welch  # takes as long to load as everything else that a run needs
+    r"""Return frequencies [Hz] and Welch's one-sided power density in segments of so many samples.
 
-    frequency, power = welch(values, 1 / period_s, nperseg=samples)
-    return frequency, power
+    .. math:: P_k = \frac{2T}{\sum_n w_n^2}
+              \left\langle\left|\sum_n w_n (v_n - \bar v)\,e^{-2\pi i k n / N}\right|^2\right\rangle
+
+    with Hann's window, over segments that overlap by half; without the factor 2 at 0 and at half
+    the sampling rate (doi:10.1109/TAU.1967.1161901). SciPy's `welch` has the same default values. To
+    load it takes twice as long as a run of a second.
+    """
+    window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(samples) / samples) if samples > 1 else np.ones(1)
+    segments = np.lib.stride_tricks.sliding_window_view(values, samples)[:: samples - samples // 2]
+    spectra = np.fft.rfft(window * (segments - segments.mean(axis=1, keepdims=True)))
+    power = np.mean(np.abs(spectra) ** 2, axis=0) * period_s / np.sum(window**2)
+    power[1 : (samples + 1) // 2] *= 2
+    return np.fft.rfftfreq(samples, period_s), power

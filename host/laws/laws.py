@@ -37,6 +37,7 @@ import sys
 import traceback
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
+from functools import cache, lru_cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -115,6 +116,7 @@ without being named again.
 """
 
 
+@lru_cache(64)
 def _signature(declared: Declaration | None = None) -> Any:
     """Return the one signature of a law; of one with named parameters, with their names in the
     records.
@@ -292,7 +294,7 @@ def load_declared(name: str, directory: Path | None = None) -> LoadedLaw:
         raise LawError(f"law {name!r} is an old name; the law is called {alike[0]!r} now")
     if not place and attribute in OWN_LAWS:
         declared: Declaration | None = OWN_LAWS[attribute]
-        return LoadedLaw(_compiled(name, OWN_LAWS[attribute].function, own_law=True), declared)
+        return LoadedLaw(_own(attribute), declared)
     if not place or not attribute:
         hint = f"; did you mean {alike[0]!r}?" if alike else ""
         names = ", ".join(map(repr, OWN_LAWS))
@@ -301,6 +303,12 @@ def load_declared(name: str, directory: Path | None = None) -> LoadedLaw:
     plain = _function(name, place, attribute, directory, own_law=own_law)
     declared = next((one for one in OWN_LAWS.values() if one.function is plain), declaration_of(plain))
     return LoadedLaw(_compiled(name, plain, own_law=own_law), declared)
+
+
+@cache
+def _own(name: str) -> Any:
+    """Return one of `OWN_LAWS`, compiled; it keeps nothing, so a process loads it once."""
+    return _compiled(name, OWN_LAWS[name].function, own_law=True)
 
 
 def _function(name: str, place: str, attribute: str, directory: Path | None, *, own_law: bool) -> Any:

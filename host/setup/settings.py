@@ -8,6 +8,7 @@ are set, too, and objects that a maker may have made constant are read first.
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -156,9 +157,10 @@ def _unused_pdos(description: Description, pdos: Sequence[RigPdo], node_id: int)
     unplanned.
     """
     used = {(pdo.layout.direction, pdo.layout.number) for pdo in pdos}
+    described = sorted(description.objects)
     for base, direction in ((0x1400, "rpdo"), (0x1800, "tpdo")):
-        for number in range(1, 513):
-            index = base + number - 1
+        for index in described[bisect_left(described, base) : bisect_left(described, base + 512)]:
+            number = index - base + 1
             if description.has(index, 1) and (direction, number) not in used:
                 default = description.default(index, 1, node_id)
                 cob_id = default if isinstance(default, int) else predefined(index, 1, node_id) or INVALID

@@ -7,6 +7,7 @@ A rig without a `[plant.X]` compiles nothing of the plant in detail.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -130,8 +131,12 @@ def _either(p: Record, f_h: Floats, per_knot: int, first: int, steps: int, truth
 def course_of(plants: Records) -> CourseFunction:
     """Return what advances these plants, as kernels take it: compiled, or loaded out of the cache."""
     function = _either if plants.view(np.ndarray)["detail"]["on"].any() else _plain
-    if JIT_DISABLED:
-        return function
+    return function if JIT_DISABLED else _pointer(function)
+
+
+@cache
+def _pointer(function: CourseFunction) -> CourseFunction:
+    """Return a course as kernels take it; it keeps nothing, so a process loads it once."""
     dispatcher: Any = cached(numba.njit(nogil=True, error_model="numpy")(function))
     i8, f8 = numba.int64, numba.float64
     signature = i8(numba.from_dtype(PLANT), f8[::1], i8, i8, i8, f8[:, ::1], i8)

@@ -12,6 +12,7 @@ import pytest
 from scipy.signal import welch
 
 import coulombus.recording.pcapng_reader
+from coulombus.recording import measures
 from coulombus.recording.friction.identify import IdentifyError, identify
 from coulombus.recording.measures import measure, phases
 from coulombus.recording.pcapng_reader import iter_pcapng
@@ -215,3 +216,12 @@ def test_only_the_beginning_is_read_for_the_rig(recorded, monkeypatch):
     monkeypatch.setattr("coulombus.recording.signals.iter_pcapng", counted)
     assert blocks(recorded).rig.name == "bench"
     assert len(taken) == 1
+
+
+@pytest.mark.parametrize(("count", "samples"), [(1, 1), (2, 2), (101, 101), (511, 511), (512, 512), (1300, 512)])
+def test_the_spectrum_is_that_of_scipys_welch(count: int, samples: int) -> None:
+    values = np.random.default_rng(count).normal(3.0, 1.0, count)
+    frequency, power = measures._welch(values, 1e-3, samples)
+    of_scipy = welch(values, 1e3, nperseg=samples)
+    assert np.array_equal(frequency, of_scipy[0])
+    assert power == pytest.approx(of_scipy[1], rel=1e-9, abs=1e-12 * (power.max() or 1.0))
