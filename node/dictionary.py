@@ -62,8 +62,8 @@ class Dictionary:
 
     def reset(self, first: int, last: int) -> None:
         """Give the objects from index `first` to `last` the defaults of the EDS."""
-        for slot, value in self._absent.items():
-            self.values[slot] = value
+        for slot, absent in self._absent.items():
+            self.values[slot] = absent
         for key, default, raw in self._defaults.rows:
             if first <= key[0] <= last:
                 slot = self._slots.get(key)
