@@ -66,13 +66,13 @@ class Dictionary:
             self.values[slot] = absent
         for key, default, raw in self._defaults.rows:
             if first <= key[0] <= last:
-                slot = self._slots.get(key)
-                if slot is None:
+                place = self._slots.get(key)
+                if place is None:
                     self._store[key] = default
                 elif raw is None:
                     self[key] = default
                 else:
-                    self.values[slot] = raw
+                    self.values[place] = raw
 
     @property
     def _defaults(self) -> _Defaults:

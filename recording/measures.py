@@ -236,5 +236,4 @@ def _welch(values: Floats, period_s: float, samples: int) -> tuple[Floats, Float
     spectra = np.fft.rfft(window * (segments - segments.mean(axis=1, keepdims=True)))
     power = np.mean(np.abs(spectra) ** 2, axis=0) * period_s / np.sum(window**2)
     power[1 : (samples + 1) // 2] *= 2
-    frequency: Floats = np.fft.rfftfreq(samples, period_s)
-    return frequency, power
+    return np.fft.rfftfreq(samples, period_s).astype(np.float64), power
