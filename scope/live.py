@@ -14,6 +14,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
+import numpy.typing as npt
 
 from coulombus.eds.cia301 import CobId, NmtState, abort_text
 from coulombus.eds.cia402 import STATE_OF_STATUSWORD, PowerState
@@ -22,6 +23,7 @@ from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo
 from coulombus.scope.error_frames import error_frame
 from coulombus.scope.services import STATES, emcy, lss, nmt
+from coulombus.wire.block import Block
 from coulombus.wire.can_id import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 
 __all__ = ["Event", "Live", "NodeRow", "PdoRow", "Snapshot", "Value", "values_of"]
@@ -40,6 +42,7 @@ BITS = tuple(34 + 8 * n + 13 + (33 + 8 * n) // 4 for n in range(9))
 """Bits of a frame of so many bytes with the worst stuffing, as `wire.bits.worst_case_bits`, which
 needs numba's start.
 """
+BITS_ROW = np.array(BITS)
 
 
 @dataclass(frozen=True)
@@ -193,11 +196,7 @@ class Live:
                 self._other(t_ns, can_id, data[:length])
                 continue
             if line.length not in (-1, length):
-                if not line.malformed:
-                    self.tell(
-                        t_ns, f"{can_id:03X}h has {length} bytes, the rig's has {line.length}: another rig?", True
-                    )
-                line.malformed += 1
+                self._wrong_length(line, can_id, t_ns, length)
                 continue
             if line.count:
                 gap_ns = t_ns - line.t_ns
@@ -210,6 +209,59 @@ class Live:
             if can_id in self._statuswords and data != line.data:
                 self._power_state(t_ns, *self._statuswords[can_id], data)
             line.data = data
+
+    def take_block(self, block: Block) -> None:
+        """Take many frames; what is known then, and the events of them, are those of `take`.
+
+        Events of one stamp may stand in another order.
+        """
+        self.frames += len(block)
+        real = block.lengths[block.can_ids & CAN_ERR_FLAG == 0]
+        self.bits += int(BITS_ROW[real].sum())
+        before = len(self._events)
+        others = []
+        for can_id, rows in block.rows.items():
+            line = self._lines.get(can_id)
+            if line is None:
+                others.append(rows)
+            else:
+                self._take_line(line, can_id, block, rows)
+        if others:
+            for t_ns, can_id, length, data in block.frames(np.sort(np.concatenate(others))):
+                self._other(t_ns, can_id, data[:length])
+        self._events[before:] = sorted(self._events[before:], key=lambda event: event.t_ns)
+
+    def _take_line(self, line: _Line, can_id: int, block: Block, rows: npt.NDArray[np.int64]) -> None:
+        """Take the rows of a block that are of one line."""
+        if line.length != -1:
+            right = block.lengths[rows] == line.length
+            if not right.all():
+                wrong, rows = rows[~right], rows[right]
+                self._wrong_length(line, can_id, int(block.t_ns[wrong[0]]), int(block.lengths[wrong[0]]))
+                line.malformed += len(wrong) - 1
+                if not len(rows):
+                    return
+        t_ns = block.t_ns[rows]
+        if line.count:
+            t_ns = np.concatenate(([line.t_ns], t_ns))
+        gaps = t_ns[1:] - t_ns[:-1]
+        if len(gaps):
+            line.least_ns, line.most_ns = min(line.least_ns, int(gaps.min())), max(line.most_ns, int(gaps.max()))
+        line.count += len(rows)
+        line.t_ns = int(t_ns[-1])
+        if can_id in self._statuswords:
+            motor, start = self._statuswords[can_id]
+            words = block.words[rows] >> 8 * start & 0x7F
+            for k in (0, *(np.flatnonzero(words[1:] != words[:-1]) + 1).tolist()):
+                row = int(rows[k])
+                self._power_state(int(block.t_ns[row]), motor, start, block.data(row))
+        line.data = block.data(rows[-1])
+
+    def _wrong_length(self, line: _Line, can_id: int, t_ns: int, length: int) -> None:
+        """Count a frame that has another length than the rig's, and tell of the first."""
+        if not line.malformed:
+            self.tell(t_ns, f"{can_id:03X}h has {length} bytes, the rig's has {line.length}: another rig?", True)
+        line.malformed += 1
 
     def tell(self, t_ns: int, text: str, grave: bool = False) -> None:
         """Note an event that is seen elsewhere, as the bus going away."""

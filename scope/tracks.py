@@ -5,12 +5,13 @@ Both are bounded: a ring that is full forgets its oldest. Times are integer nano
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["BIN_NS", "ENVELOPE_BINS", "Envelope", "Samples", "velocity"]
+__all__ = ["BIN_NS", "ENVELOPE_BINS", "Envelope", "Samples", "Track", "velocity"]
 
 Floats: TypeAlias = npt.NDArray[np.float64]
 Integers: TypeAlias = npt.NDArray[np.int64]
@@ -22,82 +23,136 @@ ENVELOPE_BINS = 500
 
 
 class Envelope:
-    """Minimum and maximum of a signal in each bin of `BIN_NS`; the last `ENVELOPE_BINS` of them.
+    """Minimum and maximum of signals in each bin of `BIN_NS`; the last `ENVELOPE_BINS` of them.
 
     Bin k holds the samples of k BIN_NS <= t < (k + 1) BIN_NS. A bin without a sample is NaN.
+
+    Parameters
+    ----------
+    signals : how many there are; they have the same times
     """
 
-    def __init__(self) -> None:
-        self._low = np.full(ENVELOPE_BINS, np.nan)
-        self._high = np.full(ENVELOPE_BINS, np.nan)
+    def __init__(self, signals: int = 1) -> None:
+        self._low = np.full((signals, ENVELOPE_BINS), np.nan)
+        self._high = np.full((signals, ENVELOPE_BINS), np.nan)
         self.newest = -1
         """The bin of the newest sample; -1: none came."""
 
     def add(self, t_ns: Integers, values: Floats) -> None:
-        """Add samples; those of before the newest bin are left out, and NaN counts as no sample."""
-        bins = t_ns // BIN_NS
-        right = np.isfinite(values) & (bins >= self.newest)
-        bins, values = bins[right], values[right]
+        """Add samples of one signal, shape (n,), or of all, (signals, n).
+
+        Those of before the newest bin are left out, and what is not finite counts as no sample.
+        """
+        bins, values = t_ns // BIN_NS, np.atleast_2d(values)
+        if not np.isfinite(values).all():
+            values = np.where(np.isfinite(values), values, np.nan)
         if not len(bins):
             return
-        last = int(bins.max())
-        first = last - ENVELOPE_BINS + 1 if self.newest < 0 else max(self.newest + 1, last - ENVELOPE_BINS + 1)
-        fresh = np.arange(first, last + 1) % ENVELOPE_BINS
-        self._low[fresh] = self._high[fresh] = np.nan
-        self.newest = last
-        kept = bins > last - ENVELOPE_BINS
-        places, values = bins[kept] % ENVELOPE_BINS, values[kept]
-        np.fmin.at(self._low, places, values)
-        np.fmax.at(self._high, places, values)
+        last = max(int(bins.max()), self.newest)
+        oldest = max(self.newest, last - ENVELOPE_BINS + 1)
+        if last > self.newest:
+            first = last - ENVELOPE_BINS + 1 if self.newest < 0 else max(self.newest + 1, oldest)
+            fresh = np.arange(first, last + 1) % ENVELOPE_BINS
+            self._low[:, fresh] = self._high[:, fresh] = np.nan
+            self.newest = last
+        if bins.min() < oldest:
+            kept = bins >= oldest
+            bins, values = bins[kept], values[:, kept]
+        steps = bins[1:] - bins[:-1]
+        if (steps < 0).any():  # the clock was set back
+            order = np.argsort(bins, kind="stable")
+            bins, values = bins[order], values[:, order]
+            steps = bins[1:] - bins[:-1]
+        if len(bins):
+            starts = np.concatenate(([0], np.flatnonzero(steps) + 1))
+            places = bins[starts] % ENVELOPE_BINS
+            self._low[:, places] = np.fmin(self._low[:, places], np.fmin.reduceat(values, starts, axis=1))
+            self._high[:, places] = np.fmax(self._high[:, places], np.fmax.reduceat(values, starts, axis=1))
 
-    def since(self, bin_: int) -> tuple[int, Floats, Floats]:
-        """Return the bins from `bin_` on, the newest included: the first one's number, minima,
-        maxima.
+    def since(self, bin_: int, signal: int = 0) -> tuple[int, Floats, Floats]:
+        """Return the bins of a signal from `bin_` on, the newest included: the first one's number,
+        minima, maxima.
 
         Earlier ones than are kept are left out.
         """
         first = max(bin_, self.newest - ENVELOPE_BINS + 1, 0)
         places = np.arange(first, self.newest + 1) % ENVELOPE_BINS
-        return first, self._low[places], self._high[places]
+        return first, self._low[signal, places], self._high[signal, places]
 
 
 class Samples:
-    """The last samples of a signal, `capacity` of them.
+    """The last samples of signals that have the same times, `capacity` of them.
 
     Each stands twice, `capacity` apart: so the last ones are one piece, and nothing is copied to look
     at them.
     """
 
-    def __init__(self, capacity: int) -> None:
+    def __init__(self, capacity: int, signals: int = 1) -> None:
         self._t_ns = np.zeros(2 * capacity, np.int64)
-        self._values = np.zeros(2 * capacity)
+        self._values = np.zeros((signals, 2 * capacity))
         self._capacity, self._count = capacity, 0
 
     def __len__(self) -> int:
         return min(self._count, self._capacity)
 
+    @property
+    def count(self) -> int:
+        """How many have been added so far."""
+        return self._count
+
     def add(self, t_ns: Integers, values: Floats) -> None:
-        """Add samples."""
-        t_ns, values = t_ns[-self._capacity :], values[-self._capacity :]
-        places = np.arange(self._count, self._count + len(t_ns)) % self._capacity
-        self._t_ns[places], self._values[places] = t_ns, values
-        self._t_ns[places + self._capacity], self._values[places + self._capacity] = t_ns, values
+        """Add samples of one signal, shape (n,), or of all, (signals, n)."""
+        capacity = self._capacity
+        t_ns, values = t_ns[-capacity:], values[..., -capacity:]
+        begin = self._count % capacity
+        room = capacity - begin
+        for first, part in ((begin, slice(0, room)), (0, slice(room, None))):
+            if len(times := t_ns[part]):
+                for place in (first, first + capacity):
+                    self._t_ns[place : place + len(times)] = times
+                    self._values[:, place : place + len(times)] = values[..., part]
         self._count += len(t_ns)
 
     def _piece(self, n: int) -> slice:
         end = self._count % self._capacity + self._capacity
         return slice(end - min(n, len(self)), end)
 
-    def last(self, n: int) -> tuple[Integers, Floats]:
-        """Return the last `n` samples, or as many as there are: times [ns], values."""
+    def last(self, n: int, signal: int = 0) -> tuple[Integers, Floats]:
+        """Return the last `n` samples of a signal, or as many as there are: times [ns], values."""
         piece = self._piece(n)
-        return self._t_ns[piece].copy(), self._values[piece].copy()
+        return self._t_ns[piece].copy(), self._values[signal, piece].copy()
 
-    def since(self, t_ns: int) -> tuple[Integers, Floats]:
+    def since(self, t_ns: int, signal: int = 0) -> tuple[Integers, Floats]:
         """Return the samples of `t_ns` and later, as far as times rise: times [ns], values."""
+        times, values = self.all_since(t_ns)
+        return times, values[signal]
+
+    def all_since(self, t_ns: int) -> tuple[Integers, Floats]:
+        """Return the same of all signals: times [ns], values of shape (signals, n)."""
         piece = self._piece(len(self))
         first = piece.start + int(np.searchsorted(self._t_ns[piece], t_ns))
-        return self._t_ns[first : piece.stop].copy(), self._values[first : piece.stop].copy()
+        return self._t_ns[first : piece.stop].copy(), self._values[:, first : piece.stop].copy()
+
+
+@dataclass(frozen=True)
+class Track:
+    """One signal of those of some samples and an envelope."""
+
+    samples: Samples
+    bins: Envelope
+    signal: int
+
+    def last(self, n: int) -> tuple[Integers, Floats]:
+        """Return the last `n` samples, or as many as there are: times [ns], values."""
+        return self.samples.last(n, self.signal)
+
+    def since(self, t_ns: int) -> tuple[Integers, Floats]:
+        """Return the samples of `t_ns` and later: times [ns], values."""
+        return self.samples.since(t_ns, self.signal)
+
+    def bins_since(self, bin_: int) -> tuple[int, Floats, Floats]:
+        """Return the bins from `bin_` on: the first one's number, minima, maxima."""
+        return self.bins.since(bin_, self.signal)
 
 
 def velocity(t_ns: Integers, angle: Floats, period_ns: int, cycles: int) -> tuple[Integers, Floats]:

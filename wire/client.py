@@ -137,9 +137,9 @@ class Client:
         except (BlockingIOError, InterruptedError):
             return []
         except OSError as error:
-            raise self._failure(error) from None
+            raise self.failure(error) from None
         if size == 0:
-            raise self._gone()
+            raise self.gone()
         stamp = 0
         for level, kind, content in ancillary:
             if level == socket.SOL_SOCKET and kind == SO_TIMESTAMPNS and len(content) == _TIMESPEC.size:
@@ -149,7 +149,7 @@ class Client:
                 self.lost = int.from_bytes(content, "little")
         message = memoryview(self._buffer)[:size]
         if size % CAN_FRAME.size or flags & socket.MSG_TRUNC:
-            self._no_frames(bytes(message))
+            self.take_other(bytes(message))
             return []
         found = [(stamp, can_id, length, data) for can_id, length, data in CAN_FRAME.iter_unpack(message)]
         if self.hello.flags & Flags.OWN:
@@ -178,7 +178,7 @@ class Client:
         except OSError as error:
             if error.errno == errno.ENOBUFS:
                 raise BusFull(self.address) from None
-            raise self._failure(error) from None
+            raise self.failure(error) from None
 
     def ask(self, hello: Hello | None = None) -> None:
         """Change flags and filters, or (without `hello`) only ask how many frames were lost.
@@ -200,7 +200,8 @@ class Client:
             return (flags & MSG_CONFIRM,)
         return message[ECHO_BYTE :: CAN_FRAME.size]
 
-    def _no_frames(self, message: bytes) -> None:
+    def take_other(self, message: bytes) -> None:
+        """Take a message that is none of frames: the bus' answer, or rubbish, which is counted."""
         answer = Answer.unpack(message) if self.address.kind == "coulombus" and is_greeting(message) else None
         if answer is None:
             self.malformed += 1
@@ -221,17 +222,19 @@ class Client:
         option(socket.SOL_CAN_RAW, CAN_RAW_ERR_FILTER, _ALL_ERRORS if flags & Flags.ERRORS else 0)
         option(socket.SOL_CAN_RAW, socket.CAN_RAW_RECV_OWN_MSGS, int(bool(flags & Flags.OWN)))
 
-    def _gone(self) -> BusGone:
+    def gone(self) -> BusGone:
+        """Return what the end of the connection means."""
         return BusGone(errno.ECONNRESET, f"bus {self.address} is gone: its process ended")
 
-    def _failure(self, error: OSError) -> OSError:
+    def failure(self, error: OSError) -> OSError:
+        """Return what a failed system call means."""
         if error.errno == errno.ENETDOWN:
             name = self.address.name
             return BusDown(errno.ENETDOWN, f"bus {self.address}: the interface is down: sudo ip link set {name} up")
         if error.errno in (errno.ENODEV, errno.ENXIO):
             return BusGone(error.errno, f"bus {self.address} is gone: the interface was removed")
         if error.errno in (errno.ECONNRESET, errno.EPIPE, errno.ENOTCONN, errno.ECONNREFUSED):
-            return self._gone()
+            return self.gone()
         return error
 
 

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from coulombus.rigs.axis import Axis
-from coulombus.scope.tracks import BIN_NS
+from coulombus.scope.tracks import BIN_NS, Samples
 from coulombus.scope.web.capture import RAW_NS, ROWS, Capture
 
 __all__ = ["IN_FLIGHT", "Flow", "batch", "layout", "unpacked"]
@@ -65,15 +65,20 @@ def batch(capture: Capture, axis: Axis, flow: Flow, more: dict[str, Any]) -> byt
     numbers: list[np.ndarray] = []
     names = [name for some in capture.names(axis).values() for name in some]
     for name in names:
-        first, low, high = capture.envelope(name).since(flow.bins.get(name, 0))
+        first, low, high = capture.track(name).bins_since(flow.bins.get(name, 0))
         if len(low):
             parts.append({"k": "envelope", "s": name, "first": first, "n": len(low)})
             numbers += [low, high]
             flow.bins[name] = first + len(low) - 1  # the newest bin may still grow
+    pieces: dict[Samples, tuple[np.ndarray, np.ndarray]] = {}  # signals of one PDO have the same times
     for name in names:
-        t_ns, values = capture.samples(name).since(capture.newest_ns - RAW_NS)
-        parts.append({"k": "raw", "s": name, "n": len(t_ns)})
-        numbers += [(t_ns - capture.newest_ns) * 1e-9, values]
+        track = capture.track(name)
+        if track.samples not in pieces:
+            t_ns, rows = track.samples.all_since(capture.newest_ns - RAW_NS)
+            pieces[track.samples] = (t_ns - capture.newest_ns) * 1e-9, rows
+        times, rows = pieces[track.samples]
+        parts.append({"k": "raw", "s": name, "n": len(times)})
+        numbers += [times, rows[track.signal]]
     found = capture.friction(axis)
     if found is not None:
         parts.append({"k": "friction", "n": len(found[0])})

@@ -18,8 +18,9 @@ from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo
 from coulombus.scope.live import Event, Live, Snapshot
-from coulombus.scope.tracks import Envelope, Integers, Samples, velocity
+from coulombus.scope.tracks import Envelope, Integers, Samples, Track, velocity
 from coulombus.wire.bits import frame_bits
+from coulombus.wire.block import Block
 from coulombus.wire.can_id import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 from coulombus.wire.client import Received
 
@@ -41,6 +42,8 @@ ROWS = (
 )
 """The plots: title, unit, which signals they may show (`Signal.key`)."""
 EVENTS = 200
+BITS_NS, BITS_IDS = 100_000_000, 256
+"""How often the bits on the wire are counted: after so long, or so many identifiers."""
 
 
 @dataclass(frozen=True)
@@ -84,31 +87,31 @@ class _Pdo:
         ends = (start + entry.bits - 1 for start, entry in zip(starts, entries, strict=True))
         self.places = tuple(f"{a}-{b}" if b > a else str(a) for a, b in zip(starts, ends, strict=True))
         self.data: bytes | None = None
-        self.stamps = Samples(capacity)
-        self.samples = {s.name: Samples(capacity) for s in pdo.signals if s.unit}
-        self.envelopes = {s.name: Envelope() for s in pdo.signals if s.unit}
+        self.drawn = tuple(field for field in self.fields if field[0].unit)
+        self.samples, self.envelope = Samples(capacity, len(self.drawn)), Envelope(len(self.drawn))
+        tracks = (Track(self.samples, self.envelope, k) for k in range(len(self.drawn)))
+        self.tracks = {field[0].name: track for field, track in zip(self.drawn, tracks, strict=True)}
 
     def take(self, t_ns: Integers, words: Integers) -> None:
         """Take the frames of a batch that have this PDO's length."""
-        self.stamps.add(t_ns, np.zeros(len(t_ns)))
-        for signal, entry, start in self.fields:
-            if signal.unit:
-                values = np.asarray(decode_field(words, start, entry) * signal.scale + signal.offset, np.float64)
-                self.samples[signal.name].add(t_ns, values)
-                self.envelopes[signal.name].add(t_ns, values)
+        values = np.empty((len(self.drawn), len(t_ns)))
+        for row, (signal, entry, start) in zip(values, self.drawn, strict=True):
+            row[:] = decode_field(words, start, entry) * signal.scale + signal.offset
+        self.samples.add(t_ns, values)
+        self.envelope.add(t_ns, values)
 
     def period(self, now_ns: int) -> Period | None:
         """Return the figures of the last second; None of less than two frames."""
-        t_ns, _ = self.stamps.since(now_ns - WINDOW_NS)
+        t_ns, _ = self.samples.all_since(now_ns - WINDOW_NS)
         if len(t_ns) < 2:
             return None
-        steps = np.diff(t_ns) * 1e-6
+        steps = (t_ns[1:] - t_ns[:-1]) * 1e-6
         return Period(float(steps.min()), float(steps.mean()), float(steps.max()))
 
 
 class Capture:
-    """Takes batches of frames of one bus (`take`); what is known is asked by `snapshot`, `period`,
-    `envelope` and `samples`.
+    """Takes batches of frames of one bus (`take`); what is known is asked by `snapshot`, `period`
+    and `track`.
 
     Attributes
     ----------
@@ -121,17 +124,18 @@ class Capture:
         period_ns = rig.bus.period_ns
         self._capacity = max(64, 2 * FADE_NS // period_ns)
         self._pdos = {pdo.layout.cob_id: _Pdo(pdo, self._capacity) for pdo in rig.pdos()}
-        self._samples = {name: one for pdo in self._pdos.values() for name, one in pdo.samples.items()}
-        self._envelopes = {name: one for pdo in self._pdos.values() for name, one in pdo.envelopes.items()}
-        self._differences: list[tuple[Axis, _Pdo]] = []
+        self._tracks = {name: one for pdo in self._pdos.values() for name, one in pdo.tracks.items()}
+        self._differences: list[tuple[Track, Track]] = []
         for axis in rig.axes:
-            position = next((p for p in self._pdos.values() if axis.prefix + POSITION in p.samples), None)
-            if position is not None and axis.prefix + "motor.velocity_rad_s" not in self._samples:
-                self._samples[axis.prefix + VELOCITY] = Samples(self._capacity)
-                self._envelopes[axis.prefix + VELOCITY] = Envelope()
-                self._differences.append((axis, position))
+            position = self._tracks.get(axis.prefix + POSITION)
+            if position is not None and axis.prefix + "motor.velocity_rad_s" not in self._tracks:
+                made = self._tracks[axis.prefix + VELOCITY] = Track(Samples(self._capacity), Envelope(), 0)
+                self._differences.append((made, position))
+        self._taken = [0] * len(self._differences)
         self._bits: deque[tuple[int, int]] = deque()
-        self._bits_sum = 0
+        self._bits_sum = self._bits_ns = 0
+        self._counts: dict[int, int] = {}
+        self._last: dict[int, tuple[int, bytes]] = {}
         frame_bits(0)  # compiled now, or loaded, and not with the first frames
         self.events: deque[Event] = deque(maxlen=EVENTS)
         self.newest_ns = 0
@@ -139,56 +143,57 @@ class Capture:
     def names(self, axis: Axis) -> dict[str, list[str]]:
         """Return which signals each plot of an axis shows, by the plot's title."""
         return {
-            title: [axis.prefix + key for key in keys if axis.prefix + key in self._envelopes]
-            for title, _, keys in ROWS
+            title: [axis.prefix + key for key in keys if axis.prefix + key in self._tracks] for title, _, keys in ROWS
         }
 
     def take(self, frames: Sequence[Received]) -> None:
         """Take the frames of some milliseconds."""
-        if not frames:
+        self.take_block(Block.of(frames))
+
+    def take_block(self, block: Block) -> None:
+        """Take the frames of some milliseconds."""
+        if not len(block):
             return
-        self.live.take(frames)
-        t_ns = np.array([frame[0] for frame in frames], np.int64)
-        can_ids = np.array([frame[1] for frame in frames], np.int64)
-        lengths = np.array([frame[2] for frame in frames], np.int64)
-        words = np.frombuffer(b"".join(frame[3] for frame in frames), "<i8").astype(np.int64)
-        self.newest_ns = max(self.newest_ns, int(t_ns.max()))
-        for can_id in np.unique(can_ids).tolist():
+        self.live.take_block(block)
+        self.newest_ns = max(self.newest_ns, int(block.t_ns.max()))
+        for can_id, rows in block.rows.items():
+            self._counts[can_id] = self._counts.get(can_id, 0) + len(rows)
+            self._last[can_id] = int(block.lengths[rows[-1]]), block.data(rows[-1])
             line = self._pdos.get(can_id)
             if line is None:
                 continue
-            rows = np.flatnonzero((can_ids == can_id) & (lengths == line.pdo.layout.length))
+            rows = rows[block.lengths[rows] == line.pdo.layout.length]
             if len(rows):
-                line.take(t_ns[rows], words[rows])
-                line.data = frames[int(rows[-1])][3][: line.pdo.layout.length]
-        for axis, position in self._differences:
-            self._difference(axis, position)
-        self._count_bits(frames, can_ids, lengths)
+                line.take(block.t_ns[rows], block.words[rows])
+                line.data = block.data(rows[-1])[: line.pdo.layout.length]
+        for k in range(len(self._differences)):
+            self._difference(k)
+        if self.newest_ns - self._bits_ns >= BITS_NS or len(self._counts) > BITS_IDS:
+            self._count_bits()
 
-    def _difference(self, axis: Axis, position: _Pdo) -> None:
+    def _difference(self, k: int) -> None:
         """Add the velocity of the positions that are new."""
-        track = self._samples[axis.prefix + VELOCITY]
-        known, _ = track.last(1)
-        t_ns, angle = position.samples[axis.prefix + POSITION].last(self._capacity)
-        first = int(np.searchsorted(t_ns, known[-1], "right")) if len(known) else 0
-        first = max(0, first - VELOCITY_CYCLES)
-        times, speeds = velocity(t_ns[first:], angle[first:], self.rig.bus.period_ns, VELOCITY_CYCLES)
-        track.add(times, speeds)
-        self._envelopes[axis.prefix + VELOCITY].add(times, speeds)
+        made, position = self._differences[k]
+        t_ns, angle = position.last(position.samples.count - self._taken[k] + VELOCITY_CYCLES)
+        self._taken[k] = position.samples.count
+        times, speeds = velocity(t_ns, angle, self.rig.bus.period_ns, VELOCITY_CYCLES)
+        made.samples.add(times, speeds)
+        made.bins.add(times, speeds)
 
-    def _count_bits(self, frames: Sequence[Received], can_ids: Integers, lengths: Integers) -> None:
-        """Count the bits that a batch took on the wire: of each identifier as its last frame."""
-        bits = 0
-        last = {frame[1]: frame for frame in frames}
-        for can_id, (_, _, length, data) in last.items():
+    def _count_bits(self) -> None:
+        """Count the bits that the frames took on the wire: of each identifier as its last frame."""
+        for can_id, count in self._counts.items():
             if can_id & CAN_ERR_FLAG:
                 continue
+            length, data = self._last[can_id]
             remote = bool(can_id & CAN_RTR_FLAG)
             extended = bool(can_id & CAN_EFF_FLAG)
             number = can_id & (0x1FFFFFFF if extended else 0x7FF)
             one = frame_bits(number, length if remote else data[:length], extended=extended, remote=remote)
-            bits += one * int(np.count_nonzero(can_ids == can_id))
-        self._bits_sum += bits
+            self._bits_sum += one * count
+        self._counts.clear()
+        self._last.clear()
+        self._bits_ns = self.newest_ns
         self._bits.append((self.newest_ns, self._bits_sum))
         while len(self._bits) > 2 and self._bits[1][0] <= self.newest_ns - WINDOW_NS:
             self._bits.popleft()
@@ -225,25 +230,21 @@ class Capture:
         """Return the figures of a PDO's period in the last second."""
         return self._pdos[can_id].period(now_ns)
 
-    def envelope(self, name: str) -> Envelope:
-        """Return a signal's envelope."""
-        return self._envelopes[name]
-
-    def samples(self, name: str) -> Samples:
-        """Return a signal's last samples."""
-        return self._samples[name]
+    def track(self, name: str) -> Track:
+        """Return what is kept of a signal."""
+        return self._tracks[name]
 
     def friction(self, axis: Axis, points: int = 200) -> tuple[np.ndarray, np.ndarray] | None:
         """Return velocity [rad/s] and handle torque [Nm] of the last two seconds, oldest first.
 
         None where the axis has no transducer or no position.
         """
-        speed = next((n for n in (axis.prefix + k for k in ROWS[2][2]) if n in self._samples), None)
+        speed = next((n for n in (axis.prefix + k for k in ROWS[2][2]) if n in self._tracks), None)
         torque = axis.prefix + HANDLE
-        if speed is None or torque not in self._samples:
+        if speed is None or torque not in self._tracks:
             return None
-        t_v, v = self._samples[speed].since(self.newest_ns - FADE_NS)
-        t_f, f = self._samples[torque].last(self._capacity)
+        t_v, v = self._tracks[speed].since(self.newest_ns - FADE_NS)
+        t_f, f = self._tracks[torque].since(self.newest_ns - FADE_NS)
         step = max(1, self._capacity // 2 // points)
         t_v, v = t_v[::-step][::-1], v[::-step][::-1]
         if not len(t_f):

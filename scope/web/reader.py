@@ -14,13 +14,14 @@ from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
 from coulombus.scope.web.capture import Capture, Curve, has_plain_curve
 from coulombus.scope.web.state import HostDoor, HostView
-from coulombus.wire.client import BusDown, BusFull, Client, Received
+from coulombus.wire.block import Block, BlockReader
+from coulombus.wire.client import BusDown, BusFull, Client
 
 __all__ = ["BATCH_S", "BusReader", "CurveReader", "HostReader"]
 
 BATCH_S = 0.033
 COLLECT_S = 0.01
-"""How often the socket is emptied: SocketCAN keeps some 270 frames of a reader that sleeps."""
+"""How often a SocketCAN socket is emptied: it keeps some 270 frames of a reader that sleeps."""
 ASK_S = 1.0
 HOST_S = 0.2
 
@@ -58,6 +59,7 @@ class BusReader(_Worker):
         self.until_ns = time.time_ns()
         """All frames until then are in `capture`: what did not come until then did not come."""
         self._client, self._capture, self._lock = client, capture, lock
+        self._reader = BlockReader(client)
 
     def facts(self) -> dict[str, Any]:
         """Return what is known of the bus besides its frames."""
@@ -66,12 +68,13 @@ class BusReader(_Worker):
 
     def _run(self) -> None:
         asked = taken = time.monotonic()
-        frames: list[Received] = []
-        while not self.stop.wait(COLLECT_S):
+        blocks: list[Block] = []
+        pause_s = COLLECT_S if self._client.address.kind == "socketcan" else BATCH_S
+        while not self.stop.wait(pause_s):
             now, now_ns = time.monotonic(), time.time_ns()
             try:
-                while found := self._client.receive():
-                    frames += found
+                if len(found := self._reader.receive()):
+                    blocks.append(found)
                 if now - asked > ASK_S:
                     asked = now
                     self._client.ask()
@@ -84,11 +87,11 @@ class BusReader(_Worker):
             except OSError as error:
                 self.failure = error
             if now - taken >= BATCH_S or self.failure is not None:
-                taken = max(taken + BATCH_S, now - COLLECT_S)  # so that batches are of BATCH_S on average
+                taken = max(taken + BATCH_S, now - pause_s)  # so that batches are of BATCH_S on average
                 with self._lock:
-                    self._capture.take(frames)
+                    self._capture.take_block(Block.joined(blocks))
                     self.until_ns = now_ns
-                frames = []
+                blocks = []
             if self.failure is not None:
                 return
 

@@ -55,7 +55,7 @@ from coulombus.wire.stopping import StopSignals
 
 __all__ = ["Page", "Server", "application", "listening", "serve"]
 
-STATE_S = 0.1
+STATE_S = 0.2
 SESSIONS = 16
 CONNECTIONS = 128
 """That may be open besides the pages' sockets: one more takes the place of the oldest."""

@@ -1,4 +1,4 @@
-"""What the page says in words and figures, ten times a second: one plain document, made of the bus
+"""What the page says in words and figures, five times a second: one plain document, made of the bus
 and of what the host tells.
 """
 

@@ -2,6 +2,7 @@ import io
 import struct
 import threading
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -12,6 +13,7 @@ from coulombus.scope import pdo_table
 from coulombus.scope.live import BITS, Live
 from coulombus.scope.watch import CHANGED, Screen, ViewKeys, _Asker, as_dict, as_lines
 from coulombus.wire.bits import worst_case_bits
+from coulombus.wire.block import Block
 from host_bench import VELOCITY
 
 S = 1_000_000_000
@@ -357,3 +359,46 @@ def test_whatever_the_host_answers_the_view_goes_on():
     with _Asker(ask) as asker:
         assert asked.wait(20)
     assert asker.told == "host: 'mode'"
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_block_is_as_its_frames_one_by_one(seed):
+    """Frames of the rig and of strangers, of right and wrong lengths, error frames, every state."""
+    rng = np.random.default_rng(seed)
+    ids = [
+        0x80,
+        0x181,
+        0x182,
+        0x201,
+        0x202,
+        0x701,
+        0x702,
+        0x77F,
+        0x081,
+        0x581,
+        0x000,
+        0x7E5,
+        0x281,
+        0x705,
+        0x185,
+        0x085,
+    ]
+    ids += [0x555, 0x80000181, 0x40000181, 0x20000044, 0x20000001]
+    lengths = {0x80: 0, 0x181: 8, 0x182: 6, 0x201: 4, 0x202: 2, 0x701: 1, 0x702: 1, 0x77F: 1, 0x705: 1}
+    one, many = (Live(load_rig("bench")) for _ in range(2))
+    t_ns = T0
+    for n in (0, 1, 3, 200, 40, 500):
+        received = []
+        for _ in range(n):
+            t_ns += int(rng.integers(1, 3_000_000))
+            can_id = int(rng.choice(ids))
+            length = lengths.get(can_id, 8) if rng.random() < 0.95 else int(rng.integers(0, 9))
+            data = bytearray(rng.bytes(length).ljust(8, b"\0"))
+            if can_id == 0x181 and rng.random() < 0.9:
+                data[0] = int(rng.choice([0x37, 0x31, 0x18]))
+            received.append((t_ns, can_id, length, bytes(data)))
+        one.take(received)
+        many.take_block(Block.of(received))
+        assert one.snapshot(t_ns) == many.snapshot(t_ns)
+    assert min(one.error_frames, one.unknown) > 10
+    assert any(row.malformed for row in one.snapshot(t_ns).pdos)

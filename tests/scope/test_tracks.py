@@ -58,3 +58,46 @@ def test_the_velocity_is_the_difference_over_whole_periods():
     _, v = velocity(t, -0.5 * np.arange(20) * 1e-3, MS, 5)
     np.testing.assert_allclose(v, -0.5)
     assert len(velocity(t[:5], t[:5] * 1.0, MS, 5)[0]) == 0
+
+
+def test_signals_together_are_as_each_by_itself():
+    """Times that rise, stand still, jump ahead and are set back; values that are no numbers."""
+    rng = np.random.default_rng(7)
+    together, ring = Envelope(3), Samples(50, 3)
+    alone, rings = [Envelope() for _ in range(3)], [Samples(50) for _ in range(3)]
+    now = 0
+    for _ in range(300):
+        n = int(rng.integers(0, 80))
+        t = now + np.cumsum(rng.choice([0, MS, 7 * MS, 30 * MS], n))
+        if n and rng.random() < 0.1:
+            t[n // 2 :] -= int(rng.integers(0, 200)) * MS
+        now = int(t[-1]) + int(rng.choice([0, MS, 400 * MS])) if n else now
+        values = np.where(
+            rng.random((3, n)) < 0.1, rng.choice([np.nan, np.inf, -np.inf], (3, n)), rng.normal(size=(3, n))
+        )
+        together.add(t, values)
+        ring.add(t, values)
+        for k in range(3):
+            alone[k].add(t, values[k])
+            rings[k].add(t, values[k])
+            for a, b in zip(together.since(0, k), alone[k].since(0), strict=True):
+                np.testing.assert_array_equal(a, b)
+            for a, b in zip(ring.last(60, k), rings[k].last(60), strict=True):
+                np.testing.assert_array_equal(a, b)
+    assert ring.count == rings[0].count > 5000
+    np.testing.assert_array_equal(ring.all_since(0)[1], [one.since(0)[1] for one in rings])
+
+
+def test_an_envelope_is_that_of_all_samples_whatever_the_batches():
+    rng = np.random.default_rng(3)
+    envelope, t, values = Envelope(), np.sort(rng.integers(0, 9 * 10**9, 4000)), rng.normal(size=4000)
+    values[::17] = np.nan
+    for part in np.array_split(np.arange(4000), 97):
+        envelope.add(t[part], values[part])
+    first, low, high = envelope.since(0)
+    assert first == 0
+    for k in range(len(low)):
+        inside = values[(t // BIN_NS == k) & np.isfinite(values)]
+        assert np.array_equal(
+            [low[k], high[k]], [inside.min(), inside.max()] if len(inside) else [np.nan] * 2, equal_nan=True
+        )

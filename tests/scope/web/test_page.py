@@ -27,14 +27,14 @@ def view():
 
 
 def test_signals_are_kept_in_si_units(capture):
-    t, angle = capture.samples("motor.position_rad").last(2)
+    t, angle = capture.track("motor.position_rad").last(2)
     scale = capture.rig.pdos()[1].signals[1].scale
     np.testing.assert_allclose(angle, (-100 - 3 * np.array([1998, 1999])) * scale)
     assert t[-1] == BEGIN_NS + 1999 * MS + 200_000
-    _, speed = capture.samples("handle.velocity_rad_s").last(100)
+    _, speed = capture.track("handle.velocity_rad_s").last(100)
     np.testing.assert_allclose(speed, -3 * scale / 1e-3)
-    _, low, high = capture.envelope("brake.handle_torque_Nm").since(
-        capture.envelope("brake.handle_torque_Nm").newest - 5
+    _, low, high = capture.track("brake.handle_torque_Nm").bins_since(
+        capture.track("brake.handle_torque_Nm").bins.newest - 5
     )
     np.testing.assert_allclose(low[:-1], -1.2)
     np.testing.assert_allclose(high[:-1], -1.194)
