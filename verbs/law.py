@@ -98,7 +98,7 @@ def law(name: str | None, motion: str | None, overrides: tuple[str, ...], **opti
             hint = nearest(motion, ("sine", "ramp"))
             raise click.BadParameter(f"{motion!r}: expected a CSV file, sine or ramp{hint}", param_hint="--motion")
         driven = given.along(*path)
-        _write(driven, options)
+        _write(given, driven, options)
         with printed():
             _tell(given, driven, options)
 
@@ -124,7 +124,7 @@ def _path(motion: str, options: dict[str, Any]) -> MotionPath:
     return sine(options["amplitude"], options["frequency"], seconds, rate)
 
 
-def _write(driven: Driven, options: dict[str, Any]) -> None:
+def _write(given: GivenLaw, driven: Driven, options: dict[str, Any]) -> None:
     from coulombus.recording.output_file import new_file
 
     if options["csv"] is not None:
@@ -138,7 +138,7 @@ def _write(driven: Driven, options: dict[str, Any]) -> None:
         from coulombus.recording.pictures.plot import save_picture
 
         with new_file(options["plot"], force=options["overwrite"]) as path:
-            save_picture(draw_law(driven), path)
+            save_picture(draw_law(given, driven), path)
 
 
 def _tell(given: GivenLaw, driven: Driven, options: dict[str, Any]) -> None:

@@ -4,22 +4,36 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from coulombus.recording.pictures.style import BLUE, VERMILION, figure
+from coulombus.recording.pictures.style import BLACK, VERMILION, figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from coulombus.host.laws.along import Driven
+    from coulombus.host.laws.along import Driven, GivenLaw
 
 __all__ = ["draw_law"]
 
 
-def draw_law(driven: Driven) -> Figure:
-    """Draw the angle and the torque over the time, and the torque over the angle."""
+PARAMETERS_IN_A_LINE = 4
+
+
+def titled(given: GivenLaw) -> str:
+    """Return a law's name and its parameters, in lines that a picture has room for."""
+    found = {} if given.parameters is None else given.parameters.model_dump()
+    told = [f"{name} = {value:g}" if isinstance(value, float) else f"{name} = {value}" for name, value in found.items()]
+    lines = [told[k : k + PARAMETERS_IN_A_LINE] for k in range(0, len(told), PARAMETERS_IN_A_LINE)]
+    return "\n".join([f"law {given.name}", *(", ".join(line) for line in lines)])
+
+
+def draw_law(given: GivenLaw, driven: Driven) -> Figure:
+    """Draw the angle and the torque over the time, and the torque over the angle and the speed; the
+    title has the law's parameters.
+    """
     samples = driven.samples
     with figure(8.0, 5.2, 2, 2) as (made, panels):
         (motion, loop), (torque, speed) = panels
-        motion.plot(samples["t_s"], samples["x_rad"], color=BLUE)
+        made.suptitle(titled(given), fontsize=9, x=0.01, ha="left")
+        motion.plot(samples["t_s"], samples["x_rad"], color=BLACK)
         motion.set(title="motion", xlabel="time [s]", ylabel="angle [rad]")
         torque.plot(samples["t_s"], samples["torque_Nm"], color=VERMILION)
         torque.set(title="friction", xlabel="time [s]", ylabel="torque [Nm]")

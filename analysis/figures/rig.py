@@ -37,6 +37,8 @@ __all__ = [
 
 SCATTER = 4000
 RESIDUAL_BINS, FEWEST = 24, 20
+MOST_ANGLE_RAD = 0.040
+"""Of a stuck handle's picture: beyond it the handle slides."""
 
 
 def write_fig12(directory: Path, data: KarnoppStudy | None = None) -> list[Path]:
@@ -73,8 +75,8 @@ def draw_identification(axes: Axes, found: Identification, title: str) -> None:
     """
     every = max(1, len(found.v_rad_s) // SCATTER)
     v, felt, fit = found.v_rad_s[::every], found.felt_Nm[::every], found.felt
-    shown = f"{len(v)} of the {len(found.v_rad_s)} samples that slide"
-    axes.plot(v, felt, ".", ms=2, color=GREY, alpha=0.5, rasterized=True, label=shown)
+    shown = f"{len(v)} of {len(found.v_rad_s)} samples that slide"
+    axes.plot(v, felt, ".", ms=2, color=GREY, alpha=0.5, rasterized=True, zorder=3, label=shown)
     span = float(np.max(np.abs(v)))
     slow = float(np.min(np.abs(v)))
     for side in (-1, 1):
@@ -86,7 +88,7 @@ def draw_identification(axes: Axes, found: Identification, title: str) -> None:
     if fit.stribeck_Nm is not None:
         lines.append(f"Stribeck {fit.stribeck_Nm} Nm at {fit.stribeck_rad_s:.3g} rad/s")
     axes.text(0.02, 0.98, "\n".join(lines), transform=axes.transAxes, va="top", fontsize=8)
-    axes.legend(loc="lower right", markerscale=4)
+    axes.legend(loc="lower right", markerscale=4, handlelength=1.2)
     label(axes, "velocity [rad/s]", "friction felt [Nm]", title)
 
 
@@ -123,13 +125,17 @@ def write_identification(path: Path, found: Identification) -> Path:
 
 
 def write_fig13(directory: Path, data: FrictionStudy) -> list[Path]:
-    """Fig. 13: friction before and after its compensation."""
-    with figure(9.5, 3.8, 1, 2, sharey=True) as (made, axes):
-        draw_identification(axes[0], data.before, "(a) uncompensated")
-        draw_identification(axes[1], data.after, f"(b) compensated with {data.compensation_Nm:.4f} Nm")
-        low, high = axes[0].get_ylim()
-        axes[0].set_ylim(low, high + 0.2 * (high - low))
-        axes[1].set_ylabel("")
+    """Fig. 13: friction before and after its compensation, and what the fits leave of it."""
+    with figure(9.5, 5.6, 2, 2, sharex="col", sharey="row", height_ratios=(2, 1)) as (made, axes):
+        whole = f"(b) compensated with {data.compensation_Nm:.4f} Nm"
+        for column, found, title in ((0, data.before, "(a) uncompensated"), (1, data.after, whole)):
+            draw_identification(axes[0, column], found, title)
+            draw_residuals(axes[1, column], found)
+            axes[0, column].set_xlabel("")
+        low, high = axes[0, 0].get_ylim()
+        axes[0, 0].set_ylim(low, high + 0.2 * (high - low))
+        for place in axes[:, 1]:
+            place.set_ylabel("")
         return [*save(made, directory, "fig13-friction-compensation")]
 
 
@@ -154,12 +160,13 @@ def write_stick_figure(directory: Path, data: HoldStudy) -> list[Path]:
                 ramp: Any = getattr(row, name)
                 share = ramp.verdict(".0%", " of $F_s$")
                 ways = f"{row.stick_entry}, {row.brake_stick}: slides at {share}"
-                angle.plot(ramp.t_s * 1e3, ramp.angle_rad * 1e3, color=COLOURS[i], ls=DASHES[i], label=ways)
+                shown = np.where(ramp.angle_rad <= MOST_ANGLE_RAD, ramp.angle_rad, np.nan)  # above is the legend
+                angle.plot(ramp.t_s * 1e3, shown * 1e3, color=COLOURS[i], ls=DASHES[i], label=ways)
                 torque.plot(ramp.t_s * 1e3, ramp.setpoint_Nm, color=COLOURS[i], ls=DASHES[i])
             first: Any = getattr(rows[0], name)
             push = 1.15 * rows[0].F_s_Nm * np.minimum(first.t_s / first.ramp_s, 1.0)
             torque.plot(first.t_s * 1e3, push, color=BLACK, lw=0.9, label="push")
-            angle.set_ylim(-2, 40)
+            angle.set_ylim(-2, 1.6e3 * MOST_ANGLE_RAD)
             angle.legend(loc="upper left", title="stick entry, brake in stick", alignment="left", title_fontsize=8)
             torque.legend(loc="lower right")
             label(angle, "", "angle [mrad]", f"stuck, then {text}")

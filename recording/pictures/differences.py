@@ -31,7 +31,7 @@ def draw_differences(found: Comparison) -> Figure:
         axes[0, 0].set_title(f"A: {Path(found.a).name}   B: {Path(found.b).name}")
         axes[0, 1].set_title("A less B")
         if shown:
-            axes[0, 0].legend(loc="lower right", ncols=2)
+            axes[0, 0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1, ncols=2)
         for axis in axes[-1]:
             axis.set_xlabel("time in A [s]")
     return made

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from coulombus.recording.pictures.style import COLOURS, DASHES, QUANTITIES, WORDS, figure
+from coulombus.recording.pictures.style import COLOURS, DASHES, QUANTITIES, WORDS, figure, shade
 from coulombus.recording.readable import Readable
 from coulombus.recording.samples import EXAMPLE
 from coulombus.recording.span import SpanError, checked_span
@@ -175,8 +175,8 @@ def draw(made: Figure, data: Plot) -> None:
 
 
 def _manners(traces: Sequence[Trace]) -> Iterator[tuple[str, Any]]:
-    """Yield colour and dashes: a quantity has its own colour, the same one of another axis other
-    dashes, and the rest what is left.
+    """Yield colour and dashes: a quantity has its own colour, the same one of another axis a shade
+    of it and other dashes (an envelope shows no dashes), and the rest what is left.
     """
     fixed = [QUANTITIES.get(trace.name.rpartition(".")[2]) for trace in traces]
     free = [colour for colour in COLOURS if colour not in fixed] or list(COLOURS)
@@ -187,7 +187,7 @@ def _manners(traces: Sequence[Trace]) -> Iterator[tuple[str, Any]]:
         rest += known is None
         again = seen.get(colour, 0)
         seen[colour] = again + 1
-        yield colour, DASHES[again % len(DASHES)]
+        yield shade(colour, again), DASHES[again % len(DASHES)]
 
 
 def _draw_trace(axes: Axes, trace: Trace, colour: str, dashes: Any) -> None:

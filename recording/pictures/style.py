@@ -30,6 +30,7 @@ __all__ = [
     "figure",
     "label",
     "save",
+    "shade",
 ]
 
 BLUE, VERMILION, GREEN, ORANGE, SKY, PINK, BLACK = (
@@ -83,6 +84,19 @@ SETTINGS: Any = {
     "figure.dpi": 100,
     "savefig.dpi": 140,
 }
+
+
+def shade(colour: str, place: int) -> str:
+    """Return a colour (#RRGGBB) for the curve in place 0, 1, 2 ... of one quantity: itself, darker,
+    lighter, and so on; black has greys, the lighter the later.
+    """
+    parts = [int(colour[k : k + 2], 16) for k in (1, 3, 5)]
+    step = place % 3
+    if max(parts) == 0:
+        parts = [100 * step] * 3
+    elif step:
+        parts = [round(0.55 * part + 0.45 * (0 if step == 1 else 255)) for part in parts]
+    return "#" + "".join(f"{part:02X}" for part in parts)
 
 
 @contextmanager

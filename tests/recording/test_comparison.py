@@ -7,7 +7,17 @@ from bench_recording import MS, record
 from coulombus.recording.comparison import compare
 from coulombus.recording.extras import MissingExtra
 from coulombus.recording.pictures.differences import draw_differences
-from coulombus.recording.pictures.plot import BINS, MOST_SAMPLES, Envelope, plot, save_picture, traces_of
+from coulombus.recording.pictures.plot import (
+    BINS,
+    MOST_SAMPLES,
+    Envelope,
+    Trace,
+    _manners,
+    plot,
+    save_picture,
+    traces_of,
+)
+from coulombus.recording.pictures.style import QUANTITIES
 from coulombus.recording.signals import Recording, UnknownSignal, blocks, read
 from coulombus.recording.span import SpanError, parse_span
 from coulombus.rigs.arguments import WrongCall
@@ -147,6 +157,14 @@ def test_a_plot_has_a_panel_for_each_unit_and_the_same_bytes_again(recording, tm
     save_picture(made, tmp_path / f"a{suffix}")
     save_picture(plot(blocks(recording.path)), tmp_path / f"b{suffix}")
     assert (tmp_path / f"a{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()
+
+
+def test_axes_of_a_rig_have_shades_of_a_quantitys_colour():
+    names = [f"{axis}.motor.{name}" for axis in ("left", "right", "middle") for name in ("position_rad", "torque_Nm")]
+    t_s = np.linspace(0.0, 1.0, 3)
+    found = [colour for colour, _ in _manners([Trace(name, "", t_s, t_s, t_s, 3) for name in names])]
+    assert found[:2] == [QUANTITIES["position_rad"], QUANTITIES["torque_Nm"]]
+    assert len(set(found)) == len(names)
 
 
 def test_what_cannot_be_plotted_is_told(recording, tmp_path):

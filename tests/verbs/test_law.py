@@ -66,6 +66,16 @@ def test_every_law_runs_with_its_defaults(name, tmp_path):
     assert run(name, "--motion", "ramp", "--speed", "-2", "--seconds", "0.1").exit_code == 0
 
 
+def test_a_picture_names_the_law_and_its_parameters():
+    from coulombus.analysis.figures.law import draw_law
+    from coulombus.host.laws.along import given_law
+    from coulombus.host.laws.path import sine
+
+    given = given_law("dahl", ("sigma_Nm_rad=150",))
+    made = draw_law(given, given.along(*sine(0.05, 1.0, 0.1, 1000.0)))
+    assert made._suptitle.get_text() == "law dahl\nF_c_Nm = 1, sigma_Nm_rad = 150, alpha = 1"
+
+
 def test_a_picture_is_drawn_and_no_file_replaced(tmp_path):
     picture = tmp_path / "loop.svg"
     words = ("lugre", "--motion", "sine", "--seconds", "0.1", "--plot", picture)
