@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from coulombus.conformance.tester.objects import REFUSED
 from coulombus.conformance.tester.pdo_setup import (
+    EVENT_TIMER,
+    INHIBIT_TIME,
     RPDO,
     Unsupported,
     arm,
@@ -122,7 +124,7 @@ def inhibit_time(unit: Unit) -> str:
         if not unit.has(0x1800 + k, 3):
             continue
         try:
-            can_id = arm(unit, k, event_type(unit, k), event_ms=TIMER_MS, inhibit=INHIBIT_MS * 10)
+            can_id = arm(unit, k, event_type(unit, k), entries={EVENT_TIMER: TIMER_MS, INHIBIT_TIME: INHIBIT_MS * 10})
         except Unsupported as error:
             reason = str(error)
             continue

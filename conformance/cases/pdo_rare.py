@@ -10,6 +10,7 @@ from coulombus.conformance.cases.pdo_data import HARMLESS
 from coulombus.conformance.cases.pdo_mapping import clear, first
 from coulombus.conformance.tester.objects import READ_ONLY, REFUSED
 from coulombus.conformance.tester.pdo_setup import (
+    EVENT_TIMER,
     INVALID,
     NO_RTR,
     RPDO,
@@ -59,7 +60,9 @@ class Harmless:
         words = [*gap, mapped(self.variable)]
         number = remappable(unit, RPDO)[k]
         try:
-            self.can_id = arm(unit, number, transmission, direction=RPDO, words=words, event_ms=deadline_ms)
+            self.can_id = arm(
+                unit, number, transmission, direction=RPDO, words=words, entries={EVENT_TIMER: deadline_ms}
+            )
         except Unsupported as reason:
             raise NotApplicable(str(reason)) from None
         self.before = self.value()

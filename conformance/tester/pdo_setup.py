@@ -4,7 +4,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 from coulombus.conformance.tester.unit import MS, OPERATIONAL, STOPPED, Unit
 from coulombus.conformance.tester.verdict import CaseFailed, NoAnswer, NotApplicable, SdoAborted, where
@@ -13,9 +14,12 @@ from coulombus.eds.reader import Variable
 
 __all__ = [
     "CONSUMER_MS",
+    "EVENT_TIMER",
+    "INHIBIT_TIME",
     "INVALID",
     "READABLE",
     "RPDO",
+    "SYNC_START",
     "TPDO",
     "WRITABLE",
     "Event",
@@ -38,6 +42,9 @@ __all__ = [
 INVALID, NO_RTR, EXTENDED = 1 << 31, 1 << 30, 1 << 29
 RPDO, TPDO = 0x1400, 0x1800
 """First communication parameter of each direction; its map stands 200h further."""
+TRANSMISSION, INHIBIT_TIME, EVENT_TIMER, SYNC_START = 2, 3, 5, 6
+"""Sub-indices of a communication parameter: type, 100 us, ms, value of the SYNC counter."""
+DEFAULTS: Mapping[int, int] = MappingProxyType({})
 
 MOST = 4
 """So many PDOs of a direction are tested, the first of the EDS."""
@@ -151,14 +158,17 @@ def arm(
     k: int,
     transmission: int | None,
     *,
-    event_ms: int = 0,
-    start: int = 0,
-    inhibit: int = 0,
+    entries: Mapping[int, int] = DEFAULTS,
     rtr: bool = False,
     words: Sequence[int] = (),
     direction: int = TPDO,
 ) -> int:
     """Set a PDO up and make it valid; return its identifier.
+
+    Parameters
+    ----------
+    transmission : type (sub-index 2), None: what the device has
+    entries : values of further sub-indices: `EVENT_TIMER`, `INHIBIT_TIME`, `SYNC_START`
 
     Raises
     ------
@@ -167,7 +177,8 @@ def arm(
     """
     still(unit)
     index = direction + k
-    wanted = {2: transmission, 3: inhibit if direction == TPDO else None, 5: event_ms, 6: start if start else None}
+    untimed = {INHIBIT_TIME: 0, EVENT_TIMER: 0} if direction == TPDO else {EVENT_TIMER: 0}
+    wanted = {TRANSMISSION: transmission, **untimed, **entries}
     fixed = unit.variable(index, 1).access in ("ro", "const")
     cob_id = unit.number(index, 1) if fixed else disable(unit, direction, k)
     can_id = can_id_of(unit, direction, k, cob_id)

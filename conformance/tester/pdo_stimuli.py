@@ -10,7 +10,9 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 
 from coulombus.conformance.tester.pdo_setup import (
+    EVENT_TIMER,
     NO_RTR,
+    SYNC_START,
     TPDO,
     Event,
     Unsupported,
@@ -142,7 +144,7 @@ class ByTimer(Stimulus):
 
     def set_up(self) -> int:
         words = Event(self.unit, self.k).prepare()  # a map that changes by no noise
-        return arm(self.unit, self.k, event_type(self.unit, self.k), event_ms=TIMER_MS, words=words)
+        return arm(self.unit, self.k, event_type(self.unit, self.k), entries={EVENT_TIMER: TIMER_MS}, words=words)
 
     def poke(self, state: NmtState) -> None:
         self.unit.pause(3 * TIMER_MS * MS)
@@ -232,7 +234,7 @@ class ByStartValue(Stimulus):
     def set_up(self) -> int:
         self.unit.need_writable(0x1019)
         write_overflow(self.unit, OVERFLOW)
-        return arm(self.unit, self.k, 1, start=START_VALUE)
+        return arm(self.unit, self.k, 1, entries={SYNC_START: START_VALUE})
 
     def poke(self, state: NmtState) -> None:
         self.syncs(OVERFLOW, 1)

@@ -29,7 +29,7 @@ from coulombus.host.cycle.records import Phase, Trip
 from coulombus.host.cycle.step import SOURCE_HOST
 from coulombus.host.errors import SafetyTrip
 from coulombus.host.laws.law_source import law_attachments
-from coulombus.host.realtime.data_plane import PRIORITY, DataPlane
+from coulombus.host.realtime.data_plane import DataPlane
 from coulombus.host.realtime.shared_memory import Status
 from coulombus.host.run.axis_state import axis_state
 from coulombus.host.run.changes import Changes, new_arm_key
@@ -86,12 +86,10 @@ class _RealRun(Course):
         *,
         signals: Signals,
         progress: Callable[[float], None] | None,
-        say: Callable[[str], None],
-        priority: int | None,
         cpu: int | None,
     ) -> None:
         self.rig, self.address, self.outputs = rig, address, outputs
-        self.signals, self.say = signals, say
+        self.signals = signals
         self.deadman = deadman_of(rig, mode, address)
         self.zero_ns = time.monotonic_ns()
         super().__init__(Controllers(rig, mode), outputs.record, progress)
@@ -113,7 +111,7 @@ class _RealRun(Course):
             if outputs.status is not None:
                 self.teller = StatusSocket(outputs.status, self.status)
                 self._stack.callback(self.teller.close)
-            self.plane = DataPlane(self.k, address, priority=priority, cpu=cpu)
+            self.plane = DataPlane(self.k, address, cpu=cpu)
             self._stack.callback(self.plane.close)
             parameters = LiveParameters(self.k)  # in the memory that is shared by now
             self.changes = Changes(parameters, new_arm_key(address), self._apply, self._why_no_change)
@@ -178,7 +176,7 @@ class _RealRun(Course):
         except Exception as error:
             self.teller.close()
             self.teller = None
-            self.say(f"the status socket is closed: {type(error).__name__}: {error}")
+            _say(f"the status socket is closed: {type(error).__name__}: {error}")
 
     # recording
 
@@ -299,16 +297,16 @@ class _RealRun(Course):
         self.control.check_alone(alone_at)
         for right in self.plane.real_time:
             if not right["granted"]:
-                self.say(f"{right['name']}: refused ({right['detail']}); to have it: {right['remedy']}")
+                _say(f"{right['name']}: refused ({right['detail']}); to have it: {right['remedy']}")
         if self.deadman == "none":
             if self.address.kind == "socketcan":
-                self.say("no dead man's switch: host.deadman is none")
+                _say("no dead man's switch: host.deadman is none")
         else:
-            self.say(f"dead man's switch: {self.deadman}")
+            _say(f"dead man's switch: {self.deadman}")
         self._touched = True
         self.losses = bring_up(self.k, self.control)
         for text in self.losses:
-            self.say(text)
+            _say(text)
         now = time.monotonic_ns()
         self.mark(now, f"run {self.k.mode}")
         self.mark(now, f"deadman {self.deadman}")
@@ -321,7 +319,7 @@ class _RealRun(Course):
         """Wait until a dead man's switch is held that is no object of a device."""
         self.k.control["deadman_key"] = 1
         self._stack.enter_context(switch)
-        self.say(switch.invitation)
+        _say(switch.invitation)
         deadline = time.monotonic() + HAND_TIMEOUT_S
         while not switch.held:
             if time.monotonic() > deadline:
@@ -336,7 +334,7 @@ class _RealRun(Course):
         if switch is not None:
             self._await_hand(switch)
         if self.changes.arm_key:
-            self.say(f"arm key, which coulombus set and the page need to change a parameter: {self.changes.arm_key}")
+            _say(f"arm key, which coulombus set and the page need to change a parameter: {self.changes.arm_key}")
         self.signals.defer()
         self.signals.stop()
         if not self.plane.alive or self.plane.status in (Status.LOST, Status.ENDED):
@@ -424,7 +422,7 @@ class _RealRun(Course):
         self.mark_course(self.now_ns + 1)
         for t_ns, text in self._keys.take():
             self.mark(t_ns, text)
-            self.say(text)
+            _say(text)
         enabled = self.enabled_ns
         if enabled is not None and self.progress is not None:
             with suppress(OSError):  # of a terminal that was closed
@@ -477,7 +475,7 @@ class _RealRun(Course):
         try:
             self._stack.close()
         except Exception as error:  # the run has its result already
-            self.say(f"something is left behind: {error}")
+            _say(f"something is left behind: {error}")
 
     # the result
 
@@ -624,8 +622,6 @@ def real_run(
     outputs: Outputs = NOTHING,
     signals: Signals | None = None,
     progress: Callable[[float], None] | None = None,
-    say: Callable[[str], None] = _say,
-    priority: int | None = PRIORITY,
     cpu: int | None = None,
 ) -> RunResult:
     """Run the host on a bus and return what came of it.
@@ -635,12 +631,9 @@ def real_run(
     mode : ``active``, ``passive`` or ``hybrid``
     seconds : length of the display, from Operation Enabled on; None: until it is stopped
     bus : the bus; default is the virtual one of the rig's name
-    record : write a pcapng recording there; the display's figures are computed from it
-    histogram : write a picture of the wake-up and the SYNC-to-RPDO times there
+    outputs : what is written; the display's figures are computed from the recording
     signals : entered by the caller; a signal then ends the run safely
     progress : called with the display's time in s
-    say : called with remarks for people
-    priority : of SCHED_FIFO for the data plane, None: ask for no real-time right
     cpu : for the data plane; default is the last one that this process may use
 
     Raises
@@ -666,8 +659,6 @@ def real_run(
             outputs,
             signals=signals or Signals(),
             progress=progress,
-            say=say,
-            priority=priority,
             cpu=default_cpu() if cpu is None else cpu,
         )
     try:
@@ -690,7 +681,7 @@ def real_run(
             except OSError as error:
                 if result.exit_status == 0:
                     raise
-                say(f"{picture}: cannot be written ({error.strerror})")  # a picture that is missing hides no trip
+                _say(f"{picture}: cannot be written ({error.strerror})")  # a picture that is missing hides no trip
         return result
     finally:
         run.close()

@@ -186,9 +186,7 @@ def bench(tmp_path, monkeypatch):
         try:
             if not arming:
                 begin()
-            result = real_run.real_run(
-                rig, "passive", 0.03, bus=BUS, outputs=Outputs(record=record), signals=Signals(), say=lambda text: None
-            )
+            result = real_run.real_run(rig, "passive", 0.03, bus=BUS, outputs=Outputs(record=record), signals=Signals())
         except (HostError, BusUnavailable, RecordingError) as error:
             refusal = error
         finally:

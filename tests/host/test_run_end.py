@@ -229,7 +229,7 @@ def test_what_the_recording_needs_is_compiled_before_the_nodes_are_touched(monke
     run.plane.slow_batch = 0
     Course.__init__(run, run.plane.k, None, None)
     run.zero_ns, run._waiting, run.deadman = 0, None, "key"
-    run.address, run.say = SimpleNamespace(kind="coulombus"), lambda text: None
+    run.address = SimpleNamespace(kind="coulombus")
     run.control = SimpleNamespace(check_alone=lambda at: None)
     seen = []
     monkeypatch.setattr(real_run, "bring_up", lambda k, control: seen.append(run.plane.batches) or ())
