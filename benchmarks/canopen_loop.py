@@ -21,6 +21,7 @@ import canopen
 
 from benchmarks.contestants import bring_up_patiently
 from benchmarks.load import start_load
+from coulombus.eds.cia301 import CobId
 from coulombus.host.laws.laws import karnopp
 from coulombus.host.setup.control_plane import RealControlPlane
 from coulombus.rigs.rig import Rig, load_rig
@@ -97,7 +98,7 @@ class Loop:
         self.complete.clear()
         self.network.sync.transmit()
         if beat:
-            self.network.send_message(0x700 + self.rig.host.node_id, b"\x05")
+            self.network.send_message(CobId.HEARTBEAT + self.rig.host.node_id, b"\x05")
         complete = self.complete.wait(self.rig.bus.tpdo_window_s)
         statusword = self.motor_tx[0].raw
         counts = self.motor_tx[1].raw
@@ -117,7 +118,7 @@ class Loop:
         wakeup, latency = [0] * BINS, [0] * BINS
         cycles = missed = lates = incomplete = heartbeat = 0
         self.priority = priority
-        self.network.subscribe(0x180 + self.rig.one_axis().motor.node_id, self._promote)
+        self.network.subscribe(CobId.TPDO1 + self.rig.one_axis().motor.node_id, self._promote)
         ask_for_real_time(priority, cpu)
         t = (time.monotonic_ns() + LEAD_NS) // period * period
         end = t + round(seconds * 1e9)

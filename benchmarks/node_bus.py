@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from coulombus.compiled.decorator import kernel
+from coulombus.eds.cia301 import CobId
 from coulombus.eds.reader import parse_eds
 from coulombus.node import core
 from coulombus.node.device import Device
@@ -22,7 +23,7 @@ __all__ = ["DOMAIN", "NodeBus", "Transfer"]
 DOMAIN = 0x2000
 NODE_ID = 5
 _CLIENT = 16
-_RX, _TX = 0x600 + NODE_ID, 0x580 + NODE_ID
+_RX, _TX = CobId.SDO_RX + NODE_ID, CobId.SDO_TX + NODE_ID
 _IDLE, _SERVICE, _HEARD = 0, 1, 2
 
 EDS = b"""[DeviceInfo]

@@ -19,13 +19,14 @@ from pathlib import Path
 from socket import socket
 
 from benchmarks.node_bus import DOMAIN, EDS, NODE_ID
+from coulombus.eds.cia301 import CobId
 from coulombus.wire.address import parse_address
 from coulombus.wire.hello import connect
 
 __all__ = ["Cost", "block_download"]
 
 _FRAME = struct.Struct("=IB3x8s")
-_RX, _TX, _UNWANTED = 0x600 + NODE_ID, 0x580 + NODE_ID, 0x7F0
+_RX, _TX, _UNWANTED = CobId.SDO_RX + NODE_ID, CobId.SDO_TX + NODE_ID, 0x7F0
 _BLOCK = 127
 _TIMEOUT_S = 30.0
 

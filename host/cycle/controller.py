@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from itertools import count
-from typing import Any
 
 import numpy as np
 
@@ -15,7 +14,17 @@ from coulombus.eds.own_devices import is_own, told_identity
 from coulombus.eds.pdo import fill
 from coulombus.host.cycle.demand import brake_end_Nm, brake_limit_raw
 from coulombus.host.cycle.live import LIVE
-from coulombus.host.cycle.records import CONTROL, DRIVE_PDOS, HOST, Image, Phase, SignResult, Trip
+from coulombus.host.cycle.records import (
+    CONTROL,
+    DRIVE_PDOS,
+    HOST,
+    ControlRecord,
+    Image,
+    LawFunction,
+    Phase,
+    SignResult,
+    Trip,
+)
 from coulombus.host.laws.laws import LAW, LAW_STATE, MOTION, OWN_LAWS, LawError, load_declared
 from coulombus.host.laws.parameters import axis_parameters
 from coulombus.rigs.axis import Axis
@@ -157,7 +166,7 @@ class Controller:
             loaded = load_declared(axis.law.function.strip(), axis.law_directory)
         except LawError as error:
             raise axis.mistake("law.function", f"a friction law; {error}") from error
-        self.law_function: Any = loaded.pointer
+        self.law_function: LawFunction = loaded.pointer
         self.declaration = loaded.declaration
         self.parameters = parameters = axis_parameters(axis, loaded.declaration)
         self.law_state = () if loaded.declaration is None else loaded.declaration.state
@@ -318,7 +327,7 @@ class Controller:
         c["safe_ramp_cycles"] = _cycles(limits.safe_ramp_s, T)
         return control
 
-    def _set_tpdos(self, c: Any, pdos: tuple[RigPdo, ...]) -> None:
+    def _set_tpdos(self, c: ControlRecord, pdos: tuple[RigPdo, ...]) -> None:
         """Say which TPDOs are awaited, and which of them has the position."""
         tpdos = [pdo for pdo in pdos if pdo.layout.direction == "tpdo"]
         c["rpdos"], c["tpdos"] = len(pdos) - len(tpdos), len(tpdos)
@@ -329,7 +338,7 @@ class Controller:
                     c["position_mask"], c["position_half"] = 1 << i, 1 << (entry.bits - 1)
         c["awaited"] = c["every_cycle"] or c["by_timer"]
 
-    def _set_scales(self, c: Any) -> None:
+    def _set_scales(self, c: ControlRecord) -> None:
         """Set what a raw count of each role is; of one that is absent, what stands for it."""
         bound = self.axis.allocation.bound
         c["rad_count"] = bound["position"].scale

@@ -5,13 +5,13 @@ the data plane work on.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
 from coulombus.eds.cia301 import CobId
 from coulombus.host.cycle.controller import AXIS, Controller
 from coulombus.host.cycle.records import Phase, SignResult, Trip
+from coulombus.host.laws.law import LawFunction
 from coulombus.host.laws.laws import load_law
 from coulombus.rigs.rig import Rig
 from coulombus.wire.frame import Records, new_records
@@ -19,7 +19,7 @@ from coulombus.wire.frame import Records, new_records
 __all__ = ["Controllers", "unused_law"]
 
 
-def unused_law() -> Any:
+def unused_law() -> LawFunction:
     """Return a compiled law, for kernels that are called without a host and need an argument of its
     type.
     """

@@ -7,12 +7,12 @@ motor's rated torque).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from enum import IntEnum
 from typing import Any, TypeAlias
 
 import numpy as np
 
+from coulombus.host.laws.law import LawFunction
 from coulombus.rigs.devices import TABLE_POINTS
 from coulombus.rigs.model import MOST_DELAY_CYCLES, MOST_DEVICES, WINDOW_CYCLES, WORK_WINDOW_CYCLES
 from coulombus.rigs.pdo_maps import MOST_CONSTANTS, MOST_PDOS
@@ -43,8 +43,6 @@ AxisRecord: TypeAlias = Any
 """All of an axis: a record of `host.cycle.controller.AXIS`."""
 AxisRecords: TypeAlias = Any
 """The axes of a bus, the one that sends SYNC first."""
-LawFunction: TypeAlias = Callable[[Any, Any, Any], float]
-"""A compiled law (`host.laws.laws`)."""
 
 
 class Phase(IntEnum):

@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 from coulombus.compiled.decorator import kernel
 from coulombus.compiled.records import Record, Records, new_records
-from coulombus.host.laws.law import LAW, LAW_STATE, MOTION, Declaration, Parameters
+from coulombus.host.laws.law import LAW, LAW_STATE, MOTION, Declaration, LawFunction, Parameters
 from coulombus.host.laws.laws import LawError, load_declared
 from coulombus.host.laws.parameters import set_parameters
 
@@ -48,7 +48,7 @@ ASKED = np.dtype([("motion", MOTION), ("law", LAW), ("state", LAW_STATE), ("coun
 
 
 @kernel
-def _drive(asked: Record, law_function: Any, samples: Records) -> int:
+def _drive(asked: Record, law_function: LawFunction, samples: Records) -> int:
     """Ask the law at each of `samples`; return the first whose torque is no finite number, -1 where
     there is none.
     """
@@ -101,7 +101,7 @@ class GivenLaw:
     """A compiled law with its parameters."""
 
     name: str
-    pointer: Any
+    pointer: LawFunction
     declaration: Declaration | None
     parameters: Parameters | None
 
@@ -128,7 +128,7 @@ class GivenLaw:
 
 
 def drive(
-    name: str, pointer: Any, law: Records, t_s: npt.NDArray[Any], x_rad: npt.NDArray[Any], count_rad: float
+    name: str, pointer: LawFunction, law: Records, t_s: npt.NDArray[Any], x_rad: npt.NDArray[Any], count_rad: float
 ) -> Driven:
     """Drive a law whose parameters are a record of `LAW` along a motion, as `GivenLaw.along` does."""
     asked, samples = new_records(ASKED), new_records(SAMPLE, len(t_s))
@@ -137,7 +137,7 @@ def drive(
     return _driven(name, pointer, asked, samples)
 
 
-def _driven(name: str, pointer: Any, asked: Records, samples: Records) -> Driven:
+def _driven(name: str, pointer: LawFunction, asked: Records, samples: Records) -> Driven:
     wrong = _drive(asked[0], pointer, samples)
     if wrong >= 0:
         one = samples[wrong]

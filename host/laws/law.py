@@ -27,6 +27,7 @@ from typing import Any, ClassVar, TypeAlias, TypeVar, get_args
 import numpy as np
 from pydantic import Field
 
+from coulombus.compiled.records import Record
 from coulombus.rigs.model import Section
 from coulombus.rigs.words import accepted_range, unit_of
 
@@ -36,6 +37,7 @@ __all__ = [
     "MOTION",
     "Declaration",
     "Field",
+    "LawFunction",
     "LawRecord",
     "LawStateRecord",
     "MotionRecord",
@@ -51,6 +53,8 @@ LawRecord: TypeAlias = Any
 """A law's parameters: a record of `LAW`."""
 LawStateRecord: TypeAlias = Any
 """What a law keeps from cycle to cycle: a record of `LAW_STATE`."""
+LawFunction: TypeAlias = Callable[[MotionRecord, LawRecord, LawStateRecord], float]
+"""A compiled law (`host.laws.laws`): the torque that it asks for [Nm]."""
 
 MOTION = np.dtype(
     [
@@ -147,7 +151,7 @@ class _Named:
 
     __slots__ = ("_places", "_record")
 
-    def __init__(self, record: Any, places: Mapping[str, tuple[int, int]]) -> None:
+    def __init__(self, record: Record, places: Mapping[str, tuple[int, int]]) -> None:
         object.__setattr__(self, "_record", record)
         object.__setattr__(self, "_places", places)
 
@@ -238,7 +242,7 @@ class Declaration:
             found[name] = float(get_args(info.annotation).index(value) if isinstance(value, str) else value)
         return found
 
-    def fill(self, record: Any, values: Parameters) -> None:
+    def fill(self, record: LawRecord, values: Parameters) -> None:
         """Write the parameters into a record of `LAW`."""
         for k, (name, number) in enumerate(self.numbers(values).items()):
             if self.of_mode:

@@ -57,6 +57,7 @@ from coulombus.host.laws.law import (
     LAW_STATE,
     MOTION,
     Declaration,
+    LawFunction,
     LawRecord,
     LawStateRecord,
     MotionRecord,
@@ -268,13 +269,13 @@ def find_law(place: str, directory: Path | None) -> Path:
 class LoadedLaw(NamedTuple):
     """A law that is ready to be asked."""
 
-    pointer: Any
+    pointer: LawFunction
     """The compiled function, as kernels take it."""
     declaration: Declaration | None
     """Its named parameters; None of a law that has none."""
 
 
-def load_law(name: str, directory: Path | None = None) -> Any:
+def load_law(name: str, directory: Path | None = None) -> LawFunction:
     """Return the compiled law called `name`: one of `OWN_LAWS`, ``file.py:function`` in `directory`
     or the current folder, or ``module:function``.
 
@@ -306,12 +307,12 @@ def load_declared(name: str, directory: Path | None = None) -> LoadedLaw:
 
 
 @cache
-def _own(name: str) -> Any:
+def _own(name: str) -> LawFunction:
     """Return one of `OWN_LAWS`, compiled; it keeps nothing, so a process loads it once."""
     return _compiled(name, OWN_LAWS[name].function, own_law=True)
 
 
-def _function(name: str, place: str, attribute: str, directory: Path | None, *, own_law: bool) -> Any:
+def _function(name: str, place: str, attribute: str, directory: Path | None, *, own_law: bool) -> LawFunction:
     """Return the plain Python function that `name` says."""
     checked = (
         nullcontext() if own_law or JIT_DISABLED else _bounds_checked()
@@ -358,7 +359,7 @@ def _function(name: str, place: str, attribute: str, directory: Path | None, *, 
     return plain
 
 
-def _compiled(name: str, plain: Any, *, own_law: bool) -> Any:
+def _compiled(name: str, plain: Any, *, own_law: bool) -> LawFunction:
     try:
         return compile_law(plain, cache=own_law)
     except Exception as error:  # numba raises many kinds

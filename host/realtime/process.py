@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from coulombus.host.laws.law import LawFunction
 from coulombus.host.laws.laws import load_law
 from coulombus.host.realtime.loop import MESSAGE_FRAMES, Buffers, run_plane
 from coulombus.host.realtime.shared_memory import Command, SharedPlane
@@ -42,7 +43,7 @@ def new_buffers(fd: int, shared: SharedPlane) -> Buffers:
     return Buffers(fd, *parts, box, words, tx, poll, new_queue(), new_records(FRAME, MOST_FRAMES))
 
 
-def _warm_up(shared: SharedPlane, buffers: Buffers, law_function: Any) -> None:
+def _warm_up(shared: SharedPlane, buffers: Buffers, law_function: LawFunction) -> None:
     """Load (or compile) the loop by a call that ends at once, and touch every page of the ring and
     the histograms.
     """

@@ -6,12 +6,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from coulombus.rigs.toml_lines import Key
 from coulombus.sim_bus.copper.controller import MANUAL, STATIONS
 from coulombus.sim_bus.copper.faults import FaultKind, plan_alarm
 from coulombus.sim_bus.copper.noise import seeded
+from coulombus.sim_bus.copper.records import BusRecord, FaultRecord
 from coulombus.sim_bus.copper.stations import refresh
 from coulombus.sim_bus.copper.waiting import FAR_NS
 from coulombus.sim_bus.copper.whom import ALL, CLIENT_ROWS, CLIENTS
@@ -32,7 +32,7 @@ from coulombus.sim_bus.faults.file import (
     Reset,
     Trigger,
 )
-from coulombus.wire.frame import CAN_EFF_FLAG, CAN_RTR_FLAG, data_word
+from coulombus.wire.frame import CAN_EFF_FLAG, CAN_RTR_FLAG, Records, data_word
 
 __all__ = ["Injected", "begin_enabled", "injections", "install"]
 
@@ -61,11 +61,11 @@ class _Nodes:
         """Return the station of a node, `ALL` of None."""
         if name is None:
             return ALL
-        table: Mapping[Any, int] = self.node_ids if isinstance(name, int) else self.stations
-        if name not in table:
+        row = self.node_ids.get(name) if isinstance(name, int) else self.stations.get(name)
+        if row is None:
             known = ", ".join([*self.stations, *map(str, self.node_ids)])
             raise self.plan.mistake(key, f"there is no node {name!r} on this bus; it has {known}")
-        return table[name]
+        return row
 
     def node_id(self, name: str | int, key: Key) -> int:
         """Return the node id of a node."""
@@ -78,7 +78,7 @@ class _Nodes:
         raise self.plan.mistake(key, f"'{name}' has no node id; name the sender with sender = \"{name}\"")
 
 
-def _match(row: Any, on: Trigger, nodes: _Nodes, key: Key) -> None:
+def _match(row: FaultRecord, on: Trigger, nodes: _Nodes, key: Key) -> None:
     flags = (CAN_EFF_FLAG if on.extended else 0) | (CAN_RTR_FLAG if on.remote else 0)
     if on.can_id is not None:
         if on.can_id > 0x7FF:
@@ -132,7 +132,7 @@ def _refuse_twice(plan: FaultPlan, nodes: _Nodes) -> None:
 
 
 def install(
-    bus: Any, plan: FaultPlan, seed: int, stations: Mapping[str, int], node_ids: Mapping[int, int]
+    bus: BusRecord, plan: FaultPlan, seed: int, stations: Mapping[str, int], node_ids: Mapping[int, int]
 ) -> list[tuple[int, int]]:
     """Put the faults of a file into the bus's table.
 
@@ -205,13 +205,13 @@ def _rows(station: int) -> slice:
     return CLIENT_ROWS if station == CLIENTS else slice(row, row + 1)
 
 
-def _begin(row: Any, from_ns: int, length_ns: int) -> None:
+def _begin(row: FaultRecord, from_ns: int, length_ns: int) -> None:
     row.from_ns = from_ns
     row.next_ns = FAR_NS if row.framed else from_ns
     row.until_ns = min(from_ns + length_ns, FAR_NS)
 
 
-def begin_enabled(bus: Any, later: list[tuple[int, int]], now_ns: int) -> None:
+def begin_enabled(bus: BusRecord, later: list[tuple[int, int]], now_ns: int) -> None:
     """Let the faults that count from Operation Enabled count from `now_ns`."""
     for n, after_ns in later:
         row = bus.faults[n]
@@ -220,7 +220,7 @@ def begin_enabled(bus: Any, later: list[tuple[int, int]], now_ns: int) -> None:
     refresh(bus)
 
 
-def _what(row: Any, fault: Any, nodes: _Nodes, key: Key) -> None:
+def _what(row: FaultRecord, fault: object, nodes: _Nodes, key: Key) -> None:
     """Set what a fault does, and to whom."""
     for name in ("seen_by", "lost_for", "node"):
         if getattr(fault, name, None) is not None:
@@ -257,7 +257,7 @@ def _what(row: Any, fault: Any, nodes: _Nodes, key: Key) -> None:
         row.period_ns = round(fault.period_us * 1e3)
 
 
-def injections(rows: Any, plan: FaultPlan) -> list[Injected]:
+def injections(rows: Records, plan: FaultPlan) -> list[Injected]:
     """Return what each fault of the file came to."""
     out = []
     for n, fault in enumerate(plan.file.fault):

@@ -4,7 +4,8 @@ Python.
 For tests, conformance runs and fuzzers. Nothing sleeps, no thread runs, and the same calls give the
 same frames to the nanosecond::
 
-    from coulombus.eds.cia301 import NmtCommand
+    from coulombus.compiled.records import Floats, Integers
+from coulombus.eds.cia301 import NmtCommand
     from coulombus.sim_bus.network.network import VirtualNetwork
 
     network = VirtualNetwork(bitrate_bit_s=500_000)
@@ -42,11 +43,13 @@ from typing import Any, Protocol, Self
 import numpy as np
 
 from coulombus.compiled.decorator import Entry
+from coulombus.compiled.records import Floats, Integers
 from coulombus.eds.cia301 import NmtCommand
 from coulombus.eds.cia305 import UNCONFIGURED
 from coulombus.eds.reader import Description, read_eds
 from coulombus.host.cycle.controller import AXIS as HOST_AXIS
 from coulombus.host.cycle.controllers import unused_law
+from coulombus.host.cycle.records import LawFunction
 from coulombus.host.cycle.step import SOURCE_HOST
 from coulombus.node.device import Device
 from coulombus.node.kinds import GENERIC
@@ -99,13 +102,13 @@ class Mechanics:
     every network.
     """
 
-    axes: Any
-    axis_of: Any
-    plant: Any
-    f_h: Any
-    truth: Any
+    axes: Records
+    axis_of: Integers
+    plant: Records
+    f_h: Floats
+    truth: Floats
     host: Host
-    law_function: Any
+    law_function: LawFunction
 
 
 def without_mechanics(devices: int) -> Mechanics:
@@ -184,9 +187,21 @@ class VirtualNetwork:
         m = mechanics or without_mechanics(capacity)
         self.axes, self.axis_of, self.plant = m.axes, m.axis_of, m.plant
         state = self._world.view(np.recarray)[0]
-        agenda = new_deadlines(capacity), new_wants(capacity), self._listening
-        rigs = m.axes, m.axis_of, m.plant, m.f_h, m.truth
-        world = World(state, self.bus, self._out, self._log, self.nodes, *agenda, *rigs)
+        world = World(
+            state,
+            self.bus,
+            self._out,
+            self._log,
+            self.nodes,
+            new_deadlines(capacity),
+            new_wants(capacity),
+            self._listening,
+            m.axes,
+            m.axis_of,
+            m.plant,
+            m.f_h,
+            m.truth,
+        )
         self._arguments = (world, m.host, m.law_function, course_of(m.plant))
         attach(self.bus[0], TAP)
         if mechanics is not None:
@@ -195,7 +210,7 @@ class VirtualNetwork:
         self._run = Entry(run)
 
     @property
-    def arguments(self) -> tuple[World, Host, Any, CourseFunction]:
+    def arguments(self) -> tuple[World, Host, LawFunction, CourseFunction]:
         """The arguments of `sim_bus.network.kernel.run` but for `closely`.
 
         Since it ran last, somebody may have written to the records.

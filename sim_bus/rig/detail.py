@@ -10,10 +10,10 @@ first body, the brake on the drum, the hand on the last.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
+from coulombus.compiled.records import Record
 from coulombus.rigs.plant import Plant
 from coulombus.rigs.plant_detail import Cable, Handle
 from coulombus.sim_bus.rig.wave import WAVE
@@ -114,11 +114,11 @@ def _rate(step_s: float, lag_s: float) -> float:
     return step_s / lag_s if lag_s > 0 else -1.0
 
 
-def detail_of(p: Plant, hand_inertia: float) -> Any:
+def detail_of(p: Plant, hand_inertia: float) -> Record:
     """Return the record of what a plant has beyond one rigid body; `on` is 0 for a plant that has
     nothing of it.
     """
-    d: Any = np.zeros(1, DETAIL)[0]
+    d: Record = np.zeros(1, DETAIL)[0]
     d["on"] = int(p.in_detail)
     bodies: list[float] = []
     couplings: list[Cable | Handle] = []

@@ -50,11 +50,12 @@ winding.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from coulombus.compiled.decorator import inlined, kernel
+from coulombus.compiled.records import Floats
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.plant import Plant
 from coulombus.sim_bus.rig.detail import DETAIL, DETAIL_COLUMNS, detail_of
@@ -86,6 +87,9 @@ COIL_INTACT, COIL_OPEN, COIL_SHORT = 0, 1, 2
 SHORT_A = 25.0
 """What the driver drives into a short circuit."""
 NEGLIGIBLE_Nm = 1e-200
+
+PlantRecord: TypeAlias = Any
+"""The rig of an axis: a record of `PLANT`; mypy knows none of its fields."""
 
 PLANT = np.dtype(
     [
@@ -225,7 +229,7 @@ def new_plant(axis: Axis, seed: int = 0) -> Records:
 
 
 @kernel
-def sample_noise(p: Any) -> float:
+def sample_noise(p: PlantRecord) -> float:
     """Return the next value of the transducer's noise: four uniforms summed, unit variance, bounded
     at 3.5 sigma.
     """
@@ -239,7 +243,7 @@ def sample_noise(p: Any) -> float:
 
 
 @kernel
-def transducer_Nm(p: Any) -> float:
+def transducer_Nm(p: PlantRecord) -> float:
     """Return what the transducer reads of the hand's torque on the handle [Nm]: filter, bias, drift
     and noise, and its polarity.
     """
@@ -250,14 +254,14 @@ def transducer_Nm(p: Any) -> float:
 
 
 @kernel
-def encoder_rad(p: Any) -> float:
+def encoder_rad(p: PlantRecord) -> float:
     """Return the angle that the encoder shows [rad at the handle]."""
     angle: float = p.x
     return angle if p.eccentric == 0.0 else angle + p.eccentric * math.sin(p.eccentric_rad * angle)
 
 
 @kernel
-def coil_current(p: Any, brake_Nm: float) -> float:
+def coil_current(p: PlantRecord, brake_Nm: float) -> float:
     """Return what the driver measures as the coil's current [A] while it commands `brake_Nm`."""
     if p.coil_fault == COIL_SHORT and brake_Nm > 0.0:
         return SHORT_A
@@ -266,7 +270,7 @@ def coil_current(p: Any, brake_Nm: float) -> float:
 
 
 @kernel
-def magnetise(p: Any) -> float:
+def magnetise(p: PlantRecord) -> float:
     """Let the coil's present current act on the iron; return the torque that it stands for."""
     if p.coil > -1e-4 * p.brake_max:  # a lag only comes near to 0
         p.remanent = max(p.remanent, p.remanence * p.coil)
@@ -278,7 +282,7 @@ def magnetise(p: Any) -> float:
 
 
 @kernel
-def heat_coil(p: Any, duration_s: float, square: float) -> None:
+def heat_coil(p: PlantRecord, duration_s: float, square: float) -> None:
     """Let the coil warm up for `duration_s` with the mean `square` of its torque [Nm^2]."""
     target = p.ambient + p.K_A2 * square * p.coil_A_Nm * p.coil_A_Nm
     p.temperature = target + (p.temperature - target) * math.exp(-duration_s / p.thermal_s)
@@ -293,7 +297,7 @@ def settled(value: float) -> float:
 
 
 @inlined
-def _inherent(p: Any) -> float:
+def _inherent(p: PlantRecord) -> float:
     """Return the device's own friction at the present speed [Nm]."""
     if p.stribeck == 0.0:
         return float(p.coulomb)
@@ -302,7 +306,7 @@ def _inherent(p: Any) -> float:
 
 
 @kernel
-def _move(p: Any, dt: float, drive: float, f_h: float, level: float, motor: float, capacity: float) -> float:
+def _move(p: PlantRecord, dt: float, drive: float, f_h: float, level: float, motor: float, capacity: float) -> float:
     """Move on by at most `dt` [s] without a change of the speed's sign.
 
     Return the time [s] that was left over.
@@ -355,14 +359,14 @@ def _move(p: Any, dt: float, drive: float, f_h: float, level: float, motor: floa
 
 
 @inlined
-def motor_target(p: Any) -> float:
+def motor_target(p: PlantRecord) -> float:
     """Return the torque that the motor's command asks for [Nm at the handle]."""
     motor_pm = min(max(p.motor_pm, -p.motor_peak_pm), p.motor_peak_pm)
     return float(motor_pm * p.motor_Nm_pm)
 
 
 @inlined
-def coil_target(p: Any) -> float:
+def coil_target(p: PlantRecord) -> float:
     """Return the torque that the coil's current is driven to stand for [Nm]."""
     target = min(max(p.brake_Nm, 0.0), p.brake_max)
     if p.reverse_A > 0.0:
@@ -375,7 +379,7 @@ def coil_target(p: Any) -> float:
 
 
 @inlined
-def keep_truth(p: Any, out: Any) -> None:
+def keep_truth(p: PlantRecord, out: Floats) -> None:
     """Write the first columns of the true course, `TRUTH_COLUMNS` up to the works."""
     out[0] = p.t_ns * 1e-9
     out[1] = p.x
@@ -392,7 +396,7 @@ def keep_truth(p: Any, out: Any) -> None:
 
 
 @kernel
-def advance(p: Any, f_h: Any, per_knot: int, first: int, steps: int, truth: Any, row: int) -> None:
+def advance(p: PlantRecord, f_h: Floats, per_knot: int, first: int, steps: int, truth: Floats, row: int) -> None:
     """Advance the plant by `steps` of its steps under the commands that are held (`motor_pm`,
     `brake_Nm`, `reverse_A`).
 

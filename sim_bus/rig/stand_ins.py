@@ -12,8 +12,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
 
+from coulombus.compiled.records import Record
 from coulombus.node.brake404 import BRAKE404
 from coulombus.node.device import Device
 from coulombus.node.drive402 import DRIVE402, with_own_mode
@@ -29,6 +29,7 @@ from coulombus.rigs.plant import Plant
 from coulombus.rigs.roles import PER_MILLE, Binding
 from coulombus.rigs.signals import Node
 from coulombus.sim_bus.rig.coupling import BrakeOutput, Quantity
+from coulombus.sim_bus.rig.plant import PlantRecord
 
 __all__ = ["StandIn", "couple", "stand_ins"]
 
@@ -129,7 +130,7 @@ def _shown(axis: Axis, kinds: Mapping[Node, Profile]) -> Iterator[Binding]:
         yield one
 
 
-def couple(axis: Axis, record: Any, plant: Any, rows: Mapping[Node, tuple[int, Device]]) -> None:
+def couple(axis: Axis, record: Record, plant: PlantRecord, rows: Mapping[Node, tuple[int, Device]]) -> None:
     """Write to the records of an axis (`kernel.AXIS`) and its plant what its devices show and take;
     `rows`: row and device by name.
     """
@@ -162,7 +163,7 @@ def couple(axis: Axis, record: Any, plant: Any, rows: Mapping[Node, tuple[int, D
     record["foreign"] = int(bool(shown) or record["brake_output"] != BrakeOutput.TORQUE)
 
 
-def _couple_brake(axis: Axis, record: Any, one: Binding, row: int, device: Device) -> None:
+def _couple_brake(axis: Axis, record: Record, one: Binding, row: int, device: Device) -> None:
     record["brake"] = row
     acts = {core.key: core.slot for core in device.profile.objects if core.acts}
     slot = acts.get(_key(one), -1)
