@@ -43,7 +43,7 @@ def check(rig_name: str, overrides: tuple[str, ...], steps: bool, as_json: bool)
     A line "FAIL" is what bring-up would refuse: an object that is missing, read-only or too narrow
     for its value, another identity, a limit that would cut the law off, a device that does not
     notice the host's loss. "lost" is what bring-up leaves out, as the device is not ours or has no
-    such object; "open" is what the device itself is asked.
+    such object; "open" is what only the device itself can answer.
 
     \b
     Examples:

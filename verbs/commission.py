@@ -181,9 +181,9 @@ def commission(
 ) -> None:
     """Measure the rig step by step, and write what is found into its rig file.
 
-    Each step says what will move and at most how much, and asks before it does. Ctrl-C stops it
-    safely. What is found is written with date and figures; a copy of the old file is kept. A step
-    that is done is not done again, so an afternoon that was interrupted goes on where it was.
+    Before a step moves anything it says what will move, and at most how far, and asks. Ctrl-C stops
+    it safely. The findings are written with their date; a copy of the old file is kept. Completed
+    steps are skipped, so an interrupted session continues where it stopped.
 
     \b
     Examples:

@@ -112,8 +112,8 @@ def conformance(
     127 cases of a conformance test plan and cases of our own (ids that begin with a letter): pass,
     fail, or not applicable with the reason. The run resets the device, changes its objects, stores
     and restores them; at the end it has its defaults. Nothing is moved: target torque stays 0.
-    Exits with 1 when a case failed, or the tester itself did in one. What an interrupted run has is
-    written.
+    Ends with 1 when a case fails, or the tester itself fails in one. An interrupted run writes the
+    results that it has.
 
     \b
     Examples:

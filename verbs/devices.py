@@ -40,7 +40,7 @@ eds_folder_option = click.option(
     "eds_folder",
     type=InputPath(file_okay=False),
     metavar="FOLDER",
-    help="EDS and DCF files, in which those of the devices are looked for by 1018h.",
+    help="Folder of EDS and DCF files; each device's file is found there by its identity (1018h).",
 )
 
 

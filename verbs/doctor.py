@@ -45,10 +45,10 @@ WIDTH, INDENT = 80, 8
     "latency_s",
     type=SECONDS,
     metavar="SECONDS",
-    help="Also measure for so long how late the cycle would wake, while every CPU is kept busy.",
+    help="Also measure for this time how late the cycle would wake while every CPU is busy.",
 )
 @click.option("--cpu", type=CPU, default=None, help="CPU for the cycle.  [default: the one that run takes]")
-@click.option("--fix", is_flag=True, help="Print a shell script of all that mends, and nothing else; nothing is run.")
+@click.option("--fix", is_flag=True, help="Print only a shell script of the commands that mend; nothing is run.")
 @json_option
 def doctor(
     rig_name: str,
@@ -62,8 +62,8 @@ def doctor(
     """Check this PC for a rig: kernel, processors, rights, CAN card, disk, software; nothing is
     changed.
 
-    Under each finding that has to be mended is the command that mends it. The exit status is then
-    1. What cannot be read is not ok: nobody knows.
+    Each finding that has to be mended comes with the command that mends it, and the exit status is
+    1. What cannot be read counts as not ok.
 
     \b
     Examples:

@@ -126,8 +126,8 @@ def experiment_command(
     own, which arms and ends safely, and is recorded.
 
     Answers are keys of the terminal, or of a page in the browser (--page); q ends the session.
-    Given again, the same command goes on behind the last answer. `coulombus analyse study DIR`
-    tells what came of it.
+    The same command, given again, continues after the last answer. `coulombus analyse study DIR`
+    computes the thresholds.
 
     \b
     Examples:

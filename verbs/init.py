@@ -90,7 +90,7 @@ wishes_options = bundle(
 @click.option(
     "--eds-folder",
     type=InputPath(file_okay=False),
-    help="Where the EDS files of devices that answer on the bus are; our own devices' are known.",
+    help="Folder with the EDS files of the devices on the bus; those of our own devices are known.",
 )
 @click.option("--rehearse", is_flag=True, help="With a simulated rig, for `coulombus simulate`; never for a real bus.")
 @click.option("-o", "--output", type=OutputFile(".toml"), metavar="MY.toml", help="A new file.  [default: stdout]")

@@ -54,19 +54,21 @@ MOST_SAMPLES = 10_000_000
     help="Drive the law along it: a CSV file with the columns t_s,x_rad, a sine, or a constant speed.",
 )
 @click.option("--set", "overrides", multiple=True, metavar="KEY=V", help="Set a parameter of the law, as F_c_Nm=0.8.")
-@click.option("--amplitude", type=POSITIVE, default=0.1, show_default=True, metavar="RAD", help="Of the sine.")
-@click.option("--frequency", type=POSITIVE, default=1.0, show_default=True, metavar="HZ", help="Of the sine.")
+@click.option(
+    "--amplitude", type=POSITIVE, default=0.1, show_default=True, metavar="RAD", help="Amplitude of the sine."
+)
+@click.option("--frequency", type=POSITIVE, default=1.0, show_default=True, metavar="HZ", help="Frequency of the sine.")
 @click.option("--speed", type=_Finite(-1e9, 1e9), default=1.0, show_default=True, metavar="RAD/S", help="Of the ramp.")
 @click.option("--seconds", type=SECONDS, default=2.0, show_default=True, help="Length of sine or ramp.")
 @click.option(
-    "--rate", type=POSITIVE, default=1000.0, show_default=True, metavar="HZ", help="Samples a second of them."
+    "--rate", type=POSITIVE, default=1000.0, show_default=True, metavar="HZ", help="Samples per second of sine or ramp."
 )
 @click.option("--csv", "csv", type=OutputFile(), metavar="OUT", help="Write t_s,x_rad,v_rad_s,torque_Nm there.")
 @click.option("--plot", "plot", type=PICTURE, metavar="F.png", help="Draw motion, torque and loop there.")
 @force_option
 @json_option
 def law(name: str | None, motion: str | None, overrides: tuple[str, ...], **options: Any) -> None:
-    """List the friction laws, tell of one, or drive it along a motion.
+    """List the friction laws, describe one, or drive it along a motion.
 
     Without NAME the laws are listed. NAME is one of them, FILE.py:FUNCTION or MODULE:FUNCTION;
     without --motion its parameters are listed. The torque is positive against a positive speed;

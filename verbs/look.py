@@ -186,7 +186,7 @@ def watch(
 
     Nothing is sent. A live table in a terminal (p holds the picture, b shows raw bytes, those that
     changed stand out, w names the bits of status- and controlwords, q ends it), else lines; with
-    --web a page in a browser, whose STOP asks for what `coulombus stop` does. Ends with 0 on
+    --web a page in a browser, whose STOP does what `coulombus stop` does. Ends with 0 on
     Ctrl-C, SIGTERM, SIGHUP or SIGQUIT, with 4 when the bus goes away.
 
     \b

@@ -35,7 +35,9 @@ MARK = "measured by coulombus measure"
 
 @click.command(epilog=EXIT_STATUS, short_help="Measure response times of devices and host")
 @one_bus_options
-@click.option("--rounds", type=click.IntRange(10, 100_000), default=500, show_default=True, help="SYNCs a device.")
+@click.option(
+    "--rounds", type=click.IntRange(10, 100_000), default=500, show_default=True, help="SYNCs for each device."
+)
 @click.option(
     "--cycles", type=click.IntRange(100, 1_000_000), default=2000, show_default=True, help="Cycles of the host."
 )

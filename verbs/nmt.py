@@ -39,7 +39,7 @@ class NodeOrAll(click.ParamType):  # type: ignore[type-arg]  # generic to some v
 def nmt(word: str, node_id: int, bus_name: str, timeout_s: float, beside: bool, as_json: bool) -> None:
     """Send an NMT command: start, stop, preop, reset or reset-communication; to a node, or to all.
 
-    Waits for the heartbeat or boot-up and says the state that it tells. Ends with 5 when a node
+    Waits for the heartbeat or boot-up and prints the state that it reports. Ends with 5 when a node
     that has a heartbeat does not follow. Refused while a host is at work on the bus.
 
     \b

@@ -282,7 +282,7 @@ traffic_options = bundle(
         type=click.FloatRange(100, 1e6),
         help="SYNC period; the TPDO window and the watches keep their share of it.  [default: the rig's]",
     ),
-    click.option("--axes", type=click.IntRange(1, 16), help="So many axes like the rig's.  [default: the rig's]"),
+    click.option("--axes", type=click.IntRange(1, 16), help="Number of axes like the rig's.  [default: the rig's]"),
 )
 times_options = bundle(
     "times",
@@ -335,8 +335,8 @@ def plan_command(
     as_json: bool,
 ) -> None:
     """Compute whether a rig's messages fit on its bus: worst-case response times, SYNC window,
-    latest RPDO, slack; what each role costs on the wire. A plan that does not fit is told with the
-    period that would, and with the roles without which it would.
+    latest RPDO, slack; what each role costs on the wire. Where they do not fit, the period that
+    would is named, and the roles without which they would.
 
     Exit status 0 when the plan fits, 1 when it does not; the late frames are named. docs/planner.md
     has the equations and how to read the table.

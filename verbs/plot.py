@@ -107,7 +107,7 @@ def _tolerances(ctx: click.Context, param: click.Parameter, texts: tuple[str, ..
     multiple=True,
     callback=_tolerances,
     metavar="[SIGNAL=|UNIT=]V",
-    help="The largest difference that is none; V alone: of every signal that has a unit.  [default: 0 of all]",
+    help="The largest difference that counts as equal; V alone: for every signal with a unit.  [default: 0 of all]",
 )
 @click.option("-o", "--out", type=PICTURE, metavar="F.png", help="Draw both and their difference there.")
 @click.option("--rig", "rig_name", metavar="R", help="Decode with this rig instead of the attached ones.")

@@ -129,7 +129,7 @@ otherwise_options = bundle(
     click.option(
         "--law",
         metavar="M:F",
-        help="With --host: what this law would have commanded. A law of one's own runs only if it is named here.",
+        help="With --host: what this law would have commanded. Your own law runs only if it is named here.",
     ),
     click.option("--set", "overrides", multiple=True, metavar="SECTION.KEY=V", help="With --host: other values."),
 )
@@ -154,12 +154,12 @@ def replay(
     otherwise: Otherwise,
     as_json: bool,
 ) -> None:
-    """Play a recording onto a bus, or hold the host (--host) or the bus model (--virtual) against
+    """Play a recording onto a bus, or check the host (--host) or the bus model (--virtual) against
     it.
 
     Plays pcapng and what python-can reads: candump's .log, .asc, .blf, .trc, .csv. A torn file
-    plays to its last whole block. With --host and --virtual it exits with 1 when something comes
-    out otherwise, and shows the first difference.
+    plays to its last whole block. With --host and --virtual it ends with 1 when an
+    output differs, and shows the first difference.
 
     \b
     Examples:
@@ -341,7 +341,7 @@ class Disturbance:
 disturbance_options = bundle(
     "disturbance",
     Disturbance,
-    click.option("--delay-ms", type=click.FloatRange(0, 60_000), default=0.0, help="Let every frame wait so long."),
+    click.option("--delay-ms", type=click.FloatRange(0, 60_000), default=0.0, help="Delay every frame by this time."),
     click.option("--drop", metavar="RATE", type=click.FloatRange(0, 1), default=0.0, help="Share of frames to drop."),
     click.option("--duplicate", metavar="RATE", type=click.FloatRange(0, 1), default=0.0, help="Share to send twice."),
     click.option(
@@ -361,7 +361,7 @@ disturbance_options = bundle(
 @click.option("--ids", "ids_text", metavar="IDS", help="Only these identifiers, hexadecimal: 181,200-27F,00000123x.")
 @click.option("--one-way", is_flag=True, help="From A to B only.")
 @disturbance_options
-@click.option("--seconds", type=click.FloatRange(0, min_open=True), default=None, help="End after so long.")
+@click.option("--seconds", type=click.FloatRange(0, min_open=True), default=None, help="End after this many seconds.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line: ready, then what came of it.")
 def bridge(
     a: str,

@@ -130,7 +130,7 @@ def _say_what_to_do(trip: str | None, shared_machine: bool) -> None:
     if trip is None:
         return
     if "TPDO_LOST" in trip and not shared_machine:
-        text = "if this machine does other work, too, it may have stood still for so long: --shared-machine widens the limits"
+        text = "a machine that does other work may have stood still for that long: --shared-machine widens the limits"
         say(f"coulombus: {text} (docs/realtime.md)")
     if place := anchor(trip):
         say(f"coulombus: likely causes, and what to do: {place}")
@@ -166,9 +166,9 @@ def stop(rig_name: str, bus_names: tuple[str, ...]) -> None:
 
     Waits for its end.
 
-    Ends with 0 when each host that was asked has taken the request and has ended, tripped or not.
-    Else with 4: none runs there, it cannot be reached, it does not take the request, or it does not
-    end in time. Then the rig may be armed still.
+    Ends with 0 when each host that was asked has taken the request and ended, tripped or not. Ends
+    with 4 when none runs there, or it cannot be reached, refuses, or does not end in time: then the
+    rig may still be armed.
 
     \b
     Examples:

@@ -30,7 +30,7 @@ MISSING = 5
     type=click.FloatRange(0, 3600),
     default=0.0,
     metavar="S",
-    help="Wait so long for heartbeats and boot-ups of nodes that answer no SDO; 10 finds most.",
+    help="Wait this many seconds for heartbeats and boot-ups of nodes that answer no SDO; 10 finds most.",
 )
 @click.option("--no-lss", is_flag=True, help="Do not look for devices without a node id.")
 @click.option(
@@ -53,7 +53,7 @@ def scan(
 
     Every node id is asked for its type and identity by SDO, in about a second. Nodes that
     answer none are found by their heartbeat or boot-up (--listen), devices without a node id by LSS
-    fastscan. Nothing is written. Ends with 5 when nobody was found.
+    fastscan. Nothing is written. Ends with 5 when no device was found.
 
     \b
     Examples:

@@ -84,7 +84,9 @@ def sdo() -> None:
 @node_argument
 @object_argument
 @device_options
-@click.option("-o", "--output", type=OutputFile(), metavar="F", help="Write the bytes there, of a long object.")
+@click.option(
+    "-o", "--output", type=OutputFile(), metavar="F", help="Write the object's bytes there; for long objects."
+)
 @force_option
 @json_option
 def get(

@@ -76,9 +76,13 @@ class Manner:
 manner_options = bundle(
     "manner",
     Manner,
-    click.option("--axis", default="", metavar="NAME", help="Of this axis, where the rig has several."),
+    click.option("--axis", default="", metavar="NAME", help="The axis, where the rig has several."),
     click.option(
-        "--over", "over_s", callback=_seconds, metavar="TIME", help="Go there within so long.  [default: 0.5s]"
+        "--over",
+        "over_s",
+        callback=_seconds,
+        metavar="TIME",
+        help="Ramp to the new values within this time.  [default: 0.5s]",
     ),
     click.option("--undo", is_flag=True, help="Take the last change back; again: the one before it."),
     click.option(
@@ -104,9 +108,9 @@ def set_command(
 ) -> None:
     """Change parameters of the law while the host on a bus displays it; without any, list them.
 
-    The host goes there within --over, a little in each cycle. What is beyond its bounds is refused,
-    with 2, and then nothing is changed. Each change is a marker of the recording, `set ...`, by
-    which a replay does the same. A name may lack its unit. Ends with 4 where no host runs.
+    The host ramps to the new values within --over. A value out of its bounds is refused (2), and then
+    nothing changes. Each change is a marker of the recording, `set ...`, from which a replay repeats
+    it. A name may lack its unit. Ends with 4 where no host runs.
 
     \b
     Examples:

@@ -109,12 +109,12 @@ realtime_options = bundle(
 
 @click.command(epilog=EXIT_STATUS, short_help="Serve a bus with simulated devices and rig in real time")
 @buses_options
-@click.option("--seconds", type=SECONDS, default=None, help="End after so long.  [default: never]")
+@click.option("--seconds", type=SECONDS, default=None, help="End after this many seconds.  [default: never]")
 @click.option(
     "--record",
     type=OutputFile(".pcapng"),
     metavar="F.pcapng",
-    help="Record every frame there, at its end of frame in the bus's own time; `replay --virtual` holds it against virtual time.",
+    help="Record every frame there, at its end of frame in the bus's own time; `replay --virtual` checks it against virtual time.",
 )
 @force_option
 @simulated_options
@@ -288,7 +288,7 @@ served_options = bundle(
         type=click.FloatRange(0, 1e6),
         default=20.0,
         show_default=True,
-        help="From a request to the answer that is ready to be sent.",
+        help="Time from a request until its answer is ready to be sent.",
     ),
     click.option(
         "--bitrate",
@@ -310,7 +310,7 @@ served_options = bundle(
 @click.argument("eds", nargs=-1, required=True, metavar="EDS...", type=click.Path(path_type=Path))
 @click.option("--bus", metavar="B", required=True, help="coulombus:NAME (built in) or socketcan:IF.")
 @served_options
-@click.option("--seconds", type=SECONDS, default=None, help="End after so long.  [default: never]")
+@click.option("--seconds", type=SECONDS, default=None, help="End after this many seconds.  [default: never]")
 @click.option(
     "--json", "as_json", is_flag=True, help="One JSON object a line to stdout: ready, duplicate, hardware, end."
 )

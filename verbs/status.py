@@ -27,7 +27,7 @@ __all__ = ["status"]
 def status(rig_name: str, bus_names: tuple[str, ...], as_json: bool) -> None:
     """Ask the host that runs on a bus what it is doing: phase, torques, lateness, counters.
 
-    The host answers between two looks at its data plane, which knows nothing of it. Ends with 4
+    The host answers beside its data plane, whose cycle is not disturbed. Ends with 4
     where no host runs, or none answers. For a line ten times a second, start the host with
     `coulombus run --status SOCKET` and read that socket.
 

@@ -36,7 +36,7 @@ TOLD_EVERY_S = 10.0
     "--processes",
     type=click.IntRange(1, 1024),
     metavar="N",
-    help="Run in so many processes here.  [default: one for each CPU]",
+    help="Number of processes on this machine.  [default: one for each CPU]",
 )
 @click.option("--dask", metavar="ADDRESS", help="Run on a dask.distributed cluster: tcp://HOST:8786. The same numbers.")
 @click.option(
@@ -52,14 +52,14 @@ TOLD_EVERY_S = 10.0
 def sweep_command(
     file: Path, out: Path, processes: int | None, dask: str | None, keep: Any, overwrite: bool, as_json: bool
 ) -> None:
-    """Simulate many rigs and hands, and count what they come to.
+    """Simulate many rigs and hands, and count how often they fail.
 
     FILE says what is varied - a grid, a Latin hypercube, a Sobol sequence, at random - and which
     rates are counted (docs/sweep.md). The table is DIR/runs.parquet, a row for each run with its rig.
-    Rates have intervals of 95 % confidence (Clopper-Pearson). For each rate the mildest rig that
-    fails is looked for and kept as a rig file, and a map is drawn.
+    Rates have intervals of 95 % confidence (Clopper-Pearson). For each rate the mildest failing rig
+    is searched for and kept as a rig file, and a map is drawn.
 
-    Given again, the same command goes on where it was interrupted. The table needs pyarrow: pip
+    The same command, given again, continues where it was interrupted. The table needs pyarrow: pip
     install 'coulombus[export]'. A cluster needs dask: pip install 'coulombus[cluster]'.
 
     \b

@@ -31,7 +31,7 @@ __all__ = ["tools"]
 def tools(
     folder: Path, rig_name: str, overrides: tuple[str, ...], channel: str | None, overwrite: bool, as_json: bool
 ) -> None:
-    """Write what other people's tools need to know of a rig into the folder DIR.
+    """Write files that describe the rig to other tools into the folder DIR.
 
     DBC, KCD and SYM files; a Wireshark dissector and profile; layouts of PlotJuggler and Foxglove;
     README.md says how each is used.
