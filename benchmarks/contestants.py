@@ -87,11 +87,6 @@ class Run:
         """Missed periods as a share of all periods."""
         return self.missed / max(1, self.cycles + self.missed)
 
-    @property
-    def over_1ms(self) -> float:
-        """Share of the wake-ups."""
-        return float(self.wakeup[1000:].sum() / max(1, self.wakeup.sum()))
-
     def p(self, share: float) -> float:
         """Quantile of the wake-up [us], within its bin evenly spread."""
         return quantile(self.wakeup, share)

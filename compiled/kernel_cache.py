@@ -101,7 +101,7 @@ def _places() -> Iterator[Path]:
         mine.mkdir(mode=0o700)
     if _own(mine) and not mine.lstat().st_mode & 0o077:
         yield mine / OURS
-    with suppress(OSError):  # something else stands there
+    with suppress(OSError):  # something else is there
         lost = Path(tempfile.mkdtemp(prefix="coulombus-"))
         _remove_at_exit(lost)
         say(f"compiled code cannot be kept in {base}, so every start compiles; name a directory by NUMBA_CACHE_DIR")

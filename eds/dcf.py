@@ -59,7 +59,7 @@ class DcfReader(ValueReader):
     def ambiguous(self, section: Section, key: str) -> str:
         """Return why a PDO parameter's value can be read in two ways, if it can."""
         twice = section.conflicts & {key, "datatype"} if section.pdo_parameter else ()
-        return f"{section.what(min(twice))} stands twice with different values" if twice else ""
+        return f"{section.what(min(twice))} is given twice with different values" if twice else ""
 
     def configure(self, index: int, variables: dict[int, Variable]) -> None:
         """Give an object's variables what a DCF's [1003Value] says, sub-index by sub-index."""

@@ -144,7 +144,7 @@ class FileReader(DcfReader):
                 self.say(section.line, text, "objects like the others")
         for index, head in heads.items():
             if index not in listed and index >= 0x1000:
-                self.say(head.line, f"[{head.name}] stands in no list of objects", "an object like the others")
+                self.say(head.line, f"[{head.name}] is in no list of objects", "an object like the others")
 
     def check_rest(self, objects: Mapping[int, Object]) -> None:
         """Say what stands in the file besides objects: values of a

@@ -223,7 +223,7 @@ class SectionReader:
             spelled, equals, value = line.partition("=")
             spelled = spelled.strip()
             if section is None:
-                self.say(number, f"'{line[:40]}' stands before the first section", "a comment")
+                self.say(number, f"'{line[:40]}' comes before the first section", "a comment")
             elif not equals or not spelled:
                 self.say(number, f"'{line[:40]}' is no key=value", "a comment")
             else:
@@ -246,7 +246,7 @@ class SectionReader:
             name = _without_comment(name)
             self.say(number, f"the section head '{line[:40]}' has no ']'", f"[{cut(name)}]")
         elif rest.strip() and rest.strip()[0] not in ";#":
-            self.say(number, f"'{rest.strip()[:40]}' stands behind the section head [{cut(name)}]", "a comment")
+            self.say(number, f"'{rest.strip()[:40]}' follows the section head [{cut(name)}]", "a comment")
         index = subindex = -1
         key = name.lower()
         strict = _STRICT.fullmatch(key)
@@ -291,14 +291,14 @@ class SectionReader:
         if bare != text:
             self.say(
                 section.at(key),
-                f"{section.what(key)}={cut(text)} has a comment behind the value",
+                f"{section.what(key)}={cut(text)} has a comment after the value",
                 cut(bare) or "no value",
             )
             section.entries[key] = (bare, section.at(key))
         if len(bare) > 1 and bare[0] == bare[-1] == '"':
             self.say(
                 section.at(key),
-                f"{section.what(key)}={cut(bare)} stands in quotes",
+                f"{section.what(key)}={cut(bare)} is in quotes",
                 cut(bare[1:-1].strip()) or "no value",
             )
             bare = bare[1:-1].strip()

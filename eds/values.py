@@ -61,7 +61,7 @@ class ValueReader(SectionReader):
             text = section.get(key)
             if len(text) > 1 and text[0] == text[-1] == '"':
                 self.say(
-                    section.at(key), f"{section.what(key)}={cut(text)} stands in quotes", "that they belong to the text"
+                    section.at(key), f"{section.what(key)}={cut(text)} is in quotes", "that they belong to the text"
                 )
             return (text if key in section.entries else None), False, ""
         text = self.bare(section, key)

@@ -32,7 +32,7 @@ def parse_span(text: str) -> tuple[float | None, float | None]:
     except ValueError:
         right = False
     if not right:
-        raise ValueError(f"{text!r}: expected A:B in s, as in 3:5, 2.5: or :10, and B behind A")
+        raise ValueError(f"{text!r}: expected A:B in s, as in 3:5, 2.5: or :10, and B after A")
     return found
 
 

@@ -203,7 +203,7 @@ def _blame_line(
     text = lines[number].strip()
     names = tuple(re.findall(r"[\w-]+", text))
     if not (text.startswith("[") or re.match(r"[\w.-]+\]", text)):
-        wanted = "key = value, [section] or a comment behind #"
+        wanted = "key = value, [section] or a comment after #"
         document.problems.append((number + 1, f"'{_short(text)}' cannot be read; expected {wanted}"))
         document.broken.add((*_section(known, number), *names[:1]))
         _blank(lines, number, number)

@@ -83,7 +83,7 @@ class Envelope:
 class Samples:
     """The last samples of signals that have the same times, `capacity` of them.
 
-    Each stands twice, `capacity` apart: so the last ones are one piece, and nothing is copied to look
+    Each is given twice, `capacity` apart: so the last ones are one piece, and nothing is copied to look
     at them.
     """
 

@@ -179,7 +179,7 @@ def analyse(ctx: click.Context, /, **options: Any) -> None:
     if ctx.invoked_subcommand is not None:
         given = [n for n in options if ctx.get_parameter_source(n) is click.core.ParameterSource.COMMANDLINE]
         if given:
-            raise click.UsageError(f"put --{given[0].replace('_', '-')} behind the verb {ctx.invoked_subcommand!r}")
+            raise click.UsageError(f"put --{given[0].replace('_', '-')} after the verb {ctx.invoked_subcommand!r}")
         return
     with errors():
         _all(options)

@@ -85,7 +85,7 @@ EXIT_STATUS = (
 )
 
 WORDS, RESULT, OUTPUTS = f"{__name__}.words", f"{__name__}.result", f"{__name__}.outputs"
-"""What a context keeps: the words behind the verb, that the result has been printed, and which
+"""What a context keeps: the words after the verb, that the result has been printed, and which
 option writes which file.
 """
 MODES = ("active", "passive", "hybrid")

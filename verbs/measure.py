@@ -108,7 +108,7 @@ def _refuse_to_write(rig_name: str, rig: Rig, overrides: tuple[str, ...]) -> Non
         text = f"the rig {rig_name} is the package's own; copy it first: cp {rig.path} my-rig.toml"
         raise click.BadParameter(text, param_hint="--write")
     if overrides:
-        raise click.UsageError("--write changes the rig file, and --set does not stand in it: use one of them")
+        raise click.UsageError("--write changes the rig file, and --set is not in it: use one of them")
     path = Path(rig.path).resolve()
     for one in (path, path.with_name(f"{path.name}.bak")):
         reason = reason_against(one, force=True)

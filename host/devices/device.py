@@ -189,7 +189,7 @@ class Device:
     def names(self) -> Mapping[str, Variable]:
         """Objects by name: "Heartbeat_time", "Identity.Vendor_ID"; blanks are underscores.
 
-        A name that stands twice has its number behind it: "Current_2003h00".
+        A name that is given twice has its number behind it: "Current_2003h00".
         """
         found: dict[str, list[tuple[str, Variable]]] = {}
         for variable in self.variables():

@@ -180,7 +180,7 @@ def _ordinary(say: _Answers, answer: bytes, most: int, progress: Progress) -> Tr
         data += answer[1 : 8 - (answer[0] >> 1 & 7)]
         last, toggle = bool(answer[0] & 0x01), toggle ^ 0x10
         if len(data) > limit:
-            raise say.wrong(f"it goes on behind {limit} bytes, the most expected", Abort.TOO_LONG)
+            raise say.wrong(f"it continues beyond {limit} bytes, the most expected", Abort.TOO_LONG)
         progress(len(data), told or 0)
     if told is not None and told != len(data):
         raise say.wrong(f"{told} bytes were told, {len(data)} came", Abort.LENGTH)
@@ -214,7 +214,7 @@ def _block_upload(say: _Answers, most: int, progress: Progress) -> Transfer[byte
         if repeated > REPEATS:
             raise say.wrong("segments are lost again and again", Abort.SEQUENCE)
         if len(data) > limit + 6:
-            raise say.wrong(f"it goes on behind {limit} bytes, the most expected", Abort.TOO_LONG)
+            raise say.wrong(f"it continues beyond {limit} bytes, the most expected", Abort.TOO_LONG)
         progress(min(len(data), limit), told)
         message = bytes((0xA2, good, BLOCK)) + bytes(5)
     answer = yield from say.next(message)

@@ -82,7 +82,7 @@ def irq_affinity(machine: Machine, given: int | None = None) -> Outcome:
         )
     numbers = [name for name in machine.names("/proc/irq") if name.isdecimal()]
     if not numbers:
-        raise CannotRead("/proc/irq cannot be read: no interrupt stands there")
+        raise CannotRead("/proc/irq cannot be read: it lists no interrupt")
     here, unknown = [], 0
     for number in numbers:
         try:

@@ -55,7 +55,7 @@ def law_parameters(
         elif name in OWN_LAWS:
             source.say(
                 ("law", name, *list(table)[:1]),
-                f"the law {name} has no table: its parameters stand in [mode.NAME] and [law]",
+                f"the law {name} has no table: its parameters are in [mode.NAME] and [law]",
             )
         elif hint := nearest(name, declared):
             source.say(("law", name, *list(table)[:1]), f"there is no law '{name}'{hint}")

@@ -95,7 +95,7 @@ class StatusSocket:
     Raises
     ------
     StatusError
-        another host serves this socket, something else stands there, or it cannot be made
+        another host serves this socket, something else is there, or it cannot be made
     """
 
     def __init__(self, path: Path, document: Callable[[], dict[str, Any]]) -> None:

@@ -243,17 +243,17 @@ def _conditions(file: StudyFile, mistakes: FileMistakes) -> tuple[Condition, ...
     names: set[str] = set()
     for k, one in enumerate(file.condition):
         if one.name in names:
-            mistakes.say(("condition", k, "name"), f"{one.name} stands twice; expected each name once")
+            mistakes.say(("condition", k, "name"), f"{one.name} is given twice; expected each name once")
         names.add(one.name)
     keys: set[str] = set()
     for k, factor in enumerate(file.factor):
         if split_key(factor.key.replace("{mode}", "hybrid")) is None:
             mistakes.say(("factor", k, "key"), "cannot be read; expected SECTION.KEY, as in plant.inertia_kg_m2")
         if factor.name in keys or factor.key in keys:
-            mistakes.say(("factor", k), f"{factor.name} stands twice; expected each factor once")
+            mistakes.say(("factor", k), f"{factor.name} is given twice; expected each factor once")
         keys |= {factor.name, factor.key}
         if len(set(map(str, factor.values))) < len(factor.values):
-            mistakes.say(("factor", k, "values"), "one stands twice; expected each once")
+            mistakes.say(("factor", k, "values"), "one is given twice; expected each once")
     found = []
     for one in file.condition:
         for values in itertools.product(*(factor.values for factor in file.factor)):
@@ -273,7 +273,7 @@ def _check_method(file: StudyFile, method: MethodTable, mistakes: FileMistakes) 
         mistakes.say((), 'question is missing; expected one such as "Which one had more friction?"')
     if isinstance(method, Constant | Free):
         if len(set(method.levels)) < len(method.levels):
-            mistakes.say(("method", "levels"), "one stands twice; expected each once")
+            mistakes.say(("method", "levels"), "one is given twice; expected each once")
         if method.kind == "constant" and len(method.levels) < 2:
             mistakes.say(("method", "levels"), "expected two levels or more")
         return

@@ -207,7 +207,7 @@ def _vary(file: _File, mistakes: FileMistakes) -> dict[Key, Vary]:
         if split_key(key) is None or "=" in key:
             mistakes.say(place, "cannot be read; expected SECTION.KEY, as in plant.inertia_kg_m2")
         elif any(one.key == key for one in found.values()):
-            mistakes.say(place, f"{key} stands twice; expected each key once")
+            mistakes.say(place, f"{key} is given twice; expected each key once")
         elif not isinstance(given, Mapping):
             mistakes.say(place, f"expected {{ values = [...] }} or {{ low = ..., high = ... }}, not {shown(given)}")
         elif "values" in given and {"low", "high"} & given.keys():
@@ -232,7 +232,7 @@ def _leaf(place: Key, key: str, given: Mapping[str, Any], mistakes: FileMistakes
             mistakes.say(place, "values: expected finite numbers, texts, true or false")
             return None
         if len(set(map(toml_value, tried.values))) < len(tried.values):
-            mistakes.say(place, "values: one stands twice; expected each once")
+            mistakes.say(place, "values: one is given twice; expected each once")
             return None
         return Vary(key, values=tuple(tried.values))
     if not tried.low < tried.high:
@@ -272,11 +272,11 @@ def _check_design(file: _File, vary: Mapping[Key, Vary], mistakes: FileMistakes)
 
 def _modes(file: _File, rig: Rig, mistakes: FileMistakes) -> tuple[str, ...]:
     if file.mode is not None and file.modes is not None:
-        mistakes.say(("modes",), "mode stands there, too; expected either")
+        mistakes.say(("modes",), "mode is given there, too; expected either")
     modes = tuple(file.modes or (file.mode or "hybrid",))
     key = "mode" if file.modes is None else "modes"
     if len(set(modes)) < len(modes):
-        mistakes.say((key,), "a mode stands twice; expected each once")
+        mistakes.say((key,), "a mode is given twice; expected each once")
     for mode in modes:
         if mode not in rig.modes:
             mistakes.say((key,), f"the rig {rig.name} has no mode {mode!r}; it has {', '.join(rig.modes)}")

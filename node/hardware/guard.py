@@ -61,7 +61,7 @@ class Guard:
         try:
             os.write(self._feed, b".")
         except BlockingIOError:
-            raise HardwareError("the watchdog process does not read any more") from None
+            raise HardwareError("the watchdog process no longer reads") from None
         except OSError:
             raise HardwareError("the watchdog process is gone") from None
         with suppress(BlockingIOError):

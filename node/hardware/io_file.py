@@ -270,7 +270,7 @@ def _lines(
         device = getattr(one, "device", "")
         for what, told in ((key, "object"), ((one.kind, device, one.channel), "channel")):
             if what in taken:
-                source.say((*here, told), f"stands in [[{name}]] number {taken[what] + 1} already; expected it once")
+                source.say((*here, told), f"is in [[{name}]] number {taken[what] + 1} already; expected it once")
             taken[what] = i
         _, where = source.where(here)
         yield Line(one, key, terminals.get(key), where)

@@ -362,7 +362,9 @@ class BusServer:
             return
         except OSError as error:
             if error.errno not in (errno.EMFILE, errno.ENFILE):
-                raise BusUnavailable(f"bus {self.address}: no client can be taken any more: {error.strerror}") from None
+                raise BusUnavailable(
+                    f"bus {self.address}: no further client can be accepted: {error.strerror}"
+                ) from None
             self._turn_away()
             return
         try:
@@ -395,7 +397,7 @@ class BusServer:
         except BlockingIOError:
             pass
         except OSError as error:
-            raise BusUnavailable(f"bus {self.address}: no client can be taken any more: {error.strerror}") from None
+            raise BusUnavailable(f"bus {self.address}: no further client can be accepted: {error.strerror}") from None
         finally:
             self._spare = os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC)
 

@@ -220,8 +220,8 @@ def test_a_map_that_stands_in_the_values():
         ("ParameterValue=0x2000001O", "is no number"),
         ("ParameterValue=020000", "may mean octal"),
         ("DefaultValue=0x20000010\nParameterValue=oops", "is no number"),
-        ("ParameterValue=0x20000010\nParameterValue=0x20000008", "stands twice with different values"),
-        ("DataType=8\nParameterValue=0x20000010", "stands twice with different values"),
+        ("ParameterValue=0x20000010\nParameterValue=0x20000008", "is given twice with different values"),
+        ("DataType=8\nParameterValue=0x20000010", "is given twice with different values"),
         ("ParameterValue=0x20000008", "but INTEGER16 has 16"),
         ("LowLimit=1\nHighLimit=2\nParameterValue=0x20000010", "is outside the object's limits"),
     ],
@@ -233,7 +233,7 @@ def test_a_configured_map_that_cannot_be_read_right_is_refused(mapped, why):
 
 def test_a_compact_map_of_two_readings_is_refused():
     text = pdos().partition("[1600]")[0] + variable(PDOMapping="1")
-    for values, why in (("1=0x20000010\n1=0x20000008\n", "stands twice"), ("1=010\n", "may mean octal")):
+    for values, why in (("1=0x20000010\n1=0x20000008\n", "is given twice"), ("1=010\n", "may mean octal")):
         (refusal,) = check(parse(text + compact(values, "0x9", "1600", 7)), NODE).refusals
         assert why in refusal
 

@@ -398,13 +398,13 @@ def test_values_in_quotes():
     d = expect(
         variable(DefaultValue='"0x10"'),
         'DefaultValue="',
-        'warning: [2000] DefaultValue="0x10" stands in quotes; assumed 0x10',
+        'warning: [2000] DefaultValue="0x10" is in quotes; assumed 0x10',
     )
     assert d.variable(0x2000, 0).default == 16
     d = expect(
         variable(DataType="0x0009", DefaultValue='"as it is"'),
         'DefaultValue="',
-        'warning: [2000] DefaultValue="as it is" stands in quotes; assumed that they belong to the text',
+        'warning: [2000] DefaultValue="as it is" is in quotes; assumed that they belong to the text',
     )
     assert d.variable(0x2000, 0).default == '"as it is"'
 
@@ -460,7 +460,7 @@ def test_an_entry_of_a_list_that_is_no_number_lists_nothing():
     d = parse(variable(), HEAD.replace("1=0x2000", "1=all"))
     assert [x.text for x in d.diagnoses] == [
         "[ManufacturerObjects] 1=all is no number",
-        "[2000] stands in no list of objects",
+        "[2000] is in no list of objects",
     ]
 
 
@@ -576,7 +576,7 @@ def test_both_lacks_of_a_mapped_object_are_told():
         (lambda: with_pdos(pdo("0x20000181")), "1400h:1 has the identifier 0x181"),
         (lambda: with_pdos(pdo("$NODEID*2")), "[1400sub1] DefaultValue=$NODEID*2 is no number"),
         (lambda: with_pdos(pdo("0201")), "which may mean octal"),
-        (lambda: with_pdos(pdo("0x201\nDefaultValue=0x202")), "DefaultValue stands twice with different values"),
+        (lambda: with_pdos(pdo("0x201\nDefaultValue=0x202")), "DefaultValue is given twice with different values"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_read_right_is_refused(make, reason):

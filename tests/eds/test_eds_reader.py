@@ -98,8 +98,8 @@ def test_defaults_by_data_type(read, code, written, expected):
         ("0x0006", "0200", 200, "zero-padded, which may mean octal; assumed 200"),
         ("0x0006", "1Fh", 31, "'h' instead of 0x; assumed 31"),
         ("0x0006", "1F", 31, "hexadecimal digits without 0x; assumed 31"),
-        ("0x0006", "0x10 ; sixteen", 16, "comment behind the value; assumed 0x10"),
-        ("0x0006", "12 # twelve", 12, "comment behind the value; assumed 12"),
+        ("0x0006", "0x10 ; sixteen", 16, "comment after the value; assumed 0x10"),
+        ("0x0006", "12 # twelve", 12, "comment after the value; assumed 12"),
         ("0x0003", "65535", -1, "does not fit into INTEGER16; assumed two's complement, -1"),
         ("0x0005", "-1", 255, "does not fit into UNSIGNED8; assumed two's complement, 255"),
         ("0x0003", "70000", None, "does not fit into INTEGER16; assumed no value"),
@@ -172,7 +172,7 @@ def test_limits(read, keys, limits, complaint):
         ({"ParameterName": None}, "name", "Object 2000h", "has no ParameterName; assumed 'Object 2000h'"),
         ({"AccessType": None}, "access", "rw", "AccessType is missing; assumed rw"),
         ({"AccessType": "any"}, "access", "rw", "AccessType=any is unknown; assumed rw"),
-        ({"AccessType": "RO ; read only"}, "access", "ro", "comment behind the value; assumed RO"),
+        ({"AccessType": "RO ; read only"}, "access", "ro", "comment after the value; assumed RO"),
         ({"AccessType": "R/W"}, "access", "rw", ""),
         ({"DataType": None}, "data_type", 0, "error: [2000] DataType is missing; assumed a type of unknown width"),
         ({"DataType": "0x0099"}, "data_type", 0x99, "none of CiA 301; assumed a type of unknown width"),
@@ -242,8 +242,8 @@ def test_noise_between_the_sections(read):
 
 def test_text_before_the_first_section_and_behind_a_head(read):
     d = read(variable().replace("[2000]", "[2000] the x ; really"), head="free text\n" + HEAD)
-    assert "1: warning: 'free text' stands before the first section; assumed a comment" in complaints(d)
-    assert [c for c in complaints(d) if "'the x ; really' stands behind the section head [2000]" in c]
+    assert "1: warning: 'free text' comes before the first section; assumed a comment" in complaints(d)
+    assert [c for c in complaints(d) if "'the x ; really' follows the section head [2000]" in c]
     assert complaints(read(variable().replace("[2000]", "[2000] ; the x"))) == []
 
 
@@ -279,7 +279,7 @@ def test_a_pdo_parameter_with_two_values_has_none(read, key):
     body = "".join(f"{k}={v}\n" for k, v in number.items())
     d = read(f"[1A00]\nParameterName=Map\nObjectType=9\n[1A00sub1]\n{body}{key}={other}\n")
     assert d.variable(0x1A00, 1).default is None
-    assert d.variable(0x1A00, 1).unreadable == f"[1A00sub1] {key} stands twice with different values"
+    assert d.variable(0x1A00, 1).unreadable == f"[1A00sub1] {key} is given twice with different values"
 
 
 def test_a_zero_padded_pdo_parameter_is_not_guessed(read):
@@ -369,7 +369,7 @@ def test_lists_of_objects_are_compared_with_the_sections(read):
     text = "\n".join(complaints(read(variable(), head=head)))
     assert "[ManufacturerObjects] lists 2, not 1; assumed 2" in text
     assert "lists 2001h, which is not described; assumed no such object" in text
-    assert "[2000] stands in no list of objects; assumed an object like the others" in text
+    assert "[2000] is in no list of objects; assumed an object like the others" in text
 
 
 def test_missing_sections_and_padded_numbers_of_the_device(read):

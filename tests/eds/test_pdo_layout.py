@@ -238,7 +238,7 @@ def test_a_map_that_cannot_be_read_right_is_refused(describe, case):
 
 def test_a_doubled_entry_is_refused_and_an_equal_one_is_not(describe):
     text = pdo("tpdo", [word("INTEGER8", 8)])
-    with pytest.raises(EdsError, match="DefaultValue stands twice with different values"):
+    with pytest.raises(EdsError, match="DefaultValue is given twice with different values"):
         layouts(describe(text + f"[1A00sub1]\nDefaultValue=0x{word('UNSIGNED8', 8):X}\n"), 1)
     (p,) = layouts(describe(text + f"[1A00sub1]\nDefaultValue={word('INTEGER8', 8)}\n"), 1)
     assert p.entries[0].index == INDEX["INTEGER8"]

@@ -110,7 +110,7 @@ def test_an_abandoned_socket_is_replaced_and_anything_else_is_refused(tmp_path, 
     with HeldSocket(plane.hold, path), pytest.raises(SafetyTrip, match="another host listens on it"):
         HeldSocket(plane.hold, path)
     path.write_text("mine")
-    with pytest.raises(SafetyTrip, match="something else stands there"):
+    with pytest.raises(SafetyTrip, match="something else is there"):
         HeldSocket(plane.hold, path)
     assert path.read_text() == "mine"
     with pytest.raises(SafetyTrip, match="No such file or directory"):

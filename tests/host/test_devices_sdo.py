@@ -148,7 +148,7 @@ FULL, LAST = b"\x00ABCDEFG", b"\x01ABCDEFG"
         (upload_of(FULL, FULL), "toggle bit", 0x05030000),
         (upload_of(b"\x10ABCDEFG"), "toggle bit", 0x05030000),
         (upload_of(FULL, b"\x11ABCDEFG", size=15), "15 bytes were told, 14 came", 0x06070010),
-        (upload_of(FULL, b"\x10ABCDEFG", FULL, size=9), "goes on behind 9 bytes", 0x06070012),
+        (upload_of(FULL, b"\x10ABCDEFG", FULL, size=9), "continues beyond 9 bytes", 0x06070012),
         (upload_of(LAST, size=1 << 31), "2147483648 bytes", 0x05040005),
         (upload_of(b"\x80" + b"\x00" * 7), "0x00000000", None),
         (upload_of(b"\x20" + bytes(7)), "command 20h is no segment", 0x05040001),
@@ -175,7 +175,7 @@ def test_an_upload_without_an_end_is_given_up():
         return [bytes((toggle[0],)) + bytes(7)] if request[0] >> 5 == 3 else []
 
     Server(link, 5, answer)
-    with pytest.raises(Nonsense, match="goes on behind 100 bytes"):
+    with pytest.raises(Nonsense, match="continues beyond 100 bytes"):
         SdoClient(link, 5).upload(*PLACE, most=100)
 
 

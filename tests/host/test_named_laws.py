@@ -244,7 +244,7 @@ def test_a_wrong_parameter_is_refused_with_its_line(case, function, tmp_path):
     ("table", "told"),
     [
         ("lugr", "law.lugr.F_s_Nm: there is no law 'lugr'; did you mean 'lugre'?"),
-        ("karnopp", "law.karnopp.F_s_Nm: the law karnopp has no table: its parameters stand in [mode.NAME] and [law]"),
+        ("karnopp", "law.karnopp.F_s_Nm: the law karnopp has no table: its parameters are in [mode.NAME] and [law]"),
     ],
 )
 def test_a_table_of_no_law_is_refused(table, told):

@@ -195,7 +195,7 @@ WRONG_TOML = {
     "no equals sign": (
         ("ramp_s = 0.500", "ramp_s 0.500"),
         "'ramp_s 0.500' ",
-        "key = value, [section] or a comment behind #",
+        "key = value, [section] or a comment after #",
     ),
     "no bracket at the end": (("[limits]", "[limits"), "'[limits' ", "[section]"),
     "no bracket at the start": (("[limits]", "limits]"), "'limits]' ", "[section]"),

@@ -98,7 +98,7 @@ def test_verbs_and_their_options():
         (("nyquist", "--operator-rational", "1,0,0,0/1"), "improper"),
         (("nyquist", "--operator-rational", "1/1,-1"), "not passive"),
         (("nyquist", "--operator", "1", "-2", "3"), "passive"),
-        (("--mass", "1", "nyquist"), "behind the verb"),
+        (("--mass", "1", "nyquist"), "after the verb"),
     ],
 )
 def test_bad_input_is_refused_with_the_reason(arguments, reason):

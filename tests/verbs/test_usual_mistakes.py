@@ -129,7 +129,7 @@ USUAL = [
     ("simulate --seconds inf", 2, "'inf': expected a number above 0"),
     ("simulate --seconds 1e99", 2, "'1e99': expected a number above 0, at most 31557600 (a year)"),
     ("simulate --seed 1.5", 2, "'1.5' is not a valid integer"),
-    ("plot run.pcapng --span 5:1", 2, "expected A:B in s, as in 3:5, 2.5: or :10, and B behind A"),
+    ("plot run.pcapng --span 5:1", 2, "expected A:B in s, as in 3:5, 2.5: or :10, and B after A"),
     ("plot run.pcapng -o x.txt", 2, "x.txt: expected a name that ends in .png, .svg, .pdf"),
     ("export run.pcapng --to excel", 2, "'excel' is not one of 'csv', 'parquet'"),
     ("nmt begin 1 --bus coulombus:none", 2, "'begin' is not one of 'start', 'stop', 'preop'"),
