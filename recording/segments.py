@@ -31,10 +31,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from coulombus.recording.clock import utc
 from coulombus.recording.folders import runs, segments_of
 from coulombus.recording.pcapng_blocks import RecordingError
 from coulombus.recording.recorder import About, Recorder
+from coulombus.recording.wall_clock import utc
 from coulombus.rigs.rig import Rig
 from coulombus.wire.frame import Records
 

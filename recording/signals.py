@@ -35,12 +35,12 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.eds.pdo import Entry
-from coulombus.recording.clock import CLOCK, META, attached_object
 from coulombus.recording.inside import NAME as INSIDE
 from coulombus.recording.inside import inside_pdos, of_axis
 from coulombus.recording.log_files import WALL_CLOCK_NS, LogError, is_log, read_log
 from coulombus.recording.pcapng_reader import Capture, iter_pcapng, read_pcapng
 from coulombus.recording.turns import POSITION, Turns, fastest, follow
+from coulombus.recording.wall_clock import CLOCK, META, attached_object
 from coulombus.rigs.arguments import WrongCall, path_text
 from coulombus.rigs.rig import Rig, RigError, load_rig, load_rig_text
 from coulombus.rigs.signals import RigPdo, Signal
@@ -237,7 +237,7 @@ class Recording(Source):
     @property
     def clock(self) -> Mapping[str, Any]:
         """When time 0 was by the clock of the wall, and whether that was kept right
-        (`recording.clock`); empty in virtual time.
+        (`recording.wall_clock`); empty in virtual time.
         """
         return attached_object(self.capture.attachments.get(CLOCK))
 

@@ -24,7 +24,7 @@ def boot_up(unit: Unit, command: int = NmtCommand.RESET_NODE) -> None:
         raise CaseFailed(f"the boot-up message is {frame.data.hex(' ') if frame else 'missing'}, expected one byte 00h")
 
 
-def watch(unit: Unit) -> None:
+def produce_heartbeats(unit: Unit) -> None:
     """Let the device tell its state by heartbeats, where it has them.
 
     To be called in PRE-OPERATIONAL.
@@ -114,7 +114,7 @@ def pre_operational(unit: Unit) -> None:
     if unit.has(0x1F80) and not unit.number(0x1F80) & 0x4:
         unit.nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
     can_id = synchronous_tpdo(unit)
-    watch(unit)
+    produce_heartbeats(unit)
     check_state(unit, PRE_OPERATIONAL, can_id)
 
 
@@ -123,7 +123,7 @@ def pre_operational(unit: Unit) -> None:
 def state_after_command(unit: Unit, state: NmtState) -> None:
     """Enter the state by its command, and look at what the device tells and serves."""
     can_id = synchronous_tpdo(unit)
-    watch(unit)
+    produce_heartbeats(unit)
     enter(unit, state)
     check_state(unit, state, can_id)
     enter(unit, PRE_OPERATIONAL)  # NMT acts in every state
@@ -150,7 +150,7 @@ def resets(unit: Unit) -> str:
 def transition(unit: Unit, target: NmtState) -> str:
     """Give the command in each state: the state follows, also out of itself."""
     can_id = synchronous_tpdo(unit)
-    watch(unit)
+    produce_heartbeats(unit)
     for state in (*ALL_STATES, target):
         enter(unit, state)
         check_state(unit, state, can_id)
@@ -162,7 +162,7 @@ def transition(unit: Unit, target: NmtState) -> str:
 @case("N.1")
 def for_another(unit: Unit) -> str:
     """Start a node-id that nobody has: the device stays in PRE-OPERATIONAL."""
-    watch(unit)
+    produce_heartbeats(unit)
     other = next(n for n in range(127, 0, -1) if n != unit.node_id)
     unit.flush()
     unit.send(CobId.HEARTBEAT + other | 0x40000000, length=1)
@@ -177,7 +177,7 @@ def for_another(unit: Unit) -> str:
 @case("N.2")
 def short_command(unit: Unit) -> None:
     """Send an NMT frame of one byte: the device stays in PRE-OPERATIONAL."""
-    watch(unit)
+    produce_heartbeats(unit)
     unit.dirty = True
     unit.send(CobId.NMT, bytes((NmtCommand.START,)))
     check_state(unit, PRE_OPERATIONAL)

@@ -5,7 +5,7 @@ NMT and storing, tried harder.
 from __future__ import annotations
 
 from coulombus.conformance.cases.heartbeat import consumer_subs, guard, need_guarding
-from coulombus.conformance.cases.nmt import told, watch
+from coulombus.conformance.cases.nmt import produce_heartbeats, told
 from coulombus.conformance.cases.sdo_wrong import reads_back, shown, text_object
 from coulombus.conformance.cases.sync import OVERFLOW, PERIOD_MS, PRODUCER, check_counter, produce, store, synchronous
 from coulombus.conformance.tester.objects import READ_ONLY, REFUSED, volatile
@@ -389,7 +389,7 @@ def error_behaviour(unit: Unit) -> str:
     unit.need_writable(0x1029, 1)
     states = (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL, NmtState.STOPPED)
     for value, wanted in enumerate(states):
-        watch(unit)
+        produce_heartbeats(unit)
         heartbeat = HeartbeatOfTester(unit)
         try:
             unit.write(0x1029, 1, value)
@@ -415,7 +415,7 @@ def error_behaviour(unit: Unit) -> str:
 @case("N.3")
 def reserved_commands(unit: Unit) -> None:
     """Send NMT commands that are none: the device stays in PRE-OPERATIONAL, and does not boot."""
-    watch(unit)
+    produce_heartbeats(unit)
     for command in (0, 3, 5, 127, 131, 255):
         unit.flush()
         unit.nmt(command)

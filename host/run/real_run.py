@@ -44,13 +44,13 @@ from coulombus.host.run.result import RunResult
 from coulombus.host.run.status_socket import StatusSocket, encoded
 from coulombus.host.setup.bringup import bring_up, check_plan, release, shut_down
 from coulombus.host.setup.control_plane import RealControlPlane
-from coulombus.recording.clock import meta_attachment, utc, wall_clock
 from coulombus.recording.inside import SOURCE_INSIDE
 from coulombus.recording.measures import Measures
 from coulombus.recording.output_file import new_file
 from coulombus.recording.pcapng_blocks import RecordingError
 from coulombus.recording.recorder import About, Recorder
 from coulombus.recording.segments import SegmentedRecorder
+from coulombus.recording.wall_clock import meta_attachment, utc, wall_clock
 from coulombus.rigs.draft.text import REHEARSAL, rehearsal_marks
 from coulombus.rigs.rig import Rig, RigError
 from coulombus.wire.address import BusAddress, BusUnavailable, default_address

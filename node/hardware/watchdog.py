@@ -22,7 +22,7 @@ from coulombus.node.hardware.board import load_class
 from coulombus.node.hardware.channels import HardwareError, put
 from coulombus.wire.stopping import ignore
 
-__all__ = ["READY", "TRIPPED", "carry_out", "watch"]
+__all__ = ["READY", "TRIPPED", "carry_out", "guard_outputs"]
 
 READY, TRIPPED = b"r", b"!"
 TRIES = 3
@@ -46,7 +46,7 @@ def carry_out(orders: Sequence[Sequence[str]]) -> list[str]:
     return failed
 
 
-def watch(watchdog_s: float, orders: Sequence[Sequence[str]], feed: int, answers: int) -> list[str]:
+def guard_outputs(watchdog_s: float, orders: Sequence[Sequence[str]], feed: int, answers: int) -> list[str]:
     """Wait for bytes on `feed` until it ends; return what could not be made safe then.
 
     The first byte begins the watch.
@@ -70,7 +70,7 @@ def _main() -> None:
     ignore()
     with suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(90))
-    failed = watch(float(sys.argv[1]), json.loads(sys.argv[2]), 0, 1)
+    failed = guard_outputs(float(sys.argv[1]), json.loads(sys.argv[2]), 0, 1)
     for text in failed:
         with suppress(OSError):
             os.write(2, f"coulombus: the output is not safe: {text}\n".encode())

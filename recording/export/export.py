@@ -13,7 +13,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from coulombus.recording.clock import CLOCK, META, attached_object
 from coulombus.recording.export.arrow import ParquetWriter
 from coulombus.recording.export.errors import ExportError
 from coulombus.recording.export.hdf import Hdf5Writer
@@ -25,6 +24,7 @@ from coulombus.recording.export.text_table import CsvWriter
 from coulombus.recording.output_file import new_file
 from coulombus.recording.samples import groups_of, stretches
 from coulombus.recording.signals import blocks, captures
+from coulombus.recording.wall_clock import CLOCK, META, attached_object
 from coulombus.rigs.arguments import path_text
 from coulombus.rigs.rig import Rig
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 from coulombus.eds.cia402 import PowerState
 from coulombus.host.cycle.step import SOURCE_HOST
-from coulombus.recording.clock import wall_clock
 from coulombus.recording.recorder import PACED, About, Recorder
+from coulombus.recording.wall_clock import wall_clock
 from coulombus.rigs.rig import Rig
 from coulombus.sim_bus.copper.stations import detach
 from coulombus.sim_bus.faults.file import FaultError, FaultPlan

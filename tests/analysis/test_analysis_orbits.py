@@ -76,7 +76,9 @@ def test_orbits_repeat_when_simulated(delay_s):
     whole, late = int(delay_s / T + 1e-9), delay_s % T if delay_s != 2e-3 and delay_s != 1e-3 else 0.0
     A = np.array([[0, 1, 0], [-K / M, -B / M, 1 / M], [0, 0, 0]])
     first, rest = expm(A * late)[:2], expm(A * (T - late))[:2]
-    for orbit in orbits(parameters).found:
+    found = orbits(parameters).found
+    assert found
+    for orbit in found:
         u = np.array([1.0 if s == "+" else -1.0 for s in orbit.pattern])
         p = len(u)
         # periodic state by solving y_p = y_0

@@ -276,7 +276,9 @@ def test_read_backs_are_compared_whole(server, value, difference):
 def test_bring_up_writes_and_reads_back_just_what_the_plan_says():
     wire = Wire(rig_of())
     wire.bring_up()
-    for plan in plans_of(wire.world.controllers):
+    motor, brake = plans_of(wire.world.controllers)
+    for plan in (motor, brake):
+        assert plan.writes
         at = plan.description.variable
         writes = [(s.index, s.subindex, encoded(at(s.index, s.subindex), s.value)) for s in plan.writes]
         assert wire.requests(plan.node_id, 1) == writes

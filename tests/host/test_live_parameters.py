@@ -145,11 +145,10 @@ def test_what_is_beyond_a_bound_is_refused_with_the_bound(mode, name, value, tol
 @pytest.mark.parametrize("mode", ["active", "passive", "hybrid"])
 def test_what_is_at_its_bound_is_taken(mode):
     bench = Live(mode)
-    for row in bench.parameters.rows()[0]:
-        if row["name"] == "F_s_Nm":
-            bench.set(F_s_Nm=row["high"], F_d_Nm=row["high"])
-            bench.cycles(101)
-            assert float(bench.axis.law.F_d) == row["high"]
+    (high,) = (row["high"] for row in bench.parameters.rows()[0] if row["name"] == "F_s_Nm")
+    bench.set(F_s_Nm=high, F_d_Nm=high)
+    bench.cycles(101)
+    assert float(bench.axis.law.F_d) == high
 
 
 def test_slip_above_stiction_is_refused_as_a_pair(bench):

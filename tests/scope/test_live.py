@@ -144,8 +144,8 @@ def test_no_frame_raises(received):
     live.take(received)
     live.take([(t_ns, can_id & 0x7FF, length, data) for t_ns, can_id, length, data in received])
     snapshot = live.snapshot(T0)
-    as_dict(snapshot, FACTS, T0)
-    list(as_lines(snapshot, FACTS, T0))
+    assert as_dict(snapshot, FACTS, T0)["frames"] == 2 * len(received)
+    assert list(as_lines(snapshot, FACTS, T0))
 
 
 def test_lines(rig):

@@ -107,7 +107,9 @@ def test_bad_input_is_refused_with_the_reason(arguments, reason):
 
 def test_orbit_figure_shows_the_orbit():
     parameters = Parameters()
-    for orbit in orbits(parameters).found:
+    found = orbits(parameters).found
+    assert found
+    for orbit in found:
         v, u = orbit_samples(orbit, parameters)
         assert np.min(u * v) == pytest.approx(orbit.margin_m_s)
         assert np.max(np.abs(v)) == pytest.approx(orbit.velocity_peak_m_s)

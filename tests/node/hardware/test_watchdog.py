@@ -14,7 +14,7 @@ import pytest
 
 from coulombus.node.hardware.channels import HardwareError, Order
 from coulombus.node.hardware.guard import Guard
-from coulombus.node.hardware.watchdog import READY, carry_out, watch
+from coulombus.node.hardware.watchdog import READY, carry_out, guard_outputs
 
 NODE = """
 import json, os, sys
@@ -41,7 +41,7 @@ def test_the_end_of_its_input_makes_the_outputs_safe(dac):
     feed, feeding = os.pipe()
     answers, answering = os.pipe()
     os.close(feeding)
-    assert watch(10.0, [[str(dac), "10\n"]], feed, answering) == []
+    assert guard_outputs(10.0, [[str(dac), "10\n"]], feed, answering) == []
     assert dac.read_text() == "10\n"
     assert os.read(answers, 9) == READY
     for one in (feed, answers, answering):
