@@ -17,7 +17,7 @@ __all__ = ["RigError", "Source", "dotted", "nearest", "number_hint", "shown", "t
 LONGEST = 60
 _KEY = re.compile(r"(?<![\w.])(?:bus|host|motor|brake|sensor|role|mechanics|law|mode|limits|plant|operator)(?:\.\w+)+")
 """What reads as a key of the rig file in a text."""
-_WITH_UNIT = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([A-Za-z\u00b5\u03bc%\u00b0][^\d]*)")
+_WITH_UNIT = re.compile(r"([+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?)\s*([A-Za-z\u00b5\u03bc%\u00b0][^\d]*)")
 _WITH_COMMA = re.compile(r"[+-]?\d+,\d+")
 PREFIXES = {"": 1.0, "n": 1e-9, "u": 1e-6, "\u00b5": 1e-6, "\u03bc": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6}
 """SI prefix -> factor."""

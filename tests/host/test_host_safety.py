@@ -14,15 +14,7 @@ from hypothesis import strategies as st
 from coulombus.eds.cia402 import PowerState
 from coulombus.host.cycle.records import Image, Phase, Trip
 from coulombus.host.laws.laws import compile_law
-from host_bench import VELOCITY, HostBench
-
-
-def armed(mode="hybrid", *overrides):
-    bench = HostBench(mode, *overrides)
-    bench.arm()
-    bench.cycles(600)
-    assert bench.phase is Phase.RUN
-    return bench
+from host_bench import VELOCITY, HostBench, armed
 
 
 def speed(bench):

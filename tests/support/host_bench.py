@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from functools import cache
 
+from coulombus.compiled.decorator import Entry
 from coulombus.eds.cia402 import COMMAND_OF_CONTROLWORD, NEXT_STATE, STATUSWORD, VOLTAGE_ENABLED, PowerState
 from coulombus.eds.codec import pack
 from coulombus.host.cycle.controller import Controller
@@ -20,6 +22,26 @@ VELOCITY = ("role.velocity.object=606C", f"role.velocity.scale_rad_s={2 * math.p
 """Overrides by which the drive tells its velocity, too: in a TPDO of its own."""
 
 rig_of = cache(load_rig)
+_begin, _on_frame = Entry(begin), Entry(on_frame)
+_finish = {}
+"""Law -> the kernel for it. To ask for a law's type at each call takes longer than all else."""
+
+
+@cache
+def _armed(mode, overrides):
+    bench = HostBench(mode, *overrides)
+    bench.arm()
+    bench.cycles(600)
+    return bench
+
+
+def armed(mode="hybrid", *overrides):
+    """Return a bench of its own that was armed and has shown the law whole; the way there is gone
+    once.
+    """
+    bench = _armed(mode, overrides).copy()
+    assert bench.phase is Phase.RUN
+    return bench
 
 
 class HostBench:
@@ -47,7 +69,20 @@ class HostBench:
         self.silent = set()  # "motor", "brake" or a sensor's name
         self.heartbeats = True
         self.sent = {}
+        ids = list(self.c.node_id[: self.c.nodes])
+        tpdos = [self.k.tpdos[i] for i in range(self.c.tpdos)]
+        owners = [self.k.axis.devices[ids.index(pdo.cob_id & 0x7F)] for pdo in tpdos]
+        self.tpdos = [(owner, pdo, int(pdo.cob_id), int(pdo.length)) for owner, pdo in zip(owners, tpdos, strict=True)]
         self.k.start(0)
+
+    def copy(self):
+        """Return a bench of its own in the same state."""
+        other = copy.copy(self)
+        other.k = copy.copy(self.k)
+        other.k.records, other.out, other.silent = copy.deepcopy((self.k.records, self.out, self.silent))
+        other.axis = other.k.records[0]
+        other.c, other.h = other.axis.control, other.axis.host
+        return other
 
     def tpdo_values(self):
         """Raw values of the process image as the devices would send them."""
@@ -63,10 +98,13 @@ class HostBench:
         return values
 
     def frame(self, can_id, length, data):
-        return on_frame(self.axis, self.t_ns, can_id, length, data)
+        return _on_frame(self.axis, self.t_ns, can_id, length, data)
 
     def finish(self):
-        finish(self.axis, self.k.law_function, self.t_ns, self.out)
+        law = self.k.law_function
+        if law not in _finish:
+            _finish[law] = Entry(finish)
+        _finish[law](self.axis, law, self.t_ns, self.out)
 
     def cycle(self):
         """One cycle; afterwards `sent` has the image of what the host sent.
@@ -76,19 +114,16 @@ class HostBench:
         before = self.phase
         self.out["count"] = 0
         self.t_ns = self.h.cycle * MS
-        begin(self.axis, self.t_ns, self.out)
+        _begin(self.axis, self.t_ns, self.out)
         self.t_ns += 500_000
         if self.heartbeats and self.h.cycle % 20 == 0:
             for node in self.c.node_id[: self.c.nodes]:
                 self.frame(0x700 + node, 1, 5)
         values = self.tpdo_values()
         done = 0
-        for i in range(self.c.tpdos):
-            pdo = self.k.tpdos[i]
-            ids = list(self.c.node_id[: self.c.nodes])
-            owner = self.k.axis.devices[ids.index(pdo.cob_id & 0x7F)]
+        for owner, pdo, can_id, length in self.tpdos:
             if owner not in self.silent:
-                done = self.frame(int(pdo.cob_id), int(pdo.length), pack(pdo, values))
+                done = self.frame(can_id, length, pack(pdo, values))
         if done != 1:
             self.t_ns += 200_000
         self.finish()

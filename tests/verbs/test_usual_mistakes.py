@@ -220,6 +220,12 @@ def test_how_to_write_a_number(given, unit, told):
     assert number_hint(given, unit) == told
 
 
+def test_how_to_write_a_number_of_many_digits_is_told_too():
+    """Each digit was tried as the last one: this took an hour."""
+    assert number_hint("9" * 200_000 + "x", "s") == "; leave the unit off: the number is in s"
+    assert number_hint("9" * 200_000, "s") == ""
+
+
 def test_a_name_without_its_unit_is_near():
     assert nearest("sigma", ["alpha", "sigma_Nm_rad"]) == "; did you mean 'sigma_Nm_rad'?"
     assert nearest("s", ["sigma_Nm_rad"]) == ""
