@@ -20,7 +20,7 @@ from coulombus.rigs.rig import load_rig
 from coulombus.wire.address import parse_address
 from coulombus.wire.client import BusGone, Client
 
-pytestmark = [pytest.mark.real_time, pytest.mark.usefixtures("private_sockets")]
+pytestmark = [pytest.mark.real_time, pytest.mark.patient, pytest.mark.usefixtures("private_sockets")]
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 BENCH = parse_address("coulombus:bench")

@@ -16,7 +16,7 @@ from coulombus.scope.watch import watch
 from coulombus.wire.address import parse_address
 from tiny_bus import tiny_bus
 
-pytestmark = pytest.mark.real_time
+pytestmark = [pytest.mark.real_time, pytest.mark.patient]
 
 ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
 BENCH = parse_address("coulombus:bench")
@@ -71,7 +71,7 @@ def test_signals_end_it_well_also_when_they_were_ignored(number):
         while json.loads(process.stdout.readline())["sync_per_s"] == 0:
             pass
         process.send_signal(number)
-        out, err = process.communicate(timeout=20)
+        out, err = process.communicate(timeout=60)
         assert (process.returncode, err) == (0, "")
         last = json.loads(out.splitlines()[-1])
         assert last["signals"]["motor.statusword"] == 0x0237
@@ -87,7 +87,7 @@ def test_a_bus_that_goes_away_ends_it_with_4():
             pass
         cycle(bus, 1)
         bus.close()
-        _, err = process.communicate(timeout=20)
+        _, err = process.communicate(timeout=60)
     assert process.returncode == 4
     assert err.startswith("coulombus: bus coulombus:bench is gone")
     assert "Traceback" not in err
@@ -101,7 +101,7 @@ def test_no_bus_and_no_address():
         (("--bus", "socketcan:nocan0"), 4, "socketcan:nocan0"),
     ):
         with started(*arguments) as process:
-            out, err = process.communicate(timeout=20)
+            out, err = process.communicate(timeout=60)
         assert (process.returncode, out) == (status, "")
         assert text in err
 
@@ -136,5 +136,5 @@ def test_lost_frames_are_shown():
             while json.loads(process.stdout.readline())["lost"] != 3:
                 assert time.monotonic() < deadline
             process.terminate()
-            process.communicate(timeout=20)
+            process.communicate(timeout=60)
             assert process.returncode == 0

@@ -14,7 +14,7 @@ from coulombus.wire.address import parse_address
 from coulombus.wire.client import Client, pack_frame
 from coulombus.wire.hello import Flags, Hello
 
-pytestmark = pytest.mark.real_time
+pytestmark = [pytest.mark.real_time, pytest.mark.patient]
 
 BENCH = parse_address("coulombus:bench")
 
@@ -49,7 +49,7 @@ def test_a_plain_canopen_network():
         motor.sdo[0x1017].raw = 20
         network.nmt.state = "OPERATIONAL"
         for _ in range(50):
-            if motor.nmt.wait_for_heartbeat(5) == "OPERATIONAL":
+            if motor.nmt.wait_for_heartbeat(60) == "OPERATIONAL":
                 break
         assert motor.nmt.state == "OPERATIONAL"
     finally:

@@ -16,10 +16,10 @@ from coulombus.sim_bus.server.rig_server import SimServer
 from coulombus.wire.address import BusAddress
 from coulombus.wire.hello import connect
 
-pytestmark = pytest.mark.real_time
+pytestmark = [pytest.mark.real_time, pytest.mark.patient]
 
 FRAME = struct.Struct("=IB3x8s")
-TIMEOUT_S = 20.0
+TIMEOUT_S = 60.0
 UPLOAD_NAME = bytes((0x40, 0x08, 0x10, 0, 0, 0, 0, 0))  # segmented: not by the core
 
 

@@ -21,7 +21,7 @@ from coulombus.wire.hello import Flags, Hello
 from coulombus.wire.identifiers import parse_identifiers
 from tiny_bus import tiny_bus
 
-pytestmark = [pytest.mark.real_time, pytest.mark.usefixtures("private_sockets")]
+pytestmark = [pytest.mark.real_time, pytest.mark.patient, pytest.mark.usefixtures("private_sockets")]
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 A, B = parse_address("coulombus:a"), parse_address("coulombus:b")

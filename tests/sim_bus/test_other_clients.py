@@ -17,7 +17,7 @@ from coulombus.rigs.rig import load_rig
 from coulombus.sim_bus.server.rig_server import SimServer
 from coulombus.wire.address import parse_address
 
-pytestmark = pytest.mark.real_time
+pytestmark = [pytest.mark.real_time, pytest.mark.patient]
 
 
 @pytest.fixture(scope="module", autouse=True)

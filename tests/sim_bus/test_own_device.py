@@ -139,6 +139,7 @@ def test_the_page_shows_the_words_that_there_are(device):
 
 
 @pytest.mark.real_time
+@pytest.mark.patient
 def test_the_example_passes_the_conformance_run(private_sockets):
     process = subprocess.Popen(
         [sys.executable, str(EXAMPLE), "coulombus:own"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True

@@ -425,6 +425,7 @@ def test_at_a_terminal_the_shell_goes_on_and_completes_names(desk, monkeypatch, 
 
 
 @pytest.mark.real_time
+@pytest.mark.patient
 def test_live_devices_without_node_ids_get_them_and_are_found(private_sockets, tmp_path):
     """The same on a live bus: two devices of one maker whose answers come one behind the other."""
     files = []

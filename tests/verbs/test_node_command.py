@@ -30,7 +30,7 @@ from coulombus.verbs.sim import node_command
 from coulombus.wire.address import BusAddress, socket_path
 from coulombus.wire.hello import Flags, connect
 
-pytestmark = [pytest.mark.real_time, pytest.mark.usefixtures("private_sockets")]
+pytestmark = [pytest.mark.real_time, pytest.mark.patient, pytest.mark.usefixtures("private_sockets")]
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 CORPUS = ROOT.parent / "shared" / "eds-corpus"

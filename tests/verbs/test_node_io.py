@@ -46,6 +46,7 @@ def write(bus, index, subindex, value, size):
 
 
 @pytest.mark.real_time
+@pytest.mark.patient
 @pytest.mark.usefixtures("private_sockets")
 def test_a_node_that_is_stopped_or_killed_has_a_safe_output(tmp_path):
     sysfs = FakeSysfs(tmp_path)

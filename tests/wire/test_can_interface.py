@@ -4,6 +4,7 @@ import socket
 import struct
 import threading
 import time
+from contextlib import contextmanager
 
 import can
 import canopen
@@ -321,15 +322,33 @@ def test_shut_down_twice_and_descriptors_returned(bus):
     assert ours.fileno() == -1
 
 
+@contextmanager
+def beating(bus):
+    """Send node 1's heartbeat again and again: canopen forgets what came before it waits."""
+    ended = threading.Event()
+
+    def beat():
+        while not ended.wait(0.01):
+            bus.deliver((0x701, b"\x05"))
+
+    thread = threading.Thread(target=beat)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+
+
 def test_a_plain_canopen_network(bus):
     network = canopen.Network()
     network.connect(interface="coulombus", channel="bench", bitrate=1_000_000)
     node = network.add_node(1, canopen.ObjectDictionary())
-    bus.deliver((0x701, b"\x05"))
-    assert node.nmt.wait_for_heartbeat(2) == "OPERATIONAL"
+    with beating(bus):
+        assert node.nmt.wait_for_heartbeat(20) == "OPERATIONAL"
     network.nmt.state = "PRE-OPERATIONAL"
     network.sync.transmit()
-    deadline = time.monotonic() + 2
+    deadline = time.monotonic() + 20
     while len(bus.frames) < 2 and time.monotonic() < deadline:
         time.sleep(0.001)
     network.disconnect()
