@@ -21,6 +21,7 @@ from coulombus.host.run.course import Course, Figures
 from coulombus.host.run.result import RunResult
 from coulombus.host.setup.bringup import check_plan, release, shut_down
 from coulombus.lab.bringup import switch_on
+from coulombus.lab.set_up import set_up
 from coulombus.recording.in_memory import MeasuredFrames
 from coulombus.recording.measures import Measures, measure
 from coulombus.recording.output_file import check as check_output
@@ -58,6 +59,7 @@ class _VirtualRun(Course):
             order.simulated, mode, believed=rig, seed=seed, truth=order.truth is not None, on_frames=on_frames
         )
         super().__init__(self.world.controllers, order.record, order.progress)
+        self.may_adopt = order.measured and order.record is None
         self.measured = MeasuredFrames(rig) if order.measured else None
         if order.record is not None:
             about = About(law=law_attachments(rig), law_state=self.world.controller.law_state)
@@ -117,7 +119,7 @@ class _VirtualRun(Course):
         safely.
         """
         world, k = self.world, self.k
-        self.losses = switch_on(world)
+        self.losses = (set_up if self.may_adopt else switch_on)(world)
         self.mark(world.t_ns, f"run {k.mode}")
         world.start_host()
         self.display(seconds)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from datetime import datetime
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from coulombus.eds.reader import Description, Value
 from coulombus.node import core, guarding
 from coulombus.node.communication_checks import PRODUCER, SDO_SERVERS
 from coulombus.node.communication_objects import Communication
-from coulombus.node.dictionary import Dictionary
+from coulombus.node.dictionary import Dictionary, DictionaryState
 from coulombus.node.kinds import number
 from coulombus.node.lss import Lss
 from coulombus.node.parameters import Parameters
@@ -33,7 +34,7 @@ from coulombus.node.time_stamp import LENGTH as TIME_LENGTH
 from coulombus.node.time_stamp import time_of_day, time_word
 from coulombus.wire.frame import Queue, Record, push
 
-__all__ = ["SDO_TIMEOUT_NS", "Device"]
+__all__ = ["SDO_TIMEOUT_NS", "Device", "DeviceState"]
 
 STAYS_PRE_OPERATIONAL = 0x04
 """Bit of 1F80h (CiA 302-2): the device does not start by itself. Without 1F80h it does not either.
@@ -41,6 +42,14 @@ STAYS_PRE_OPERATIONAL = 0x04
 
 _RESET: Mapping[int, int] = {NmtCommand.RESET_NODE: 0x0000, NmtCommand.RESET_COMMUNICATION: 0x1000}
 """NMT command -> first index of the objects that take their defaults again (0x1000: to 0x1FFF)."""
+
+
+class DeviceState(NamedTuple):
+    """What a device has beside its record, while no transfer is open."""
+
+    objects: DictionaryState
+    boots: int
+    now: int
 
 
 class Device:
@@ -127,6 +136,17 @@ class Device:
         """Return what the last TIME message told, advanced to `t_ns`; None before the first."""
         set_ns = int(self.record["time_set_ns"])
         return None if set_ns < 0 else time_of_day(int(self.record["time_word"]), t_ns - set_ns)
+
+    def state(self) -> DeviceState:
+        """Return what it has beside its record."""
+        return DeviceState(self.dictionary.state(), self.boots, self._now)
+
+    def adopt(self, state: DeviceState) -> None:
+        """Go on from the state of a device of the same file and node id, whose record this one has
+        now.
+        """
+        self.boots, self._now = state.boots, state.now
+        self.dictionary.adopt(state.objects)
 
     # life
 

@@ -27,7 +27,7 @@ from coulombus.node.sdo_abort import SdoAbort
 from coulombus.node.sizes import SPARE_SLOTS
 from coulombus.node.slots import FIRST_FREE
 
-__all__ = ["Dictionary", "decode", "encode"]
+__all__ = ["Dictionary", "DictionaryState", "decode", "encode"]
 
 MAX_STRING = 4096
 MAX_DOMAIN = 4 << 20
@@ -39,6 +39,14 @@ MAP_OFFSET = 0x200
 _HISTORY = 0x1003  # its entries are there or not, and are the core's
 _OCTETS = DATA_TYPES[0x000A]
 _NUMBERS = ("bool", "int", "real", "time")
+
+
+class DictionaryState(NamedTuple):
+    """The objects that have no slot, the slots of the others, and the next free one."""
+
+    store: Mapping[Key, Value]
+    slots: Mapping[Key, int]
+    following: int
 
 
 class Dictionary:
@@ -89,6 +97,14 @@ class Dictionary:
         the PDO is not valid, and maps nothing.
         """
         return self._defaults.unreadable
+
+    def state(self) -> DictionaryState:
+        """Return the objects that have no slot, and where the others stand."""
+        return DictionaryState({**self._store}, {**self._slots}, self._next)
+
+    def adopt(self, state: DictionaryState) -> None:
+        """Take the state of a dictionary of the same file, beside the values in the slots."""
+        self._store, self._slots, self._next = {**state.store}, {**state.slots}, state.following
 
     def find(self, index: int, subindex: int) -> Variable:
         """Return the variable, or abort: no such object, no such sub-index."""

@@ -90,8 +90,9 @@ def records_of(
     ----------
     wanted : the transmission type that they are to have, where they can
     """
-    for number in range(1, PDO_COUNT + 1):
-        index, mapping = COMMUNICATION[direction] + number - 1, MAPPING[direction] + number - 1
+    first = COMMUNICATION[direction]
+    for index in sorted(index for index in description.objects if first <= index < first + PDO_COUNT):
+        number, mapping = index - first + 1, index - first + MAPPING[direction]
         if not (description.has(index, 1) and description.has(mapping, 0)):
             continue
         identity = description.variable(index, 1)

@@ -187,52 +187,57 @@ class Controller:
         self.host["image"][0, Image.CONSTANT : Image.CONSTANT + len(constants)] = constants
 
     @property
+    def records(self) -> Records:
+        """All of it: an array of one AXIS record."""
+        return self._records
+
+    @records.setter
+    def records(self, records: Records) -> None:
+        self._records = records
+        self._parts: dict[str, Records] = {name: records[name] for name in AXIS.names or ()}  # each takes 10 us
+        self._phase = records.view(np.ndarray)["host"]["phase"]
+
+    @property
     def control(self) -> Records:
         """Limits and scales: an array of one record."""
-        part: Records = self.records["control"]
-        return part
+        return self._parts["control"]
 
     @property
     def host(self) -> Records:
         """What the cycle keeps: an array of one record."""
-        part: Records = self.records["host"]
-        return part
+        return self._parts["host"]
 
     @property
     def rpdos(self) -> Records:
         """PDOs that the host sends; `control.rpdos` of them are used."""
-        part: Records = self.records["rpdos"][0]
+        part: Records = self._parts["rpdos"][0]
         return part
 
     @property
     def tpdos(self) -> Records:
         """PDOs that it waits for; `control.tpdos` of them are used."""
-        part: Records = self.records["tpdos"][0]
+        part: Records = self._parts["tpdos"][0]
         return part
 
     @property
     def motion(self) -> Records:
         """What the law is told: an array of one record."""
-        part: Records = self.records["motion"]
-        return part
+        return self._parts["motion"]
 
     @property
     def law(self) -> Records:
         """The law's parameters: an array of one record."""
-        part: Records = self.records["law"]
-        return part
+        return self._parts["law"]
 
     @property
     def state(self) -> Records:
         """What the law keeps: an array of one record."""
-        part: Records = self.records["state"]
-        return part
+        return self._parts["state"]
 
     @property
     def live(self) -> Records:
         """The changes of its parameters: an array of one record."""
-        part: Records = self.records["live"]
-        return part
+        return self._parts["live"]
 
     def _new_law(self) -> Records:
         mode, law = self.axis.mode[self.mode], self.axis.law
@@ -409,7 +414,7 @@ class Controller:
     @property
     def phase(self) -> Phase:
         """What the cycle is doing."""
-        return Phase(int(self.host["phase"][0]))
+        return Phase(int(self._phase[0]))
 
     @property
     def trip(self) -> str | None:

@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from typing import Protocol
+from weakref import WeakKeyDictionary
 
 import canopen
 from canopen.sdo import SdoAbortedError, SdoCommunicationError
@@ -36,6 +37,7 @@ __all__ = [
     "bring_up",
     "check_plan",
     "configure",
+    "meet",
     "plans_of",
     "release",
     "shut_down",
@@ -270,7 +272,20 @@ def plans_of(controllers: Controllers) -> tuple[DevicePlan, ...]:
     """Return what bring-up does to each device of all axes: drive, brake and sensors of the first,
     of the second ...
     """
-    return tuple(plan for controller in controllers for plan in device_plans(controller))
+    if controllers not in _plans:
+        _plans[controllers] = tuple(plan for controller in controllers for plan in device_plans(controller))
+    return _plans[controllers]
+
+
+_plans: WeakKeyDictionary[Controllers, tuple[DevicePlan, ...]] = WeakKeyDictionary()
+"""They are asked for at the beginning and at the end of a run."""
+
+
+def meet(found: Sequence[DevicePlan], controllers: Controllers, plane: ControlPlane) -> None:
+    """Know the devices of these plans, which are set up already, as after `bring_up`."""
+    _plans[controllers] = tuple(found)
+    for plan in found:
+        _Device(plane, plan)
 
 
 def bring_up(controllers: Controllers, plane: ControlPlane) -> tuple[str, ...]:

@@ -298,6 +298,13 @@ class VirtualNetwork:
         """Present time."""
         return int(self._world["t_ns"][0])
 
+    @property
+    def plain(self) -> bool:
+        """Whether there is nothing but devices and a host: no station, no fault, no script's entry,
+        no close look.
+        """
+        return not (self._stations or self._script or self._closely) and self.injection is None
+
     def wait_ns(self, duration_ns: int) -> None:
         """Let time pass."""
         self.run_until(self.t_ns + duration_ns)

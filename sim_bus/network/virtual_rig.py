@@ -168,6 +168,11 @@ class VirtualRig(VirtualNetwork):
         starts = self._axes["operator_start_ns"]
         return None if starts.min() < 0 else int(starts.max())
 
+    @property
+    def plain(self) -> bool:
+        """Whether there is nothing but devices and a host, of which nothing was handed over yet."""
+        return super().plain and not (self._waiting or self._events or self._had)
+
     def run_until_heard(self, can_id: int, timeout_ns: int) -> None:
         """Run until the control plane has heard a frame `can_id`, or for `timeout_ns`."""
         self._heard.clear()

@@ -87,6 +87,8 @@ COIL_INTACT, COIL_OPEN, COIL_SHORT = 0, 1, 2
 SHORT_A = 25.0
 """What the driver drives into a short circuit."""
 NEGLIGIBLE_Nm = 1e-200
+NOISE_FACTOR, NOISE_SUMMAND, NOISE_MASK = 0x5DEECE66D, 0xB, 0xFFFFFFFFFFFF
+"""The generator of the transducer's noise: x -> factor x + summand, of 48 bits."""
 
 PlantRecord: TypeAlias = Any
 """The rig of an axis: a record of `PLANT`; mypy knows none of its fields."""
@@ -224,7 +226,7 @@ def new_plant(axis: Axis, seed: int = 0) -> Records:
     r["temperature"], r["ambient"] = p.temperature_degC, p.ambient_degC
     r["K_A2"], r["thermal_s"] = p.coil_thermal_K_W * p.coil_resistance_ohm, p.coil_thermal_s
     r["remanence"], r["brake_gain"] = p.brake_remanence, p.brake_gain
-    r["random"] = (seed * 0x5DEECE66D + 0x2545F491) & 0xFFFFFFFFFFFF
+    r["random"] = (seed * NOISE_FACTOR + 0x2545F491) & NOISE_MASK
     return plant
 
 
@@ -236,7 +238,7 @@ def sample_noise(p: PlantRecord) -> float:
     total = 0.0
     state = int(p.random)
     for _ in range(4):
-        state = (state * 0x5DEECE66D + 0xB) & 0xFFFFFFFFFFFF
+        state = (state * NOISE_FACTOR + NOISE_SUMMAND) & NOISE_MASK
         total += state * 3.552713678800501e-15  # 2**-48
     p.random = state
     return (total - 2.0) * 1.7320508075688772

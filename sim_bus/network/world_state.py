@@ -1,0 +1,148 @@
+"""A world's state behind its set-up, kept and given to another world.
+
+What bring-up sends and what the nodes answer does not depend on plant and hand. So of two worlds that
+differ in nothing else, the second can go on where the first one's set-up ended: the same bytes as if
+it had been set up itself (`tests/lab/test_set_up.py`).
+
+Its plants are its own. They are advanced through the set-up's time, which has no command for them.
+Where it matters in how many pieces that is done, `adopt` refuses: a set-up does it in hundreds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from coulombus.compiled.decorator import JIT_DISABLED
+from coulombus.compiled.records import Records
+from coulombus.node.device import DeviceState
+from coulombus.node.sizes import FAR_FUTURE_NS
+from coulombus.sim_bus.network.kernel import Exit
+from coulombus.sim_bus.network.virtual_rig import VirtualRig
+from coulombus.sim_bus.rig.plant import NOISE_FACTOR, NOISE_MASK, NOISE_SUMMAND
+
+__all__ = ["WorldState", "adopt", "state_of"]
+
+ARRAYS = ("bus", "nodes", "deadlines", "wants", "listening")
+"""Of `kernel.World`: what belongs to bus and nodes alone."""
+RECORDS = ("state", "out")
+SEEN = ("temperature", "coil", "motor", "coil_fault")
+MOST_DRAWS = 100_000
+PIECES = (1, 2, 13)
+"""In so many pieces the plants are advanced, at least: the state must be the same."""
+
+
+@dataclass(frozen=True)
+class WorldState:
+    """What a world without its plants is at an instant."""
+
+    t_ns: int
+    arrays: tuple[Any, ...]
+    records: tuple[Any, ...]
+    log: Records
+    host: Records
+    seen: tuple[tuple[float, ...], ...]
+    """What the devices see of each plant and act on by themselves: `SEEN`."""
+    draws: tuple[tuple[int, int], ...]
+    """Of each plant: factor and summand that lead from its noise's first state to the present one."""
+    devices: tuple[DeviceState, ...]
+    exits: dict[Exit, int]
+
+
+def state_of(world: VirtualRig, noise: Sequence[int]) -> WorldState | None:
+    """Return a world's state; None where there is more to it than that: faults, a script, stations,
+    frames that were handed over, an object that shows the plant by itself, an open transfer.
+
+    `noise` has what `random` of each plant was in the beginning.
+    """
+    parts = world.arguments[0]
+    w, nodes = parts.state, parts.nodes
+    simple = (
+        world.plain
+        and not parts.axes["foreign"].any()
+        and (parts.axes["operator_start_ns"] < 0).all()
+        and not parts.axes["truth_on"].any()
+        and not nodes["tpdo_events"].any()
+        and not nodes["latched"].any()
+        and (nodes["sdo_deadline_ns"] == FAR_FUTURE_NS).all()
+        and int(parts.out.count) == 0
+        and not (w.tells or w.keep_sent or w.host_on or w.sent_count)
+        and w.t_ns < parts.axes["force_end_ns"].min()
+        and world.exits[Exit.LOG] == 0
+    )
+    draws = [_drawn(*pair) for pair in zip(noise, parts.plant["random"].tolist(), strict=True)]
+    known = tuple(one for one in draws if one is not None)
+    if not simple or len(known) < len(draws):
+        return None
+    return WorldState(
+        t_ns=world.t_ns,
+        arrays=tuple(getattr(parts, name).copy() for name in ARRAYS),
+        records=tuple(getattr(parts, name).copy() for name in RECORDS),
+        log=parts.log[: int(w.log_count)].copy(),
+        host=world.controllers.axes.copy(),
+        seen=_seen(parts.plant),
+        draws=known,
+        devices=tuple(device.state() for device in world.devices),
+        exits=dict(world.exits),
+    )
+
+
+def adopt(world: VirtualRig, state: WorldState) -> bool:
+    """Let a world that has not begun go on in a state; tell whether it does. It is unchanged else."""
+    parts, _, _, course = world.arguments
+    if JIT_DISABLED or not (world.plain and world.t_ns == 0 and (state.t_ns < parts.axes["force_end_ns"]).all()):
+        return False
+    advanced = (_advanced(parts, course, a, state.t_ns) for a in range(len(parts.axes)))
+    plants = [plant for plant in advanced if plant is not None]
+    if len(plants) < len(parts.axes) or _seen(np.concatenate(plants)) != state.seen:
+        return False
+    for plant, (factor, summand) in zip(plants, state.draws, strict=True):
+        plant["random"] = (int(plant["random"][0]) * factor + summand) & NOISE_MASK
+    for name, array in zip(ARRAYS, state.arrays, strict=True):
+        getattr(parts, name)[:] = array
+    for name, record in zip(RECORDS, state.records, strict=True):
+        there = getattr(parts, name)
+        for field in record.dtype.names:
+            there[field] = record[field]
+    parts.log[: len(state.log)] = state.log
+    for a, plant in enumerate(plants):
+        parts.plant[a : a + 1] = plant
+    world.controllers.axes[:] = state.host
+    for device, kept in zip(world.devices, state.devices, strict=True):
+        device.adopt(kept)
+    world.exits.update(state.exits)
+    return True
+
+
+def _drawn(first: int, present: int) -> tuple[int, int] | None:
+    """Return the factor and the summand that make `present` of `first`, whose generator is an affine
+    map (`sim_bus.rig.plant.sample_noise`); None where so many draws are not found.
+    """
+    factor, summand = 1, 0
+    for _ in range(MOST_DRAWS):
+        if (first * factor + summand) & NOISE_MASK == present:
+            return factor, summand
+        factor = factor * NOISE_FACTOR & NOISE_MASK
+        summand = (summand * NOISE_FACTOR + NOISE_SUMMAND) & NOISE_MASK
+    return None
+
+
+def _seen(plants: Records) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(float(plant[name]) for name in SEEN) for plant in plants.view(np.ndarray))
+
+
+def _advanced(parts: Any, course: Any, a: int, t_ns: int) -> Records | None:
+    """Return the plant of axis `a` at `t_ns`; None where it depends on the pieces of the way there."""
+    found = []
+    for pieces in PIECES:
+        plant: Records = parts.plant[a : a + 1].copy()
+        p = plant[0]
+        for until in np.linspace(0, t_ns, pieces + 1)[1:].astype(np.int64).tolist():
+            steps = (until - int(p.t_ns)) // int(p.step_ns)
+            first = int(p.t_ns) // int(p.step_ns)
+            course(p, parts.f_h[a], int(parts.axes[a].steps_per_knot), first, steps, parts.truth[a], -1)
+        found.append(plant)
+    return found[0] if len({plant.tobytes() for plant in found}) == 1 else None

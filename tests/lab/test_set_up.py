@@ -1,0 +1,124 @@
+"""A set-up that is taken over from an earlier run: the same bytes as without."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from coulombus.compiled.decorator import JIT_DISABLED
+from coulombus.lab import set_up as module
+from coulombus.lab.bringup import switch_on
+from coulombus.lab.set_up import forget, set_up
+from coulombus.lab.simulate import simulate
+from coulombus.rigs.rig import Rig, load_rig
+from coulombus.sim_bus.network.virtual_rig import VirtualRig
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+DISPLAY_NS = 700_000_000
+
+pytestmark = pytest.mark.skipif(JIT_DISABLED, reason="the plants' way through the set-up is a compiled function")
+
+
+@pytest.fixture(autouse=True)
+def nothing_kept() -> Iterator[None]:
+    forget()
+    yield
+    forget()
+
+
+@pytest.fixture
+def set_ups(monkeypatch: pytest.MonkeyPatch) -> list[VirtualRig]:
+    """The worlds that were set up by themselves."""
+    done: list[VirtualRig] = []
+
+    def counted(world: VirtualRig) -> tuple[str, ...]:
+        done.append(world)
+        return switch_on(world)
+
+    monkeypatch.setattr(module, "switch_on", counted)
+    return done
+
+
+def course(rig: Rig, mode: str, seed: int, begin: Callable[[VirtualRig], tuple[str, ...]]) -> dict[str, Any]:
+    """Return everything that a run leaves behind: each frame from power-on on, and each record."""
+    frames = []
+    world = VirtualRig(rig, mode, seed=seed, on_frames=lambda batch: frames.append(batch.copy()))
+    losses = begin(world)
+    began_ns = world.t_ns
+    world.start_host()
+    world.wait_ns(DISPLAY_NS)
+    world.flush()
+    parts = world.arguments[0]
+    left = {name: getattr(parts, name).tobytes() for name in ("nodes", "plant", "axes", "bus", "deadlines", "wants")}
+    objects = [device.state() for device in world.devices]
+    return {
+        "frames": np.concatenate(frames).tobytes(),
+        "host": world.controllers.axes.tobytes(),
+        **left,
+        **{"objects": objects, "losses": losses, "began": began_ns, "exits": world.exits},
+    }
+
+
+OTHERS = (
+    ("bench", "hybrid", ()),
+    ("bench", "active", ("plant.coulomb_Nm=0.08", "operator.inertia_kg_m2=0.01")),
+    ("bench", "passive", ("plant.transducer_noise_Nm=0.02", "operator.tremor_Nm=0.05", "plant.step_s=1e-4")),
+    ("two_axes", "hybrid", ()),
+    ("elastic", "hybrid", ("plant.cable.stiffness_Nm_rad=300.0",)),
+)
+
+
+@pytest.mark.parametrize(("name", "mode", "changed"), OTHERS)
+def test_a_run_that_takes_a_set_up_over_has_the_same_bytes(
+    name: str, mode: str, changed: tuple[str, ...], set_ups: list[VirtualRig]
+) -> None:
+    first = load_rig(EXAMPLES / "elastic.toml" if name == "elastic" else name)
+    set_up(VirtualRig(first, mode, seed=3))
+    other = first.variant(*changed)
+    alone, taken = course(other, mode, 11, switch_on), course(other, mode, 11, set_up)
+    assert len(set_ups) == 1
+    assert {key for key in alone if alone[key] != taken[key]} == set()
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        "mechanics.friction_Nm=0.15",  # the drive's limit follows from it
+        "brake.setpoint_fault_s=0.02",  # is written to the brake
+        "plant.temperature_degC=31.0",  # the driver measures it, and may trip by it
+    ],
+)
+def test_a_set_up_is_not_taken_over_where_it_may_differ(changed: str, set_ups: list[VirtualRig]) -> None:
+    rig = load_rig("bench")
+    set_up(VirtualRig(rig, "hybrid"))
+    set_up(VirtualRig(rig.variant(changed), "hybrid"))
+    assert len(set_ups) == 2
+
+
+def test_a_set_up_of_another_mode_is_not_taken_over(set_ups: list[VirtualRig]) -> None:
+    rig = load_rig("bench")
+    for mode in ("hybrid", "active", "hybrid", "active"):
+        set_up(VirtualRig(rig, mode))
+    assert len(set_ups) == 2
+
+
+def test_a_world_with_a_script_is_set_up_by_itself(set_ups: list[VirtualRig]) -> None:
+    rig = load_rig("bench")
+    set_up(VirtualRig(rig, "hybrid"))
+    world, called = VirtualRig(rig, "hybrid"), []
+    world.at(1_000_000, lambda one: called.append(one.t_ns))
+    set_up(world)
+    assert len(set_ups) == 2
+    assert called == [1_000_000]
+
+
+def test_a_run_for_its_figures_is_the_same_with_and_without(set_ups: list[VirtualRig]) -> None:
+    rig = load_rig("bench").variant("plant.coulomb_Nm=0.06")
+    own = simulate(rig, "hybrid", 0.4, seed=4, measured=True).as_dict()
+    taken = simulate(rig, "hybrid", 0.4, seed=4, measured=True).as_dict()
+    assert len(set_ups) == 1
+    assert taken == own
