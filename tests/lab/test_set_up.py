@@ -59,7 +59,10 @@ def course(rig: Rig, mode: str, seed: int, begin: Callable[[VirtualRig], tuple[s
         "frames": np.concatenate(frames).tobytes(),
         "host": world.controllers.axes.tobytes(),
         **left,
-        **{"objects": objects, "losses": losses, "began": began_ns, "exits": world.exits},
+        "objects": objects,
+        "losses": losses,
+        "began": began_ns,
+        "exits": world.exits,
     }
 
 
