@@ -62,6 +62,7 @@ TARGETS = {
         )
     ),
     "host/cycle/late.py": Target(("test_late",)),
+    "host/cycle/inside.py": Target(("test_host_inside",)),
     "host/cycle/axes.py": Target(("test_host_axes",)),
     "eds/description.py": Target(("test_eds_reader",), ("Variable.admits", "Variable.largest")),
     "host/laws/karnopp.py": Target(("test_law_edges",), ("karnopp",)),

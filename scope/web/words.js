@@ -1,5 +1,5 @@
 "use strict";
-// The words, the tables and the histograms of what the server tells ten times a second.
+// The words, the tables and the histograms of what the server tells five times a second.
 
 const SAID_MS = 5000, MOST_US = 20000;
 

@@ -100,6 +100,78 @@ def test_the_named_parameters_of_a_law_are_replayed(tmp_path):
     assert host_replay(path).difference is None
 
 
+def test_an_undo_in_the_midst_of_a_ramp_is_replayed(tmp_path):
+    """From where the value has come, back to where it was, and again away before it is there."""
+    path = tmp_path / "r.pcapng"
+    seen = []
+
+    def change(world):
+        world.at(1200 * MS, lambda w: w.set_parameters({"F_s": 1.45, "F_d": 0.5}, over_s=0.3))
+        world.at(1290 * MS, lambda w: seen.append(float(w.controllers.axes["law"]["F_s"][0])))
+        world.at(1300 * MS, lambda w: w.undo_parameters(0.2))
+        world.at(1410 * MS, lambda w: w.set_parameters({"F_s": 1.4}, over_s=0.1))
+        world.at(1460 * MS, lambda w: w.undo_parameters(0.1))
+
+    simulate("bench", "active", 1.2, record=path, seed=3, overrides=(PUSHED,), script=change)
+    assert 1.2 < seen[0] < 1.45
+    assert sum("(undo)" in text for _, text in read(path).markers) == 2
+    found = host_replay(path)
+    assert (found.difference, found.unchecked) == (None, 0)
+
+
+def test_a_trip_in_the_midst_of_a_ramp_is_replayed(tmp_path):
+    path = tmp_path / "r.pcapng"
+
+    def change(world):
+        world.at(1250 * MS, lambda w: w.set_parameters({"F_s": 1.45, "K_p": 250.0}, over_s=0.5))
+        world.at(1500 * MS, lambda w: seen.append(float(w.controllers.axes["law"]["F_s"][0])))
+
+    seen, faults = [], tmp_path / "cut.toml"
+    cut = 'kind = "cut"\nhalves = [["motor", "brake"], ["host"]]\nat_s = 1.4\nduration_s = 0.2'
+    faults.write_text(f"[[fault]]\n{cut}\n", encoding="utf-8")
+    result = simulate("bench", "active", 1.2, record=path, seed=3, overrides=(PUSHED,), script=change, faults=faults)
+    assert result.trip is not None
+    assert result.trip_ns < 1500 * MS
+    assert 1.2 < seen[0] < 1.45
+    found = host_replay(path)
+    assert (found.difference, found.unchecked) == (None, 0)
+    assert found.computed_trip == found.recorded_trip == result.trip
+
+
+def test_changes_under_a_law_of_ones_own_are_replayed(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    law = "def law(motion, law, state):\n    state.brake_Nm = law.F_s\n    return -law.F_d * motion.v_rad_s\n"
+    (tmp_path / "own.py").write_text(law)
+    path, own = tmp_path / "r.pcapng", "law.function='own.py:law'"
+
+    def change(world):
+        world.at(1200 * MS, lambda w: w.set_parameters({"F_d": 0.4, "F_s": 1.5}, over_s=0.2))
+        world.at(1300 * MS, lambda w: w.undo_parameters(0.1))
+
+    simulate("bench", "active", 0.9, record=path, seed=3, overrides=(PUSHED, own), script=change)
+    assert sum(text.startswith("set ") for _, text in read(path).markers) == 2
+    found = host_replay(path, overrides=(own,))
+    assert (found.judged, found.difference, found.unchecked) == (True, None, 0)
+
+
+def test_changes_of_both_axes_that_overlap_are_replayed(tmp_path):
+    path = tmp_path / "two.pcapng"
+
+    def change(world):
+        for axis, at, values in (
+            ("left", 1000, {"F_s": 3.4}),
+            ("right", 1050, {"F_d": 0.3}),
+            ("left", 1150, {"F_d": 0.6}),
+        ):
+            world.at(at * MS, lambda w, axis=axis, values=values: w.set_parameters(values, axis, over_s=0.1))
+        world.at(1100 * MS, lambda w: w.undo_parameters(0.1))
+
+    simulate("two_axes", "hybrid", 0.8, record=path, script=change)
+    assert sum(text.startswith("set ") for _, text in read(path).markers) == 4
+    found = host_replay(path)
+    assert (found.difference, found.unchecked) == (None, 0)
+
+
 def test_a_refused_change_leaves_no_trace(tmp_path):
     def change(world):
         def ask(w):

@@ -101,11 +101,16 @@ def test_all_text_has_the_contrast_of_wcag_aa(tmp_path, dark):
 
 @pytest.mark.parametrize("size", [(1280, 720), (1024, 768), (768, 1024)])
 def test_everything_has_room(tmp_path, size):
-    """Nothing is beyond the window's side, nothing of the top and of the parameters is cut off, and
-    STOP is always in the window.
+    """Nothing is beyond the window's side, nothing of the top, the tables and the parameters is cut
+    off, and STOP is always in the window; with a long EMCY and many events, too.
     """
 
     async def use(browser, shown):
+        t_ns = shown.capture.newest_ns
+        heard = [(t_ns, 0x701, 1, b"\5" + bytes(7)), (t_ns, 0x702, 1, b"\x7f" + bytes(7))]
+        emergency = bytes.fromhex("3081110000000000")
+        shown.capture.take([*heard, *((t_ns + k, 0x081 + k % 2, 8, emergency) for k in range(60))])
+        await browser.until("one('power:brake').textContent.includes('heartbeat')")
         assert await browser.evaluate("document.documentElement.scrollWidth <= innerWidth")
         if size == (1280, 720):
             assert await browser.evaluate("document.documentElement.scrollHeight <= innerHeight")
@@ -120,8 +125,8 @@ def test_everything_has_room(tmp_path, size):
             " p.querySelector('.legend').getBoundingClientRect().left).map((p) => p.id)"
         )
         assert await browser.evaluate(overlapping) == []
-        wide = "document.querySelector('#pdos').closest('section')"
-        assert await browser.evaluate(f"{wide}.scrollWidth <= {wide}.clientWidth")  # rate and jitter are seen
+        tables = "[...document.querySelectorAll('footer .table')].map((one) => one.scrollWidth - one.clientWidth)"
+        assert await browser.evaluate(tables) == [0, 0, 0, 0]
         await browser.evaluate("scrollTo(0, 1e6), 0")
         stop = "(({top, bottom, height}) => top >= 0 && bottom <= innerHeight && height > 40)(action('stop').getBoundingClientRect())"
         assert await browser.evaluate(stop)
