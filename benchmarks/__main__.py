@@ -1,7 +1,7 @@
 """`make bench`: the project's figures of speed, each with what it is measured against.
 
 ``python -m benchmarks WHAT`` with one of `virtual`, `first`, `bus`, `nodes`, `eds`, `exports`,
-`network`, `page`, `detail`, `sweep`, `bits`, `loss`, `realtime`, `lost`, `disturbed`, `faulty`;
+`clients`, `network`, `page`, `detail`, `sweep`, `bits`, `loss`, `realtime`, `lost`, `disturbed`, `faulty`;
 real time is `benchmarks.realtime`.
 
 This machine's clock is not yours: every figure is a ratio (simulated to real time, or to a
@@ -202,6 +202,7 @@ def main() -> None:
             "page",
             "detail",
             "sweep",
+            "clients",
             "bits",
             "loss",
             "realtime",
@@ -240,6 +241,10 @@ def main() -> None:
         from benchmarks.exports import exports
 
         exports(show)
+    if options.what in ("all", "clients"):
+        from benchmarks.clients import clients
+
+        clients(show)
     if options.what == "bits":
         million_frames()
     if options.what == "loss":
