@@ -46,6 +46,8 @@ __all__ = ["Sweep", "SweepError", "read_sweep"]
 YEAR_S = 31_557_600
 MOST_RUNS = 1_000_000
 RATE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
+MISSING = re.compile(r"(\S+): missing in \[(\S+?)\]")
+"""What a rig says of a section that has a key and lacks another."""
 LEAF = ("values", "low", "high", "scale", "count")
 """Keys of what is tried of a key: where one of them stands, the key's own name ends."""
 CONTRADICTIONS = (
@@ -88,6 +90,7 @@ class _File(_Strict):
     seed: int = Field(0, ge=0, lt=2**62)
     design: Literal["grid", "latin_hypercube", "sobol", "random"]
     runs: int | None = Field(None, ge=1, le=MOST_RUNS)
+    set: list[str] = []
     vary: dict[str, Any] = {}
     rates: dict[str, str] = {}
 
@@ -99,7 +102,7 @@ class Sweep:
     Attributes
     ----------
     path, text : the file
-    rig : without what is varied
+    rig : with what the file sets, without what is varied
     modes : in which every point is run
     seconds : of each display; None: the rig's schedule
     points : the values of the keys `vary`, in their order
@@ -163,7 +166,7 @@ def read_sweep(path: Path) -> Sweep:
     vary = _vary(file, mistakes)
     _check_design(file, vary, mistakes)
     mistakes.raise_all()
-    rig = rig_beside(path, file.rig, mistakes)
+    rig = _with_settings(rig_beside(path, file.rig, mistakes), file, mistakes)
     mistakes.raise_all()
     modes = _modes(file, rig, mistakes)
     if file.seconds is None and not rig.schedule_s > 0:
@@ -183,6 +186,18 @@ def read_sweep(path: Path) -> Sweep:
         points=tuple(points(file.design, checked, file.runs or 0, file.seed)),
         rates=rates,
     )
+
+
+def _with_settings(rig: Rig, file: _File, mistakes: FileMistakes) -> Rig:
+    """Return the rig with what the file sets; the keys of `set` are taken together."""
+    if not file.set:
+        return rig
+    try:
+        return rig.variant(*file.set)
+    except RigError as error:
+        for text in error.errors:
+            mistakes.say(("set",), f"the rig refuses it: {text.removeprefix('--set ')}")
+        return rig
 
 
 def _leaves(table: Mapping[str, Any], above: tuple[str, ...] = ("vary",)) -> Iterator[tuple[Key, Any]]:
@@ -312,8 +327,16 @@ def _on_rig(place: Key, vary: Vary, rig: Rig, mistakes: FileMistakes) -> Vary:
             return whole
         except RigError as error:
             refused.append(error.errors[0].removeprefix(f"--set {whole.override(value)}: "))
-    mistakes.say(place, f"the rig refuses it: {refused[0]}")
+    mistakes.say(place, f"the rig refuses it: {refused[0]}{_beside(vary.key, refused[0])}")
     return whole
+
+
+def _beside(key: str, refused: str) -> str:
+    """Return how a key is given that lacks another one of its section."""
+    lacking = MISSING.search(refused)
+    if lacking is None:
+        return ""
+    return f'; give what is not varied of [{lacking[2]}] beside [vary]: set = ["{key}=...", "{lacking[1]}=..."]'
 
 
 def _own(rig: Rig, key: str) -> Any:

@@ -104,7 +104,6 @@ def compile_loop(
     for node in world.nodes[:1]:
         parts += [
             (core.on_time, (node, 0, out)),
-            (core.on_frame, (node, *frame, out)),
             (own_time.on_time, (node, 0, out)),
             (own_time.on_frame, (node, *frame, out)),
         ]

@@ -11,7 +11,7 @@ import pytest
 
 from coulombus.lab.sweep.file import SweepError, read_sweep
 from coulombus.lab.sweep.points import seed_of
-from coulombus.rigs.rig import packaged_rig
+from coulombus.rigs.rig import RigError, packaged_rig
 
 GOOD = """\
 rig = "bench"
@@ -257,3 +257,56 @@ def test_a_fingerprint_knows_what_the_runs_depend_on_and_no_comment(write):
         ('rig = "bench"', 'rig = "paper"'),
     ):
         assert fingerprint(old, new) != same, new
+
+
+CABLE = GOOD.replace(
+    "[vary]", 'set = ["plant.cable.motor_inertia_kg_m2=2e-4", "plant.cable.stiffness_Nm_rad=200"]\n[vary]'
+).replace(
+    "operator.inertia_kg_m2 = { low = 1e-4, high = 0.1", "plant.cable.stiffness_Nm_rad = { low = 50.0, high = 500.0"
+)
+
+
+def test_what_a_varied_section_needs_besides_is_set(write):
+    sweep = read_sweep(write(CABLE))
+    cable = sweep.rig.one_axis().plant.cable
+    assert (cable.motor_inertia_kg_m2, cable.stiffness_Nm_rad) == (2e-4, 200.0)
+    assert sweep.vary[0].own == 200.0
+    assert sweep.fingerprint() != read_sweep(write(CABLE.replace("2e-4", "3e-4"))).fingerprint()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "text"),
+    [
+        (
+            "set = ",
+            "# ",
+            'beside [vary]: set = ["plant.cable.stiffness_Nm_rad=...", "plant.cable.motor_inertia_kg_m2=..."]',
+        ),
+        ('"plant.cable.motor_inertia_kg_m2=2e-4", ', "", ":7: set: the rig refuses it: "),
+        ("motor_inertia_kg_m2=2e-4", "motor_nertia=2", ":7: set: the rig refuses it: plant.cable.motor_nertia"),
+        ("set = [", "set = [3, ", ":7: set.0: expected a text"),
+        ("=2e-4", "", "set: the rig refuses it: "),
+    ],
+)
+def test_a_setting_that_the_rig_refuses_is_told_with_its_line(write, old, new, text):
+    assert old in CABLE
+    with pytest.raises(SweepError) as error:
+        read_sweep(write(CABLE.replace(old, new)))
+    assert text in str(error.value)
+    assert "sweep.toml:" in str(error.value)
+
+
+def test_a_mutilated_file_is_read_or_refused_with_its_place(write):
+    random, pieces = np.random.default_rng(7), "[]{}=,.\"#\n'-0e9_ \u00e9\x00"
+    refused = []
+    for _ in range(150):
+        text = list(CABLE)
+        for _ in range(random.integers(1, 4)):
+            place = int(random.integers(len(text)))
+            text[place : place + int(random.integers(0, 6))] = random.choice(list(pieces), int(random.integers(0, 3)))
+        try:
+            assert read_sweep(write("".join(text))).runs > 0
+        except (SweepError, RigError) as error:
+            refused.append(str(error))
+    assert len(refused) > 50
+    assert [text for text in refused if ".toml" not in text and "rig" not in text] == []
