@@ -20,7 +20,7 @@ from coulombus.host.run.result import RunResult
 from coulombus.lab.simulate import simulate
 from coulombus.sim_bus.network.network import Heard
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
-from coulombus.verbs.common import progress
+from coulombus.verbs.shown import progress
 from coulombus.wire.frame import CAN_ERR_FLAG, data_word
 
 NOISE = 'seed = 3\n[[fault]]\nkind = "noise"\nrate = 1e-4\n'

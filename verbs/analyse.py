@@ -9,24 +9,10 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from coulombus.verbs.common import (
-    EXIT_STATUS,
-    PICTURE,
-    InputPath,
-    OutputDirectory,
-    errors,
-    force_option,
-    json_option,
-    on_terminal,
-    print_json,
-    printed,
-    remark,
-    rig_option,
-    say,
-    seed_option,
-    set_option,
-    verdict,
-)
+from coulombus.verbs.common import force_option, json_option, printed, rig_option, say, seed_option, set_option, verdict
+from coulombus.verbs.failures import EXIT_STATUS, errors, print_json, remark
+from coulombus.verbs.option_types import PICTURE, InputPath, OutputDirectory
+from coulombus.verbs.shown import on_terminal
 
 if TYPE_CHECKING:
     from coulombus.analysis.loop.parameters import Parameters

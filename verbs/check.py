@@ -8,17 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from coulombus.verbs.common import (
-    EXIT_STATUS,
-    errors,
-    json_option,
-    load,
-    on_terminal,
-    print_json,
-    rig_option,
-    set_option,
-    verdict,
-)
+from coulombus.verbs.common import json_option, load, rig_option, set_option, verdict
+from coulombus.verbs.failures import EXIT_STATUS, errors, print_json
+from coulombus.verbs.shown import on_terminal
 from coulombus.wire.folding import columns_of
 
 if TYPE_CHECKING:

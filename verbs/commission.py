@@ -12,24 +12,20 @@ import click
 
 from coulombus.verbs.bundle import bundle
 from coulombus.verbs.common import (
-    EXIT_STATUS,
-    OutputFile,
     bus_option,
     check_shared_machine,
-    errors,
     force_option,
     json_option,
     load,
-    print_json,
-    printable,
-    progress,
     say,
     seed_option,
     set_option,
     shared_machine_option,
-    table_console,
     verdict,
 )
+from coulombus.verbs.failures import EXIT_STATUS, errors, print_json, printable
+from coulombus.verbs.option_types import OutputFile
+from coulombus.verbs.shown import progress, table_console
 
 if TYPE_CHECKING:
     from coulombus.host.commission.session import Done, Runner, Session

@@ -12,7 +12,9 @@ from typing import TYPE_CHECKING
 import click
 
 from coulombus.verbs.bundle import bundle
-from coulombus.verbs.common import EXIT_STATUS, OutputFile, errors, json_option, print_json, printed, say
+from coulombus.verbs.common import json_option, printed, say
+from coulombus.verbs.failures import EXIT_STATUS, errors, print_json
+from coulombus.verbs.option_types import OutputFile
 
 if TYPE_CHECKING:
     from coulombus.conformance.catalogue import Case

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from coulombus.verbs.bundle import bundle
-from coulombus.verbs.common import SECONDS, InputPath, load, say
+from coulombus.verbs.common import load, say
+from coulombus.verbs.option_types import SECONDS, InputPath
 
 if TYPE_CHECKING:
     from coulombus.host.devices.device import Device

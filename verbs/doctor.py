@@ -6,23 +6,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from coulombus.verbs.common import (
-    CPU,
-    EXIT_STATUS,
-    SECONDS,
-    buses_option,
-    errors,
-    json_option,
-    load,
-    print_json,
-    printable,
-    progress,
-    rig_option,
-    say,
-    set_option,
-    table_console,
-    verdict,
-)
+from coulombus.verbs.common import buses_option, json_option, load, rig_option, say, set_option, verdict
+from coulombus.verbs.failures import EXIT_STATUS, errors, print_json, printable
+from coulombus.verbs.option_types import CPU, SECONDS
+from coulombus.verbs.shown import progress, table_console
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from coulombus.verbs.common import EXIT_STATUS, errors, json_option, verdict
+from coulombus.verbs.common import json_option, verdict
+from coulombus.verbs.failures import EXIT_STATUS, errors
 
 if TYPE_CHECKING:
     from coulombus.eds.pdo import PdoLayout

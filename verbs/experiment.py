@@ -18,17 +18,8 @@ from typing import TYPE_CHECKING
 import click
 
 from coulombus.verbs.bundle import bundle
-from coulombus.verbs.common import (
-    EXIT_STATUS,
-    bus_option,
-    check_shared_machine,
-    errors,
-    json_option,
-    print_json,
-    say,
-    shared_machine_option,
-    verdict,
-)
+from coulombus.verbs.common import bus_option, check_shared_machine, json_option, say, shared_machine_option, verdict
+from coulombus.verbs.failures import EXIT_STATUS, errors, print_json
 from coulombus.wire.keys import in_foreground
 
 if TYPE_CHECKING:

@@ -7,19 +7,10 @@ from typing import Any
 
 import click
 
-from coulombus.verbs.common import (
-    EXIT_STATUS,
-    OutputFile,
-    errors,
-    force_option,
-    print_json,
-    progress,
-    recording_argument,
-    remark,
-    say,
-    signals_option,
-    verdict,
-)
+from coulombus.verbs.common import force_option, recording_argument, say, signals_option, verdict
+from coulombus.verbs.failures import EXIT_STATUS, errors, print_json, remark
+from coulombus.verbs.option_types import OutputFile
+from coulombus.verbs.shown import progress
 
 __all__ = ["export_command"]
 

@@ -8,19 +8,9 @@ from typing import TYPE_CHECKING
 import click
 from click.core import ParameterSource
 
-from coulombus.verbs.common import (
-    EXIT_STATUS,
-    SECONDS,
-    InputPath,
-    errors,
-    json_option,
-    load,
-    print_json,
-    printed,
-    remark,
-    rig_option,
-    set_option,
-)
+from coulombus.verbs.common import json_option, load, printed, rig_option, set_option
+from coulombus.verbs.failures import EXIT_STATUS, errors, print_json, remark
+from coulombus.verbs.option_types import SECONDS, InputPath
 from coulombus.verbs.rig_options import OneBusOptions, one_bus_options, one_channel_option
 
 if TYPE_CHECKING:

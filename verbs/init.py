@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING
 import click
 
 from coulombus.verbs.bundle import bundle
-from coulombus.verbs.common import EXIT_STATUS, InputPath, OutputFile, errors, say, verdict
+from coulombus.verbs.common import say, verdict
+from coulombus.verbs.failures import EXIT_STATUS, errors
+from coulombus.verbs.option_types import InputPath, OutputFile
 
 if TYPE_CHECKING:
     from coulombus.rigs.draft.gather import Wanted

@@ -7,21 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from coulombus.verbs.common import (
-    EXIT_STATUS,
-    PICTURE,
-    SECONDS,
-    OutputFile,
-    errors,
-    force_option,
-    json_option,
-    on_terminal,
-    print_json,
-    printable,
-    printed,
-    say,
-    table_console,
-)
+from coulombus.verbs.common import force_option, json_option, printed, say
+from coulombus.verbs.failures import EXIT_STATUS, errors, print_json, printable
+from coulombus.verbs.option_types import PICTURE, SECONDS, OutputFile
+from coulombus.verbs.shown import on_terminal, table_console
 
 if TYPE_CHECKING:
     from coulombus.host.laws.along import Driven, GivenLaw

@@ -12,21 +12,9 @@ import click
 from click.core import ParameterSource
 
 from coulombus.verbs.bundle import bundle
-from coulombus.verbs.common import (
-    EXIT_STATUS,
-    SECONDS,
-    InputPath,
-    OutputFile,
-    errors,
-    force_option,
-    listed,
-    printable,
-    printed,
-    remark,
-    rig_option,
-    say,
-    set_option,
-)
+from coulombus.verbs.common import force_option, listed, printed, rig_option, say, set_option
+from coulombus.verbs.failures import EXIT_STATUS, errors, printable, remark
+from coulombus.verbs.option_types import SECONDS, InputPath, OutputFile
 from coulombus.verbs.rig_options import OneBusOptions, one_bus_options, one_channel_option
 from coulombus.verbs.web import PageOptions, page_options, serve_page
 from coulombus.wire.folding import columns_of

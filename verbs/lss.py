@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from coulombus.verbs.bundle import bundle
-from coulombus.verbs.common import BIT_RATE, EXIT_STATUS, errors, json_option, print_json, verdict
+from coulombus.verbs.common import json_option, verdict
 from coulombus.verbs.devices import LiveLine, beside_option, devices_bus_option, eds_folder_option, open_link
+from coulombus.verbs.failures import EXIT_STATUS, errors, print_json
+from coulombus.verbs.option_types import BIT_RATE
 
 if TYPE_CHECKING:
     from coulombus.host.devices.lss import Identity

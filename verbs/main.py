@@ -11,12 +11,12 @@ import click
 from coulombus.verbs.analyse import analyse, identify_command
 from coulombus.verbs.check import check
 from coulombus.verbs.commission import commission
-from coulombus.verbs.common import EXIT_STATUS, Verbs
 from coulombus.verbs.conformance import conformance
 from coulombus.verbs.doctor import doctor
 from coulombus.verbs.eds_verb import eds
 from coulombus.verbs.experiment import experiment_command
 from coulombus.verbs.export import export_command
+from coulombus.verbs.failures import EXIT_STATUS, Verbs
 from coulombus.verbs.hz import hz, pdo
 from coulombus.verbs.init import init
 from coulombus.verbs.law import law

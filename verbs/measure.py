@@ -10,17 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from coulombus.verbs.common import (
-    CPU,
-    EXIT_STATUS,
-    errors,
-    json_option,
-    print_json,
-    say,
-    table_console,
-    verdict,
-)
+from coulombus.verbs.common import json_option, say, verdict
+from coulombus.verbs.failures import EXIT_STATUS, errors, print_json
+from coulombus.verbs.option_types import CPU
 from coulombus.verbs.rig_options import OneBusOptions, one_bus_options
+from coulombus.verbs.shown import table_console
 
 if TYPE_CHECKING:
     from coulombus.host.run.measure import Measured

@@ -6,8 +6,10 @@ from typing import Any
 
 import click
 
-from coulombus.verbs.common import EXIT_STATUS, SECONDS, errors, json_option, print_json, say, verdict
+from coulombus.verbs.common import json_option, say, verdict
 from coulombus.verbs.devices import beside_option, devices_bus_option, open_link
+from coulombus.verbs.failures import EXIT_STATUS, errors, print_json
+from coulombus.verbs.option_types import SECONDS
 
 __all__ = ["nmt"]
 

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import click
 
 from coulombus.verbs.bundle import bundle, repeated
-from coulombus.verbs.common import PICTURE, RecordingPlace, force_option
+from coulombus.verbs.common import force_option
+from coulombus.verbs.option_types import PICTURE, RecordingPlace
 
 if TYPE_CHECKING:
     from coulombus.host.run.markers import BitMark

@@ -10,20 +10,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from coulombus.verbs.bundle import bundle
-from coulombus.verbs.common import (
-    BIT_RATE,
-    EXIT_STATUS,
-    PICTURE,
-    errors,
-    force_option,
-    json_option,
-    print_fitting,
-    print_json,
-    say,
-    table_console,
-    verdict,
-)
+from coulombus.verbs.common import force_option, json_option, say, verdict
+from coulombus.verbs.failures import EXIT_STATUS, errors, print_json
+from coulombus.verbs.option_types import BIT_RATE, PICTURE
 from coulombus.verbs.rig_options import RigOptions, rig_options
+from coulombus.verbs.shown import print_fitting, table_console
 from coulombus.wire.folding import hanging
 
 if TYPE_CHECKING:

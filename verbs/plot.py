@@ -8,22 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from coulombus.verbs.common import (
-    EXIT_STATUS,
-    PICTURE,
-    InputPath,
-    errors,
-    force_option,
-    json_option,
-    print_json,
-    printable,
-    recording_argument,
-    remark,
-    say,
-    signals_option,
-    table_console,
-    verdict,
-)
+from coulombus.verbs.common import force_option, json_option, recording_argument, say, signals_option, verdict
+from coulombus.verbs.failures import EXIT_STATUS, errors, print_json, printable, remark
+from coulombus.verbs.option_types import PICTURE, InputPath
+from coulombus.verbs.shown import table_console
 
 if TYPE_CHECKING:
     from coulombus.recording.difference import Comparison, Difference

@@ -14,7 +14,9 @@ from typing import TYPE_CHECKING
 import click
 
 from coulombus.verbs.bundle import bundle
-from coulombus.verbs.common import EXIT_STATUS, InputPath, errors, json_option, printed, remark, say, verdict
+from coulombus.verbs.common import json_option, printed, say, verdict
+from coulombus.verbs.failures import EXIT_STATUS, errors, remark
+from coulombus.verbs.option_types import InputPath
 
 if TYPE_CHECKING:
     from coulombus.lab.replay.host_replay import HostReplay

@@ -10,25 +10,22 @@ import click
 
 from coulombus.verbs.bundle import repeated
 from coulombus.verbs.common import (
-    CPU,
-    EXIT_STATUS,
-    SECONDS,
     buses_option,
     check_mode,
     check_shared_machine,
-    errors,
     json_option,
     mode_option,
-    print_json,
-    progress,
     rig_option,
     say,
     shared_machine_option,
     verdict,
 )
+from coulombus.verbs.failures import EXIT_STATUS, errors, print_json
+from coulombus.verbs.option_types import CPU, SECONDS
 from coulombus.verbs.outputs import OutputOptions, outputs_options
 from coulombus.verbs.rig_options import BusesOptions, buses_options
 from coulombus.verbs.run_table import print_runs
+from coulombus.verbs.shown import progress
 from coulombus.verbs.web import PageOptions, page_options
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from coulombus.verbs.common import table_console
+from coulombus.verbs.shown import table_console
 from coulombus.wire.folding import folded
 
 if TYPE_CHECKING:

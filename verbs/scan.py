@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from coulombus.verbs.common import EXIT_STATUS, errors, json_option, print_json, printable, say, table_console, verdict
+from coulombus.verbs.common import json_option, say, verdict
 from coulombus.verbs.devices import LiveLine, beside_option, devices_bus_option, eds_folder_option, open_link
+from coulombus.verbs.failures import EXIT_STATUS, errors, print_json, printable
+from coulombus.verbs.shown import table_console
 
 if TYPE_CHECKING:
     from coulombus.eds.reader import Description

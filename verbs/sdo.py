@@ -8,18 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from coulombus.verbs.common import (
-    EXIT_STATUS,
-    OutputFile,
-    errors,
-    force_option,
-    json_option,
-    print_json,
-    printable,
-    say,
-    table_console,
-    verdict,
-)
+from coulombus.verbs.common import force_option, json_option, say, verdict
 from coulombus.verbs.devices import (
     DeviceOptions,
     LiveLine,
@@ -29,6 +18,9 @@ from coulombus.verbs.devices import (
     open_link,
     timeout_option,
 )
+from coulombus.verbs.failures import EXIT_STATUS, errors, print_json, printable
+from coulombus.verbs.option_types import OutputFile
+from coulombus.verbs.shown import table_console
 
 if TYPE_CHECKING:
     from coulombus.host.devices.configuration import Difference

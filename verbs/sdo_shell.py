@@ -19,7 +19,8 @@ from coulombus.host.devices.guard import check_alone
 from coulombus.host.devices.nmt import COMMANDS, command
 from coulombus.host.devices.sdo import store_parameters
 from coulombus.host.errors import HostError
-from coulombus.verbs.common import printable, say
+from coulombus.verbs.common import say
+from coulombus.verbs.failures import printable
 from coulombus.wire.address import BusUnavailable
 from coulombus.wire.bus_link import BusLink
 from coulombus.wire.stopping import Stopped, forget

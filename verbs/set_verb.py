@@ -9,18 +9,9 @@ from typing import Any
 import click
 
 from coulombus.verbs.bundle import bundle
-from coulombus.verbs.common import (
-    EXIT_STATUS,
-    bus_option,
-    channel_option,
-    errors,
-    json_option,
-    print_json,
-    printable,
-    rig_option,
-    table_console,
-    verdict,
-)
+from coulombus.verbs.common import bus_option, channel_option, json_option, rig_option, verdict
+from coulombus.verbs.failures import EXIT_STATUS, errors, print_json, printable
+from coulombus.verbs.shown import table_console
 
 __all__ = ["set_command"]
 

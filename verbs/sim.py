@@ -10,19 +10,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 
 from coulombus.verbs.bundle import bundle, repeated
-from coulombus.verbs.common import (
-    CPU,
-    EXIT_STATUS,
-    MODES,
-    SECONDS,
-    OutputFile,
-    errors,
-    faults_option,
-    force_option,
-    json_option,
-    script_option,
-    seed_option,
-)
+from coulombus.verbs.common import MODES, faults_option, force_option, json_option, script_option, seed_option
+from coulombus.verbs.failures import EXIT_STATUS, errors
+from coulombus.verbs.option_types import CPU, SECONDS, OutputFile
 from coulombus.verbs.rig_options import BusesOptions, buses_options
 from coulombus.verbs.web import PageOptions, page_options
 from coulombus.wire.verdict import abandon_stdout

@@ -11,21 +11,14 @@ import click
 
 from coulombus.verbs.bundle import bundle
 from coulombus.verbs.common import (
-    EXIT_STATUS,
-    OutputDirectory,
-    OutputFile,
     check_mode,
     display_s,
-    errors,
     faults_option,
     force_option,
     json_option,
     load,
     mode_option,
-    print_json,
-    progress,
     record_option,
-    remark,
     rig_option,
     say,
     script_option,
@@ -34,8 +27,11 @@ from coulombus.verbs.common import (
     set_option,
     verdict,
 )
+from coulombus.verbs.failures import EXIT_STATUS, errors, print_json, remark
+from coulombus.verbs.option_types import OutputDirectory, OutputFile
 from coulombus.verbs.rig_options import RigOptions, rig_options
 from coulombus.verbs.run_table import print_runs, print_verdict
+from coulombus.verbs.shown import progress
 
 if TYPE_CHECKING:
     from coulombus.lab.demo.demo import Demo

@@ -6,16 +6,8 @@ from typing import Any
 
 import click
 
-from coulombus.verbs.common import (
-    EXIT_STATUS,
-    buses_option,
-    errors,
-    json_option,
-    print_json,
-    printable,
-    rig_option,
-    verdict,
-)
+from coulombus.verbs.common import buses_option, json_option, rig_option, verdict
+from coulombus.verbs.failures import EXIT_STATUS, errors, print_json, printable
 
 __all__ = ["status"]
 

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from coulombus.verbs.common import EXIT_STATUS, errors, force_option, json_option, print_json, say, verdict
+from coulombus.verbs.common import force_option, json_option, say, verdict
+from coulombus.verbs.failures import EXIT_STATUS, errors, print_json
 
 if TYPE_CHECKING:
     from coulombus.lab.sweep.sweep import SweepResult

@@ -8,18 +8,9 @@ from pathlib import Path
 
 import click
 
-from coulombus.verbs.common import (
-    EXIT_STATUS,
-    OutputDirectory,
-    bus_option,
-    check_mode,
-    errors,
-    force_option,
-    load,
-    mode_option,
-    printed,
-    rig_option,
-)
+from coulombus.verbs.common import bus_option, check_mode, force_option, load, mode_option, printed, rig_option
+from coulombus.verbs.failures import EXIT_STATUS, errors
+from coulombus.verbs.option_types import OutputDirectory
 
 __all__ = ["systemd"]
 

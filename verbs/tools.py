@@ -6,17 +6,9 @@ from pathlib import Path
 
 import click
 
-from coulombus.verbs.common import (
-    EXIT_STATUS,
-    OutputDirectory,
-    errors,
-    force_option,
-    json_option,
-    print_json,
-    printed,
-    rig_option,
-    set_option,
-)
+from coulombus.verbs.common import force_option, json_option, printed, rig_option, set_option
+from coulombus.verbs.failures import EXIT_STATUS, errors, print_json
+from coulombus.verbs.option_types import OutputDirectory
 
 __all__ = ["tools"]
 

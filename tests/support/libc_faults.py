@@ -32,8 +32,8 @@ from coulombus.host.realtime.shared_memory import Command, SharedPlane, Status
 from coulombus.recording.signals import read
 from coulombus.rigs.rig import load_rig
 from coulombus.sim_bus.server.rig_server import SimServer
-from coulombus.verbs.common import Failure, errors
 from coulombus.verbs.exit_status import FAULT
+from coulombus.verbs.failures import Failure, errors
 from coulombus.wire.address import BusAddress, socket_path
 from coulombus.wire.hello import connect
 

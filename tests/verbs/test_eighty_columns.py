@@ -9,8 +9,8 @@ from rich.console import Console
 from rich.table import Table
 
 from coulombus.scope.decode import as_text, fitted
-from coulombus.verbs.common import print_fitting
 from coulombus.verbs.main import main
+from coulombus.verbs.shown import print_fitting
 from coulombus.wire.folding import folded, hanging
 from coulombus.wire.verdict import say
 

@@ -76,7 +76,10 @@ def test_a_kernel_holds_every_signal_back(number):
             held.pass_on()
 
 
-PRINTS = "import click; from coulombus.verbs.common import errors, verdict\nwith errors(), verdict({status}): click.echo('x' * 100)"
+PRINTS = (
+    "import click; from coulombus.verbs.common import verdict; from coulombus.verbs.failures import errors\n"
+    "with errors(), verdict({status}): click.echo('x' * 100)"
+)
 
 
 def end_of(status, stdout):
