@@ -300,6 +300,7 @@ class Live:
             self.tell(t_ns, f"{node.name}: {can_id:03X}h comes, which the rig does not have", grave=True)
         if node is None and function in CALLS and can_id & 0x7F:
             node = self._stranger(can_id & 0x7F)
+            self.tell(t_ns, f"{node.name}: a node that the rig does not have; --rig says which rig it is")
         if node is not None and function in SENT_BY_NODES:
             node.services += 1
         if function == CobId.HEARTBEAT and node is not None and len(data) == 1:

@@ -78,7 +78,10 @@ def bit_mark(given: str, rig: Rig) -> BitMark:
     layout, start, size = known[name]
     if mask >= 1 << size:
         raise ValueError(f"{given!r}: {name} has {size} bits; the mask {mask:#x} has more")
-    return BitMark(name, layout.cob_id, layout.length, mask << start, marker_of(text))
+    try:
+        return BitMark(name, layout.cob_id, layout.length, mask << start, marker_of(text))
+    except ValueError as error:
+        raise ValueError(f"{given!r}: {error}") from None
 
 
 class BitMarks:

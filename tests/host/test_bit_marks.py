@@ -60,7 +60,7 @@ def test_a_signal_of_another_bus_is_not_looked_for_in_this_ones_frames():
         ("motor.statusword:-1=there", "expected SIGNAL:MASK=TEXT"),
         ("motor.statusword:0x10000=there", "motor.statusword has 16 bits"),
         ("motor.statuswort:0x1=there", "no PDO of the rig carries the signal 'motor.statuswort'.*motor.statusword"),
-        ("motor.statusword:0x1=", "expected a text of 1 to"),
+        ("motor.statusword:0x1=", "'motor.statusword:0x1=': expected a text of 1 to"),
         ("motor.statusword:0x1=a\nb", "expected a text of 1 to"),
     ],
 )

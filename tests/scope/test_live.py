@@ -172,6 +172,7 @@ def test_nodes_that_the_rig_does_not_have(rig):
     assert five.rate_per_s == pytest.approx(10)
     assert snapshot.unknown == 1
     assert texts(snapshot) == [
+        "5: a node that the rig does not have; --rig says which rig it is",
         "5: boot-up",
         "5: EMCY 0x8130: life guard or heartbeat error (register 01h)",
         "5: boot-up -> operational",
@@ -238,7 +239,8 @@ def test_without_a_rig_given_only_what_was_heard_is_shown(rig):
     whole = "\n".join(shown(snapshot, 80, 24, all_nodes=False))
     assert "motor" not in whole
     assert "operational" in whole
-    (line,) = as_lines(snapshot, FACTS, T0, all_nodes=False)
+    told, line = as_lines(snapshot, FACTS, T0, all_nodes=False)
+    assert "5: a node that the rig does not have" in told
     assert line.endswith("lost 0  5 operational")
     assert "motor" in "\n".join(shown(snapshot, 80, 24))
 

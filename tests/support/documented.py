@@ -39,7 +39,8 @@ RULES = (
     (r"socketcan:|: candump", "needs a CAN interface: tests/vm runs such verbs in a virtual machine"),
     (r"docs/months\.md: ", LIVE + "tests/host and tests/recording run `run --rotate`, `status` and `systemd`"),
     # living buses and programs with a window
-    (r": can_(logger|viewer|player)", LIVE + "tests/wire tries python-can's interface"),
+    (r": can_(logger|player)", LIVE + "tests/sim_bus/test_other_clients.py runs both"),
+    (r": can_viewer", "fills a terminal; tests/wire tries python-can's interface"),
     (r": kill", LIVE + "tests/lab replays such a session"),
     (r"wireshark", "opens a window; tests/scope pipe the same bytes into tshark"),
     (r": coulombus demo", "half a minute in real time: tests/host/test_run.py"),
