@@ -31,6 +31,9 @@ MOST_BYTES = 1 << 16
 class Warm(subprocess.Popen):
     """A process of ``coulombus`` with the arguments ``args``."""
 
+    closed = ()
+    """Which of the descriptors 0 to 2 it has not."""
+
     def _execute_child(self, *given):
         bound = inspect.signature(subprocess.Popen._execute_child).bind(self, *given).arguments
         ours, its = os.pipe()
@@ -40,6 +43,7 @@ class Warm(subprocess.Popen):
             "args": list(map(str, bound["args"])),
             "cwd": str(bound["cwd"] or "."),
             "env": bound["env"] or dict(os.environ),
+            "closed": self.closed,
         }
         self._status = ours
         self.pid = _server().start(order, [*wanted, its])
@@ -64,6 +68,12 @@ class Warm(subprocess.Popen):
             elif timeout:
                 raise subprocess.TimeoutExpired(self.args, timeout)
         return self.returncode
+
+
+class WithoutStdout(Warm):
+    """One that is started as by ``coulombus VERB ... >&-``."""
+
+    closed = (1,)
 
 
 class _Server:
@@ -145,8 +155,10 @@ def serve(fd):
         os.environ.clear()
         os.environ.update(order["env"])
         os.chdir(order["cwd"])
-        for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
-            stream = open(["stdin", "stdout", "stderr"].index(name), mode, closefd=False)  # noqa: SIM115
+        for fd in order["closed"]:
+            os.close(fd)
+        for fd, (name, mode) in enumerate((("stdin", "r"), ("stdout", "w"), ("stderr", "w"))):
+            stream = None if fd in order["closed"] else open(fd, mode, closefd=False)  # noqa: SIM115
             setattr(sys, name, stream)
             setattr(sys, f"__{name}__", stream)
         sys.argv = ["coulombus", *order["args"]]

@@ -15,7 +15,7 @@ import pytest
 from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.verbs.main import VERBS
 from coulombus.wire.frame import FRAME, new_records
-from warm_start import Warm
+from warm_start import Warm, WithoutStdout
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 EDS = ROOT / "eds" / "motor.eds"
@@ -81,8 +81,10 @@ def call(tmp_path, private_sockets):
         words = words.replace("RECORDING", str(tmp_path / "recording.pcapng")).replace("OTHER", str(tmp_path / "other"))
         options = {"cwd": ROOT, "stderr": subprocess.PIPE, "stdin": subprocess.DEVNULL, "text": True}
         command = [sys.executable, "-m", "coulombus", *words.split()]
-        if stdout == "closed":  # what Python starts with
+        if stdout == "closed" and cold:  # what Python starts with
             process = subprocess.Popen(["sh", "-c", f"exec {shlex.join(command)} >&-"], **options)
+        elif stdout == "closed":
+            process = WithoutStdout(words.split(), **options)
         else:
             end = _without_reader() if stdout == "reader gone" else os.open("/dev/full", os.O_WRONLY)
             try:
@@ -114,6 +116,12 @@ def test_every_verb_is_in_this_test():
 def test_a_reader_that_has_gone_changes_no_status(call, name, stdout):
     words, status = ENDS[name]
     assert call(words, stdout)[0] == status
+
+
+@pytest.mark.parametrize("name", ["simulate", "eds ok", "decode", "law list"])
+def test_python_itself_may_start_without_a_stdout(call, name):
+    words, status = ENDS[name]
+    assert call(words, "closed", cold=True)[0] == status
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
