@@ -55,26 +55,28 @@ docs: $(VENV)/.docs  ## the site of the documents, in out/site; fails on a warni
 bench: $(VENV)/.dev  ## the figures of speed, as ratios
 	@$(BIN)/python -m benchmarks
 
-$(VENV)/bin/python:
+$(VENV)/.made:  # written when all is there: what was interrupted is begun anew, and what works is kept
 	@test -n "$(PYTHON)" || { echo "make: Python 3.11 or newer is needed; name one with PYTHON=/path/to/python3.11" >&2; exit 1; }
 	@"$(PYTHON)" -c '$(NEEDED)' || { echo "make: $(PYTHON) is older than 3.11" >&2; exit 1; }
-	@echo "creating $(VENV) with $$("$(PYTHON)" --version)"
-	@"$(PYTHON)" -m venv $(VENV) || { \
+	@$(BIN)/python -m pip --version >/dev/null 2>&1 || { \
+		echo "creating $(VENV) with $$("$(PYTHON)" --version)"; \
+		"$(PYTHON)" -m venv --clear $(VENV) || { \
 		if "$(PYTHON)" -c 'import venv, ensurepip' 2>/dev/null; \
 		then echo "make: cannot write $(VENV) in $(CURDIR): the folder must be yours to write, with 1 GB free" >&2; \
-		else echo "make: cannot create a virtual environment (Debian: apt install python3-venv)" >&2; fi; exit 1; }
+		else echo "make: cannot create a virtual environment (Debian: apt install python3-venv)" >&2; fi; exit 1; }; }
+	@touch $@
 
-$(VENV)/.run: $(VENV)/bin/python pyproject.toml
+$(VENV)/.run: pyproject.toml | $(VENV)/.made
 	@echo "installing (once) ..."
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[web]'
 	@touch $@
 
-$(VENV)/.dev: $(VENV)/bin/python pyproject.toml
+$(VENV)/.dev: pyproject.toml | $(VENV)/.made
 	@echo "installing with the development tools (once) ..."
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,docs]'
 	@touch $@ $(VENV)/.run $(VENV)/.docs
 
-$(VENV)/.docs: $(VENV)/bin/python pyproject.toml
+$(VENV)/.docs: pyproject.toml | $(VENV)/.made
 	@echo "installing what builds the site (once) ..."
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
 	@touch $@ $(VENV)/.run
