@@ -55,13 +55,14 @@ class Asked:
     """Who answers, how, and who hears of it, as the options say it."""
 
     observer: float | None
+    felt: bool
     page: bool
     port: int | None
     lsl: bool
 
     def words(self) -> list[str]:
         """Return the options' words."""
-        words = [] if self.observer is None else ["--observer", f"{self.observer:g}"]
+        words = [] if self.observer is None else ["--observer", f"{self.observer:g}"] + ["--felt"] * self.felt
         words += ["--page"] * self.page + (["--port", str(self.port)] if self.port else [])
         return words + ["--lsl"] * self.lsl
 
@@ -82,6 +83,7 @@ asked_options = bundle(
         metavar="JND",
         help="A simulated observer of this just noticeable difference answers.",
     ),
+    click.option("--felt", is_flag=True, help="It judges the torque that was felt, as recorded; JND is in Nm."),
     click.option("--page", is_flag=True, help="Ask in a browser on this machine; its address is printed."),
     click.option("--port", type=click.IntRange(0, 65535), help="The page's port.  [default: a free one]"),
     click.option("--lsl", is_flag=True, help="Send markers by the lab streaming layer."),
@@ -134,10 +136,13 @@ def experiment_command(
             raise click.UsageError("--virtual needs no bus and no wider limits; take --bus and --shared-machine out")
         if asked.observer is not None and asked.page:
             raise click.UsageError("--observer answers by itself; take --page out")
+        if asked.felt and asked.observer is None:
+            raise click.UsageError("--felt is how a simulated observer judges; add --observer JND")
         if asked.port is not None and not asked.page:
             raise click.UsageError("--port is the page's; add --page")
         study = read_study(file)
-        meta = {"observer": "a person" if asked.observer is None else f"simulated, JND {asked.observer:g}"}
+        known = "a person" if asked.observer is None else f"simulated, JND {asked.observer:g}" + " Nm felt" * asked.felt
+        meta = {"observer": known}
         if asked.observer is None:
             meta["began"] = datetime.now(UTC).isoformat(timespec="seconds")
         displays, meta["bus"] = _displays(study, where)
@@ -183,7 +188,8 @@ def _people(session: SubjectSession, asked: Asked) -> Iterator[People]:
 
     study = session.study
     if asked.observer is not None:
-        yield _simulated(Observer(asked.observer, study.file.seed, session.folder.number))
+        judged = [_felt(session.folder)] if asked.felt else []
+        yield _simulated(Observer(asked.observer, study.file.seed, session.folder.number, *judged))
     elif asked.page:
         from coulombus.lab.experiment.page import AnswerPage
 
@@ -202,6 +208,15 @@ def _tell(session: Session, out: Path, as_json: bool) -> None:
     else:
         left = "complete" if session.complete else "not complete"
         click.echo(f"{session.subject}: {session.trials} trials answered, {left}: {out}")
+
+
+def _felt(folder: SubjectFolder) -> Callable[[Trial], list[float]]:
+    from coulombus.lab.experiment.felt import felt_Nm
+
+    def judged(trial: Trial) -> list[float]:
+        return [felt_Nm(folder.recording(trial, number)) for number in range(1, len(trial.levels) + 1)]
+
+    return judged
 
 
 def _simulated(observer: Observer) -> People:
