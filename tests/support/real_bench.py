@@ -143,7 +143,7 @@ class Observer:
         deadline = time.monotonic() + seconds
         ended = False
         while time.monotonic() < deadline and not ended:
-            ended = run.poll() is not None  # before the look: what it sent last counts
+            ended = run is not None and run.poll() is not None  # before the look: what it sent last counts
             for stamp, can_id, data in self.look(0.05):
                 if condition(can_id, data):
                     return stamp
