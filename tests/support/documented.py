@@ -55,6 +55,7 @@ RULES = (
     (r": coulombus commission", "minutes of virtual time: tests/verbs/test_commission_command.py"),
     (r": coulombus sweep", "64 runs: tests/verbs/test_sweep_command.py runs smaller ones"),
     (r": coulombus experiment", "a study of many trials: tests/verbs/test_experiment_command.py runs shorter ones"),
+    (r": .*study_coverage\.py", "half an hour of processor time: tests/test_examples.py runs a short one"),
     (r": coulombus analyse study", "reads a study's folder: docs/tutorials/study.md analyses the one that it makes"),
     (r"--sensor amplifier", "files of three makers: tests/verbs/test_init_command.py"),
     (r"eds check --json \*\.eds", "needs jq: tests/verbs/test_eds_command.py reads the JSON"),
