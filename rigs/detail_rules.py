@@ -17,12 +17,16 @@ COUPLINGS = (("cable", "motor_inertia_kg_m2"), ("handle", "inertia_kg_m2"))
 
 
 def check_detail(values: Table, source: Source) -> None:
-    """Note what is wrong between keys of `[plant]` and its sections that are right by themselves."""
+    """Note what is wrong between keys of `[plant]` and its sections that are right by themselves,
+    and in what the host believes of the brake's iron.
+    """
+    for section in ("plant", "brake"):
+        _check_iron(section, values.get(section), source)
     plant = values.get("plant")
     if not isinstance(plant, Mapping):
         return
     _check_bodies(plant, source)
-    friction, iron = plant.get("friction"), plant.get("iron")
+    friction = plant.get("friction")
     if isinstance(friction, Mapping) and friction.get("law") == "lugre":
         stiffness = friction.get("sigma_0_Nm_rad", 0.0)
         if stiffness == 0:
@@ -30,8 +34,9 @@ def check_detail(values: Table, source: Source) -> None:
             source.say(("plant", "friction", "sigma_0_Nm_rad"), text)
         if plant.get("coulomb_Nm") == 0:
             source.say(("plant", "coulomb_Nm"), "got '0', but bristles need a friction above 0 (plant.friction.law)")
-    if isinstance(iron, Mapping):
-        _check_iron(plant, iron, source)
+    if isinstance(plant.get("iron"), Mapping) and (remanence := _number(source, plant, "brake_remanence")):
+        text = f"got '{shown(remanence)}', expected 0 beside [plant.iron]: that is another model of the same iron"
+        source.say(("plant", "brake_remanence"), text)
 
 
 def _number(source: Source, values: Any, *key: str) -> float | None:
@@ -70,12 +75,15 @@ def _check_bodies(plant: Table, source: Source) -> None:
                 source.stands(("plant", name, key), value, wanted)
 
 
-def _check_iron(plant: Table, iron: Table, source: Source) -> None:
+def _check_iron(section: str, values: Any, source: Source) -> None:
+    iron = values.get("iron") if isinstance(values, Mapping) else None
+    if not isinstance(iron, Mapping):
+        return
     plays, weights = iron.get("play_Nm"), iron.get("weights")
     if not isinstance(plays, list) or not isinstance(weights, list):
         return
-    key = ("plant", "iron", "weights")
-    if source.is_wrong(key) or source.is_wrong(("plant", "iron", "play_Nm")):
+    key = (section, "iron", "weights")
+    if source.is_wrong(key) or source.is_wrong((section, "iron", "play_Nm")):
         return
     if any(type(one) not in (int, float) for one in weights):
         return
@@ -83,7 +91,3 @@ def _check_iron(plant: Table, iron: Table, source: Source) -> None:
         source.say(key, f"got {len(weights)} values where play_Nm has {len(plays)}, expected as many")
     elif math.fsum(weights) > 1 + 1e-12:
         source.say(key, f"got {shown(weights)}, together {math.fsum(weights):.4g}; expected at most 1")
-    remanence = _number(source, plant, "brake_remanence")
-    if remanence:
-        text = f"got '{shown(remanence)}', expected 0 beside [plant.iron]: that is another model of the same iron"
-        source.say(("plant", "brake_remanence"), text)

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field
 
+from coulombus.rigs.iron import Iron
 from coulombus.rigs.model import MS, Milliseconds, Section
 
 __all__ = [
@@ -137,6 +138,7 @@ class Brake(_Actuator):
     fluid_lag_s: float = Field(
         0.0, ge=0, le=1, description="believed lag of the fluid, which the lead takes off; 0: none"
     )
+    iron: Iron | None = Field(None, description="believed magnetic hysteresis, which the host inverts")
     hold_s: Milliseconds = Field(
         ge=0, le=65.535, description="set-point lost: it is held this long ...", json_schema_extra=MS
     )

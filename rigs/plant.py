@@ -10,8 +10,9 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BeforeValidator, ConfigDict, Field
 
+from coulombus.rigs.iron import Iron
 from coulombus.rigs.model import NS, SAYS_POLARITY, Nanoseconds, Polarity, Section, to_ns
-from coulombus.rigs.plant_detail import Cable, Fluid, Friction, Handle, Heat, Iron, Ripple
+from coulombus.rigs.plant_detail import Cable, Fluid, Friction, Handle, Heat, Ripple
 
 __all__ = [
     "FilePhase",

@@ -1,20 +1,18 @@
 """What a simulated rig may have beyond one rigid body: [plant.cable], [plant.handle],
-[plant.friction], [plant.fluid], [plant.iron], [plant.ripple] and [plant.heat].
+[plant.friction], [plant.fluid], [plant.ripple] and [plant.heat]; [plant.iron] is in `rigs.iron`.
 
 A rig file without these sections has one rigid body.
 """
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Literal
 
 from pydantic import Field
 
 from coulombus.rigs.model import Section
 
-__all__ = ["Cable", "Fluid", "Friction", "Handle", "Heat", "Iron", "Ripple"]
-
-MOST_PLAYS = 8
+__all__ = ["Cable", "Fluid", "Friction", "Handle", "Heat", "Ripple"]
 
 
 class _Coupling(Section):
@@ -70,25 +68,6 @@ class Fluid(Section):
     )
     shear_s_rad: float = Field(
         0.0, ge=0, le=1e3, description="the fluid's lag is divided by 1 + this times the drum's speed"
-    )
-
-
-class Iron(Section):
-    """[plant.iron]: the brake's magnetic hysteresis, a sum of play operators."""
-
-    play_Nm: tuple[Annotated[float, Field(gt=0, le=1e4)], ...] = Field(
-        strict=False,
-        min_length=1,
-        max_length=MOST_PLAYS,
-        description="half of each operator's play, as the torque of its coil current",
-        json_schema_extra={"expected": f"a list of 1 to {MOST_PLAYS} numbers above 0, in Nm"},
-    )
-    weights: tuple[Annotated[float, Field(ge=0, le=1)], ...] = Field(
-        strict=False,
-        min_length=1,
-        max_length=MOST_PLAYS,
-        description="weight of each operator; what is left to 1 follows at once",
-        json_schema_extra={"expected": "a list of as many numbers from 0 to 1 as play_Nm has, together at most 1"},
     )
 
 

@@ -63,6 +63,7 @@ TARGETS = {
     ),
     "host/cycle/late.py": Target(("test_late",)),
     "host/cycle/inside.py": Target(("test_host_inside",)),
+    "host/cycle/iron.py": Target(("test_iron",)),
     "host/cycle/axes.py": Target(("test_host_axes",)),
     "eds/description.py": Target(("test_eds_reader",), ("Variable.admits", "Variable.largest")),
     "host/laws/karnopp.py": Target(("test_law_edges",), ("karnopp",)),

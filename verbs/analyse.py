@@ -510,6 +510,7 @@ def _map(rig: Rig, options: dict[str, Any]) -> None:
 @force_option
 @click.option("--axis", metavar="A", help="Which axis of a rig that has several.")
 @click.option("--law", "law", metavar="NAME", help="Fit this law's parameters instead.")
+@click.option("--iron", is_flag=True, help="Fit the magnetic hysteresis of the brake instead.")
 @click.option("--set", "overrides", multiple=True, metavar="KEY=V", help="With --law: hold a parameter at a value.")
 @json_option
 def identify_command(
@@ -525,14 +526,24 @@ def identify_command(
     With --law the parameters of that law are sought that give the hand's torque along the recorded
     angle. FILE may be a CSV file with the columns t_s,x_rad,torque_Nm, too.
 
+    With --iron the brake's magnetic hysteresis is sought, as [brake.iron] of the rig file takes it.
+    The brake's set-point must change up and down while the handle slides.
+
     \b
     Examples:
       coulombus simulate --mode active --record active.pcapng && coulombus identify active.pcapng
       coulombus identify strokes.pcapng --json
       coulombus identify strokes.pcapng --figure friction.png
       coulombus identify strokes.csv --law lugre --set sigma_2_Nms_rad=0
+      coulombus identify damper.pcapng --iron
     """
     as_json = options["as_json"]
+    if options["iron"]:
+        if figure is not None or options["law"] is not None or options["overrides"]:
+            raise click.UsageError("--iron goes with none of --figure, --law and --set")
+        with errors():
+            _identify_iron(file, rig_name, axis, as_json=as_json)
+        return
     if options["law"] is not None:
         if figure is not None:
             raise click.UsageError("--figure is of the fit without --law")
@@ -564,6 +575,23 @@ def identify_command(
                 print_json(found.as_dict())
             else:
                 click.echo("\n".join(lines(found)))
+
+
+def _identify_iron(file: Path, rig_name: str | None, axis: str | None, *, as_json: bool) -> None:
+    from coulombus.recording.friction.iron import identify_iron, iron_lines
+    from coulombus.recording.signals import blocks
+    from coulombus.rigs.rig import load_rig
+
+    seen = blocks(file, rig=None if rig_name is None else load_rig(rig_name)).one_axis(axis)
+    try:
+        found = identify_iron(seen)
+    finally:
+        remark(seen.remarks)
+    with printed():
+        if as_json:
+            print_json(found.as_dict())
+        else:
+            click.echo("\n".join(iron_lines(found)))
 
 
 def _identify_law(file: Path, rig_name: str | None, axis: str | None, options: dict[str, Any]) -> None:

@@ -16,7 +16,7 @@ leads the brake's lags. The error budget is the control ``felt`` with one belief
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -32,7 +32,7 @@ from coulombus.recording.signals import blocks
 from coulombus.rigs.rig import Rig, load_rig
 from coulombus.sim_bus.rig.plant import TRUTH_COLUMNS
 
-__all__ = ["Felt", "FeltStudy", "broke_away", "felt_control", "felt_study", "slid"]
+__all__ = ["Felt", "FeltStudy", "broke_away", "felt_control", "felt_study", "iron_of", "slid"]
 
 Floats: TypeAlias = npt.NDArray[np.float64]
 
@@ -40,6 +40,8 @@ LEVELS_NM = (1.0, 2.0, 4.0)
 RATES_NM_S = (1.0, -1.0, 30.0, -30.0)
 SPEEDS_RAD_S = (0.02, 0.05, 0.2, 1.0)
 BUDGET_NM = 2.0
+IRON = (0.1, 0.4), (0.2, 0.2)
+"""Half plays [Nm] and weights of an iron with hysteresis."""
 SLIDES_RAD_S = 1e-4
 WINDOW_CYCLES = 32
 REST_S = 1.5
@@ -95,7 +97,7 @@ class FeltStudy:
 
 def felt_control(rig: Rig) -> Rig:
     """Return `rig` with the control that makes what the hand feels right; the brake's lags are
-    believed as the simulated rig has them.
+    believed as the simulated rig has them, and so is its iron.
     """
     plant = rig.one_axis().simulation.plant
     return rig.variant(
@@ -103,7 +105,13 @@ def felt_control(rig: Rig) -> Rig:
         f"law.velocity_window_cycles={WINDOW_CYCLES}",
         f"brake.coil_lag_s={plant.brake_coil_lag_s}",
         f"brake.fluid_lag_s={plant.brake_fluid_lag_s}",
+        *(() if plant.iron is None else iron_of("brake", plant.iron.play_Nm, plant.iron.weights)),
     )
+
+
+def iron_of(section: str, play_Nm: Sequence[float], weights: Sequence[float]) -> tuple[str, str]:
+    """Return the overrides that give ``[plant.iron]`` or ``[brake.iron]`` these play operators."""
+    return f"{section}.iron.play_Nm={list(play_Nm)}", f"{section}.iron.weights={list(weights)}"
 
 
 def _wrong_beliefs(rig: Rig) -> dict[str, tuple[str, ...]]:
@@ -120,19 +128,23 @@ def _wrong_beliefs(rig: Rig) -> dict[str, tuple[str, ...]]:
             f"plant.brake_fluid_lag_s={1.3 * plant.brake_fluid_lag_s}",
         ),
         "iron remembers 2 %": ("plant.brake_remanence=0.02",),
+        "iron with minor loops": iron_of("plant", *IRON),
+        "the same, inverted": (*iron_of("plant", *IRON), *iron_of("brake", *IRON)),
+        "the same, weights believed half": (
+            *iron_of("plant", *IRON),
+            *iron_of("brake", IRON[0], [0.5 * one for one in IRON[1]]),
+        ),
         "cogging of 0.01 Nm": ("plant.cogging_Nm=0.01",),
     }
 
 
-def _truth(rig: Rig, seconds: float, seed: int) -> dict[str, Floats]:
-    """Return the plant's true course in the last phase of a run in mode hybrid; t_s counts from its
-    begin.
-    """
+def _truth(rig: Rig, mode: str, seconds: float, seed: int) -> dict[str, Floats]:
+    """Return the plant's true course in the last phase of a run ; t_s counts from its begin."""
     with tempfile.TemporaryDirectory(prefix="coulombus-") as directory:
         path, recording = Path(directory) / "truth.npz", Path(directory) / "run.pcapng"
-        result = simulate(rig, "hybrid", seconds, truth=path, record=recording, seed=seed)
+        result = simulate(rig, mode, seconds, truth=path, record=recording, seed=seed)
         if result.trip is not None:
-            raise SafetyTrip(f"rig {rig.name!r}, mode hybrid: the run tripped: {result.trip}")
+            raise SafetyTrip(f"rig {rig.name!r}, mode {mode}: the run tripped: {result.trip}")
         last = phases(blocks(recording))[-1]
         with np.load(path) as file:
             inside = (file["t_s"] > last.begin_s) & (file["t_s"] <= last.end_s)
@@ -141,10 +153,10 @@ def _truth(rig: Rig, seconds: float, seed: int) -> dict[str, Floats]:
         return truth
 
 
-def _levels(rig: Rig, F_s_Nm: float, F_d_Nm: float, *more: str) -> Rig:
+def _levels(rig: Rig, mode: str, F_s_Nm: float, F_d_Nm: float, *more: str) -> Rig:
     return rig.variant(
-        f"mode.hybrid.F_s_Nm={F_s_Nm}",
-        f"mode.hybrid.F_d_Nm={F_d_Nm}",
+        f"mode.{mode}.F_s_Nm={F_s_Nm}",
+        f"mode.{mode}.F_d_Nm={F_d_Nm}",
         "operator.stiffness_Nm_rad=0.0",
         "operator.tremor_Nm=0.0",
         "limits.speed_rad_s=100.0",
@@ -160,21 +172,23 @@ def _torque(points: Iterable[tuple[float, float]]) -> str:
     return f'{{kind="file", duration_s={t[-1]:.9g}, t_s=[{times}], torque_Nm=[{torques}]}}'
 
 
-def broke_away(rig: Rig, F_s_Nm: float, rate_Nm_s: float, *, seed: int = 0) -> float:
+def broke_away(rig: Rig, F_s_Nm: float, rate_Nm_s: float, *, mode: str = "hybrid", seed: int = 0) -> float:
     """Return the hand's torque [Nm] at which a stuck handle came to slide under a ramp of
     `rate_Nm_s`; negative: pushed in the negative sense. NaN: it never did.
     """
     ramp_s = 1.3 * F_s_Nm / abs(rate_Nm_s)
     phase = _torque([(0.0, 0.0), (ramp_s, rate_Nm_s * ramp_s)])
-    pushed = _levels(rig, F_s_Nm, 0.9 * F_s_Nm, f'phase=[{{kind="rest", duration_s={REST_S}}}, {phase}]')
+    pushed = _levels(rig, mode, F_s_Nm, 0.9 * F_s_Nm, f'phase=[{{kind="rest", duration_s={REST_S}}}, {phase}]')
     # what it does once it is free is of no interest: the hand's damping keeps it within the limits
-    truth = _truth(pushed.variant("operator.damping_Nms_rad=2.0"), REST_S + ramp_s, seed)
+    truth = _truth(pushed.variant("operator.damping_Nms_rad=2.0"), mode, REST_S + ramp_s, seed)
     pushes = truth["operator_Nm"] * np.sign(rate_Nm_s)
     slides = (np.abs(truth["speed_rad_s"]) > SLIDES_RAD_S) & (pushes > 0.5 * F_s_Nm)
     return float(pushes[np.argmax(slides)]) if np.any(slides) else float("nan")
 
 
-def slid(rig: Rig, F_d_Nm: float, speeds_rad_s: Iterable[float], *, seed: int = 0) -> list[tuple[float, float]]:
+def slid(
+    rig: Rig, F_d_Nm: float, speeds_rad_s: Iterable[float], *, mode: str = "hybrid", seed: int = 0
+) -> list[tuple[float, float]]:
     """Return for each speed and both senses, (speed, the hand's mean torque against it) once the
     display has settled: signed speed in rad/s, Nm.
     """
@@ -186,12 +200,13 @@ def slid(rig: Rig, F_d_Nm: float, speeds_rad_s: Iterable[float], *, seed: int = 
         t += SETTLE_S + SLIDE_S
     drawn = _levels(
         rig,
+        mode,
         F_d_Nm,
         F_d_Nm,
         f"operator.damping_Nms_rad={HAND_NMS_RAD}",
         f'phase=[{{kind="rest", duration_s={REST_S}}}, {_torque(points)}]',
     )
-    truth = _truth(drawn, REST_S + t, seed)
+    truth = _truth(drawn, mode, REST_S + t, seed)
     found = []
     for k, speed in enumerate(legs):
         end = (k + 1) * (SETTLE_S + SLIDE_S)

@@ -291,6 +291,12 @@ class Controller:
         c["inertia"] = axis.mechanics.inertia_kg_m2
         for name, lag_s in (("coil_step", axis.brake.coil_lag_s), ("fluid_step", axis.brake.fluid_lag_s)):
             c[name] = 1.0 - math.exp(-T / lag_s) if lag_s > 0 else 0.0
+        iron = axis.brake.iron
+        c["iron_direct"] = 1.0
+        if iron is not None:
+            plays = c["iron_plays"] = len(iron.play_Nm)
+            c["iron_r"][:plays], c["iron_w"][:plays] = iron.play_Nm, iron.weights
+            c["iron_direct"] = 1.0 - math.fsum(iron.weights)
         c["gain_step"] = T / axis.law.gain_ramp_s if axis.law.gain_ramp_s > 0 else 1.0
 
         c["motor_limit_raw"] = self.motor_limit_raw(float(c["motor_Nm_raw"]))

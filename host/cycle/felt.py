@@ -21,7 +21,9 @@ where it has no direction to push in. So the brake bears
 .. math:: c^* = f + 3 (\lambda_b - f), \qquad u = c + 2 (c^* - c), \qquad 0 \le u \le u_{max},
 
 with which the fluid follows as if its lag were a third and the coil's a half of what they are. The
-believed course gets the set-point that was limited, so a limit winds nothing up. No measurement
+believed course gets the set-point that was limited, so a limit winds nothing up. Iron with hysteresis
+between them (`[brake.iron]`) is inverted (`host.cycle.iron`): :math:`c^*` becomes the coil's torque
+with which the fluid sees that. No measurement
 enters: a wrong belief makes the brake late or early by the difference, and never unstable.
 
 **Observer** (`observe`). With more compensation than there is friction the display gives energy. Time
@@ -44,6 +46,7 @@ give. So the compensation settles at what there truly is to compensate.
 from __future__ import annotations
 
 from coulombus.compiled.decorator import kernel
+from coulombus.host.cycle.iron import coil_for, magnetise
 from coulombus.host.cycle.records import KINETIC_CYCLES, TRACK, ControlRecord, HostRecord, Phase
 
 __all__ = ["brake_level", "expect", "lead", "observe", "slide_velocity"]
@@ -90,9 +93,10 @@ def lead(c: ControlRecord, h: HostRecord, level_Nm: float) -> float:
     """Return the set-point [Nm] with which the brake's torque comes to `level_Nm` sooner than its
     lags let it.
     """
-    if c.coil_step <= 0.0 and c.fluid_step <= 0.0:
+    if c.coil_step <= 0.0 and c.fluid_step <= 0.0 and c.iron_plays <= 0:
         return level_Nm
-    coil_Nm = level_Nm if c.fluid_step <= 0.0 else h.fluid_Nm + FLUID_LEAD * (level_Nm - h.fluid_Nm)
+    seen_Nm = level_Nm if c.fluid_step <= 0.0 else h.fluid_Nm + FLUID_LEAD * (level_Nm - h.fluid_Nm)
+    coil_Nm = coil_for(c, h, seen_Nm)
     if c.coil_step > 0.0:
         coil_Nm = h.coil_Nm + COIL_LEAD * (coil_Nm - h.coil_Nm)
     setpoint_Nm: float = min(max(coil_Nm, 0.0), c.brake_limit_Nm)
@@ -103,11 +107,13 @@ def lead(c: ControlRecord, h: HostRecord, level_Nm: float) -> float:
 def expect(c: ControlRecord, h: HostRecord) -> None:
     """Step the brake's expected torque along by a cycle under the set-point that was sent."""
     if c.coil_step <= 0.0 and c.fluid_step <= 0.0:
-        h.brake_lagged_Nm = h.brake_Nm + (h.brake_lagged_Nm - h.brake_Nm) * c.brake_lag_decay
+        seen_Nm = magnetise(c, h, h.brake_Nm)
+        h.brake_lagged_Nm = seen_Nm + (h.brake_lagged_Nm - seen_Nm) * c.brake_lag_decay
         return
-    before = h.coil_Nm
+    before = h.iron_Nm
     h.coil_Nm = h.brake_Nm if c.coil_step <= 0.0 else h.coil_Nm + (h.brake_Nm - h.coil_Nm) * c.coil_step
-    mean = 0.5 * (before + h.coil_Nm)
+    h.iron_Nm = magnetise(c, h, h.coil_Nm)
+    mean = 0.5 * (before + h.iron_Nm)
     h.fluid_Nm = mean if c.fluid_step <= 0.0 else h.fluid_Nm + (mean - h.fluid_Nm) * c.fluid_step
     h.brake_lagged_Nm = h.fluid_Nm
 

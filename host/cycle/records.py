@@ -14,6 +14,7 @@ import numpy as np
 
 from coulombus.host.laws.law import LawFunction
 from coulombus.rigs.devices import TABLE_POINTS
+from coulombus.rigs.iron import MOST_PLAYS
 from coulombus.rigs.model import MOST_DELAY_CYCLES, MOST_DEVICES, WINDOW_CYCLES, WORK_WINDOW_CYCLES
 from coulombus.rigs.pdo_maps import MOST_CONSTANTS, MOST_PDOS
 
@@ -185,6 +186,10 @@ CONTROL = np.dtype(
         ("inertia", np.float64),
         ("coil_step", np.float64),  # share of the way that the coil goes in a cycle, as believed; 0: no lead
         ("fluid_step", np.float64),
+        ("iron_plays", np.int64),  # play operators of the brake's iron, as believed; 0: it has no hysteresis
+        ("iron_r", np.float64, (MOST_PLAYS,)),
+        ("iron_w", np.float64, (MOST_PLAYS,)),
+        ("iron_direct", np.float64),
         ("passivity_J", np.float64),  # inf: the motor's compensation is not observed
         # limits
         ("motor_limit_raw", np.int64),  # in counts of the set-point; of 6071h the same number as the drive's 6072h
@@ -282,6 +287,8 @@ HOST = np.dtype(
         ("brake_Nm", np.float64),
         ("brake_lagged_Nm", np.float64),
         ("coil_Nm", np.float64),  # the lead's belief of what the coil's current stands for ...
+        ("iron_Nm", np.float64),  # ... of what the fluid sees of it ...
+        ("iron_y", np.float64, (MOST_PLAYS,)),
         ("fluid_Nm", np.float64),  # ... and of what the fluid bears
         ("asked_sense", np.float64, (ASKED,)),  # by the law, and held back: of the compensation ...
         ("asked_psi_Nm", np.float64, (ASKED,)),  # ... of the motor ...

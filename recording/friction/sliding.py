@@ -38,7 +38,19 @@ from scipy.signal import savgol_coeffs, savgol_filter
 from coulombus.eds.cia402 import STATE_OF_STATUSWORD, PowerState
 from coulombus.recording.signals import Series, Source, series
 
-__all__ = ["Equations", "Floats", "IdentifyError", "Slide", "Sliding", "equations", "sliding", "stretches"]
+__all__ = [
+    "Equations",
+    "Floats",
+    "IdentifyError",
+    "Slide",
+    "Sliding",
+    "equations",
+    "runs",
+    "signals",
+    "since",
+    "sliding",
+    "stretches",
+]
 
 Floats: TypeAlias = npt.NDArray[np.float64]
 Flags: TypeAlias = npt.NDArray[np.bool_]
@@ -61,7 +73,6 @@ SPEED_SHARE = 0.8
 Above it the host lets the motor only brake (`host.cycle.step.SPEED_TAPER`).
 """
 LEAST_SAMPLES = 100
-ENABLED = int(PowerState.OPERATION_ENABLED)
 
 
 class IdentifyError(ValueError):
@@ -122,13 +133,13 @@ def _held(series: Series, t: Floats) -> Floats:
     return np.where(last >= 0, np.asarray(series.values, np.float64)[np.maximum(last, 0)], 0.0)
 
 
-def _since(flags: Flags) -> npt.NDArray[np.int64]:
+def since(flags: Flags) -> npt.NDArray[np.int64]:
     """Return for how many samples `flags` has been true, the present one included."""
     index = np.arange(len(flags))
     return index - np.maximum.accumulate(np.where(flags, -1, index))
 
 
-def _runs(flags: Flags) -> list[tuple[int, int]]:
+def runs(flags: Flags) -> list[tuple[int, int]]:
     """Return first and end of each run of true values."""
     edges = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
     return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
@@ -170,10 +181,10 @@ def _displayed(recording: Source, t: Floats, counts: Floats) -> tuple[Flags, tup
             "no statusword was recorded, so the phases of the host are not known: what slides in the arming is fitted, too",
         )
     words = _held(statusword, t).astype(np.int64)
-    enabled = (np.asarray(STATE_OF_STATUSWORD)[words & 0x7F] == ENABLED) & (t >= statusword.t_s[0])
+    enabled = (np.asarray(STATE_OF_STATUSWORD)[words & 0x7F] == PowerState.OPERATION_ENABLED) & (t >= statusword.t_s[0])
     torque = _held(target, t)
     shown, notes = np.zeros(len(t), bool), list[str]()
-    for first, end in _runs(enabled):
+    for first, end in runs(enabled):
         armed = _armed(counts[first:end], torque[first:end], round(SETTLE_S / period))
         if armed is None and not marked and len(torque[first:end]):
             notes.append(
@@ -203,7 +214,7 @@ class _Samples:
         self.good &= flags
 
 
-class _Signals(NamedTuple):
+class Signals(NamedTuple):
     """What a recording has of the handle, cycle by cycle."""
 
     t: Floats
@@ -220,7 +231,14 @@ class _Signals(NamedTuple):
     """An encoder count at the handle [rad]."""
 
 
-def _signals(recording: Source) -> _Signals:
+def signals(recording: Source) -> Signals:
+    """Return what a recording has of the handle, cycle by cycle.
+
+    Raises
+    ------
+    IdentifyError
+        the rig has no transducer, there is no sample, or the recording's stamps go back
+    """
     period = recording.rig.bus.period_s
     names = ("motor.position_rad", "brake.handle_torque_Nm")
     if not recording.has(names[1]):
@@ -250,7 +268,7 @@ def _signals(recording: Source) -> _Signals:
     if not told:
         motor = _held(drive_torque, t)
         notes += ("the motor's torque is not measured: the device's own friction is with the torque that it was told",)
-    return _Signals(t, x, moved, hand, motor, brake, shown, notes, count)
+    return Signals(t, x, moved, hand, motor, brake, shown, notes, count)
 
 
 def stretches(recording: Source) -> tuple[Slide, ...]:
@@ -261,10 +279,10 @@ def stretches(recording: Source) -> tuple[Slide, ...]:
     IdentifyError
         the rig has no transducer, there is hardly a sample, or the recording's stamps go back
     """
-    period, seen = recording.rig.bus.period_s, _signals(recording)
+    period, seen = recording.rig.bus.period_s, signals(recording)
     good = seen.shown & np.isfinite(seen.x) & np.isfinite(seen.hand) & np.isfinite(seen.motor)
     gaps = np.abs(np.diff(seen.t, prepend=seen.t[:1] - period) - period) >= 0.5 * period
-    edges = [(a, b) for first, end in _runs(good) for a, b in _apart(first, end, gaps)]
+    edges = [(a, b) for first, end in runs(good) for a, b in _apart(first, end, gaps)]
     found = tuple(
         Slide(seen.t[a:b], seen.x[a:b], seen.hand[a:b], seen.motor[a:b]) for a, b in edges if b - a >= LEAST_SAMPLES
     )
@@ -293,7 +311,7 @@ def sliding(recording: Source, window_s: float = WINDOW_S) -> Sliding:
     """
     axis, period = recording.rig.one_axis(), recording.rig.bus.period_s
     size = 2 * max(round(0.5 * (window_s / period - 1)), 2) + 1
-    t, x, moved, hand, motor, brake, shown, notes, count = _signals(recording)
+    t, x, moved, hand, motor, brake, shown, notes, count = signals(recording)
 
     samples = _Samples(len(t))
     samples.keep("not in the display at full gain (arming, gain ramp, after the end)", shown)
@@ -307,16 +325,16 @@ def sliding(recording: Source, window_s: float = WINDOW_S) -> Sliding:
     one_way = samples.good & np.concatenate(([False], moved[1:] * moved[:-1] > 0.0))
     one_way[1:] &= samples.good[:-1]
     samples.keep(
-        f"within {REVERSAL_S * 1e3:g} ms of a stop or a reversal", _since(one_way) >= round(REVERSAL_S / period)
+        f"within {REVERSAL_S * 1e3:g} ms of a stop or a reversal", since(one_way) >= round(REVERSAL_S / period)
     )
-    constant = _since(np.concatenate(([True], brake[1:] == brake[:-1]))) >= round(COIL_S / period)
+    constant = since(np.concatenate(([True], brake[1:] == brake[:-1]))) >= round(COIL_S / period)
     off = constant & (brake == 0.0)
     coil_off = int(np.sum(samples.good & off)) >= LEAST_SAMPLES
     samples.keep(f"brake on, or changed within {COIL_S * 1e3:g} ms", off if coil_off else constant)
 
     long = np.zeros(len(t), bool)
     spans = []
-    for first, end in _runs(samples.good):
+    for first, end in runs(samples.good):
         for a, b in _one_way(first, end, moved):
             if b - a >= max(size, SPEED_SAMPLES):
                 spans.append((a, b))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from coulombus.analysis.rig.felt import Felt, FeltStudy, broke_away, felt_control, slid
+from coulombus.analysis.rig.felt import Felt, FeltStudy, broke_away, felt_control, iron_of, slid
 from coulombus.lab.simulate import simulate
 from coulombus.rigs.rig import load_rig
 
@@ -32,6 +32,25 @@ def test_with_the_papers_level_the_devices_friction_is_felt_beside_it(bench):
 
 def test_sliding_is_felt_as_F_d_to_3_percent_from_20_mrad_s_on(bench):
     for speed, torque in slid(felt_control(bench), 1.0, (0.02, 0.1, 1.0)):
+        assert abs(speed) >= 0.02
+        assert torque == pytest.approx(1.0, rel=0.03)
+
+
+IRON = (0.1, 0.4), (0.2, 0.2)
+
+
+@pytest.mark.parametrize("mode", ["passive", "hybrid"])
+@pytest.mark.parametrize("rate", [30.0, -30.0])
+def test_a_brake_with_hysteresis_breaks_away_at_F_s_when_its_iron_is_known(bench, mode, rate):
+    truth = bench.variant(*iron_of("plant", *IRON))
+    assert broke_away(felt_control(truth), 1.0, rate, mode=mode) == pytest.approx(1.0, rel=0.02)
+    unknown = felt_control(bench).variant(*iron_of("plant", *IRON))
+    assert broke_away(unknown, 1.0, rate, mode=mode) < 0.93
+
+
+def test_sliding_in_passive_is_felt_as_F_d_through_a_hysteresis(bench):
+    truth = bench.variant(*iron_of("plant", *IRON))
+    for speed, torque in slid(felt_control(truth), 1.0, (0.021, 1.0), mode="passive"):
         assert abs(speed) >= 0.02
         assert torque == pytest.approx(1.0, rel=0.03)
 
