@@ -29,7 +29,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import expm
 
-__all__ = ["Handle", "ZWidth", "stable_predicted", "stable_simulated", "z_width"]
+__all__ = ["Handle", "ZWidth", "hulin_stiffness", "stable_predicted", "stable_simulated", "z_width"]
 
 Floats: TypeAlias = npt.NDArray[np.float64]
 Bools: TypeAlias = npt.NDArray[np.bool_]
@@ -95,6 +95,18 @@ def stable_predicted(handle: Handle, K_Nm_rad: float, B_Nms_rad: float, mode: st
         for k in range(4, size):
             loop[k, k - 1] = 1.0
     return bool(np.abs(np.linalg.eigvals(loop)).max() < 1.0)
+
+
+def hulin_stiffness(handle: Handle, B_Nms_rad: float = 0.0) -> float:
+    r"""Return the largest stable stiffness of the active wall for a soft loop with delay,
+
+    .. math:: K = \frac{b + B}{T/2 + \tau}, \qquad \tau = q T
+
+    the slope of the exact boundary at the origin: it holds while :math:`K T^2 / J` and
+    :math:`B T / J` are small. Source: T. Hulin, A. Albu-Schaeffer, G. Hirzinger, IEEE Trans. Control
+    Systems Technology 22(4), 2014, doi:10.1109/TCST.2013.2283372.
+    """
+    return (handle.viscous_Nms_rad + B_Nms_rad) / ((0.5 + handle.delay_cycles) * handle.period_s)
 
 
 def stable_simulated(handle: Handle, K_Nm_rad: Floats, B_Nms_rad: Floats, mode: str) -> Bools:
