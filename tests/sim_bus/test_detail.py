@@ -15,7 +15,9 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from coulombus.rigs.rig import RigError, load_rig
+from coulombus.sim_bus.rig.chain import _first_event
 from coulombus.sim_bus.rig.course import advance_detailed
+from coulombus.sim_bus.rig.own_friction import set_levels
 from coulombus.sim_bus.rig.plant import advance, new_plant, transducer_Nm, truth_columns
 from coulombus.sim_bus.rig.wave import WAVE, wave
 
@@ -23,6 +25,13 @@ CABLE = {"stiffness_Nm_rad": 800.0, "damping_Nms_rad": 0.02, "motor_inertia_kg_m
 HANDLE = {"stiffness_Nm_rad": 500.0, "damping_Nms_rad": 0.01, "inertia_kg_m2": 5e-4}
 ONE_BODY = ("plant.friction.law=coulomb",)
 WORKS = "operator", "motor", "brake", "friction"
+
+BACKLASH = (
+    "plant.cable.motor_inertia_kg_m2=5e-4",
+    "plant.cable.stiffness_Nm_rad=100.0",
+    "plant.cable.backlash_rad=0.002",
+    "plant.cable.friction_share=0.5",
+)
 
 
 def keys(**sections):
@@ -282,3 +291,22 @@ def test_what_cannot_be_is_refused_with_its_line(tmp_path, lines, number, said):
     place = error.split(": ")[0]
     assert place.startswith(f"{file}:")
     assert int(place.rpartition(":")[2]) in (first, first + number)
+
+
+def test_a_step_ends_at_a_couplings_event_also_where_a_bodys_comes_later():
+    axis = load_rig("bench").variant(*BACKLASH).one_axis()
+    by_body = 0
+    for seed in range(150):
+        rng = np.random.default_rng(seed)
+        p = new_plant(axis, 0)[0]
+        d, side = p.detail, rng.choice([-1, 1])
+        d.q[0] = side * (d.gap[0] + rng.choice([-1, 1]) * 10 ** rng.uniform(-9, -4))
+        d.contact[0] = side if side * d.q[0] > d.gap[0] else 0
+        d.v[:2] = rng.choice([-1, 1], 2) * 10 ** rng.uniform(-5, 0, 2)
+        set_levels(p, 0.5 * rng.random())
+        h, event = _first_event(p, 1e-4, 0.5 * rng.normal(), 0.5 * rng.normal())
+        between = d.q[0] - d.q[1] + h * (d.u[0] - d.u[1])
+        way = d.contact[0] * between - d.gap[0] if d.contact[0] else d.gap[0] - abs(between)
+        assert event == 3 or h == 0.0 or way > -1e-15
+        by_body += event in (0, 1)
+    assert by_body > 20
