@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import filecmp
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Real
 from pathlib import Path
@@ -26,12 +26,14 @@ from coulombus.recording.signals import Recording, Series, UnknownSignal, read
 from coulombus.rigs.arguments import WrongCall, path_text
 from coulombus.rigs.rig import Rig
 
-__all__ = ["compare"]
+__all__ = ["compare", "only_in"]
 
 Floats: TypeAlias = npt.NDArray[np.float64]
 NO_TOLERANCES: Mapping[str, float] = MappingProxyType({})
 ALL = ""
 """The tolerance of every signal that has a unit."""
+NAMED = 4
+"""Signals that a sentence names before it counts the others."""
 
 
 @dataclass(frozen=True)
@@ -136,7 +138,13 @@ def _tolerance(name: str, unit: str, tolerances: Mapping[str, float]) -> float |
 def _only_in(one: Recording, other: Recording) -> list[str]:
     inside = {signal.name for pdo in one.inside if not other.inside for signal in pdo.signals}
     names = [name for name in one.signals if name not in other.signals and name not in inside]
-    return [f"only in {one.path}: {', '.join(names)}"] if names else []
+    return [only_in(str(one.path), names)] if names else []
+
+
+def only_in(path: str, names: Sequence[str]) -> str:
+    """Return in words which signals one of two recordings has alone: the first few, and how many."""
+    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    return f"only in {path}: {', '.join(names[:NAMED])}{more}"
 
 
 def _different(first: Recording, second: Recording) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -61,6 +62,8 @@ def hz(
             remark(recording.remarks)
         else:
             rig, address = chosen.found()
+            if sys.stderr.isatty():
+                say(f"coulombus: listening to {address} for {seconds:g} s")
             stamps, lost = listen(address, seconds)
             where, source = str(address), STAMPS[address.kind]
         rows = timing(rig, stamps)

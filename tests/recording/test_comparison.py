@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bench_recording import MS, record
-from coulombus.recording.comparison import compare
+from coulombus.recording.comparison import compare, only_in
 from coulombus.recording.extras import MissingExtra
 from coulombus.recording.pictures.differences import draw_differences
 from coulombus.recording.pictures.plot import (
@@ -95,6 +95,11 @@ def test_another_mode_is_told(tmp_path):
 def test_another_rig_is_told(tmp_path):
     found = compare(record(tmp_path / "a.pcapng"), record(tmp_path / "b.pcapng", rig="paper"))
     assert "recordings of different rigs: bench and paper" in found.remarks
+
+
+def test_of_many_signals_that_one_has_alone_a_few_are_named():
+    assert only_in("a", list("wxyz")) == "only in a: w, x, y, z"
+    assert only_in("a", list("uvwxyz")) == "only in a: u, v, w, x and 2 more"
 
 
 def test_an_empty_recording_is_not_equal_to_another(tmp_path):
