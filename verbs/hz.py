@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 from click.core import ParameterSource
 
-from coulombus.verbs.common import json_option, load, printed, rig_option, set_option
+from coulombus.verbs.common import json_option, load, printed, rig_option, say, set_option
 from coulombus.verbs.failures import EXIT_STATUS, errors, print_json, remark
 from coulombus.verbs.option_types import SECONDS, InputPath
 from coulombus.verbs.rig_options import OneBusOptions, one_bus_options, one_channel_option
