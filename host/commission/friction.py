@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -266,13 +265,13 @@ def _by_sector(
     return edges, by_sector
 
 
-def _device(slides: Sliding, found: Any) -> tuple[Any, Any]:
+def _device(slides: Sliding, found: Identification) -> tuple[Floats, Floats]:
     rows = equations(slides.slides, slides.period_s, slides.count_rad)
     inertia = found.device.inertia_kg_m2
     return rows.v, rows.hand_Nm + rows.motor_Nm - (0.0 if inertia is None else inertia.value) * rows.a
 
 
-def _line(found: Any) -> tuple[list[float], list[float]]:
+def _line(found: Identification) -> tuple[list[float], list[float]]:
     top = float(np.max(np.abs(found.v_rad_s)))
     slope = 0.0 if found.device.viscous_Nms_rad is None else found.device.viscous_Nms_rad.value
     v = [-top, -1e-6, 1e-6, top]

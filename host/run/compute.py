@@ -23,6 +23,7 @@ import numpy as np
 from coulombus.eds.cia301 import CobId, NmtState
 from coulombus.eds.cia402 import STATUSWORD, VOLTAGE_ENABLED, PowerState
 from coulombus.eds.codec import pack
+from coulombus.host.cycle.controller import Controller
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.records import Image, Phase
 from coulombus.host.cycle.step import SOURCE_HOST
@@ -205,7 +206,7 @@ class _Devices:
                     cycle += 1
 
 
-def _tpdos(controller: Any) -> list[bytes]:
+def _tpdos(controller: Controller) -> list[bytes]:
     """Return the frames of the TPDOs of devices that are enabled and stand still: every input 0,
     the dead man's switch held.
     """

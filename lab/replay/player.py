@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -218,7 +218,7 @@ def _send(client: Client, message: bytes) -> int:
             time.sleep(FULL_PAUSE_S)
 
 
-def _spread(late_ns: Any) -> dict[str, float] | None:
+def _spread(late_ns: Integers) -> dict[str, float] | None:
     if not len(late_ns):
         return None
     p50, p99 = np.percentile(late_ns, (50, 99))
