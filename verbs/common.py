@@ -129,7 +129,9 @@ faults_option = click.option(
     metavar="F.toml",
     help="A fault file: what goes wrong on the bus, and when.",
 )
-seed_option = click.option("--seed", default=0, show_default=True, help="Start of everything random.")
+seed_option = click.option(
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Start of everything random."
+)
 bus_option = click.option(
     "--bus", "bus_name", metavar="B", help="coulombus:NAME or socketcan:IF.  [default: coulombus:RIG]"
 )

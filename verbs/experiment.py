@@ -25,6 +25,7 @@ from coulombus.wire.keys import in_foreground
 if TYPE_CHECKING:
     from coulombus.lab.experiment.displays import Displays
     from coulombus.lab.experiment.folder import SubjectFolder
+    from coulombus.lab.experiment.lsl import LslMarkers, LslSignals
     from coulombus.lab.experiment.observer import Observer
     from coulombus.lab.experiment.session import People, Session, SubjectSession
     from coulombus.lab.experiment.study import Study
@@ -86,7 +87,7 @@ asked_options = bundle(
     click.option("--felt", is_flag=True, help="It judges the torque that was felt, as recorded; JND is in Nm."),
     click.option("--page", is_flag=True, help="Ask in a browser on this machine; its address is printed."),
     click.option("--port", type=click.IntRange(0, 65535), help="The page's port.  [default: a free one]"),
-    click.option("--lsl", is_flag=True, help="Send markers by the lab streaming layer."),
+    click.option("--lsl", is_flag=True, help="Send markers and signals by the lab streaming layer."),
 )
 
 
@@ -147,7 +148,7 @@ def experiment_command(
             meta["began"] = datetime.now(UTC).isoformat(timespec="seconds")
         displays, meta["bus"] = _displays(study, where)
         with SubjectFolder(study, out, subject, meta) as folder:
-            session = SubjectSession(folder, displays, *_marks(folder, asked.lsl))
+            session = SubjectSession(folder, displays, *_streams(folder, asked.lsl))
             with _people(session, asked) as people:
                 came = run_session(session, people)
         with verdict(came.exit_status):
@@ -173,12 +174,12 @@ def _displays(study: Study, where: Where) -> tuple[Displays, str]:
     return BusDisplays(address, SHARED_MACHINE if where.shared_machine else ()), str(address)
 
 
-def _marks(folder: SubjectFolder, lsl: bool) -> list[Callable[[str], None]]:
+def _streams(folder: SubjectFolder, lsl: bool) -> tuple[()] | tuple[LslMarkers, LslSignals]:
     if not lsl:
-        return []
-    from coulombus.lab.experiment.lsl import LslMarkers
+        return ()
+    from coulombus.lab.experiment.lsl import LslMarkers, LslSignals
 
-    return [LslMarkers(folder)]
+    return LslMarkers(folder), LslSignals(folder)
 
 
 @contextmanager

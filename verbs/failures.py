@@ -122,6 +122,10 @@ def _option_meant(error: click.UsageError) -> str:
     """
     if re.match(r"No such command '(help|\?)'", error.message, re.IGNORECASE):
         return " The list of verbs is coulombus --help."
+    verb = re.fullmatch(r"No such command '(\S+)'\.?", error.message)  # click has found none that is like it
+    if verb is not None and error.ctx is not None and isinstance(error.ctx.command, click.Group):
+        known = verb[1].lower().replace("_", "-")
+        return f" Did you mean '{known}'?" if known in error.ctx.command.commands else ""
     found = re.fullmatch(r"Got unexpected extra arguments? \((\S+).*\)", error.message)
     if found is None or error.ctx is None:
         return ""

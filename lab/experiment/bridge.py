@@ -23,7 +23,7 @@ from pathlib import Path
 
 from coulombus.lab.experiment.displays import BusDisplays, Displays, VirtualDisplays
 from coulombus.lab.experiment.folder import FolderError, SubjectFolder
-from coulombus.lab.experiment.lsl import LslMarkers
+from coulombus.lab.experiment.lsl import LslMarkers, LslSignals
 from coulombus.lab.experiment.session import Ended, SubjectSession, WrongStep
 from coulombus.lab.experiment.study import StudyError, read_study
 from coulombus.lab.experiment.trials import Trial
@@ -49,7 +49,7 @@ def open_session(
     folder : where the study is kept
     subject : letters and digits, as S01
     bus : where the rig is, as ``--bus`` takes it; None: in virtual time, on the simulated rig
-    lsl : send markers by the lab streaming layer
+    lsl : send markers and signals by the lab streaming layer
 
     Raises
     ------
@@ -62,7 +62,7 @@ def open_session(
     displays: Displays = VirtualDisplays() if bus is None else BusDisplays(parse_address(bus))
     meta = {"bus": "virtual time" if bus is None else bus, "observer": "a program"}
     with SubjectFolder(checked, Path(folder), subject, meta) as own:
-        session = SubjectSession(own, displays, LslMarkers(own) if lsl else lambda text: None)
+        session = SubjectSession(own, displays, *((LslMarkers(own), LslSignals(own)) if lsl else ()))
         try:
             yield session
         finally:

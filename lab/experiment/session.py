@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -93,13 +94,18 @@ class SubjectSession:
     folder : entered
     mark : called with what happens, as it happens: "trial 3", "display 1 begins", "display 1 ends",
         "answer 2"; blinded, so it tells neither condition nor level
+    recorded : called with the recording of each display, when it has ended
     """
 
     def __init__(
-        self, folder: SubjectFolder, displays: Displays, mark: Callable[[str], None] = lambda text: None
+        self,
+        folder: SubjectFolder,
+        displays: Displays,
+        mark: Callable[[str], None] = lambda text: None,
+        recorded: Callable[[Path], None] = lambda path: None,
     ) -> None:
         self.folder, self.study = folder, folder.study
-        self._displays, self._mark = displays, mark
+        self._displays, self._mark, self._recorded = displays, mark, recorded
         self._trials = folder.resumed()
         self._rigs: dict[tuple[str, float], Rig] = {}
         self._shown = 0
@@ -157,6 +163,8 @@ class SubjectSession:
         self._mark(f"display {number} begins")
         result = self._displays(display)
         self._mark(f"display {number} ends")
+        if result.recording is not None:
+            self._recorded(Path(result.recording))
         if result.exit_status or result.trip or result.stopped_by:
             why = result.trip or result.stopped_by or f"exit status {result.exit_status}"
             raise Ended(f"trial {trial.number}: {why}", result.exit_status)

@@ -138,6 +138,8 @@ USUAL = [
     ("conformance --bus coulombus:none --node 1 --eds motor.eds --case 99", 2, "--case 99: there is no such case"),
     ("simulate --modus hybrid", 2, "Did you mean '--mode'?"),
     ("help", 2, "No such command 'help'. The list of verbs is coulombus --help."),
+    ("SIMULATE", 2, "No such command 'SIMULATE'. Did you mean 'simulate'?"),
+    ("simulate --seed -1", 2, "'--seed': -1 is not in the range x>=0"),
     ("eds chek motor.eds", 2, "Did you mean 'check'?"),
     ("law dahl --motion sin", 2, "did you mean 'sine'?"),
     ("commission --rig my-rig.toml --virtual --step frition", 2, "did you mean 'friction'?"),

@@ -31,7 +31,7 @@ class Show:
     def __call__(self, display):
         tell("display")
         display.record.write_bytes(b"begun")
-        return SimpleNamespace(exit_status=0, trip=None, stopped_by=None)
+        return SimpleNamespace(exit_status=0, trip=None, stopped_by=None, recording=None)
 
     def stop(self):
         pass

@@ -21,6 +21,7 @@ class Result:
     exit_status: int = 0
     trip: str | None = None
     stopped_by: str | None = None
+    recording: str | None = None
 
 
 class Show:
