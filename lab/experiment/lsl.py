@@ -110,8 +110,8 @@ def sampled(
     if not ends:
         return np.zeros(0), np.zeros((0, len(names)))
     begin, end = min(float(one[0]) for one in ends), max(float(one[-1]) for one in ends)
-    t_s = begin + period_s * np.arange(int((end - begin) / period_s) + 1)
-    found = np.full((len(t_s), len(names)), np.nan)
+    t_s: npt.NDArray[np.float64] = begin + period_s * np.arange(int((end - begin) / period_s) + 1, dtype=np.float64)
+    found: npt.NDArray[np.float64] = np.full((len(t_s), len(names)), np.nan)
     for column, name in enumerate(names):
         series = recording[name]
         last = np.searchsorted(series.t_s, t_s, "right") - 1
