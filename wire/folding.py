@@ -12,7 +12,8 @@ __all__ = ["columns_of", "folded", "hanging"]
 _GLUE = "\0"
 """In the place of a space at which nothing is broken."""
 _OPTION = r"(?:--[a-z][\w-]*(?: (?!--)[^\s,;:()]+)? ?)"
-_COPIED = re.compile(rf"`[^`\n]*`|\bcoulombus [a-z]+ {_OPTION}*|{_OPTION}+")
+_FILE = r"(?:(?:-[a-z] )?[^\s,;:()]*[/.][^\s,;:()]*[^\s,;:().] ?)"
+_COPIED = re.compile(rf"`[^`\n]*`|\bcoulombus [a-z]+ (?:{_OPTION}|{_FILE})*|{_OPTION}+")
 
 
 def hanging(text: str, width: int, indent: int) -> str:
