@@ -7,7 +7,8 @@ name. An entry is a wrapper, linked with all bodies that it reaches, optimised a
 machine code. Both are kept on disk. A cold start takes 0.73 of the processor time that it took.
 
 A body's symbol is made of the module, the name and the types, so one process can link what others
-have lowered. What refers to its callees by name alone must find them by that: a function that
+have lowered. Numba names a record by a number that counts the types of a process; here it is the
+CRC-32 of what the record is (`_name_records`). What refers to its callees by name alone must find them by that: a function that
 stands in another function is compiled in numba's way. So is everything with another numba than
 those of `KNOWN`, because what is built on here is not its public interface.
 """
@@ -53,6 +54,19 @@ ADDRESS = "numba.dynamic.globals"
 def fits() -> bool:
     """Tell whether this numba is one that is known."""
     return tuple(numba.version_info.short) in KNOWN  # type: ignore[attr-defined,unused-ignore]
+
+
+def _name_records() -> None:
+    """Let a record have the same name in the symbols of each process."""
+
+    def mangling_args(record: types.Record) -> tuple[str, tuple[int]]:
+        return "Record", (crc32(repr(record).encode()),)
+
+    setattr(types.Record, "mangling_args", property(mangling_args))  # noqa: B010  (numba's types say that it is a method)
+
+
+if fits():
+    _name_records()
 
 
 _dispatchers: dict[tuple[str, str], KernelDispatcher] = {}
@@ -180,7 +194,7 @@ class _Lowering(compiler.Compiler):  # type: ignore[misc]
         state = self.state
         state.func_id = FunctionIdentity.from_function(function)
         state.func_id.unique_name = state.func_id.func_qualname
-        state.func_id.unique_id = crc32(repr(state.args).encode())  # a record's symbol tells its size only
+        state.func_id.unique_id = crc32(repr(state.args).encode())
         state.flags.no_compile = True
         state.flags.no_cpython_wrapper = True
         name = function.__module__, function.__qualname__, tuple(state.args)

@@ -281,6 +281,32 @@ def test_a_callee_that_is_no_longer_kept_is_lowered_again(tmp_path):
     assert len(list((tmp_path / "cache").rglob("own.f-*.nbc"))) == 1
 
 
+ON_A_RECORD = (
+    "import sys; sys.path.append({path!r}); import numba, numpy as np\n"
+    "for k in range({before}): numba.from_dtype(np.dtype([(str(k), 'i8')]))\n"
+    "import own; a = np.zeros(1, [('x', 'i8')]); a['x'] = 5; print(own.g(a))"
+)
+OF_A_RECORD = (
+    "from coulombus.compiled.decorator import kernel\n@kernel\ndef f(r):\n    return r.x + 1\n"
+    "@kernel\ndef g(rows):\n    return rows[0].x - f(rows[0])\n"
+)
+
+
+@pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
+def test_a_callee_is_found_whatever_types_a_process_had_before(tmp_path):
+    """Numba numbers the types of a process as they come, and names a record by its number: a callee
+    that another process lowered anew was not found by its name, and the call ended at address 0.
+    """
+    (tmp_path / "own.py").write_text(OF_A_RECORD)
+    cache = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    assert run(ON_A_RECORD.format(path=str(tmp_path), before=0), ROOT, **cache) == "-1"
+    for pattern in ("own.f-*", "own.g-*"):  # what refers to it by name stays: the body of g
+        for path in (tmp_path / "cache").rglob(pattern):
+            if pattern == "own.f-*" or b"\x7fELF" in path.read_bytes():
+                path.unlink()
+    assert run(ON_A_RECORD.format(path=str(tmp_path), before=7), ROOT, **cache) == "-1"
+
+
 @pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
 @pytest.mark.parametrize(
     "spoil",
