@@ -207,3 +207,8 @@ def test_plain_python_gives_the_same_bytes_as_the_compiled_kernels(tmp_path):
     subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=environment, check=True, timeout=300)
     assert compiled.trip is None
     assert (tmp_path / "a.pcapng").read_bytes() == (tmp_path / "b.pcapng").read_bytes()
+
+
+def test_on_the_papers_rig_the_gain_is_1_before_the_hand_pushes(tmp_path):
+    told = simulate("paper", "active", 2.1, record=tmp_path / "paper.pcapng").as_dict()
+    assert 0.5 < told["full_gain_s"] < 2.0  # the first phase is a rest of 2 s
