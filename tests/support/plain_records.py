@@ -29,6 +29,23 @@ class PlainRecords(list):
         for record in self:
             setattr(record, key, value)
 
+    def view(self, kind):
+        """Return what a view of an array gives: by name, then by index, as it is at that moment."""
+        return _View(self, ())
+
+
+class _View:
+    def __init__(self, records, names):
+        self._records, self._names = records, names
+
+    def __getitem__(self, key):
+        if isinstance(key, str):
+            return _View(self._records, (*self._names, key))
+        value = list.__getitem__(self._records, key)
+        for name in self._names:
+            value = getattr(value, name)
+        return value
+
 
 @cache
 def _class_of(dtype):
