@@ -60,8 +60,8 @@ def forget() -> None:
 
 
 def _key(world: VirtualRig) -> tuple[Any, ...]:
-    rigs = world.rig, world.controllers.rig
-    return world.mode, *(tuple(map(_asked, rig.axes)) for rig in rigs)
+    rigs, host = (world.rig, world.controllers.rig), world.controllers.axes.tobytes()  # a law's file may be edited
+    return world.mode, host, *(tuple(map(_asked, rig.axes)) for rig in rigs)
 
 
 def _asked(axis: Axis) -> tuple[Any, ...]:
