@@ -162,3 +162,17 @@ def test_what_is_no_torque_becomes_no_set_point_beyond_the_limits(wanted):
 def test_iron_that_is_none_is_refused(overrides, told):
     with pytest.raises(RigError, match=told):
         load_rig("bench", overrides)
+
+
+def test_a_single_operator_is_inverted_too():
+    bench, truth = HostBench("hybrid", "brake.iron.play_Nm=[0.3]", "brake.iron.weights=[0.4]"), true_iron([0.3], [0.4])
+    for wanted in (2.0, 1.0, 3.0, 1.5):
+        coil = coil_for(bench.c, bench.h, wanted)
+        assert iron(truth, coil) == pytest.approx(wanted, abs=1e-9)
+        assert magnetise(bench.c, bench.h, coil) == pytest.approx(wanted, abs=1e-9)
+
+
+def test_a_belief_of_the_wrong_sign_expects_no_negative_torque():
+    bench = HostBench("hybrid", *IRON)
+    bench.c.iron_direct = -2.0
+    assert magnetise(bench.c, bench.h, 3.0) == 0.0
