@@ -66,6 +66,8 @@ STOPS = 8
 MESSAGE_BYTES = 512
 QUESTIONS = 4
 """Changes and markers that may be under way."""
+ANSWERS = 8
+"""That wait for a page: each state takes one along."""
 RUBBISH = 100
 """Messages that mean nothing, after which a page is let go."""
 TOOK = re.compile(r"took ([0-9]{1,15})")
@@ -147,17 +149,17 @@ class Page:
         page as words.
         """
         if self.seat.holder != session.number:
-            session.answer = f"{what}: this page looks on; take control first"
+            session.answers.append(f"{what}: this page looks on; take control first")
             return
         if self.asking >= QUESTIONS:
-            session.answer = f"{what}: too many are under way; again in a moment"
+            session.answers.append(f"{what}: too many are under way; again in a moment")
             return
         self.asking += 1
         try:
             told = await asyncio.get_running_loop().run_in_executor(self.questions, question)
-            session.answer = str(told.get("marker", what)).partition(" [")[0]
+            session.answers.append(str(told.get("marker", what)).partition(" [")[0])
         except Exception as error:
-            session.answer = f"{what}: {error}"
+            session.answers.append(f"{what}: {error}")
         finally:
             self.asking -= 1
 
@@ -247,7 +249,7 @@ class Data(tornado.websocket.WebSocketHandler):
         """Keep what all pages share."""
         self.page, self.flow = page, Flow()
         self.number, self.rubbish, self.version, self.refused = next(page.numbers), 0, 0, False
-        self.answer = ""
+        self.answers: deque[str] = deque(maxlen=ANSWERS)
         self._tasks: set[asyncio.Task[None]] = set()
 
     def prepare(self) -> None:
@@ -308,8 +310,11 @@ class Data(tornado.websocket.WebSocketHandler):
             self.version = version
             controls = self.page.seat.holder == self.number
             more = {"state": state, "controls": controls, "refused": self.refused and not controls}
-            more |= {"law": self._law(), "axis": self.axis.name, "answer": self.answer}
-            self.answer = ""
+            more |= {
+                "law": self._law(),
+                "axis": self.axis.name,
+                "answer": self.answers.popleft() if self.answers else "",
+            }
         try:
             sent = self.write_message(batch(self.page.capture, self.axis, self.flow, more), binary=True)
             sent.add_done_callback(lambda done: done.exception())  # a page that has gone: on_close comes

@@ -151,7 +151,7 @@ def test_a_second_page_looks_on_until_the_first_has_gone():
 async def answer_of(shown, connection, message, k):
     """Send what a page says, and return the words that come back with the next state."""
     await connection.write_message(message)
-    while not any(session.answer for session in shown.sessions):
+    while not any(session.answers for session in shown.sessions):
         await asyncio.sleep(0.001)
     shown.tick(BEGIN_NS + 1000 * k * MS)
     head, _ = unpacked(await connection.read_message())
