@@ -37,12 +37,16 @@ _WORD = re.compile(r"\w+")
 def source_key(root: Path) -> str:
     """Hash of all Python sources under `root` that may hold or feed a kernel, with
     the versions of interpreter and NumPy.
+
+    A file that is edited from here on is, for this process, what it was: so nothing that was
+    compiled of the old text carries the stamp of the new one.
     """
     digest = hashlib.sha256(_VERSIONS)
     for package in KERNEL_PACKAGES:
         folder = root / package
         for path in sorted(folder.rglob("*.py")):
-            digest.update(str(path.relative_to(folder)).encode() + b"\0" + path.read_bytes())
+            _hashes[path] = _digest(path)
+            digest.update(str(path.relative_to(folder)).encode() + b"\0" + _hashes[path])
     return digest.hexdigest()[:16]
 
 
@@ -63,9 +67,18 @@ def stamp(file: str, root: Path = ROOT) -> str:
     return digest.hexdigest()
 
 
-@cache
-def _hash(path: Path) -> bytes:
+_hashes: dict[Path, bytes] = {}
+"""Of the files, as this process first saw them."""
+
+
+def _digest(path: Path) -> bytes:
     return hashlib.sha256(path.read_bytes()).digest()
+
+
+def _hash(path: Path) -> bytes:
+    if path not in _hashes:
+        _hashes[path] = _digest(path)
+    return _hashes[path]
 
 
 def _closure(path: Path, root: Path) -> set[Path]:

@@ -126,6 +126,18 @@ def test_the_key_follows_every_source(tmp_path):
     assert len({empty, one, two, three, source_key(tmp_path)}) == 5
 
 
+def test_a_source_that_is_edited_meanwhile_keeps_the_stamp_of_what_was_compiled(tmp_path):
+    file = tmp_path / "wire" / "one.py"
+    file.parent.mkdir()
+    file.write_text("a = 1\n")
+    asked = f"stamp({str(file)!r}, root)"
+    before = f"from pathlib import Path; from coulombus.compiled.sources import source_key, stamp; root = Path({str(tmp_path)!r})"
+    old = run(f"{before}; print({asked})", ROOT)
+    edited = f"source_key(root); Path({str(file)!r}).write_text('a = 2\\n')"
+    assert run(f"{before}; {edited}; print({asked})", ROOT) == old
+    assert run(f"{before}; print({asked})", ROOT) != old
+
+
 WHERE = "import coulombus.compiled.decorator; print(coulombus.compiled.decorator.CACHE_DIR)"
 
 
