@@ -189,6 +189,32 @@ def test_only_the_page_that_controls_changes_parameters_and_marks():
     asyncio.run(run())
 
 
+def test_what_the_host_answered_within_one_state_is_told_answer_by_answer():
+    door = Door()
+
+    async def run():
+        shown, told = page(door=door), []
+        async with served(shown) as url:
+            first = await socket_of(url)
+            for message in ('set {"values": {"F_s_Nm": 9}}', "mark 7"):
+                await first.write_message(message)
+            while sum(len(session.answers) for session in shown.sessions) < 2:
+                await asyncio.sleep(0.001)
+            for k in range(3):
+                shown.tick(BEGIN_NS + 1000 * (k + 1) * MS)
+                head, _ = unpacked(await first.read_message())
+                await first.write_message(f"took {head['n']}")
+                told.append(head["answer"])
+                while not all(session.flow.free for session in shown.sessions):
+                    await asyncio.sleep(0)
+            first.close()
+        refused, marked = sorted(told[:2], key=lambda words: words == "mark 7")
+        assert refused.startswith("not changed: F_s_Nm=9")
+        assert (marked, told[2]) == ("mark 7", "")
+
+    asyncio.run(run())
+
+
 def test_a_change_that_the_host_is_slow_to_answer_holds_up_no_stop():
     door, going = Door(), threading.Event()
 
