@@ -39,10 +39,7 @@ function words(head) {
   if (trip.textContent !== told) trip.textContent = told;
   trip.hidden = !told;
   rows("pdos", state.pdos.flatMap(pdoRows));
-  rows("nodes", state.nodes.map((node) => [node.emergency || node.silent ? "grave" : "", [
-    [node.name, "", `node:${node.name}`], [node.id, "n"],
-    [node.silent ? `${node.state}, silent` : node.state || "not heard", "", `state:${node.name}`],
-    [node.emergency || node.power, "", `power:${node.name}`]]]));
+  rows("nodes", state.nodes.flatMap(nodeRows));
   rows("events", state.events.slice().reverse().map(([t, said, grave]) =>
     [grave ? "grave" : "", [[new Date(1000 * t).toLocaleTimeString([], {hour12: false}), ""], [said, ""]]]));
 }
@@ -65,6 +62,18 @@ function pdoRows(pdo) {
   });
 }
 
+function nodeRows(node) {
+  const style = node.emergency || node.silent ? "grave" : "";
+  const made = [[style, [
+    [node.name, "", `node:${node.name}`], [node.id, "n"],
+    [node.silent ? `${node.state}, silent` : node.state || "not heard", "", `state:${node.name}`]]]];
+  const told = node.emergency || node.power;
+  if (told) made.push([style, [[told, "drive", `power:${node.name}`]]]);
+  return made;
+}
+
+const SPANS = {meaning: 6, drive: 3};
+
 function rows(id, wanted) {
   const body = document.getElementById(id);
   while (body.rows.length > wanted.length) body.deleteRow(-1);
@@ -77,7 +86,7 @@ function rows(id, wanted) {
       if (cell.textContent !== String(text)) cell.textContent = text;
       if (cell.className !== kind) {
         cell.className = kind;
-        cell.colSpan = kind === "meaning" ? 6 : 1;
+        cell.colSpan = SPANS[kind] || 1;
       }
       if (signal) {
         if (cell.dataset.signal !== signal) cell.dataset.signal = signal;
