@@ -38,7 +38,7 @@ from typing import Any, Literal, TypeAlias
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from coulombus.host.cycle.demand import cut_off
-from coulombus.host.laws.laws import LawError
+from coulombus.host.laws.laws import LawError, load_declared
 from coulombus.lab.experiment.bounds import widened
 from coulombus.lab.file_mistakes import FileMistakes, rig_beside, text_of
 from coulombus.rigs.mistakes import nearest, toml_value
@@ -326,7 +326,11 @@ def _check_on_rig(study: Study, mistakes: FileMistakes) -> None:
         for text in changed:
             given = _factor_of(study, condition, "{}:", text)
             mistakes.say((*place, "set") if given is None else ("factor", given, "values"), text)
-        if changed or _check_level_keys(study, condition, mistakes):
+        unknown_law = _law_mistake(study.rig.variant(*condition.settings))
+        if unknown_law is not None:
+            given = _factor_of(study, condition, "{}", "law.function")
+            mistakes.say((*place, "set") if given is None else ("factor", given), unknown_law)
+        if changed or unknown_law is not None or _check_level_keys(study, condition, mistakes):
             continue
         for key, level in _shown(study):
             for text in _refusals(study, condition, level):
@@ -335,6 +339,16 @@ def _check_on_rig(study: Study, mistakes: FileMistakes) -> None:
                     mistakes.say(("level", unknown), f"the rig refuses it: {_bare(text)}")
                 else:
                     mistakes.say(key, f"{level:g} in condition {condition.name}: {_bare(text)}")
+
+
+def _law_mistake(rig: Rig) -> str | None:
+    """Return why a law of the rig cannot be loaded."""
+    try:
+        for axis in rig.axes:
+            load_declared(axis.law.function.strip(), axis.law_directory)
+    except LawError as error:
+        return f"law.function: {error}"
+    return None
 
 
 def _factor_of(study: Study, condition: Condition, form: str, text: str) -> int | None:

@@ -27,6 +27,11 @@ def refusal(path, text):
         ("mode.{mode}.F_s_Nm", "mode.{mode}.F_s", 7, "refuses"),
         ('name = "a"', 'name = "a"\n[[condition]]\nname = "a"', 16, "a is given twice"),
         ('name = "a"', 'name = "a"\nset = ["plant.no=1"]', 15, "refuses"),
+        ('name = "a"', 'name = "a"\nset = ["law.function=no.py:f"]', 15, "there is no file no.py"),
+        (
+            *('name = "a"', 'name = "a"\n[[factor]]\nname = "x"\nkey = "law.function"\nvalues = ["no.py:f"]'),
+            *(15, "there is no file no.py"),
+        ),
         ('name = "a"', 'name = "a"\nmode = "passiv"', 15, "passive"),
         ('name = "a"', 'name = "a"\n[[factor]]\nname = "x"\nkey = "plant.no"\nvalues = [1]', 15, "refuses"),
         ("reference = 2.0\n", "", 1, "reference is missing"),
