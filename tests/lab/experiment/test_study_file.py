@@ -1,8 +1,12 @@
 """A study file: what is read, and what is refused with its line."""
 
+import re
+
 import pytest
 
 from coulombus.lab.experiment.study import StudyError, read_study
+from coulombus.rigs.rig import RigError
+from mutilated import mutilated
 from study_text import TEXT
 
 STAIRS = 'kind = "staircase"\nstart = 2.5\nlow = 2.0\nhigh = 3.0\nsteps = [0.2]\ntrials = 5'
@@ -102,3 +106,15 @@ def test_a_study_may_set_laws_plants_and_narrower_limits(tmp_path):
     sets += ["mechanics.friction_Nm=0.1", "mechanics.viscous_Nms_rad=0.01"]
     (tmp_path / "study.toml").write_text(f"{TEXT}set = {sets}\n")
     assert read_study(tmp_path / "study.toml").conditions[0].settings == tuple(sets)
+
+
+def test_a_mutilated_file_is_read_or_refused_with_its_line(tmp_path):
+    refused = []
+    for text in mutilated(TEXT + 'set = ["mode.hybrid.K_p_Nm_rad=8000.0"]\n', 150):
+        (tmp_path / "study.toml").write_text(text)
+        try:
+            assert read_study(tmp_path / "study.toml").conditions
+        except (StudyError, RigError) as error:
+            refused.append(str(error))
+    assert len(refused) > 50
+    assert [text for text in refused if re.search(r"study\.toml:\d+: |rig", text) is None] == []

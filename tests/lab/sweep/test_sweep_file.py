@@ -12,6 +12,7 @@ import pytest
 from coulombus.lab.sweep.file import SweepError, read_sweep
 from coulombus.lab.sweep.points import seed_of
 from coulombus.rigs.rig import RigError, packaged_rig
+from mutilated import mutilated
 
 GOOD = """\
 rig = "bench"
@@ -297,15 +298,10 @@ def test_a_setting_that_the_rig_refuses_is_told_with_its_line(write, old, new, t
 
 
 def test_a_mutilated_file_is_read_or_refused_with_its_place(write):
-    random, pieces = np.random.default_rng(7), "[]{}=,.\"#\n'-0e9_ \u00e9\x00"
     refused = []
-    for _ in range(150):
-        text = list(CABLE)
-        for _ in range(random.integers(1, 4)):
-            place = int(random.integers(len(text)))
-            text[place : place + int(random.integers(0, 6))] = random.choice(list(pieces), int(random.integers(0, 3)))
+    for text in mutilated(CABLE, 150):
         try:
-            assert read_sweep(write("".join(text))).runs > 0
+            assert read_sweep(write(text)).runs > 0
         except (SweepError, RigError) as error:
             refused.append(str(error))
     assert len(refused) > 50
