@@ -122,6 +122,67 @@ def test_a_sweep_that_was_interrupted_goes_on(sweep_file, tmp_path, monkeypatch)
     ]
 
 
+def dies(action, call, monkeypatch):
+    """Let another process do it, and kill that at the `call`-th time it puts something on the disk.
+
+    Return whether it came to that.
+    """
+    child = os.fork()
+    if child == 0:
+        calls = iter(range(1, call))
+
+        def counted(call):
+            def called(*arguments):
+                if next(calls, None) is None:
+                    os.kill(os.getpid(), signal.SIGKILL)
+                return call(*arguments)
+
+            return called
+
+        for name in ("fsync", "replace"):
+            monkeypatch.setattr(os, name, counted(getattr(os, name)))
+        try:
+            action()
+        finally:
+            os._exit(0)
+    return os.waitpid(child, 0)[1] == signal.SIGKILL
+
+
+def test_a_sweep_that_is_killed_anywhere_goes_on_to_the_same_table(sweep_file, tmp_path, monkeypatch):
+    sweep, done, carried = read_sweep(sweep_file()), {}, []
+
+    def remembered(job, orders, count):
+        for order in orders:
+            carried.append(order.run)
+            if order not in done:
+                done[order] = carry_out(job, order)
+            yield done[order]
+
+    monkeypatch.setattr("coulombus.lab.sweep.folder.PART_RUNS", 2)
+    monkeypatch.setattr(module, "on_processes", remembered)
+    worst = {}
+    monkeypatch.setattr(
+        module, "shrunk", lambda job, rate, *more: worst.get(rate) or worst.setdefault(rate, shrunk(job, rate, *more))
+    )
+    run_sweep(sweep, tmp_path / "whole")
+    killed = 0
+    for k in range(2, 200, 5):
+        out = tmp_path / f"out{k}"
+        died = dies(lambda out=out: run_sweep(sweep, out), k, monkeypatch)
+        parts = [pyarrow.parquet.read_table(part).to_pylist() for part in (out / "parts").glob("0*.parquet")]
+        kept = {row["run"] for part in parts for row in part}
+        carried.clear()
+        run_sweep(sweep, out)
+        assert not kept & set(carried)
+        assert table(out) == table(tmp_path / "whole")
+        assert [path.name for path in out.rglob(".*")] == [".lock"]
+        if not died:
+            break
+        killed += 1
+    assert killed > 3
+    assert not died
+
+
 def test_a_sweep_that_is_done_runs_nothing_again(sweep_file, tmp_path, monkeypatch):
     sweep = read_sweep(sweep_file())
     monkeypatch.setattr(module, "on_processes", here)
