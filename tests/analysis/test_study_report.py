@@ -22,7 +22,7 @@ PAIRS = ((0.10, 0.16), (0.12, 0.17), (0.15, 0.22), (0.18, 0.28), (0.20, 0.29))
 
 
 class Nothing:
-    exit_status, trip, stopped_by = 0, None, None
+    exit_status, trip, stopped_by, recording = 0, None, None, None
 
 
 class Nowhere:
