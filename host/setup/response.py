@@ -37,7 +37,7 @@ LATE_NS = 1_000_000_000
 """How long one that did not come is waited for still, so that it is not taken for the next SYNC's.
 """
 SILENT_ROUNDS = 4
-"""A TPDO that has not come in so many rounds, one after the other, does not come any more."""
+"""A TPDO that has not come in so many rounds, one after the other, has stopped coming."""
 
 
 class Stamped(NamedTuple):

@@ -134,7 +134,7 @@ def _pdo_settings(pdo: RigPdo, node: str, deadline_ms: int, ours: bool) -> Itera
     yield Setting(mapping, 0, 0, why=why, while_valid=anew)
     yield Setting(communication, 2, layout.transmission, "bus.actuation" if receive else "", optional=True, why=why)
     if receive:
-        lost = "" if ours else "an RPDO that does not come any more is not noticed by this"
+        lost = "" if ours else "it does not notice that an RPDO stops coming"
         yield Setting(
             *(communication, 5, deadline_ms, f"{node}.setpoint_fault_s"),
             optional=True,
