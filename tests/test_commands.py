@@ -48,7 +48,7 @@ def inputs(tmp_path_factory):
     for name in ("hybrid", "again", "sim", "rig"):
         shutil.copy(recording, folder / f"{name}.pcapng")
     (folder / "my-motion.csv").write_text("t_s,x_rad\n0,0\n1,0.1\n2,0\n")
-    law = re.search(r"```python\n# lab/my_law\.py\n(.*?)```", (ROOT / "docs" / "laws.md").read_text(), re.S)[1]
+    law = re.search(r"```python\n# my_law\.py\n(.*?)```", (ROOT / "docs" / "laws.md").read_text(), re.S)[1]
     (folder / "my_law.py").write_text(
         f"{law}\n\ndef law(motion, law, state):\n    state.brake_Nm = 1.0\n    return 0.0\n"
     )

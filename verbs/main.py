@@ -78,7 +78,8 @@ def main() -> None:
     \b
     Examples:
       coulombus demo
-      coulombus sim & coulombus run --mode hybrid --seconds 13
+      coulombus sim                                  # in a terminal of its own
+      coulombus run --mode hybrid --seconds 13       # when sim says ready
       coulombus simulate --mode hybrid --seconds 13 --record run.pcapng
       coulombus decode run.pcapng | less
       coulombus check --rig my-rig.toml

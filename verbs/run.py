@@ -68,7 +68,7 @@ def run_command(
 
     \b
     Examples:
-      coulombus sim &
+      coulombus sim                     # in a terminal of its own; then:
       coulombus run --mode hybrid --seconds 13 --record run.pcapng
       coulombus run --bus socketcan:can0 --rig my-rig.toml --mode active --json
       coulombus run --record runs --rotate 1h --keep 20GB --meta subject=S01

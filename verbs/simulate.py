@@ -35,6 +35,7 @@ from coulombus.verbs.shown import progress
 
 if TYPE_CHECKING:
     from coulombus.lab.demo.demo import Demo
+    from coulombus.recording.signals import Source
     from coulombus.rigs.rig import Rig
     from coulombus.sim_bus.network.script import Entry
 
@@ -209,18 +210,29 @@ def demo(rig_name: str, overrides: tuple[str, ...], seed: int, out: Path, virtua
                     f"\nfigure and recordings: {out}/ (demo.png, demo.json, {', '.join(f'{name}.pcapng' for name in shown)})"
                 )
                 click.echo("\ntry next:")
-                for command, why in next_steps(rig_name, out):
+                for command, why in next_steps(rig_name, out, span_of_interest(blocks(out / "active.pcapng"))):
                     click.echo(f"  {command}\n      {why}")
 
 
-def next_steps(rig_name: str, out: Path) -> tuple[tuple[str, str], ...]:
+def span_of_interest(recording: Source) -> str:
+    """Return a fifth of a second in the recording's hold, or of its first phase, as an option of
+    `plot`. A recording in real time begins some seconds before.
+    """
+    from coulombus.recording.measures import phases
+
+    spans = phases(recording)
+    shown = next((span for span in spans if span.kind == "hold"), spans[0] if spans else None)
+    return "" if shown is None else f" --span {shown.begin_s + 1.0:.1f}:{shown.begin_s + 1.2:.1f}"
+
+
+def next_steps(rig_name: str, out: Path, span: str = "") -> tuple[tuple[str, str], ...]:
     """Return the three commands that the demo ends with, each with what it is for."""
     rig = "" if rig_name == "bench" else f"--rig {shlex.quote(rig_name)} "
     active = shlex.quote(str(out / "active.pcapng"))
     return (
-        (f"coulombus plot {active} --span 2:2.2", "the motor's oscillation, sample by sample"),
+        (f"coulombus plot {active}{span}", "the motor's oscillation, sample by sample"),
         (f"coulombus simulate {rig}--law lugre --record lugre.pcapng", "another friction, in seconds: `coulombus law`"),
-        (f"coulombus sim {rig}--web", "the rig in a browser; then, in another terminal, `coulombus run`"),
+        (f"coulombus sim {rig}--web", "the rig in a browser; then, in another terminal, `coulombus run --shared-machine`"),
     )
 
 

@@ -236,7 +236,7 @@ class SdoClient:
         if answer[0] >> 5 in (2, 3, 4) and named(answer) == self._ended:
             raise Twins(
                 f"two devices answer as node {self.node_id} (SDO of {where(*named(answer))}): take one off the bus, "
-                "and give the other another id (coulombus lss)",
+                "and give the other another id (coulombus lss); or another SDO client asks it now (sdo, scan)",
                 Abort.GENERAL,
             )
 

@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parent.parent.parent
 HERE = "run by tests/test_commands.py"
 FIRST = re.compile(
     r"([A-Z_]+=\S+ )*(\S*/)?(coulombus|make|pip|python3?|tshark|git|podman|cantools|candump|canplayer|can_\w+|"
-    r"echo|printf|mkfifo|dask|wireshark|head|grep|sed|cmp|wc|kill|sudo|for)(?=\s|$)"
+    r"echo|printf|mkfifo|dask|wireshark|head|grep|sed|cmp|wc|kill|sudo|for|timeout)(?=\s|$)"
 )
 MACHINE = "changes the machine's settings: for a rig's PC"
 LIVE = "needs a bus or a host that lives: "
@@ -41,6 +41,7 @@ RULES = (
     # living buses and programs with a window
     (r": can_(logger|player)", LIVE + "tests/sim_bus/test_other_clients.py runs both"),
     (r": can_viewer", "fills a terminal; tests/wire tries python-can's interface"),
+    (r": timeout 300 sh", LIVE + "tests/sim_bus"),
     (r": kill", LIVE + "tests/lab replays such a session"),
     (r"wireshark", "opens a window; tests/scope pipe the same bytes into tshark"),
     (r": coulombus demo", "half a minute in real time: tests/host/test_run.py"),

@@ -15,6 +15,7 @@ from types import SimpleNamespace
 import pytest
 from click.testing import CliRunner
 
+from coulombus.recording.measures import phases
 from coulombus.recording.signals import read
 from coulombus.verbs.main import main
 from coulombus.verbs.simulate import next_steps
@@ -275,9 +276,11 @@ def test_a_verb_reads_an_mf4_log(tmp_path):
 
 def test_what_the_demo_names_next_can_be_done(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    schedule = 'phase=[{kind="rest", duration_s=2.2}]'
+    schedule = 'phase=[{kind="rest", duration_s=1.0}, {kind="hold", duration_s=1.5, push_F_s=0.8, frequency_Hz=1.0}]'
     shown = call("demo", "--virtual", "--out", "the demo", "--set", schedule).output
-    commands = [shlex.split(command)[1:] for command, _ in next_steps("bench", Path("the demo"))]
+    hold = next(span for span in phases(read("the demo/active.pcapng")) if span.kind == "hold")
+    span = f" --span {hold.begin_s + 1.0:.1f}:{hold.begin_s + 1.2:.1f}"
+    commands = [shlex.split(command)[1:] for command, _ in next_steps("bench", Path("the demo"), span)]
     assert [shlex.split(line)[1:] for line in shown.splitlines() if line.startswith("  coulombus ")] == commands
     drawn, another, live = commands
     assert call(*drawn).exit_code == 0
