@@ -29,8 +29,9 @@ from coulombus.host.setup.bringup import bring_up
 from coulombus.host.setup.control_plane import RealControlPlane
 from coulombus.rigs.rig import Rig, load_rig
 from coulombus.wire.address import BusAddress
+from coulombus.wire.ancillary import SO_TIMESTAMPNS
 from coulombus.wire.client import Client
-from coulombus.wire.hello import SEND_BUFFER, SO_TIMESTAMPNS, Flags, Hello
+from coulombus.wire.hello import SEND_BUFFER, Flags, Hello
 
 ROOT = Path(__file__).resolve().parent.parent
 BINS = 20_000

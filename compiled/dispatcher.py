@@ -8,8 +8,8 @@ machine code. Both are kept on disk. A cold start takes 0.73 of the processor ti
 
 A body's symbol is made of the module, the name and the types, so one process can link what others
 have lowered. Numba names a record by a number that counts the types of a process; here it is the
-CRC-32 of what the record is (`_name_records`). What refers to its callees by name alone must find them by that: a function that
-stands in another function is compiled in numba's way. So is everything with another numba than
+CRC-32 of what the record is (`_name_records`). What refers to its callees by name alone must find
+them by that: a function that stands in another function is compiled in numba's way. So is everything with another numba than
 those of `KNOWN`, because what is built on here is not its public interface.
 """
 

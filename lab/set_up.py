@@ -1,7 +1,7 @@
 """The set-up of a simulated rig, done once for rigs that differ in plant and hand alone.
 
-Power-on, bring-up over SDO and NMT start take seven times the processor time of a display of 13 s.
-In a sweep they are mostly the same, frame by frame.
+Power-on, bring-up over SDO and NMT start take more processor time than a display of 13 s. In a
+sweep they are mostly the same, frame by frame.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class _Kept:
 
 
 _kept: list[_Kept] = []
-"""The last used one first."""
+"""The newest one first."""
 
 
 def set_up(world: VirtualRig) -> tuple[str, ...]:

@@ -91,10 +91,6 @@ class Dictionary:
         found: _Defaults = made[self.node_id]
         return found
 
-    def default(self, index: int, subindex: int) -> Value:
-        """Return what an object begins with."""
-        return next(value for key, value, _ in self._defaults.rows if key == (index, subindex))
-
     @property
     def unreadable(self) -> Mapping[int, str]:
         """Index of a PDO's communication parameter -> why the EDS' default cannot be read right:

@@ -98,6 +98,13 @@ class Series:
     def __len__(self) -> int:
         return len(self.t_s)
 
+    def held(self, t_s: Floats, before: float) -> Floats:
+        """Return the last value at or before each of the times `t_s` [s], `before` where there was
+        none.
+        """
+        last = np.searchsorted(self.t_s, t_s, "right") - 1
+        return np.append(self.values.astype(np.float64), before)[last]  # -1: what was appended
+
 
 @dataclass(frozen=True)
 class PdoTable:

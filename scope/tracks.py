@@ -83,8 +83,8 @@ class Envelope:
 class Samples:
     """The last samples of signals that have the same times, `capacity` of them.
 
-    Each is given twice, `capacity` apart: so the last ones are one piece, and nothing is copied to look
-    at them.
+    Each is kept twice, `capacity` apart: so the last ones are one piece, and nothing is copied to
+    look at them.
     """
 
     def __init__(self, capacity: int, signals: int = 1) -> None:

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from typing import TYPE_CHECKING
 
 from coulombus.wire.folding import columns_of, hanging
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.progress import Progress
     from rich.table import Table
 
 __all__ = [
     "on_terminal",
     "print_fitting",
     "progress",
+    "running",
     "table_console",
 ]
 
@@ -76,22 +78,34 @@ def progress(enabled: bool, done: str = "displayed") -> Iterator[Callable[[str, 
     bars = Progress(*columns, console=console)
     starting = bars.add_task("starting", total=None, told="")
     tasks: dict[str, TaskID] = {}
-    shown = suppress(OSError)  # a terminal that was closed takes nothing more: what is shown there goes on without it
+    with running(bars) as shown:
 
-    def report(label: str, t: float, total: float | None) -> None:
-        with shown:
-            if label not in tasks:
+        def report(label: str, t: float, total: float | None) -> None:
+            with shown:
+                if label not in tasks:
+                    bars.update(starting, visible=False)
+                    tasks[label] = bars.add_task(label, total=total, told="")
+                t = t if total is None else min(t, total)
+                whole = "" if total is None else f" of {total:.0f}"
+                bars.update(tasks[label], completed=t, told=f"{t:5.1f}{whole} s {done}")
+
+        try:
+            yield report
+        finally:
+            with shown:
                 bars.update(starting, visible=False)
-                tasks[label] = bars.add_task(label, total=total, told="")
-            t = t if total is None else min(t, total)
-            whole = "" if total is None else f" of {total:.0f}"
-            bars.update(tasks[label], completed=t, told=f"{t:5.1f}{whole} s {done}")
 
+
+@contextmanager
+def running(bars: Progress) -> Iterator[AbstractContextManager[None]]:
+    """Show bars as long as the block runs; yield what a change of them is to stand in: a terminal
+    that was closed takes nothing more, and what is shown there goes on without it.
+    """
+    shown = suppress(OSError)
     with shown:
         bars.start()
     try:
-        yield report
+        yield shown
     finally:
         with shown:
-            bars.update(starting, visible=False)
             bars.stop()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +13,7 @@ import click
 
 from coulombus.verbs.common import force_option, json_option, say, verdict
 from coulombus.verbs.failures import EXIT_STATUS, errors, print_json
+from coulombus.verbs.shown import running
 
 if TYPE_CHECKING:
     from coulombus.lab.sweep.sweep import SweepResult
@@ -145,21 +146,15 @@ def _progress() -> Iterator[Callable[[str, int, int, int], None]]:
     )
     bars = Progress(*columns, console=console)
     tasks: dict[str, Any] = {}
-    shown = suppress(OSError)  # a terminal that was closed takes nothing more
+    with running(bars) as shown:
 
-    def report(what: str, done: int, of: int, failed: int) -> None:
-        with shown:
-            if what not in tasks:
-                tasks[what] = bars.add_task(what, total=of or None, told="")
-            bars.update(tasks[what], completed=done, told=f"{failed} failed" if failed else "")
+        def report(what: str, done: int, of: int, failed: int) -> None:
+            with shown:
+                if what not in tasks:
+                    tasks[what] = bars.add_task(what, total=of or None, told="")
+                bars.update(tasks[what], completed=done, told=f"{failed} failed" if failed else "")
 
-    with shown:
-        bars.start()
-    try:
         yield report
-    finally:
-        with shown:
-            bars.stop()
 
 
 def _lines() -> Callable[[str, int, int, int], None]:

@@ -18,8 +18,8 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from coulombus.wire.client import CAN_LENGTH, MESSAGE_BYTES, SO_RXQ_OVFL, Client, Received
-from coulombus.wire.hello import SO_TIMESTAMPNS
+from coulombus.wire.ancillary import CONTROL_WORDS, OVERFLOW, SECOND_NS, STAMP
+from coulombus.wire.client import CAN_LENGTH, MESSAGE_BYTES, Client, Received
 
 __all__ = ["Block", "BlockReader"]
 
@@ -27,10 +27,6 @@ Integers: TypeAlias = npt.NDArray[np.int64]
 
 MESSAGES, ROUNDS = 256, 64
 FRAME_BYTES = 16
-CONTROL_WORDS = 16
-STAMP = socket.SOL_SOCKET | SO_TIMESTAMPNS << 32
-OVERFLOW = socket.SOL_SOCKET | SO_RXQ_OVFL << 32
-SECOND_NS = 1_000_000_000
 
 FRAME = np.dtype([("can_id", "u4"), ("length", "u1"), ("padding", "u1", 3), ("word", "<i8")])
 """``struct can_frame``."""

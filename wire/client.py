@@ -14,7 +14,8 @@ from collections.abc import Sequence
 from typing import TypeAlias
 
 from coulombus.wire.address import BusAddress, BusUnavailable
-from coulombus.wire.hello import SO_TIMESTAMPNS, Answer, Flags, Hello, Status, greet, is_greeting
+from coulombus.wire.ancillary import SO_RXQ_OVFL, SO_TIMESTAMPNS
+from coulombus.wire.hello import Answer, Flags, Hello, Status, greet, is_greeting
 from coulombus.wire.link import Link
 
 __all__ = ["CAN_FRAME", "BusDown", "BusFull", "BusGone", "Client", "Echo", "Received", "pack_frame"]
@@ -42,7 +43,6 @@ sets in a client's own frames, as Linux sets MSG_CONFIRM.
 """
 MSG_CONFIRM = 0x800
 CAN_RAW_ERR_FILTER = 2
-SO_RXQ_OVFL = 40
 _TIMESPEC = struct.Struct("=qq") if struct.calcsize("@l") == 8 else struct.Struct("=ll")
 _ANCILLARY = socket.CMSG_SPACE(_TIMESPEC.size) + socket.CMSG_SPACE(4)
 _FILTER = struct.Struct("=II")

@@ -26,12 +26,12 @@ from enum import IntEnum, IntFlag
 from pathlib import Path
 
 from coulombus.wire.address import BusAddress, BusUnavailable, socket_path
+from coulombus.wire.ancillary import SO_TIMESTAMPNS
 from coulombus.wire.link import Link
 
 __all__ = [
     "MAGIC",
     "MAX_FILTERS",
-    "SO_TIMESTAMPNS",
     "VERSION",
     "Answer",
     "BusUnavailable",
@@ -49,10 +49,6 @@ MAGIC = 0x53424C43  # "CLBS"
 VERSION = 1
 MAX_FILTERS = 512  # as CAN_RAW_FILTER_MAX
 SEND_BUFFER = 4 << 20  # bytes asked for; the kernel gives at most net.core.wmem_max
-
-SO_TIMESTAMPNS = 35
-"""Socket option and control message: struct timespec of CLOCK_REALTIME. Python has no name for it.
-"""
 
 _HELLO = struct.Struct("<IHHH")
 _FILTER = struct.Struct("<II")

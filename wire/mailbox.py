@@ -16,17 +16,18 @@ import numpy.typing as npt
 
 from coulombus.compiled.decorator import kernel
 from coulombus.compiled.libc import MSG_TRUNC, recvmsg
+from coulombus.wire.ancillary import (
+    CONTROL_WORDS,
+    OVERFLOW,
+    SECOND_NS,
+    SO_RXQ_OVFL,
+    SO_TIMESTAMPNS,
+    STAMP,
+    STAMP_NEW,
+)
 from coulombus.wire.frame import Records, new_records
 
-__all__ = ["MAILBOX", "SO_RXQ_OVFL", "SO_TIMESTAMPNS", "ask_for_stamps", "new_mailbox", "receive", "set_up"]
-
-SO_TIMESTAMPNS, SO_RXQ_OVFL = 35, 40
-SOL_SOCKET = 1
-_CONTROL_WORDS = 16
-_STAMP = SOL_SOCKET | SO_TIMESTAMPNS << 32
-_STAMP_NEW = SOL_SOCKET | 64 << 32  # SO_TIMESTAMPNS_NEW, with the same contents on a 64-bit system
-_OVERFLOW = SOL_SOCKET | SO_RXQ_OVFL << 32
-_SECOND_NS = 1_000_000_000
+__all__ = ["MAILBOX", "ask_for_stamps", "new_mailbox", "receive", "set_up"]
 
 MAILBOX = np.dtype(
     [
@@ -45,7 +46,7 @@ MAILBOX = np.dtype(
         ("stamp_ns", np.int64),  # CLOCK_REALTIME at which the kernel had the message; 0: no stamp
         ("overflow", np.int64),  # frames that this socket's queue has dropped so far (SO_RXQ_OVFL)
         ("truncated", np.int64),  # the message was longer than the room for it
-        ("room", np.int64, (_CONTROL_WORDS,)),  # struct cmsghdr ...
+        ("room", np.int64, (CONTROL_WORDS,)),  # struct cmsghdr ...
     ],
     align=True,
 )
@@ -82,19 +83,19 @@ def ask_for_stamps(target: socket.socket) -> None:
 def receive(fd: int, box: Records, flags: int) -> int:
     """Receive one message; return its bytes, 0 when the other side has closed, -1: see `errno`."""
     message = box[0]
-    message.control_length = 8 * _CONTROL_WORDS
+    message.control_length = 8 * CONTROL_WORDS
     message.stamp_ns = 0
     count: int = recvmsg(fd, box.ctypes.data, flags)
     if count < 0:
         return count
     message.truncated = 1 if message.message_flags & MSG_TRUNC else 0
-    words = min(message.control_length // 8, _CONTROL_WORDS)
+    words = min(message.control_length // 8, CONTROL_WORDS)
     at = 0
     while at + 2 < words:  # a struct cmsghdr is a length, level and type; then the data, padded to whole words
         length, kind = message.room[at], message.room[at + 1]
-        if kind in (_STAMP, _STAMP_NEW):
-            message.stamp_ns = message.room[at + 2] * _SECOND_NS + message.room[at + 3]
-        elif kind == _OVERFLOW:
+        if kind in (STAMP, STAMP_NEW):
+            message.stamp_ns = message.room[at + 2] * SECOND_NS + message.room[at + 3]
+        elif kind == OVERFLOW:
             message.overflow = message.room[at + 2] & 0xFFFFFFFF
         if length < 16:
             break

@@ -139,7 +139,7 @@ def _wrong_beliefs(rig: Rig) -> dict[str, tuple[str, ...]]:
 
 
 def _truth(rig: Rig, mode: str, seconds: float, seed: int) -> dict[str, Floats]:
-    """Return the plant's true course in the last phase of a run ; t_s counts from its begin."""
+    """Return the plant's true course in the last phase of a run; t_s counts from its begin."""
     with tempfile.TemporaryDirectory(prefix="coulombus-") as directory:
         path, recording = Path(directory) / "truth.npz", Path(directory) / "run.pcapng"
         result = simulate(rig, mode, seconds, truth=path, record=recording, seed=seed)

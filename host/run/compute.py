@@ -30,9 +30,9 @@ from coulombus.host.cycle.step import SOURCE_HOST
 from coulombus.host.realtime.data_plane import PRIORITY, DataPlane
 from coulombus.rigs.rig import Rig
 from coulombus.wire.address import BusAddress
+from coulombus.wire.ancillary import SO_TIMESTAMPNS
 from coulombus.wire.client import pack_frame
 from coulombus.wire.frame import Records, data_bytes, new_records
-from coulombus.wire.hello import SO_TIMESTAMPNS
 from coulombus.wire.realtime import default_cpu
 
 __all__ = ["compute_times_ns", "measure_compute"]

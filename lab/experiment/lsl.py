@@ -111,9 +111,4 @@ def sampled(
         return np.zeros(0), np.zeros((0, len(names)))
     begin, end = min(float(one[0]) for one in ends), max(float(one[-1]) for one in ends)
     t_s: npt.NDArray[np.float64] = begin + period_s * np.arange(int((end - begin) / period_s) + 1, dtype=np.float64)
-    found: npt.NDArray[np.float64] = np.full((len(t_s), len(names)), np.nan)
-    for column, name in enumerate(names):
-        series = recording[name]
-        last = np.searchsorted(series.t_s, t_s, "right") - 1
-        found[last >= 0, column] = series.values[last[last >= 0]]
-    return t_s, found
+    return t_s, np.column_stack([recording[name].held(t_s, np.nan) for name in names])

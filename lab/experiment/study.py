@@ -315,7 +315,8 @@ def _check_on_rig(study: Study, mistakes: FileMistakes) -> None:
             mistakes.say((*place, "mode"), f"the rig {study.rig.name} has no mode {condition.mode!r}")
             continue
         try:
-            changed = widened(study.rig, study.rig.variant(*condition.settings))
+            rig = study.rig.variant(*condition.settings)
+            changed = widened(study.rig, rig)
         except RigError as error:
             for text in error.errors:
                 given = _factor_of(study, condition, "{}=", text)
@@ -326,7 +327,7 @@ def _check_on_rig(study: Study, mistakes: FileMistakes) -> None:
         for text in changed:
             given = _factor_of(study, condition, "{}:", text)
             mistakes.say((*place, "set") if given is None else ("factor", given, "values"), text)
-        unknown_law = _law_mistake(study.rig.variant(*condition.settings))
+        unknown_law = _law_mistake(rig)
         if unknown_law is not None:
             given = _factor_of(study, condition, "{}", "law.function")
             mistakes.say((*place, "set") if given is None else ("factor", given), unknown_law)

@@ -125,14 +125,6 @@ def _nearest(series: Series, t: Floats, within_s: float) -> Floats:
     return np.where(np.abs(series.t_s[closer] - t) <= within_s, values, np.nan)
 
 
-def _held(series: Series, t: Floats) -> Floats:
-    """Return the series' last value at or before `t`, 0 before its first."""
-    if not len(series):
-        return np.zeros(len(t))
-    last = np.searchsorted(series.t_s, t, side="right") - 1
-    return np.where(last >= 0, np.asarray(series.values, np.float64)[np.maximum(last, 0)], 0.0)
-
-
 def since(flags: Flags) -> npt.NDArray[np.int64]:
     """Return for how many samples `flags` has been true, the present one included."""
     index = np.arange(len(flags))
@@ -180,9 +172,9 @@ def _displayed(recording: Source, t: Floats, counts: Floats) -> tuple[Flags, tup
         return np.ones(len(t), bool), (
             "no statusword was recorded, so the phases of the host are not known: what slides in the arming is fitted, too",
         )
-    words = _held(statusword, t).astype(np.int64)
+    words = statusword.held(t, 0.0).astype(np.int64)
     enabled = (np.asarray(STATE_OF_STATUSWORD)[words & 0x7F] == PowerState.OPERATION_ENABLED) & (t >= statusword.t_s[0])
-    torque = _held(target, t)
+    torque = target.held(t, 0.0)
     shown, notes = np.zeros(len(t), bool), list[str]()
     for first, end in runs(enabled):
         armed = _armed(counts[first:end], torque[first:end], round(SETTLE_S / period))
@@ -263,10 +255,10 @@ def signals(recording: Source) -> Signals:
     counts = np.rint(x / count)
     moved = np.diff(counts, prepend=counts[:1])
     hand, motor = _nearest(transducer, t, 0.5 * period), _nearest(drive_torque, t, 0.5 * period)
-    brake = _held(setpoint, t)
+    brake = setpoint.held(t, 0.0)
     shown, notes = _displayed(recording, t, counts)
     if not told:
-        motor = _held(drive_torque, t)
+        motor = drive_torque.held(t, 0.0)
         notes += ("the motor's torque is not measured: the device's own friction is with the torque that it was told",)
     return Signals(t, x, moved, hand, motor, brake, shown, notes, count)
 

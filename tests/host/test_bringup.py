@@ -94,7 +94,7 @@ BIT_RATES = edit(BIT_RATES, "2002", ParameterName="RS232 bit rate", DataType=U8,
 @pytest.mark.parametrize("text", [MOTOR_PARA, BIT_RATES])
 def test_nothing_of_another_makers_own_objects_is_written(text):
     wire = Wire(rig_of(text, BRAKE, *IS_FOREIGN))
-    before = [wire.world.motor.dictionary.default(index, 0) for index in (0x2001, 0x2002)]
+    before = [wire.world.motor.description.default(index, 0, 1) for index in (0x2001, 0x2002)]
     losses = wire.bring_up()
     assert makers(wire.written(1)) == []
     assert 0x6072 in wire.written(1)

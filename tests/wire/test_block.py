@@ -11,9 +11,10 @@ import pytest
 
 from coulombus.wire import block as blocks
 from coulombus.wire.address import parse_address
+from coulombus.wire.ancillary import SO_TIMESTAMPNS
 from coulombus.wire.block import Block, BlockReader
 from coulombus.wire.client import BusGone, Client, pack_frame
-from coulombus.wire.hello import SO_TIMESTAMPNS, Answer, Status
+from coulombus.wire.hello import Answer, Status
 
 
 @contextmanager
