@@ -37,6 +37,8 @@ MOST_EVENTS = 400
 """In one step; what is more is not split."""
 MOST_GUESSES = 40
 MOST_SWITCHES = 12
+SOON = 1e-6
+"""Share of a step after which it shows where a coupling at its side of the backlash goes."""
 NO_EVENT = -1
 
 
@@ -137,17 +139,33 @@ def _try(p: Record, h: float, hand: float, torque: float) -> None:
 
 
 @inlined
+def _room(d: Record, j: int, moved: float) -> float:
+    """Return the way of coupling `j` to its side of the backlash, once its bodies have `moved` against
+    each other: negative beyond it.
+    """
+    between = d.q[j] - d.q[j + 1] + moved
+    return float(d.contact[j] * between - d.gap[j] if d.contact[j] != 0 else d.gap[j] - abs(between))
+
+
+@inlined
 def _crosses(d: Record, event: int, h: float) -> float:
     """Return a value that is negative where the `event` lies within the step of `h` that was tried:
     of bodies 0 to 2 the speed at its end, of couplings 3 and 4 the way to the backlash's side.
     """
     if event < 3:
-        value = (2.0 * d.u[event] - d.v[event]) * _side(d.v[event])
-    else:
-        j = event - 3
-        between = d.q[j] - d.q[j + 1] + h * (d.u[j] - d.u[j + 1])
-        value = d.contact[j] * between - d.gap[j] if d.contact[j] != 0 else d.gap[j] - abs(between)
-    return float(value)
+        return float((2.0 * d.u[event] - d.v[event]) * _side(d.v[event]))
+    j = event - 3
+    return float(_room(d, j, h * (d.u[j] - d.u[j + 1])))
+
+
+@inlined
+def _parts(d: Record, j: int) -> float:
+    """Return how fast coupling `j`, which is at its side of the backlash, goes away from it in the
+    step that was tried.
+    """
+    between = d.u[j] - d.u[j + 1]
+    sense = d.contact[j] if d.contact[j] != 0 else -_side(d.q[j] - d.q[j + 1])
+    return float(sense * between)
 
 
 @kernel
@@ -179,20 +197,25 @@ def _first_event(p: Record, h: float, hand: float, torque: float) -> tuple[float
             break
         found = event
         low, high, f_high = 0.0, h, _crosses(d, event, h)
-        if event < 3:
-            f_low = abs(d.v[event])
-        else:
-            j = event - 3
-            between = d.q[j] - d.q[j + 1]
-            f_low = d.contact[j] * between - d.gap[j] if d.contact[j] != 0 else d.gap[j] - abs(between)
+        begin = f_low = abs(d.v[event]) if event < 3 else _room(d, event - 3, 0.0)
         small = 1e-14 * (abs(f_low) + abs(f_high))
-        if f_low <= small:  # it is there already
+        back = f_low <= small  # it is there already
+        if back and event >= 3:
+            low = SOON * h
+            _try(p, low, hand, torque)
+        if back and (event < 3 or _parts(d, event - 3) <= 0.0):
             h = 0.0
             break
+        if back:
+            # it goes away and comes back: without the root at 0
+            f_low, f_high = _parts(d, event - 3), (f_high - begin) / high
+            small = 1e-14 * (f_low + abs(f_high))
         for _ in range(MOST_GUESSES):
             h = high - f_high * (high - low) / (f_high - f_low)
             _try(p, h, hand, torque)
             value = _crosses(d, event, h)
+            if back:
+                value = (value - begin) / h
             if abs(value) <= small or high - low <= 1e-16:
                 break
             if value < 0.0:

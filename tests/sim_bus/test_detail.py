@@ -248,6 +248,25 @@ def test_of_random_rigs_the_energy_balances_and_nothing_passive_gives_any(seed, 
     assert plant["detail"]["missed_events"] == 0
 
 
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("backlash_rad", [2e-6, 2e-5, 2e-4])
+def test_a_coupling_that_comes_off_and_back_within_a_step_keeps_the_energy_balance(backlash_rad, seed):
+    rng = np.random.default_rng(seed)
+    loose = {"damping_Nms_rad": 0.0, "backlash_rad": backlash_rad}
+    rig = keys(
+        cable=loose | {"stiffness_Nm_rad": 10 ** rng.uniform(1, 4.8), "motor_inertia_kg_m2": 1e-3},
+        handle=loose | {"stiffness_Nm_rad": 10 ** rng.uniform(1, 4.8), "inertia_kg_m2": 5e-4},
+    )
+    plant, truth = run(
+        rig, 0.06, f_h=lambda t: 6.0 * np.sin(rng.uniform(20, 400) * t), v0=rng.uniform(-5, 5),
+        motor_pm=rng.uniform(-2000, 2000),
+    )  # fmt: skip
+    assert plant["detail"]["missed_events"] == 0
+    assert plant["detail"]["events"] > 5
+    found = balance(truth)
+    assert np.abs(found - found[0]).max() < 1e-11 * truth["kinetic_energy_J"].max()
+
+
 def test_the_sine_of_a_step_is_right():
     kept = np.zeros(1, WAVE).view(np.recarray)[0]
     angles = np.cumsum(np.random.default_rng(3).uniform(-0.06, 0.08, 3000))
