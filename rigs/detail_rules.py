@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from coulombus.rigs.mistakes import Source, shown
+from coulombus.rigs.plant_detail import MOST_ELEMENTS
 from coulombus.rigs.toml_lines import Table
 
 __all__ = ["check_detail"]
@@ -27,16 +28,37 @@ def check_detail(values: Table, source: Source) -> None:
         return
     _check_bodies(plant, source)
     friction = plant.get("friction")
-    if isinstance(friction, Mapping) and friction.get("law") == "lugre":
-        stiffness = friction.get("sigma_0_Nm_rad", 0.0)
-        if stiffness == 0:
-            text = f"got '{shown(stiffness)}', but bristles need a stiffness above 0"
-            source.say(("plant", "friction", "sigma_0_Nm_rad"), text)
+    if isinstance(friction, Mapping) and friction.get("law") in ("lugre", "gms", "leuven"):
+        _check_friction(friction, source)
         if plant.get("coulomb_Nm") == 0:
             source.say(("plant", "coulomb_Nm"), "got '0', but bristles need a friction above 0 (plant.friction.law)")
     if isinstance(plant.get("iron"), Mapping) and (remanence := _number(source, plant, "brake_remanence")):
         text = f"got '{shown(remanence)}', expected 0 beside [plant.iron]: that is another model of the same iron"
         source.say(("plant", "brake_remanence"), text)
+
+
+def _check_friction(friction: Table, source: Source) -> None:
+    key, law = ("plant", "friction"), friction["law"]
+    stiffness, rate = friction.get("sigma_0_Nm_rad", 0.0), friction.get("C_Nm_s", 0.0)
+    if law == "lugre":
+        if stiffness == 0:
+            text = f"got '{shown(stiffness)}', but bristles need a stiffness above 0"
+            source.say((*key, "sigma_0_Nm_rad"), text)
+        return
+    elements, shares = friction.get("elements_Nm_rad", []), friction.get("shares", [])
+    if law == "gms" and rate == 0:
+        source.say(
+            (*key, "C_Nm_s"), f"got '{shown(rate)}', expected above 0: how fast a slipping element of gms follows"
+        )
+    if not isinstance(elements, list) or source.is_wrong((*key, "elements_Nm_rad")):
+        return
+    if not elements:
+        text = f"got none, expected a list of 1 to {MOST_ELEMENTS} numbers above 0: {law} is made of elements"
+        source.say((*key, "elements_Nm_rad"), text)
+    elif isinstance(shares, list) and not source.is_wrong((*key, "shares")) and len(shares) != len(elements):
+        source.say(
+            (*key, "shares"), f"got {len(shares)} values where elements_Nm_rad has {len(elements)}, expected as many"
+        )
 
 
 def _number(source: Source, values: Any, *key: str) -> float | None:

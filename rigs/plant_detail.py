@@ -6,13 +6,15 @@ A rig file without these sections has one rigid body.
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
 from coulombus.rigs.model import Section
 
-__all__ = ["Cable", "Fluid", "Friction", "Handle", "Heat", "Ripple"]
+__all__ = ["MOST_ELEMENTS", "Cable", "Fluid", "Friction", "Handle", "Heat", "Ripple"]
+
+MOST_ELEMENTS = 8
 
 
 class _Coupling(Section):
@@ -44,11 +46,27 @@ class Handle(_Coupling):
 class Friction(Section):
     """[plant.friction]: more of the device's own friction."""
 
-    law: Literal["coulomb", "lugre"] = Field(
-        "coulomb", description="coulomb: a level, exactly stuck at rest; lugre: bristles"
+    law: Literal["coulomb", "lugre", "gms", "leuven"] = Field(
+        "coulomb",
+        description="coulomb: a level, exactly stuck at rest; lugre: bristles; gms, leuven: elements that slip",
     )
     sigma_0_Nm_rad: float = Field(0.0, ge=0, le=1e9, description="stiffness of the bristles")
-    sigma_1_Nms_rad: float = Field(0.0, ge=0, le=1e6, description="damping of the bristles")
+    sigma_1_Nms_rad: float = Field(0.0, ge=0, le=1e6, description="damping of the bristles, of leuven, too")
+    elements_Nm_rad: tuple[Annotated[float, Field(gt=0, le=1e9)], ...] = Field(
+        (),
+        strict=False,
+        max_length=MOST_ELEMENTS,
+        description="stiffness of each element",
+        json_schema_extra={"expected": f"a list of 1 to {MOST_ELEMENTS} numbers above 0, in Nm/rad"},
+    )
+    shares: tuple[Annotated[float, Field(gt=0, le=1e6)], ...] = Field(
+        (),
+        strict=False,
+        max_length=MOST_ELEMENTS,
+        description="share of each element, relative to the sum of all shares",
+        json_schema_extra={"expected": "a list of as many numbers above 0 as elements_Nm_rad has"},
+    )
+    C_Nm_s: float = Field(0.0, ge=0, le=1e9, description="how fast a slipping element of gms follows the level")
     stribeck_exponent: float = Field(2.0, gt=0, le=10, description="exponent of the Stribeck curve")
     angle_share: float = Field(0.0, ge=0, le=0.99, description="amplitude of the friction's change with the angle")
     angle_periods: int = Field(1, ge=1, le=10_000, description="its periods in one revolution of the handle")

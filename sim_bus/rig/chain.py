@@ -29,6 +29,8 @@ from __future__ import annotations
 
 from coulombus.compiled.decorator import inlined, kernel
 from coulombus.compiled.records import Record
+from coulombus.sim_bus.rig.detail import ELEMENTS, LUGRE
+from coulombus.sim_bus.rig.elements import foretold, wind
 from coulombus.sim_bus.rig.own_friction import bristles, set_levels
 
 __all__ = ["MOST_EVENTS", "move"]
@@ -88,8 +90,8 @@ def _solve(d: Record) -> None:
 
 
 @kernel
-def _try(p: Record, h: float, hand: float, torque: float) -> None:
-    """Find the mean speeds of a step of `h` [s] and which bodies stick in it."""
+def _try_once(p: Record, h: float, hand: float, torque: float) -> None:
+    """Find them with what the elements of friction are foretold to do."""
     d = p.detail
     n = d.count
     rate = 2.0 / h
@@ -138,6 +140,16 @@ def _try(p: Record, h: float, hand: float, torque: float) -> None:
         _solve(d)
 
 
+@kernel
+def _try(p: Record, h: float, hand: float, torque: float) -> None:
+    """Find the mean speeds of a step of `h` [s] and which bodies stick in it."""
+    _try_once(p, h, hand, torque)
+    d = p.detail
+    if d.bristles == ELEMENTS and d.slip_rate == 0.0:
+        while not foretold(d, h):  # at most once for each body
+            _try_once(p, h, hand, torque)
+
+
 @inlined
 def _room(d: Record, j: int, moved: float) -> float:
     """Return the way of coupling `j` to its side of the backlash, once its bodies have `moved` against
@@ -174,7 +186,8 @@ def _next_event(d: Record, h: float, found: int) -> int:
     end, or `NO_EVENT`.
     """
     for i in range(d.count):
-        if i != found and d.v[i] != 0.0 and d.level[i] > 0.0 and _crosses(d, i, h) < 0.0:
+        turns = d.level[i] > 0.0 or (d.bristles == ELEMENTS and d.share[i] > 0.0)
+        if i != found and d.v[i] != 0.0 and turns and _crosses(d, i, h) < 0.0:
             return i
     for j in range(d.count - 1):
         if 3 + j != found and d.gap[j] > 0.0 and _crosses(d, 3 + j, h) < 0.0:
@@ -263,8 +276,11 @@ def _go(p: Record, h: float, hand: float, torque: float) -> None:
         if d.bristles != 0 and d.share[i] > 0.0:
             constant, slope = bristles(d, i, h)
             own += constant + slope * u
-            z = (d.z[i] * (1.0 - 0.5 * h * d.alpha[i]) + h * u) / (1.0 + 0.5 * h * d.alpha[i])
             # the work is what is lost: what the bristles keep, they can give back
+            if d.bristles == ELEMENTS:
+                p.w_friction += wind(d, i, h, u)
+        if d.bristles == LUGRE and d.share[i] > 0.0:
+            z = (d.z[i] * (1.0 - 0.5 * h * d.alpha[i]) + h * u) / (1.0 + 0.5 * h * d.alpha[i])
             p.w_friction += 0.5 * d.share[i] * d.sigma_0 * (z * z - d.z[i] * d.z[i])
             d.z[i] = z
         p.f_friction -= own

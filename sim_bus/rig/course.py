@@ -16,6 +16,7 @@ from coulombus.compiled.decorator import JIT_DISABLED, cached, kernel
 from coulombus.compiled.records import Floats, Record, Records
 from coulombus.sim_bus.rig.chain import move
 from coulombus.sim_bus.rig.detail import BODIES
+from coulombus.sim_bus.rig.elements import stored_in_elements
 from coulombus.sim_bus.rig.mr_brake import brake_capacity, heat, iron, thin
 from coulombus.sim_bus.rig.plant import (
     PLANT,
@@ -50,7 +51,7 @@ def _keep(p: Record, out: Floats) -> None:
     kinetic = stored = 0.0
     for i in range(d.count):
         kinetic += 0.5 * d.mass[i] * d.v[i] * d.v[i]
-        stored += 0.5 * d.share[i] * d.sigma_0 * d.z[i] * d.z[i]
+        stored += 0.5 * d.share[i] * d.sigma_0 * d.z[i] * d.z[i] + stored_in_elements(d, i)
     for j in range(last):
         if d.contact[j] != 0 or d.gap[j] == 0.0:
             way = d.q[j] - d.q[j + 1] - d.contact[j] * d.gap[j]

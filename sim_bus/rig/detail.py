@@ -15,13 +15,16 @@ import numpy as np
 
 from coulombus.compiled.records import Record
 from coulombus.rigs.plant import Plant
-from coulombus.rigs.plant_detail import Cable, Handle
+from coulombus.rigs.plant_detail import MOST_ELEMENTS, Cable, Handle
 from coulombus.sim_bus.rig.wave import WAVE
 
-__all__ = ["BODIES", "DETAIL", "DETAIL_COLUMNS", "detail_of"]
+__all__ = ["BODIES", "DETAIL", "DETAIL_COLUMNS", "DRY", "ELEMENTS", "LUGRE", "detail_of"]
 
 BODIES = 3
 PLAYS = 8
+DRY, LUGRE, ELEMENTS = 0, 1, 2
+"""What gives the device's own friction: a level, bristles, `sim_bus.rig.elements`."""
+LAWS = {"coulomb": DRY, "lugre": LUGRE, "gms": ELEMENTS, "leuven": ELEMENTS}
 
 DETAIL = np.dtype(
     [
@@ -41,10 +44,16 @@ DETAIL = np.dtype(
         ("gap", np.float64, (BODIES - 1,)),  # half of the backlash
         ("contact", np.int64, (BODIES - 1,)),  # 1, -1: on one side, the other; 0: within the backlash
         # the device's own friction
-        ("bristles", np.int64),  # 1: LuGre
+        ("bristles", np.int64),  # `DRY`, `LUGRE`, `ELEMENTS`
         ("sigma_0", np.float64),
         ("sigma_1", np.float64),
         ("z", np.float64, (BODIES,)),
+        ("elements", np.int64),
+        ("element_k", np.float64, (MOST_ELEMENTS,)),
+        ("element_w", np.float64, (MOST_ELEMENTS,)),  # together 1
+        ("slip_rate", np.float64),  # C of the generalised Maxwell-slip friction; 0: Leuven's
+        ("element_Nm", np.float64, (BODIES, MOST_ELEMENTS)),
+        ("element_slips", np.float64, (BODIES, MOST_ELEMENTS)),  # 1, -1: it slips in this sense; 0: it winds
         ("waves", WAVE, (BODIES + 2,)),  # sines: of each body's friction, of ripple and cogging
         ("angle_share", np.float64),
         ("angle_rad", np.float64),  # periods in one revolution of the handle
@@ -91,6 +100,9 @@ DETAIL = np.dtype(
         ("tied", np.float64, (BODIES - 1,)),  # a coupling's torque at the step's begin ...
         ("stiff", np.float64, (BODIES - 1,)),  # ... and for each rad/s of mean speed between its bodies
         ("alpha", np.float64, (BODIES,)),
+        ("bears", np.float64, (BODIES,)),  # the level of all elements
+        ("winds", np.int64, (BODIES,)),  # 1: how z goes cannot be foretold
+        ("follows", np.float64, (BODIES,)),  # how fast a slipping one follows it [1/s]
         ("bristle_damping", np.float64, (BODIES,)),
         ("events", np.int64),  # since power-on
         ("missed_events", np.int64),  # steps with more of them than `chain.MOST_EVENTS`
@@ -148,7 +160,11 @@ def detail_of(p: Plant, hand_inertia: float) -> Record:
     f = p.friction
     d["exponent"] = 2.0
     if f is not None:
-        d["bristles"] = int(f.law == "lugre")
+        d["bristles"] = LAWS[f.law]
+        m = d["elements"] = len(f.elements_Nm_rad)
+        d["element_k"][:m] = f.elements_Nm_rad
+        d["element_w"][:m] = np.array(f.shares) / math.fsum(f.shares)
+        d["slip_rate"] = f.C_Nm_s if f.law == "gms" else 0.0
         d["sigma_0"], d["sigma_1"] = f.sigma_0_Nm_rad, f.sigma_1_Nms_rad
         d["angle_share"], d["angle_rad"], d["angle_phase"] = f.angle_share, f.angle_periods, f.angle_phase_rad
         d["friction_K"], d["friction_s"] = f.share_1_K, f.drift_1_s

@@ -1,5 +1,5 @@
 r"""The device's own friction, as it truly is: Coulomb, Stribeck, LuGre, with the angle, the
-temperature and time.
+temperature and time. `sim_bus.rig.elements` has the generalised Maxwell-slip friction and Leuven's.
 
 Its level at the speed :math:`v`, the angle :math:`q` of its body, the device's temperature
 :math:`T` and the time :math:`t` is
@@ -32,6 +32,8 @@ import math
 
 from coulombus.compiled.decorator import inlined, kernel
 from coulombus.compiled.records import Record
+from coulombus.sim_bus.rig.detail import ELEMENTS
+from coulombus.sim_bus.rig.elements import elements_torque, set_elements
 from coulombus.sim_bus.rig.wave import wave
 
 __all__ = ["bristles", "set_levels"]
@@ -51,7 +53,7 @@ def set_levels(p: Record, capacity: float) -> None:
     scale = (1.0 + d.friction_K * (d.degC - d.reference)) * (1.0 + d.friction_s * (p.t_ns * 1e-9))
     for i in range(d.count):
         speed = abs(d.v[i])
-        own = 0.0
+        own = at_rest = 0.0
         if d.share[i] > 0.0:
             own = p.coulomb
             if p.stribeck > 0.0 and speed == 0.0:
@@ -61,13 +63,20 @@ def set_levels(p: Record, capacity: float) -> None:
                 part = part * part if d.exponent == 2.0 else part**d.exponent
                 if part < NOTHING:
                     own += p.stribeck * math.exp(-part)
+            at_rest = p.coulomb + p.stribeck
             if d.angle_share > 0.0:
-                own *= 1.0 + d.angle_share * wave(d.waves[i], d.angle_rad * d.q[i] + d.angle_phase)
+                angled = 1.0 + d.angle_share * wave(d.waves[i], d.angle_rad * d.q[i] + d.angle_phase)
+                own *= angled
+                at_rest *= angled
             own = max(own * scale, 0.0) * d.share[i]
         if i == d.drum:
             p.inherent = own
         d.dry[i] = capacity if i == d.drum else 0.0
-        if d.bristles != 0:
+        if d.bristles == ELEMENTS:
+            if d.share[i] > 0.0:
+                set_elements(d, i, max(own, LEAST_Nm), max(at_rest * scale * d.share[i], LEAST_Nm))
+            own = 0.0
+        elif d.bristles != 0:
             g = max(own, LEAST_Nm)
             d.alpha[i] = d.share[i] * d.sigma_0 * speed / g
             damping = d.share[i] * d.sigma_1
@@ -81,7 +90,9 @@ def bristles(d: Record, i: int, h: float) -> tuple[float, float]:
     """Return (constant, slope): the bristles' torque over a step of `h` is constant + slope u
     [Nm]."""
     constant = slope = 0.0
-    if d.bristles != 0 and d.share[i] > 0.0:
+    if d.bristles == ELEMENTS and d.share[i] > 0.0:
+        constant, slope = elements_torque(d, i, h)
+    elif d.bristles != 0 and d.share[i] > 0.0:
         damping = d.bristle_damping[i]
         stiffness = (d.share[i] * d.sigma_0 - damping * d.alpha[i]) / (1.0 + 0.5 * h * d.alpha[i])
         constant = stiffness * d.z[i]

@@ -220,12 +220,16 @@ def test_bristles_converge_with_the_first_order_at_least():
 
 
 @settings(max_examples=30, deadline=None)
-@given(seed=st.integers(0, 10**6), law=st.sampled_from(["coulomb", "lugre"]), extra=st.booleans())
+@given(seed=st.integers(0, 10**6), law=st.sampled_from(["coulomb", "lugre", "gms", "leuven"]), extra=st.booleans())
 def test_of_random_rigs_the_energy_balances_and_nothing_passive_gives_any(seed, law, extra):
     rng = np.random.default_rng(seed)
     friction = {"law": law, "angle_share": rng.uniform(0, 0.9), "angle_periods": int(rng.integers(1, 40))}
     if law == "lugre":
         friction |= {"sigma_0_Nm_rad": rng.uniform(10, 1e5), "sigma_1_Nms_rad": rng.uniform(0, 5)}
+    elif law != "coulomb":
+        count = int(rng.integers(1, 9))
+        friction |= {"elements_Nm_rad": (10 ** rng.uniform(0, 5, count)).tolist(), "C_Nm_s": 10 ** rng.uniform(-1, 5)}
+        friction |= {"shares": rng.uniform(0.01, 1, count).tolist(), "sigma_1_Nms_rad": rng.uniform(0, 5)}
     rig = (*three_bodies(rng, backlash=int(rng.integers(0, 2))), *keys(friction=friction), "plant.stribeck_Nm=0.05")
     if extra:
         rig += keys(
@@ -290,7 +294,12 @@ def test_the_transducer_reads_the_handles_acceleration():
         ("[plant.cable]\nstiffness_Nm_rad = 10.0\nmotor_inertia_kg_m2 = 3e-3", 2, "less"),
         ("[plant.cable]\nstiffness_Nm_rad = 10.0\nmotor_inertia_kg_m2 = 1e-3\ndamping_Nms_rad = 99.0", 3, "at most 24"),
         ("[plant.handle]\nstiffnes = 10.0", 1, "did you mean 'stiffness_Nm_rad'"),
-        ('[plant.friction]\nlaw = "dahl"', 1, 'one of "coulomb", "lugre"'),
+        ('[plant.friction]\nlaw = "dahl"', 1, 'one of "coulomb", "lugre", "gms", "leuven"'),
+        ('[plant.friction]\nlaw = "leuven"', 1, "elements_Nm_rad: got none, expected a list of 1 to 8 numbers"),
+        ('[plant.friction]\nlaw = "gms"\nelements_Nm_rad = [1]\nshares = [1]', 1, "C_Nm_s: got '0.0', expected above"),
+        ('[plant.friction]\nlaw = "leuven"\nelements_Nm_rad = [1, -1]\nshares = [1, 1]', 2, "elements_Nm_rad"),
+        ('[plant.friction]\nlaw = "leuven"\nelements_Nm_rad = [1, 2]\nshares = [1]', 3, "got 1 values where"),
+        ('[plant.friction]\nlaw = "leuven"\nelements_Nm_rad = [1]\nshares = [0]', 3, "shares"),
         ('[plant.friction]\nlaw = "lugre"', 1, "bristles need a stiffness"),
         ("[plant.iron]\nplay_Nm = [1.0]\nweights = [0.5, 0.2]", 2, "got 2 values where play_Nm has 1"),
         ("[plant.iron]\nplay_Nm = [1.0, 2.0]\nweights = [0.5, 0.6]", 2, "together 1.1"),

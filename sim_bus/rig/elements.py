@@ -1,0 +1,174 @@
+r"""The device's own friction as springs side by side, each of which slips at its own torque: the
+generalised Maxwell-slip friction and Leuven's.
+
+Element :math:`j` bears :math:`F_j`, has the stiffness :math:`k_j` and the share :math:`w_j`. Its end
+goes the way of :math:`z`; it winds, :math:`\dot F_j = k_j \dot z`, up to its level. With the level
+:math:`g` of `sim_bus.rig.own_friction`
+
+.. math::
+
+    \text{gms:}\quad & z = q, \quad F = \sum F_j, \quad \text{at } w_j g \text{ it slips until the motion
+    turns or stops:}\ \dot F_j = \mathrm{sgn}(v)\,C\,(w_j - |F_j|/g) \\
+    \text{leuven:}\quad & \dot z = v - \frac{|v|}{g} \sum F_j, \quad F = \sum F_j + \sigma_1 \dot z,
+    \quad \text{level } w_j F_s,\ F_s = g \text{ at rest}
+
+A step is the midpoint rule in :math:`z` with :math:`g` and :math:`|v|` of its begin, linear in the
+mean speed :math:`u`; which elements wind, slip or begin to slip is foretold with the speed of its
+begin, and a step ends where that changes its sign. Where z goes the other way nevertheless, all
+elements of the body wind in that step. So it is of first order, and stable at any stiffness.
+
+No element gives more than it has taken: the energy :math:`F_j^2 / 2 k_j` behind a step is at most
+that before it and the element's work in between. Both laws as they are printed can give energy: a
+slipping element of the generalised Maxwell-slip friction that follows a rising :math:`g` sooner than
+the motion winds it, and Leuven's where :math:`\sigma_1 |v| > 4 g`. The plant lets the element wind
+only as far, and takes :math:`\min(\sigma_1, 4 g / |v|)`.
+
+Sources: F. Al-Bender, V. Lampaert, J. Swevers, IEEE Transactions on Automatic Control 50(11), 2005,
+doi:10.1109/TAC.2005.858676; V. Lampaert, J. Swevers, F. Al-Bender, IEEE Transactions on Automatic
+Control 47(4), 2002, doi:10.1109/9.995050.
+
+In the kernels: `d` a record of `sim_bus.rig.detail.DETAIL`, `i` a body, `j` an element.
+"""
+
+from __future__ import annotations
+
+import math
+
+from coulombus.compiled.decorator import inlined, kernel
+from coulombus.compiled.records import Record
+
+__all__ = ["elements_torque", "foretold", "set_elements", "stored_in_elements", "wind"]
+
+WINDS = math.inf
+
+
+@kernel
+def set_elements(d: Record, i: int, g: float, at_rest: float) -> None:
+    """Set what the elements of a body do in the step that begins: its level `g` [Nm] now, and
+    `at_rest`.
+    """
+    speed = abs(d.v[i])
+    d.winds[i] = 0
+    if d.slip_rate > 0.0:
+        d.alpha[i] = 0.0
+        d.bears[i] = g
+        d.follows[i] = d.share[i] * d.slip_rate / g
+        return
+    d.alpha[i] = speed / g
+    d.bears[i] = at_rest
+    d.follows[i] = 0.0
+    damping = d.share[i] * d.sigma_1
+    d.bristle_damping[i] = damping if damping * speed <= 4.0 * g else 4.0 * g / speed
+
+
+@inlined
+def _way(d: Record, i: int, h: float) -> float:
+    """Return how far z goes in a step of `h` with the speed of its begin, as if all elements
+    wound; 0 where that cannot be foretold.
+    """
+    if d.winds[i] != 0:
+        return 0.0
+    if d.alpha[i] == 0.0:
+        return float(h * d.v[i])
+    bears = stiffness = 0.0
+    for j in range(d.elements):
+        bears += d.element_Nm[i, j]
+        stiffness += d.element_k[j]
+    return float(h * (d.v[i] - d.alpha[i] * bears) / (1.0 + 0.5 * h * d.alpha[i] * d.share[i] * stiffness))
+
+
+@inlined
+def _element(d: Record, i: int, j: int, h: float, way: float) -> tuple[float, float, float]:
+    """Return what an element bears in a step, on the mean, as (constant, for each rad of z), and what
+    it bears behind it, or `WINDS`; `way` is foretold.
+    """
+    force, level = d.element_Nm[i, j], d.element_w[j] * d.bears[i]
+    stiffness = d.share[i] * d.element_k[j]
+    if way != 0.0:
+        sense = 1.0 if way > 0.0 else -1.0
+        room = level - sense * force
+        if d.element_slips[i, j] * sense > 0.0 or room <= 0.0:
+            follows = h * d.follows[i]
+            end = (force + follows * sense * level) / (1.0 + follows) if follows > 0.0 else sense * level
+            return 0.5 * (force + end), 0.0, end
+        if stiffness * abs(way) >= room:  # it winds for a part of the step
+            part = room / (stiffness * abs(way))
+            return sense * (1.0 - part) * level + part * force, 0.5 * stiffness * part * part, sense * level
+    return force, 0.5 * stiffness, WINDS
+
+
+@kernel
+def _linear(d: Record, i: int, h: float, way: float) -> tuple[float, float]:
+    """Return (constant, for each rad of z) of what the elements of a body bear in a step."""
+    constant = slope = 0.0
+    for j in range(d.elements):
+        one, rises, _ = _element(d, i, j, h, way)
+        constant += one
+        slope += rises
+    return constant, slope
+
+
+@kernel
+def elements_torque(d: Record, i: int, h: float) -> tuple[float, float]:
+    """Return (constant, slope): the torque of the elements over a step of `h` is constant + slope u
+    [Nm].
+    """
+    constant, slope = _linear(d, i, h, _way(d, i, h))
+    damping = d.bristle_damping[i] if d.slip_rate == 0.0 else 0.0
+    each = (h * slope + damping) / (1.0 + h * d.alpha[i] * slope)
+    return constant - each * d.alpha[i] * constant, each
+
+
+@kernel
+def foretold(d: Record, h: float) -> bool:
+    """Tell whether z goes as was foretold in the step of `h` that was tried; where it does not, all
+    elements of that body wind from now on, which is right in either sense.
+    """
+    right = True
+    for i in range(d.count):
+        if d.share[i] > 0.0 and d.winds[i] == 0:
+            way = _way(d, i, h)
+            constant, _ = _linear(d, i, h, way)
+            if way * (d.u[i] - d.alpha[i] * constant) < 0.0:
+                d.winds[i] = 1
+                right = False
+    return right
+
+
+@kernel
+def wind(d: Record, i: int, h: float, u: float) -> float:
+    """Take the step of `h` with the mean speed `u`; return by how much the energy of the elements has
+    grown [J].
+    """
+    way = _way(d, i, h)
+    constant, slope = _linear(d, i, h, way)
+    z = h * (u - d.alpha[i] * constant) / (1.0 + h * d.alpha[i] * slope)
+    sense = -1.0 if z < 0.0 else 1.0
+    stored = 0.0
+    for j in range(d.elements):
+        mean, rises, end = _element(d, i, j, h, way)
+        force, stiffness = d.element_Nm[i, j], d.share[i] * d.element_k[j]
+        slips = 0.0
+        if end == WINDS:
+            end = force + stiffness * z
+            most = max(d.element_w[j] * d.bears[i], sense * force)
+            if sense * end > most:
+                end, slips = sense * most, sense
+        else:
+            slips = -1.0 if way < 0.0 else 1.0
+        most = max(force * force + 2.0 * stiffness * (mean + rises * z) * z, 0.0)
+        if end * end > most:
+            end = math.copysign(math.sqrt(most), end)
+        stored += (end * end - force * force) / (2.0 * stiffness)
+        d.element_Nm[i, j], d.element_slips[i, j] = end, slips
+    return stored
+
+
+@kernel
+def stored_in_elements(d: Record, i: int) -> float:
+    """Return the energy in the elements of a body [J]."""
+    stored = 0.0
+    if d.share[i] > 0.0:
+        for j in range(d.elements):
+            stored += d.element_Nm[i, j] * d.element_Nm[i, j] / (2.0 * d.share[i] * d.element_k[j])
+    return stored
