@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import array
 import atexit
+import gc
 import importlib
 import inspect
 import json
@@ -24,6 +25,7 @@ MODULES = (
     *("coulombus.verbs.run", "coulombus.verbs.sim", "coulombus.verbs.replay", "coulombus.verbs.main"),
     *("coulombus.host.run.real_run", "coulombus.host.realtime.data_plane", "coulombus.sim_bus.server.rig_server"),
     *("coulombus.sim_bus.server.server", "coulombus.sim_bus.server.bridge", "coulombus.lab.demo.real_demo"),
+    *("scipy.signal", "scipy.stats", "matplotlib.figure"),  # each takes a second; some verbs import them when they run
 )
 MOST_BYTES = 1 << 16
 
@@ -171,6 +173,8 @@ if __name__ == "__main__":
     for module in MODULES:
         importlib.import_module(module)
     arbitration_key(0)  # numba prepares itself when the first kernel is loaded
+    gc.collect()
+    gc.freeze()  # else each child copies the memory of all modules, when it looks for rubbish at its end: 0.6 s
     serve(int(sys.argv[1]))
     from coulombus.verbs.main import main
 
