@@ -293,6 +293,7 @@ class KernelDispatcher(CPUDispatcher):  # type: ignore[misc]
 
     def _wrapped(self, body: Result) -> Result:
         context, description = self.targetctx, body.fndesc
+        context.refresh()  # all bodies may have been loaded, and loading needs none
         library = Wrapped(context.codegen(), body.library)
         context.create_cpython_wrapper(library, description, body.environment, body.call_helper, release_gil=True)
         entry = context.get_executable(library, description, body.environment)

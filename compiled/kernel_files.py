@@ -33,6 +33,7 @@ from typing import Any
 
 from numba.core import event
 from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.runtime import rtsys
 from numba.np import linalg
 
 from coulombus.compiled.kernel_cache import COMPILING, others, say
@@ -159,25 +160,37 @@ class KernelCache:
         """Return the compiled function; None where there is none, or none that is whole: the caller
         compiles it then, and nobody else.
         """
-        _import_arraymath()
         if self._numbas is None:
             return None
         try:
             with interrupts_kept():
-                found = self._numbas.load_overload(sig, target_context)
+                found = self._loaded(sig, target_context)
                 if found is None and self._numbas._enabled and self._lock is None:
                     self._lock = _wait_for_turn(Path(self.cache_path), self._base)
                     self._adopt(Path(self.cache_path))
-                    found = self._numbas.load_overload(sig, target_context)
+                    found = self._loaded(sig, target_context)
                 if found is not None:
                     self.release()
-                return found
+                    return found
         except Exception:  # a damaged pickle raises whatever its bytes say
             self._forget()
-            return None
         except BaseException:  # a signal's
             self.release()
             raise
+        try:
+            _import_arraymath()
+        except BaseException:
+            self.release()
+            raise
+        return None
+
+    def _loaded(self, sig: Any, target_context: Any) -> Any:
+        """Load as numba's `load_overload` does, without its `refresh`: that registers all that a
+        kernel could call, a fifth of a start's time. Who compiles does so itself.
+        """
+        assert self._numbas is not None
+        rtsys.initialize(target_context)
+        return self._numbas._load_overload(sig, target_context)
 
     def _adopt(self, place: Path) -> None:
         """Take over what another state of the sources has kept, where this kernel is the same in
@@ -285,8 +298,8 @@ def _wait_for_turn(place: Path, base: str) -> int | None:
 
 
 def _import_arraymath() -> None:
-    """Import what numba imports before it first loads or compiles, without scipy's BLAS: that would
-    take half as long as all the rest.
+    """Import what numba imports before it first compiles, without scipy's BLAS: that would take
+    half as long as all the rest.
 
     Without it numba computes `numpy.cov` by a loop of its own; matrix products ask for BLAS when
     they are compiled.

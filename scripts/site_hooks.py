@@ -28,7 +28,7 @@ from pydantic_core import PydanticUndefined
 from coulombus.rigs.axis import Sections
 from coulombus.rigs.words import accepted_range, fields_of, kinds_of, named_in, unit_of
 from coulombus.verbs.exit_status import STATUSES
-from coulombus.verbs.main import VERBS
+from coulombus.verbs.main import main
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(ROOT / "scripts"), str(ROOT / "tests" / "support")]
@@ -94,7 +94,7 @@ def verbs_page() -> str:
         "| status | meaning |\n|---|---|",
         *(f"| {status} | {_cell(text)} |" for status, text in STATUSES.items()),
     ]
-    for verb in VERBS:
+    for verb in main.commands.values():
         parts += _verb(verb, f"coulombus {verb.name}", "##")
     return "\n".join(parts) + "\n"
 

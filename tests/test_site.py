@@ -18,7 +18,7 @@ from mkdocs.exceptions import PluginError
 import coulombus
 from coulombus.rigs.axis import Sections
 from coulombus.rigs.words import fields_of
-from coulombus.verbs.main import VERBS
+from coulombus.verbs.main import main
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "scripts"))
@@ -29,7 +29,7 @@ docstrings = importlib.import_module("site_docstrings")
 
 def test_every_verb_and_every_option_is_on_the_page():
     text = hooks.verbs_page()
-    for verb in VERBS:
+    for verb in main.commands.values():
         section = text.partition(f"\n## `coulombus {verb.name}`\n")[2].partition("\n## ")[0]
         assert section.count("coulombus") > 0, verb.name
         seen = [parameter for parameter in verb.params if not getattr(parameter, "hidden", False)]

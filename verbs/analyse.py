@@ -138,7 +138,6 @@ def _steps(count: int) -> Iterator[Callable[[str], None]]:
     "analyse",
     invoke_without_command=True,
     epilog=EXIT_STATUS,
-    short_help="Compute the theory of the paper, with figures",
 )
 @loop_options
 @rig_option
@@ -503,7 +502,7 @@ def _map(rig: Rig, options: dict[str, Any]) -> None:
             raise click.UsageError(str(error)) from error
 
 
-@click.command("identify", epilog=EXIT_STATUS, short_help="Identify friction from a recording, with intervals")
+@click.command("identify", epilog=EXIT_STATUS)
 @click.argument("file", type=InputPath())
 @click.option("--rig", "rig_name", metavar="R", help="Decode with this rig instead of the attached one.")
 @click.option("--figure", type=PICTURE, metavar="F", help="Write the plot there (.png, .svg, .pdf).")

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 __all__ = ["check"]
 
 
-@click.command(epilog=EXIT_STATUS, short_help="Check a rig file and its EDS files")
+@click.command(epilog=EXIT_STATUS)
 @rig_option
 @set_option
 @click.option("--steps", is_flag=True, help="List every object that bring-up writes, in its order, and why.")

@@ -158,7 +158,7 @@ weighed_options = bundle(
 )
 
 
-@click.command(epilog=EXIT_STATUS, short_help="Measure a rig, and write the figures into its rig file")
+@click.command(epilog=EXIT_STATUS)
 @own_options
 @doing_options
 @rehearsal_options

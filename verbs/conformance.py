@@ -94,9 +94,7 @@ reports_options = bundle(
 )
 
 
-@click.command(
-    "conformance", epilog=EXIT_STATUS, short_help="Test a CANopen device against its EDS and CiA 301, 305, 402"
-)
+@click.command("conformance", epilog=EXIT_STATUS)
 @tested_options
 @click.option(
     "--case", "numbers", multiple=True, metavar="ID", help="Only this case, as 2.10. May be given several times."

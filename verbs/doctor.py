@@ -23,7 +23,7 @@ __all__ = ["doctor"]
 WIDTH, INDENT = 80, 8
 
 
-@click.command(epilog=EXIT_STATUS, short_help="Check whether this PC is fit for a rig")
+@click.command(epilog=EXIT_STATUS)
 @rig_option
 @buses_option
 @set_option

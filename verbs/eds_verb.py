@@ -20,7 +20,7 @@ __all__ = ["eds"]
 READABLE, REFUSED = 0, 3
 
 
-@click.group("eds", epilog=EXIT_STATUS, short_help="Check EDS and DCF files")
+@click.group("eds", epilog=EXIT_STATUS)
 def eds() -> None:
     """Look at electronic data sheets (EDS, DCF), the files that describe CANopen devices."""
 

@@ -91,7 +91,7 @@ asked_options = bundle(
 )
 
 
-@click.command("experiment", epilog=EXIT_STATUS, short_help="Show a study to a subject, trial by trial")
+@click.command("experiment", epilog=EXIT_STATUS)
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option(
     "-o",

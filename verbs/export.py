@@ -35,7 +35,7 @@ class _Time(click.ParamType):  # type: ignore[type-arg]  # generic to some versi
         return ns
 
 
-@click.command("export", epilog=EXIT_STATUS, short_help="Write a recording as CSV, Parquet, MAT, MF4, MCAP, BLF ...")
+@click.command("export", epilog=EXIT_STATUS)
 @recording_argument
 @click.option("--to", "kind", type=click.Choice(KINDS), required=True, help="What to write.")
 @signals_option

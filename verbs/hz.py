@@ -25,7 +25,7 @@ STAMPS = {
 }
 
 
-@click.command(epilog=EXIT_STATUS, short_help="Measure rate and jitter of each identifier")
+@click.command(epilog=EXIT_STATUS)
 @click.argument("file", required=False, type=InputPath())
 @one_bus_options
 @click.option("--seconds", type=SECONDS, default=5.0, show_default=True, help="How long to listen to a bus.")
@@ -76,7 +76,7 @@ def hz(
                 click.echo(line)
 
 
-@click.command(epilog=EXIT_STATUS, short_help="Draw the rig's PDOs bit by bit")
+@click.command(epilog=EXIT_STATUS)
 @rig_option
 @set_option
 @click.option("--bus", "bus_name", metavar="B", help="Fill it with what this bus carries now; nothing is sent.")

@@ -85,7 +85,7 @@ wishes_options = bundle(
 )
 
 
-@click.command(epilog=EXIT_STATUS, short_help="Draft a rig file from EDS files or from live devices")
+@click.command(epilog=EXIT_STATUS)
 @wishes_options
 @click.option("--like", default="bench", show_default=True, metavar="R", help="The rig that all else is taken from.")
 @click.option("--bus", "bus_name", metavar="B", help="Ask who is on coulombus:NAME or socketcan:IF.")

@@ -35,7 +35,7 @@ POSITIVE = _Finite(0, 1e9, min_open=True)
 MOST_SAMPLES = 10_000_000
 
 
-@click.command("law", epilog=EXIT_STATUS, short_help="List the friction laws, or drive one along a motion")
+@click.command("law", epilog=EXIT_STATUS)
 @click.argument("name", required=False)
 @click.option(
     "--motion",

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 __all__ = ["dbc", "decode", "host_text", "watch"]
 
 
-@click.command(epilog=EXIT_STATUS, short_help="Print a recording frame by frame, in SI units")
+@click.command(epilog=EXIT_STATUS)
 @click.argument("file", type=InputPath())
 @click.option("--rig", "rig_name", metavar="R", help="Decode with this rig instead of the attached one.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line to stdout.")
@@ -154,7 +154,7 @@ view_options = bundle(
 )
 
 
-@click.command(epilog=EXIT_STATUS, short_help="Show a bus live, in SI units")
+@click.command(epilog=EXIT_STATUS)
 @one_bus_options
 @click.option("--seconds", type=SECONDS, default=None, help="End after this time.")
 @view_options
@@ -239,7 +239,7 @@ def _forward(rig: Rig, address: BusAddress, view: View, *, seconds: float | None
         say(f"{found['pdos']} PDOs handed on, {found['unheard']} unheard, {found['lost']} lost")
 
 
-@click.command(epilog=EXIT_STATUS, short_help="Write a DBC file of the rig's PDOs")
+@click.command(epilog=EXIT_STATUS)
 @rig_option
 @set_option
 @one_channel_option

@@ -90,7 +90,7 @@ wanted_options = bundle(
 )
 
 
-@click.command(epilog=EXIT_STATUS, short_help="Give devices node ids and bit rates (CiA 305)")
+@click.command(epilog=EXIT_STATUS)
 @devices_bus_option
 @eds_folder_option
 @wanted_options

@@ -1,70 +1,111 @@
-"""The command line: a thin dispatcher to the verbs, which import what they need only when
-they run.
+"""The command line: a thin dispatcher to the verbs. A verb is imported when it is asked for, and
+imports what it needs when it runs.
 """
 
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterator, Mapping
+from importlib import import_module
 
 import click
 
-from coulombus.verbs.analyse import analyse, identify_command
-from coulombus.verbs.check import check
-from coulombus.verbs.commission import commission
-from coulombus.verbs.conformance import conformance
-from coulombus.verbs.doctor import doctor
-from coulombus.verbs.eds_verb import eds
-from coulombus.verbs.experiment import experiment_command
-from coulombus.verbs.export import export_command
 from coulombus.verbs.failures import EXIT_STATUS, Verbs
-from coulombus.verbs.hz import hz, pdo
-from coulombus.verbs.init import init
-from coulombus.verbs.law import law
-from coulombus.verbs.look import dbc, decode, watch
-from coulombus.verbs.lss import lss
-from coulombus.verbs.mark import mark
-from coulombus.verbs.measure import measure
-from coulombus.verbs.nmt import nmt
-from coulombus.verbs.plan import plan_command
-from coulombus.verbs.plot import diff, plot_command
-from coulombus.verbs.replay import bridge, replay
-from coulombus.verbs.run import run_command, stop
-from coulombus.verbs.scan import scan
-from coulombus.verbs.sdo import sdo
-from coulombus.verbs.set_verb import set_command
-from coulombus.verbs.sim import node_command, sim
-from coulombus.verbs.simulate import demo, simulate_command
-from coulombus.verbs.status import status
-from coulombus.verbs.sweep import sweep_command
-from coulombus.verbs.systemd import systemd
-from coulombus.verbs.tools import tools
 
 __all__ = ["main"]
 
-SECTIONS = {
-    "Simulate": (demo, simulate_command, sim, sweep_command, experiment_command, law),
-    "Run a rig": (run_command, status, stop, mark, set_command),
-    "Look at a bus and its devices": (watch, hz, scan, sdo, nmt, lss, node_command, bridge, conformance),
-    "Use recordings": (decode, plot_command, diff, export_command, replay, identify_command),
-    "Describe and set up a rig": (init, check, plan_command, measure, commission, doctor, systemd, eds),
-    "Names for other tools, and theory": (pdo, dbc, tools, analyse),
+SECTIONS: Mapping[str, Mapping[str, tuple[str, str]]] = {
+    "Simulate": {
+        "demo": ("simulate:demo", "Show the paper's experiment: motor alone, then hybrid"),
+        "simulate": ("simulate:simulate_command", "Run a simulated rig in virtual time"),
+        "sim": ("sim:sim", "Serve a bus with simulated devices and rig in real time"),
+        "sweep": ("sweep:sweep_command", "Simulate many rigs and hands, and count rates"),
+        "experiment": ("experiment:experiment_command", "Show a study to a subject, trial by trial"),
+        "law": ("law:law", "List the friction laws, or drive one along a motion"),
+    },
+    "Run a rig": {
+        "run": ("run:run_command", "Run the host in real time on a bus with devices"),
+        "status": ("status:status", "Ask a running host for its state"),
+        "stop": ("run:stop", "Stop a running host safely"),
+        "mark": ("mark:mark", "Mark the recording of a running host"),
+        "set": ("set_verb:set_command", "Change the law's parameters of a running host"),
+    },
+    "Look at a bus and its devices": {
+        "watch": ("look:watch", "Show a bus live, in SI units"),
+        "hz": ("hz:hz", "Measure rate and jitter of each identifier"),
+        "scan": ("scan:scan", "Find the devices on a bus"),
+        "sdo": ("sdo:sdo", "Read and write objects of a device (SDO)"),
+        "nmt": ("nmt:nmt", "Start, stop or reset nodes (NMT)"),
+        "lss": ("lss:lss", "Give devices node ids and bit rates (CiA 305)"),
+        "node": ("sim:node_command", "Serve any EDS file as a live device"),
+        "bridge": ("replay:bridge", "Join two buses"),
+        "conformance": ("conformance:conformance", "Test a CANopen device against its EDS and CiA 301, 305, 402"),
+    },
+    "Use recordings": {
+        "decode": ("look:decode", "Print a recording frame by frame, in SI units"),
+        "plot": ("plot:plot_command", "Draw a recording's signals"),
+        "diff": ("plot:diff", "Compare two recordings"),
+        "export": ("export:export_command", "Write a recording as CSV, Parquet, MAT, MF4, MCAP, BLF ..."),
+        "replay": ("replay:replay", "Play a recording onto a bus, or check it bit for bit"),
+        "identify": ("analyse:identify_command", "Identify friction from a recording, with intervals"),
+    },
+    "Describe and set up a rig": {
+        "init": ("init:init", "Draft a rig file from EDS files or from live devices"),
+        "check": ("check:check", "Check a rig file and its EDS files"),
+        "plan": ("plan:plan_command", "Compute whether a rig's traffic fits on its bus"),
+        "measure": ("measure:measure", "Measure response times of devices and host"),
+        "commission": ("commission:commission", "Measure a rig, and write the figures into its rig file"),
+        "doctor": ("doctor:doctor", "Check whether this PC is fit for a rig"),
+        "systemd": ("systemd:systemd", "Write systemd units for host, simulation and bridge"),
+        "eds": ("eds_verb:eds", "Check EDS and DCF files"),
+    },
+    "Names for other tools, and theory": {
+        "pdo": ("hz:pdo", "Draw the rig's PDOs bit by bit"),
+        "dbc": ("look:dbc", "Write a DBC file of the rig's PDOs"),
+        "tools": ("tools:tools", "Write files for Wireshark, cantools, PlotJuggler, Foxglove"),
+        "analyse": ("analyse:analyse", "Compute the theory of the paper, with figures"),
+    },
 }
-VERBS = tuple(verb for section in SECTIONS.values() for verb in section)
+"""Each verb's place, a module of this folder and its function, and what it does in a line."""
+
+
+class Commands(Mapping[str, click.Command]):
+    """The verbs by name, in the order of `SECTIONS`; each is imported when it is looked up."""
+
+    def __init__(self) -> None:
+        self._rows = {name: row for section in SECTIONS.values() for name, row in section.items()}
+
+    def __getitem__(self, name: str) -> click.Command:
+        place, text = self._rows[name]
+        module, _, function = place.partition(":")
+        verb: click.Command = getattr(import_module(f"{__package__}.{module}"), function)
+        verb.short_help = text
+        return verb
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._rows)
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._rows
 
 
 class Coulombus(Verbs):
     """All verbs, listed by what one wants to do."""
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the verbs of each section, a line each."""
-        widest = max(len(name) for name in self.commands)
+        """Write the verbs of each section, a line each; none is imported."""
+        widest = max(map(len, self.commands))
         for title, verbs in SECTIONS.items():
             with formatter.section(title):
-                formatter.write_dl([((verb.name or "").ljust(widest), verb.get_short_help_str(80)) for verb in verbs])
+                formatter.write_dl([(name.ljust(widest), text) for name, (_, text) in verbs.items()])
 
 
 @click.group(
     cls=Coulombus,
+    commands=Commands(),
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
     epilog=EXIT_STATUS,
 )
@@ -86,7 +127,3 @@ def main() -> None:
     """
     for library in ("can", "canopen"):  # what goes wrong there comes as an exception, whose text is told
         logging.getLogger(library).addHandler(logging.NullHandler())
-
-
-for verb in VERBS:
-    main.add_command(verb)

@@ -10,7 +10,7 @@ from coulombus.verbs.failures import EXIT_STATUS, errors, print_json, printable
 __all__ = ["mark"]
 
 
-@click.command(epilog=EXIT_STATUS, short_help="Mark the recording of a running host")
+@click.command(epilog=EXIT_STATUS)
 @click.argument("text")
 @rig_option
 @buses_option

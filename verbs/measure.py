@@ -27,7 +27,7 @@ MARK = "measured by coulombus measure"
 """How the comment above a written value begins."""
 
 
-@click.command(epilog=EXIT_STATUS, short_help="Measure response times of devices and host")
+@click.command(epilog=EXIT_STATUS)
 @one_bus_options
 @click.option(
     "--rounds", type=click.IntRange(10, 100_000), default=500, show_default=True, help="SYNCs for each device."

@@ -29,7 +29,7 @@ class NodeOrAll(click.ParamType):  # type: ignore[type-arg]  # generic to some v
         return 0 if value == "all" else int(value)
 
 
-@click.command(epilog=EXIT_STATUS, short_help="Start, stop or reset nodes (NMT)")
+@click.command(epilog=EXIT_STATUS)
 @click.argument("word", type=click.Choice(WORDS), metavar="COMMAND")
 @click.argument("node_id", type=NodeOrAll(), metavar="NODE|all")
 @devices_bus_option

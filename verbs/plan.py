@@ -305,7 +305,7 @@ times_options = bundle(
 )
 
 
-@click.command("plan", epilog=EXIT_STATUS, short_help="Compute whether a rig's traffic fits on its bus")
+@click.command("plan", epilog=EXIT_STATUS)
 @rig_options
 @json_option
 @traffic_options

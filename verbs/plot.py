@@ -28,7 +28,7 @@ def _span(ctx: click.Context, param: click.Parameter, text: str | None) -> tuple
         raise click.BadParameter(str(error)) from None
 
 
-@click.command("plot", epilog=EXIT_STATUS, short_help="Draw a recording's signals")
+@click.command("plot", epilog=EXIT_STATUS)
 @recording_argument
 @signals_option
 @click.option("--span", callback=_span, metavar="A:B", help="From A to B, in s, as 3:5, 2.5: or :10.  [default: all]")
@@ -86,7 +86,7 @@ def _tolerances(ctx: click.Context, param: click.Parameter, texts: tuple[str, ..
     return found
 
 
-@click.command("diff", epilog=EXIT_STATUS, short_help="Compare two recordings")
+@click.command("diff", epilog=EXIT_STATUS)
 @click.argument("a", type=InputPath())
 @click.argument("b", type=InputPath())
 @click.option(

@@ -137,7 +137,7 @@ otherwise_options = bundle(
 )
 
 
-@click.command("replay", epilog=EXIT_STATUS, short_help="Play a recording onto a bus, or check it bit for bit")
+@click.command("replay", epilog=EXIT_STATUS)
 @click.argument("file", type=InputPath())
 @click.option("--bus", "bus_name", metavar="B", help="Play it there: coulombus:NAME or socketcan:IF.")
 @click.option("--host", "as_host", is_flag=True, help="Feed the host with it: do its outputs come out again?")
@@ -357,7 +357,7 @@ disturbance_options = bundle(
 )
 
 
-@click.command("bridge", epilog=EXIT_STATUS, short_help="Join two buses")
+@click.command("bridge", epilog=EXIT_STATUS)
 @click.argument("a")
 @click.argument("b")
 @click.option("--ids", "ids_text", metavar="IDS", help="Only these identifiers, hexadecimal: 181,200-27F,00000123x.")

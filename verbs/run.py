@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 __all__ = ["run_command", "stop"]
 
 
-@click.command("run", epilog=EXIT_STATUS, short_help="Run the host in real time on a bus with devices")
+@click.command("run", epilog=EXIT_STATUS)
 @buses_options
 @mode_option
 @click.option("--seconds", type=SECONDS, default=None, help="Length of the display.  [default: until it is stopped]")
@@ -155,7 +155,7 @@ def _run_buses(
             print_runs({mode: RunResult(**whole)})
 
 
-@click.command(epilog=EXIT_STATUS, short_help="Stop a running host safely")
+@click.command(epilog=EXIT_STATUS)
 @rig_option
 @buses_option
 def stop(rig_name: str, bus_names: tuple[str, ...]) -> None:

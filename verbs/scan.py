@@ -23,7 +23,7 @@ WIDTH = 80
 MISSING = 5
 
 
-@click.command(epilog=EXIT_STATUS, short_help="Find the devices on a bus")
+@click.command(epilog=EXIT_STATUS)
 @devices_bus_option
 @eds_folder_option
 @click.option(

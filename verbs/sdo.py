@@ -55,7 +55,7 @@ class SdoGroup(click.Group):
         return super().parse_args(ctx, args)
 
 
-@click.group(cls=SdoGroup, epilog=EXIT_STATUS, short_help="Read and write objects of a device (SDO)")
+@click.group(cls=SdoGroup, epilog=EXIT_STATUS)
 def sdo() -> None:
     """Read and write the objects of a device by SDO; `coulombus sdo NODE` opens a shell.
 

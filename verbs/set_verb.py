@@ -82,7 +82,7 @@ manner_options = bundle(
 )
 
 
-@click.command("set", epilog=EXIT_STATUS, short_help="Change the law's parameters of a running host")
+@click.command("set", epilog=EXIT_STATUS)
 @click.argument("values", nargs=-1, metavar="[NAME=VALUE]...", callback=_values)
 @manner_options
 @rig_option

@@ -97,7 +97,7 @@ realtime_options = bundle(
 )
 
 
-@click.command(epilog=EXIT_STATUS, short_help="Serve a bus with simulated devices and rig in real time")
+@click.command(epilog=EXIT_STATUS)
 @buses_options
 @click.option("--seconds", type=SECONDS, default=None, help="End after this many seconds.  [default: never]")
 @click.option(
@@ -296,7 +296,7 @@ served_options = bundle(
 )
 
 
-@click.command("node", epilog=EXIT_STATUS, short_help="Serve any EDS file as a live device")
+@click.command("node", epilog=EXIT_STATUS)
 @click.argument("eds", nargs=-1, required=True, metavar="EDS...", type=click.Path(path_type=Path))
 @click.option("--bus", metavar="B", required=True, help="coulombus:NAME (built in) or socketcan:IF.")
 @served_options

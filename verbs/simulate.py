@@ -80,7 +80,7 @@ files_options = bundle(
 events_options = bundle("events", Events, faults_option, script_option)
 
 
-@click.command("simulate", epilog=EXIT_STATUS, short_help="Run a simulated rig in virtual time")
+@click.command("simulate", epilog=EXIT_STATUS)
 @rig_options
 @mode_option
 @seconds_option
@@ -147,7 +147,7 @@ def simulate_command(
                     click.echo(line)
 
 
-@click.command(epilog=EXIT_STATUS, short_help="Show the paper's experiment: motor alone, then hybrid")
+@click.command(epilog=EXIT_STATUS)
 @rig_option
 @set_option
 @seed_option

@@ -12,7 +12,7 @@ from coulombus.verbs.failures import EXIT_STATUS, errors, print_json, printable
 __all__ = ["status"]
 
 
-@click.command(epilog=EXIT_STATUS, short_help="Ask a running host for its state")
+@click.command(epilog=EXIT_STATUS)
 @rig_option
 @buses_option
 @json_option

@@ -24,7 +24,7 @@ TOLD_EVERY_S = 10.0
 """How often a line tells the progress where stderr is no terminal."""
 
 
-@click.command("sweep", epilog=EXIT_STATUS, short_help="Simulate many rigs and hands, and count rates")
+@click.command("sweep", epilog=EXIT_STATUS)
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option(
     "-o",

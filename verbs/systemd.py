@@ -15,7 +15,7 @@ from coulombus.verbs.option_types import OutputDirectory
 __all__ = ["systemd"]
 
 
-@click.command(epilog=EXIT_STATUS, short_help="Write systemd units for host, simulation and bridge")
+@click.command(epilog=EXIT_STATUS)
 @rig_option
 @bus_option
 @mode_option

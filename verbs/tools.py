@@ -13,7 +13,7 @@ from coulombus.verbs.option_types import OutputDirectory
 __all__ = ["tools"]
 
 
-@click.command(epilog=EXIT_STATUS, short_help="Write files for Wireshark, cantools, PlotJuggler, Foxglove")
+@click.command(epilog=EXIT_STATUS)
 @click.argument("folder", metavar="DIR", type=OutputDirectory())
 @rig_option
 @set_option

@@ -47,13 +47,11 @@ CRC_BYTES = 13  # bytes under the CRC at most: 5 of an extended header (39 bits,
 def _crc_tables() -> npt.NDArray[np.int16]:
     """Return the CRC that byte b leaves when k bytes follow it, at index 256 k + b."""
     table = np.zeros((CRC_BYTES, 256), np.int16)
-    for byte in range(256):
-        crc = byte << 7
-        for followers in range(CRC_BYTES):
-            for _ in range(8):
-                crc = (crc << 1) ^ (CRC_POLYNOMIAL if crc & 0x4000 else 0)
-                crc &= 0x7FFF
-            table[followers, byte] = crc
+    crc = np.arange(256) << 7
+    for followers in range(CRC_BYTES):
+        for _ in range(8):
+            crc = ((crc << 1) ^ np.where(crc & 0x4000, CRC_POLYNOMIAL, 0)) & 0x7FFF
+        table[followers] = crc
     return table.ravel()
 
 

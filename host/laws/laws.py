@@ -72,6 +72,7 @@ from coulombus.host.laws.viscous import viscous
 from coulombus.host.laws.wall import wall
 
 import numba  # isort: skip  (after compiled.decorator, which names the cache directory)
+import numba.experimental.function_type  # isort: skip  (what the type of a compiled law is)
 
 __all__ = [
     "LAW",

@@ -237,6 +237,14 @@ def test_wider_limits_are_for_simulated_nodes_only():
     assert "a motor could push unwatched" in result.output
 
 
+def test_the_list_of_verbs_imports_none():
+    script = (
+        "import sys; from coulombus.verbs.main import main; main(['--help'], standalone_mode=False); "
+        "sys.exit('numpy' in sys.modules or 'coulombus.verbs.simulate' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", script], stdout=subprocess.DEVNULL, timeout=60).returncode == 0
+
+
 def test_a_verb_does_not_load_the_library_of_python_cans_mf4_reader(tmp_path):
     """Where asammdf is installed each start took 0.7 s of processor time longer."""
     (tmp_path / "asammdf.py").write_text("MINE = True\n")

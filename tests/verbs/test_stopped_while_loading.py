@@ -108,7 +108,7 @@ def test_an_exception_that_is_lost_or_becomes_another_one_is_the_signal_all_the_
     ("words", "told"), [(SIM, "ended by SIGINT before the bus was ready"), (("simulate",), "interrupted")]
 )
 def test_ctrl_c_while_a_kernel_is_loaded(words, told):
-    assert ended(words, "numba.np.arraymath") == (130, f"coulombus: {told}\n")
+    assert ended(words, "numpy.ma") == (130, f"coulombus: {told}\n")
 
 
 def test_a_mistake_without_a_signal_is_told_with_its_traceback():
