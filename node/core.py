@@ -33,8 +33,8 @@ from coulombus.node.reactions import (
     step,
 )
 from coulombus.node.sizes import FAR_FUTURE_NS, NodeRecord
+from coulombus.wire.controller_state import Confinement
 from coulombus.wire.frame import CAN_RTR_FLAG, Queue, push
-from coulombus.wire.link import LINK_ACTIVE, LINK_OFF, LINK_PASSIVE, LINK_RECOVERED
 
 __all__ = [
     "ROUTE_CONSUMER",
@@ -46,9 +46,9 @@ __all__ = [
     "ROUTE_SDO",
     "ROUTE_SYNC",
     "ROUTE_TIME",
+    "confinement_changed",
     "forget_connections",
     "handle",
-    "link_changed",
     "nmt_command",
     "on_frame",
     "on_time",
@@ -299,8 +299,8 @@ def forget_connections(n: NodeRecord, t_ns: int, out: Queue) -> None:
 
 
 @kernel
-def link_changed(n: NodeRecord, t_ns: int, link: int, out: Queue) -> None:
-    """Act on what the node's CAN controller tells (`wire.link.LINK_...`).
+def confinement_changed(n: NodeRecord, t_ns: int, confinement: int, out: Queue) -> None:
+    """Act on what the node's CAN controller tells (`wire.controller_state.Confinement`).
 
     Bus-off is a communication error: the fault reaction, and what 1029h:01 says, as without
     heartbeats. Its EMCY can go out when the controller is back only (8140h), and as the error is
@@ -308,17 +308,17 @@ def link_changed(n: NodeRecord, t_ns: int, link: int, out: Queue) -> None:
     """
     if n.powered == 0:
         return
-    if link == LINK_PASSIVE:
+    if confinement == Confinement.PASSIVE:
         emcy.come(n, t_ns, emcy.ERROR_PASSIVE, 0, out)
-    elif link == LINK_ACTIVE:
+    elif confinement == Confinement.ACTIVE:
         emcy.gone(n, t_ns, emcy.ERROR_PASSIVE, out)
-    elif link == LINK_OFF:
+    elif confinement == Confinement.BUS_OFF:
         n.emcy_waiting = 0
         n.causes = n.causes & ~(1 << emcy.ERROR_PASSIVE) | 1 << emcy.BUS_OFF
         n.latched &= ~(1 << emcy.ERROR_PASSIVE | 1 << emcy.BUS_OFF)
         react(n, t_ns, emcy.BUS_OFF)
         _react(n, t_ns, n.error_behaviour, out)
-    elif link == LINK_RECOVERED:
+    elif confinement == Confinement.RECOVERED:
         alarm(n, t_ns, emcy.BUS_OFF, 0, out)
         emcy.gone(n, t_ns, emcy.BUS_OFF, out)
     step(n, t_ns)

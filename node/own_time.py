@@ -1,6 +1,6 @@
 """A device whose clock runs fast or slow (`wire.clock`), compiled.
 
-`on_frame`, `on_time` and `link_changed` are those of `node.core` for such a device: it is
+`on_frame`, `on_time` and `confinement_changed` are those of `node.core` for such a device: it is
 told its own time, and what it sends is ready at the bus's. Its `next_ns` is in its own time.
 
 In the kernels: `n` the node's record (`node.record`), `out` the queue of frames to send.
@@ -14,7 +14,7 @@ from coulombus.node.sizes import NodeRecord
 from coulombus.wire.clock import own_ns, to_bus
 from coulombus.wire.frame import Queue
 
-__all__ = ["link_changed", "on_frame", "on_time"]
+__all__ = ["confinement_changed", "on_frame", "on_time"]
 
 
 @kernel
@@ -35,8 +35,8 @@ def on_time(n: NodeRecord, t_ns: int, out: Queue) -> None:
 
 
 @kernel
-def link_changed(n: NodeRecord, t_ns: int, link: int, out: Queue) -> None:
-    """As `node.core.link_changed`, at `t_ns` of the bus."""
+def confinement_changed(n: NodeRecord, t_ns: int, confinement: int, out: Queue) -> None:
+    """As `node.core.confinement_changed`, at `t_ns` of the bus."""
     first, own = out.count, own_ns(n, t_ns)
-    core.link_changed(n, own, link, out)
+    core.confinement_changed(n, own, confinement, out)
     to_bus(n, out, first)

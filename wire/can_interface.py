@@ -22,8 +22,8 @@ from can.typechecking import AutoDetectedConfig, CanFilters
 from coulombus.wire.address import AddressError, BusAddress, BusUnavailable, live_bus_names, parse_address
 from coulombus.wire.can_id import CAN_EFF_FLAG, CAN_ERR_FLAG
 from coulombus.wire.client import BusDown, BusFull, Client, Echo, Received, pack_frame
+from coulombus.wire.controller_state import BUS_OFF
 from coulombus.wire.hello import MAX_FILTERS, Flags, Hello
-from coulombus.wire.link import BUS_OFF
 from coulombus.wire.messages import can_id_of, data_of, is_classical, message_of
 
 __all__ = ["CoulombusBus"]
@@ -234,10 +234,10 @@ class CoulombusBus(can.BusABC):
         while self._client.unanswered and time.monotonic() < deadline:
             if self._client.wait(0.01):
                 self._take()
-        if self._client.unanswered or self._client.link is None:
+        if self._client.unanswered or self._client.controller is None:
             raise can.CanOperationError(f"bus {self._client.address} does not tell the state of its controllers")
-        self._off = self._client.link.state == BUS_OFF
-        return str(self._client.link)
+        self._off = self._client.controller.state == BUS_OFF
+        return str(self._client.controller)
 
     @property
     def state(self) -> BusState:

@@ -15,8 +15,8 @@ from typing import TypeAlias
 
 from coulombus.wire.address import BusAddress, BusUnavailable
 from coulombus.wire.ancillary import SO_RXQ_OVFL, SO_TIMESTAMPNS
+from coulombus.wire.controller_state import ControllerState
 from coulombus.wire.hello import Answer, Flags, Hello, Status, greet, is_greeting
-from coulombus.wire.link import Link
 
 __all__ = ["CAN_FRAME", "BusDown", "BusFull", "BusGone", "Client", "Echo", "Received", "pack_frame"]
 
@@ -83,7 +83,7 @@ class Client:
         virtual bus tells it with each answer (`ask`).
     malformed
         Messages and frames that were dropped because they are none.
-    link
+    controller
         This client's CAN controller, as of the bus's last answer; None where the bus does not tell.
 
     Raises
@@ -97,7 +97,7 @@ class Client:
         self.hello = hello or Hello()
         self.bitrate_bit_s = self.station = self.lost = self.malformed = 0
         self.unanswered = 0
-        self.link: Link | None = None
+        self.controller: ControllerState | None = None
         self._buffer = bytearray(MESSAGE_BYTES)
         if address.kind == "coulombus":
             connection = greet(address, self.hello, timeout)
@@ -212,7 +212,7 @@ class Client:
 
     def _take_answer(self, answer: Answer) -> None:
         self.bitrate_bit_s, self.station, self.lost = answer.bitrate_bit_s, answer.station, answer.lost
-        self.link = answer.link
+        self.controller = answer.controller
 
     def _configure_socketcan(self) -> None:
         filters: Sequence[tuple[int, int]] = self.hello.filters or ((0, 0),)

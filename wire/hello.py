@@ -5,7 +5,7 @@ when the other side has gone. All words of the greeting are little endian::
 
     client -> bus   u32 magic  u16 version  u16 flags  u16 n  n x (u32 id, u32 mask)  padding     Hello
     bus -> client   u32 magic  u16 version  u16 status  u32 bit rate  u32 station  u64 lost       Answer
-                    and perhaps the state of the client's controller, as wire.link.Link packs it
+                    and perhaps the state of the client's controller, as wire.controller_state.ControllerState packs it
     then, both ways, messages of one or more 16-byte ``struct can_frame`` in native byte order
 
 A greeting is padded so that its length is 8 modulo 16; a message of frames is a multiple of 16. So
@@ -27,7 +27,7 @@ from pathlib import Path
 
 from coulombus.wire.address import BusAddress, BusUnavailable, socket_path
 from coulombus.wire.ancillary import SO_TIMESTAMPNS
-from coulombus.wire.link import Link
+from coulombus.wire.controller_state import ControllerState
 
 __all__ = [
     "MAGIC",
@@ -136,19 +136,19 @@ class Answer:
     (0: unknown), and the client's station number.
 
     `lost` frames found no place in the client's receive queue, because
-    it does not read, since it connected. `link` is its CAN controller.
+    it does not read, since it connected. `controller` is its CAN controller.
     """
 
     status: Status
     bitrate_bit_s: int = 0
     station: int = 0
     lost: int = 0
-    link: Link | None = None
+    controller: ControllerState | None = None
 
     def pack(self) -> bytes:
         """Return the answer's bytes."""
         head = _ANSWER.pack(MAGIC, VERSION, self.status, self.bitrate_bit_s, self.station, self.lost)
-        return head if self.link is None else head + self.link.pack()
+        return head if self.controller is None else head + self.controller.pack()
 
     @classmethod
     def unpack(cls, message: bytes) -> Answer | None:
@@ -158,7 +158,7 @@ class Answer:
         magic, _, status, bitrate, station, lost = _ANSWER.unpack_from(message)
         if magic != MAGIC or status not in Status.__members__.values():
             return None
-        return cls(Status(status), bitrate, station, lost, Link.unpack(message[_ANSWER.size :]))
+        return cls(Status(status), bitrate, station, lost, ControllerState.unpack(message[_ANSWER.size :]))
 
 
 @dataclass(frozen=True)

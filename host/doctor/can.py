@@ -18,7 +18,7 @@ from coulombus.host.doctor.kernel import preempt_rt
 from coulombus.host.doctor.machine import Absent, CannotRead, Machine, nonsense
 from coulombus.host.doctor.rights import PRIORITY
 
-__all__ = ["Link", "checks"]
+__all__ = ["Interface", "checks"]
 
 ARPHRD_CAN = 280
 SHORTEST_QUEUE, LONGEST_QUEUE = 16, 256
@@ -36,7 +36,7 @@ SAMPLE_POINT, BEST_SAMPLE_POINT = (0.85, 0.90), 0.875
 
 
 @dataclass(frozen=True)
-class Link:
+class Interface:
     """An interface, what is wanted of it, and what ``ip -details -json link`` says of it."""
 
     machine: Machine
@@ -108,11 +108,11 @@ class Link:
 
 def checks(machine: Machine, name: str, bitrate_bit_s: int | None = None) -> list[Check]:
     """Return the checks of the interface `name`, which is to have this bit rate (None: any)."""
-    link = Link(machine, name, bitrate_bit_s)
+    can = Interface(machine, name, bitrate_bit_s)
     if not machine.path(f"/sys/class/net/{name}").exists():
-        return [("can.interface", partial(_missing, link))]
+        return [("can.interface", partial(_missing, can))]
     if not _is_can(machine, name):  # of nothing else anything is to be mended
-        return [("can.interface", partial(interface, link))]
+        return [("can.interface", partial(interface, can))]
     general = (interface, driver, up, txqueuelen)
     of_controller = (
         irq_thread,
@@ -125,14 +125,14 @@ def checks(machine: Machine, name: str, bitrate_bit_s: int | None = None) -> lis
         error_counters,
         timestamps,
     )
-    found: list[Check] = [(f"can.{one.__name__}", partial(one, link)) for one in general]
-    return found + [(f"can.{one.__name__}", partial(_of_controller, link, one)) for one in of_controller]
+    found: list[Check] = [(f"can.{one.__name__}", partial(one, can)) for one in general]
+    return found + [(f"can.{one.__name__}", partial(_of_controller, can, one)) for one in of_controller]
 
 
-def _of_controller(link: Link, check: Callable[[Link], Outcome]) -> Outcome:
-    if link.virtual:
-        return Outcome(True, f"{link.name} has no controller: it is {link.data('linkinfo', 'info_kind')}")
-    return check(link)
+def _of_controller(can: Interface, check: Callable[[Interface], Outcome]) -> Outcome:
+    if can.virtual:
+        return Outcome(True, f"{can.name} has no controller: it is {can.data('linkinfo', 'info_kind')}")
+    return check(can)
 
 
 def _is_can(machine: Machine, name: str) -> bool:
@@ -142,60 +142,60 @@ def _is_can(machine: Machine, name: str) -> bool:
         return False
 
 
-def _missing(link: Link) -> Outcome:
-    there = [name for name in link.machine.names("/sys/class/net") if _is_can(link.machine, name)]
+def _missing(can: Interface) -> Outcome:
+    there = [name for name in can.machine.names("/sys/class/net") if _is_can(can.machine, name)]
     others = f"CAN interfaces here: {', '.join(there)}" if there else "no CAN interface is here"
     fix = (
         f"# name one of them: --bus socketcan:{there[0]}"
         if there
         else "# plug the card in; see `lsusb`, `lspci`, `dmesg`"
     )
-    return Outcome(False, f"there is no interface {link.name}; {others}", fix)
+    return Outcome(False, f"there is no interface {can.name}; {others}", fix)
 
 
-def interface(link: Link) -> Outcome:
+def interface(can: Interface) -> Outcome:
     """The interface is one of CAN."""
-    kind = link.machine.number(f"/sys/class/net/{link.name}/type")
+    kind = can.machine.number(f"/sys/class/net/{can.name}/type")
     if kind == ARPHRD_CAN:
-        return Outcome(True, f"{link.name} is a CAN interface")
+        return Outcome(True, f"{can.name} is a CAN interface")
     return Outcome(
-        False, f"{link.name} is no CAN interface (type {kind})", "# name a CAN interface: --bus socketcan:can0"
+        False, f"{can.name} is no CAN interface (type {kind})", "# name a CAN interface: --bus socketcan:can0"
     )
 
 
-def driver(link: Link) -> Outcome:
+def driver(can: Interface) -> Outcome:
     """Which driver; slcan is a serial line and no match for a cycle of a millisecond."""
-    target = link.machine.path(f"/sys/class/net/{link.name}/device/driver")
+    target = can.machine.path(f"/sys/class/net/{can.name}/device/driver")
     name = os.path.basename(os.path.realpath(target)) if target.exists() else ""
-    if not name and link.virtual:
-        return Outcome(True, f"{link.data('linkinfo', 'info_kind')}: no wire, for trials only")
-    if not name and re.match(r"slcan|can-ser", link.name):
+    if not name and can.virtual:
+        return Outcome(True, f"{can.data('linkinfo', 'info_kind')}: no wire, for trials only")
+    if not name and re.match(r"slcan|can-ser", can.name):
         return Outcome(
             False, "slcan: a serial line, with milliseconds of delay", "# take a card with a driver of its own"
         )
     if not name:
-        raise CannotRead(f"/sys/class/net/{link.name}/device/driver names no driver")
+        raise CannotRead(f"/sys/class/net/{can.name}/device/driver names no driver")
     return Outcome(True, name)
 
 
-def up(link: Link) -> Outcome:
+def up(can: Interface) -> Outcome:
     """The interface is up."""
-    flags = link.machine.text(f"/sys/class/net/{link.name}/flags")
+    flags = can.machine.text(f"/sys/class/net/{can.name}/flags")
     try:
         is_up = bool(int(flags, 16) & 1)
     except ValueError:
-        raise CannotRead(f"/sys/class/net/{link.name}/flags cannot be read: got {flags[:40]!r}") from None
+        raise CannotRead(f"/sys/class/net/{can.name}/flags cannot be read: got {flags[:40]!r}") from None
     if is_up:
         return Outcome(True, "up")
-    fix = f"sudo ip link set {shlex.quote(link.name)} up" if link.virtual else link.setup
+    fix = f"sudo ip link set {shlex.quote(can.name)} up" if can.virtual else can.setup
     return Outcome(False, "down", fix)
 
 
-def txqueuelen(link: Link) -> Outcome:
+def txqueuelen(can: Interface) -> Outcome:
     """What waits to be sent: too little room loses frames, too much keeps old set-points."""
-    length = link.machine.number(f"/sys/class/net/{link.name}/tx_queue_len")
-    fix = f"sudo ip link set {shlex.quote(link.name)} txqueuelen 64"
-    if link.virtual:
+    length = can.machine.number(f"/sys/class/net/{can.name}/tx_queue_len")
+    fix = f"sudo ip link set {shlex.quote(can.name)} txqueuelen 64"
+    if can.virtual:
         return Outcome(True, f"{length} frames; nothing waits there: it is virtual")
     if length < SHORTEST_QUEUE:
         return Outcome(False, f"{length} frames: an SDO beside the cycle may find no room", fix)
@@ -204,14 +204,14 @@ def txqueuelen(link: Link) -> Outcome:
     return Outcome(True, f"{length} frames")
 
 
-def irq_thread(link: Link) -> Outcome:
+def irq_thread(can: Interface) -> Outcome:
     """A PREEMPT_RT kernel empties the card's receive buffer in a thread, by default of priority 50:
     below the host's it waits while the host polls, and frames are lost.
     """
-    machine = link.machine
+    machine = can.machine
     if not preempt_rt(machine).ok:
         return Outcome(True, "no PREEMPT_RT kernel: the card's interrupt goes before any thread")
-    numbers = _interrupts(link)
+    numbers = _interrupts(can)
     found: dict[str, int] = {}
     for pid in filter(str.isdecimal, machine.names("/proc")):
         try:
@@ -221,7 +221,7 @@ def irq_thread(link: Link) -> Outcome:
         except Absent:  # it has ended meanwhile
             continue
     if not found:
-        return Outcome(True, f"no interrupt of {link.name} has a thread")
+        return Outcome(True, f"no interrupt of {can.name} has a thread")
     text = ", ".join(f"{name}: SCHED_FIFO {priority}" for name, priority in sorted(found.items()))
     fix = "\n".join(f"sudo chrt -f -p {IRQ_PRIORITY} $(pgrep -x {shlex.quote(name)})" for name in sorted(found))
     if min(found.values()) > PRIORITY:
@@ -229,17 +229,17 @@ def irq_thread(link: Link) -> Outcome:
     return Outcome(False, f"{text}; the host polls at {PRIORITY}, and the receive buffer overflows meanwhile", fix)
 
 
-def _interrupts(link: Link) -> set[str]:
+def _interrupts(can: Interface) -> set[str]:
     """Return the numbers of the interrupts that have the interface's name, or are of its device: a
     USB card's are those of the USB controller.
     """
-    machine = link.machine
+    machine = can.machine
     numbers = [name for name in machine.names("/proc/irq") if name.isdecimal()]
-    named = {number for number in numbers if machine.path(f"/proc/irq/{number}/{link.name}").is_dir()}
+    named = {number for number in numbers if machine.path(f"/proc/irq/{number}/{can.name}").is_dir()}
     if named:
         return named
     device, root = (
-        Path(os.path.realpath(one)) for one in (machine.path(f"/sys/class/net/{link.name}/device"), machine.root)
+        Path(os.path.realpath(one)) for one in (machine.path(f"/sys/class/net/{can.name}/device"), machine.root)
     )
     for place in (device, *device.parents):
         if place == root:
@@ -261,85 +261,83 @@ def _priority(machine: Machine, pid: str) -> int:
         raise nonsense(f"/proc/{pid}/stat", text, "the numbers of a thread") from None
 
 
-def state(link: Link) -> Outcome:
+def state(can: Interface) -> Outcome:
     """The controller takes part in the bus."""
-    name = str(link.info("state"))
+    name = str(can.info("state"))
     if name == "ERROR-ACTIVE":
         return Outcome(True, name)
     if name == "STOPPED":
-        return Outcome(False, name, link.setup)
+        return Outcome(False, name, can.setup)
     return Outcome(
         False,
         f"{name}: bit rate, cable or termination",
-        "# 60 ohms between CAN_H and CAN_L with power off; then:\n" + link.setup,
+        "# 60 ohms between CAN_H and CAN_L with power off; then:\n" + can.setup,
     )
 
 
-def mode(link: Link) -> Outcome:
+def mode(can: Interface) -> Outcome:
     """No mode in which frames are not sent, or not sent again."""
-    bad = sorted(link.modes & {"LOOPBACK", "LISTEN-ONLY", "ONE-SHOT", "PRESUME-ACK"})
+    bad = sorted(can.modes & {"LOOPBACK", "LISTEN-ONLY", "ONE-SHOT", "PRESUME-ACK"})
     if not bad:
         return Outcome(True, "sends, and sends again what was destroyed")
     off = " ".join(f"{one.lower()} off" for one in bad)
-    name = shlex.quote(link.name)
+    name = shlex.quote(can.name)
     fix = f"sudo ip link set {name} down && sudo ip link set {name} type can {off} && sudo ip link set {name} up"
     return Outcome(False, f"{', '.join(bad)} is on", fix)
 
 
-def bitrate(link: Link) -> Outcome:
+def bitrate(can: Interface) -> Outcome:
     """The bit rate is the rig's."""
-    rate = link.number("linkinfo", "info_data", "bittiming", "bitrate")
-    if link.bitrate_bit_s is None:
+    rate = can.number("linkinfo", "info_data", "bittiming", "bitrate")
+    if can.bitrate_bit_s is None:
         return Outcome(True, f"{rate / 1000:g} kbit/s")
-    if abs(rate - link.bitrate_bit_s) <= 0.005 * link.bitrate_bit_s:
+    if abs(rate - can.bitrate_bit_s) <= 0.005 * can.bitrate_bit_s:
         return Outcome(True, f"{rate / 1000:g} kbit/s, as the rig file says")
-    return Outcome(False, f"{rate / 1000:g} kbit/s; the rig file says {link.bitrate_bit_s / 1000:g}", link.setup)
+    return Outcome(False, f"{rate / 1000:g} kbit/s; the rig file says {can.bitrate_bit_s / 1000:g}", can.setup)
 
 
-def sample_point(link: Link) -> Outcome:
+def sample_point(can: Interface) -> Outcome:
     """Where in a bit it is looked at: 87.5 % (CiA 301, bit timing)."""
-    rate = round(link.number("linkinfo", "info_data", "bittiming", "bitrate"))
-    point = link.number("linkinfo", "info_data", "bittiming", "sample_point")
+    rate = round(can.number("linkinfo", "info_data", "bittiming", "bitrate"))
+    point = can.number("linkinfo", "info_data", "bittiming", "sample_point")
     low, high = SAMPLE_POINTS.get(rate, SAMPLE_POINT)
     text = f"{point:.1%}; CiA 301 has {low:.0%} to {high:.0%} at {rate / 1000:g} kbit/s"
-    return Outcome(low - 5e-4 <= point <= high + 5e-4, text, link.setup)
+    return Outcome(low - 5e-4 <= point <= high + 5e-4, text, can.setup)
 
 
-def restart_ms(link: Link) -> Outcome:
+def restart_ms(can: Interface) -> Outcome:
     """After a bus-off the interface comes back by itself; the host has tripped and stays so."""
-    after = link.number("linkinfo", "info_data", "restart_ms")
+    after = can.number("linkinfo", "info_data", "restart_ms")
     if after > 0:
         return Outcome(True, f"{after:g} ms")
-    return Outcome(False, "0: after a bus-off the interface stays off", link.setup)
+    return Outcome(False, "0: after a bus-off the interface stays off", can.setup)
 
 
-def berr_reporting(link: Link) -> Outcome:
+def berr_reporting(can: Interface) -> Outcome:
     """Each error on the bus comes as an error frame, is counted and recorded."""
-    if "BERR-REPORTING" in link.modes:
+    if "BERR-REPORTING" in can.modes:
         return Outcome(True, "on")
-    can = link.info().get("ctrlmode_supported")
-    if isinstance(can, list) and "BERR-REPORTING" not in can:
+    supported = can.info().get("ctrlmode_supported")
+    if isinstance(supported, list) and "BERR-REPORTING" not in supported:
         return Outcome(True, "off, and this card cannot: errors are seen by the counters only")
-    return Outcome(False, "off: errors on the bus are not seen one by one", link.setup)
+    return Outcome(False, "off: errors on the bus are not seen one by one", can.setup)
 
 
-def error_counters(link: Link) -> Outcome:
+def error_counters(can: Interface) -> Outcome:
     """The controller has met no errors since it was set up."""
-    tx, rx = (link.number("linkinfo", "info_data", "berr_counter", one) for one in ("tx", "rx"))
+    tx, rx = (can.number("linkinfo", "info_data", "berr_counter", one) for one in ("tx", "rx"))
     try:
-        counted = link.data("linkinfo", "info_xstats")
+        counted = can.data("linkinfo", "info_xstats")
         since = {name: int(counted.get(name, 0)) for name in ("bus_error", "error_passive", "bus_off")}
     except (CannotRead, AttributeError, TypeError, ValueError):
         since = {}
     text = f"tx {tx:g}, rx {rx:g}" + "".join(f", {name.replace('_', ' ')} {n}" for name, n in since.items())
     ok = tx == rx == 0 and not any(since.values())
-    return Outcome(
-        ok, text, "# cable, termination, bit rate of each device; then, to zero the counters:\n" + link.setup
-    )
+    return Outcome(ok, text, "# cable, termination, bit rate of each device; then, to zero the counters:\n" + can.setup)
 
 
-def timestamps(link: Link) -> Outcome:
+def timestamps(can: Interface) -> Outcome:
     """A card that stamps itself tells the time on the wire; without, the kernel's is used."""
-    if link.machine.stamps(link.name):
+    if can.machine.stamps(can.name):
         return Outcome(True, "in hardware")
     return Outcome(True, "by the kernel, when the frame is handed over: some tens of microseconds late")

@@ -35,7 +35,7 @@ import numpy as np
 
 from coulombus.compiled.decorator import kernel
 from coulombus.sim_bus.copper.records import ControllerRecord
-from coulombus.wire.link import Link
+from coulombus.wire.controller_state import ControllerState
 
 __all__ = [
     "CONTROLLER",
@@ -47,10 +47,10 @@ __all__ = [
     "begin_bus_off",
     "count_received",
     "count_sent",
-    "link",
     "raise_rec",
     "raise_tec",
     "recover",
+    "state_of",
 ]
 
 STATIONS = 256
@@ -95,7 +95,7 @@ _COUNTERS = (
 _THIS_FRAME = (
     "half",  # where it is while the cable is cut
     "hears",  # it receives what is on the wire
-    "link",  # what its node is to know
+    "confinement",  # what its node is to know
     "contends_ns",  # when it took part in an arbitration
 )
 _OWED = ("owed", "again", "lost_for")  # 1: a scripted fault has struck the frame that is to be sent again; what it does
@@ -194,12 +194,12 @@ def recover(c: ControllerRecord) -> None:
     c.suspend_ns = c.mode = c.joins = 0
 
 
-def link(c: ControllerRecord) -> Link:
+def state_of(c: ControllerRecord) -> ControllerState:
     """Return a controller's state and counters; ``str`` of it is what
     ``ip -details -statistics link show`` prints.
     """
     modes = (c["loopback"], c["listen_only"], c["one_shot"])
-    return Link(
+    return ControllerState(
         state=int(c["state"]) if c["attached"] else int(CanState.STOPPED),
         modes=sum(1 << n for n, on in enumerate(modes) if on),
         tec=int(c["tec"]),

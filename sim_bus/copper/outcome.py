@@ -33,21 +33,23 @@ from coulombus.sim_bus.copper.waiting import (
     withdraw,
 )
 from coulombus.sim_bus.copper.whom import NOBODY, is_meant
+from coulombus.wire.controller_state import Confinement
 from coulombus.wire.frame import Queue, Records
-from coulombus.wire.link import LINK_ACTIVE, LINK_OFF, LINK_PASSIVE, LINK_RECOVERED
 
 __all__ = ["MOST_ROWS", "OUTCOME_FIELDS", "end_attempt", "lose"]
 
 MOST_ROWS = 16
 """Rows of the log that the end of a frame may need."""
 
-_LINKS = (LINK_ACTIVE, LINK_ACTIVE, LINK_PASSIVE, LINK_OFF)  # by CanState
+_TOLD = tuple(
+    map(int, (Confinement.ACTIVE, Confinement.ACTIVE, Confinement.PASSIVE, Confinement.BUS_OFF))
+)  # by CanState
 
 OUTCOME_FIELDS: list[Any] = [
     ("partial_row", np.int64),  # the log's row of the last frame that was delivered to `Delivered.HEARERS`
     ("errors", np.int64),  # errors that were told, all stations together
     ("retransmissions", np.int64),
-    ("links", np.int64),  # 1: a controller's `link` is to be told to its node
+    ("confinements", np.int64),  # 1: a controller's `confinement` is to be told to its node
 ]
 """The part of the bus's record (`sim_bus.copper.arbiter.BUS`) that this module writes."""
 
@@ -115,8 +117,11 @@ def _tell_states(bus: BusRecord, out: Queue, log: Records, row: int, last: int) 
         can_id, word = state_frame(c, station)
         _write(log, row, bus.end_ns, can_id, word, number(station))
         row += 1
-        c.link = LINK_RECOVERED if c.recovered else _LINKS[c.state]
-        bus.links = 1
+        if c.recovered:
+            c.confinement = Confinement.RECOVERED
+        else:
+            c.confinement = _TOLD[c.state]
+        bus.confinements = 1
         c.changed = c.recovered = 0
         if c.state == CanState.BUS_OFF:
             begin_bus_off(c, bus.end_ns, FAR_NS)

@@ -258,13 +258,13 @@ def end_closely(world: World, course: CourseFunction, b: Record) -> None:
         w.log_count += 1
         return
     w.log_count += end_attempt(b, world.out, world.log, w.log_count)
-    if b.links == 0:
+    if b.confinements == 0:
         return
-    b.links = 0
+    b.confinements = 0
     for i in range(nodes.shape[0]):
-        link, b.stations[i].link = b.stations[i].link, 0
-        if link != 0:
-            own_time.link_changed(nodes[i], t, link, world.out)
+        told, b.stations[i].confinement = b.stations[i].confinement, 0
+        if told != 0:
+            own_time.confinement_changed(nodes[i], t, told, world.out)
             keep_deadline(world.deadlines, i, nodes[i])
             if world.axis_of[i] >= 0:
                 actuate(world, course, world.axis_of[i], t)

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from coulombus.compiled.decorator import Entry
-from coulombus.sim_bus.copper.controller import link
+from coulombus.sim_bus.copper.controller import state_of
 from coulombus.sim_bus.copper.cut import wire_of
 from coulombus.sim_bus.copper.stations import attach, detach
 from coulombus.sim_bus.network.network import VirtualNetwork
@@ -447,7 +447,7 @@ class BusServer:
             attach(bus, STATION + i)
             self.result.clients += int(first)
         controller = wire_of(self.world.bus, STATION + i).stations[STATION + i]
-        answer = Answer(status, self.bit_rate, STATION + i, int(slot["lost"]), link(controller))
+        answer = Answer(status, self.bit_rate, STATION + i, int(slot["lost"]), state_of(controller))
         with suppress(OSError):  # it does not read, or has gone: the loop will find out
             self._sockets[i].send(answer.pack())
         if not isinstance(hello, Hello) or status is not Status.OK:

@@ -350,7 +350,7 @@ def test_what_a_client_sent_before_it_left_is_sent_again_after_an_error_and_its_
         left = greet_again(reader)
         with connect(server.address) as next_one:
             assert greet_again(next_one).station == left.station + 1
-            assert greet_again(next_one).link.tec == 0
+            assert greet_again(next_one).controller.tec == 0
         reader.close()
     assert seen == [0, 1, 2, 3, 4]
     assert server.result.faults[0]["times"] == 5

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from copper import Copper, carried, told
-from coulombus.sim_bus.copper.controller import CanState, ErrorKind, link
+from coulombus.sim_bus.copper.controller import CanState, ErrorKind, state_of
 from coulombus.sim_bus.copper.faults import FaultKind
 from coulombus.sim_bus.copper.noise import seeded
 from coulombus.sim_bus.copper.slow_motion import add_sender, begin_bits, run_bits
@@ -214,7 +214,7 @@ def test_bus_off_and_128_times_11_recessive_bits():
     assert bus.errors(0) == (0, 0)
     assert bus[0].state == CanState.ERROR_ACTIVE
     assert carried(rows) == []  # what it had to send is gone with it
-    assert "bus-off" in str(link(bus[0]))
+    assert "bus-off" in str(state_of(bus[0]))
 
 
 def test_bus_off_by_hand_only():

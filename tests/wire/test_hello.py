@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from coulombus.rigs.buses import one_bus
 from coulombus.rigs.rig import load_rig
 from coulombus.wire.address import parse_address, socket_path
+from coulombus.wire.controller_state import STATES, ControllerState
 from coulombus.wire.hello import Answer, BusUnavailable, Flags, Hello, Status, connect, greet, is_greeting
-from coulombus.wire.link import STATES, Link
 from tiny_bus import tiny_bus
 
 pytestmark = pytest.mark.usefixtures("private_sockets")
@@ -183,9 +183,9 @@ def test_socketcan_is_not_greeted():
 
 @given(st.integers(0, 4), st.integers(0, 7), st.integers(0, 2**40))
 def test_the_state_of_a_controller_goes_with_the_answer(state, modes, count):
-    link = Link(state=state, modes=modes, tec=7, rec=9, restart_ms=100, bus_offs=count)
-    message = Answer(Status.OK, 500_000, 3, 1, link).pack()
+    controller = ControllerState(state=state, modes=modes, tec=7, rec=9, restart_ms=100, bus_offs=count)
+    message = Answer(Status.OK, 500_000, 3, 1, controller).pack()
     assert is_greeting(message)
-    told = Answer.unpack(message).link
-    assert told == replace(link, bus_offs=min(count, 2**32 - 1))
+    told = Answer.unpack(message).controller
+    assert told == replace(controller, bus_offs=min(count, 2**32 - 1))
     assert f"state {STATES[state]} (berr-counter tx 7 rx 9) restart-ms 100" in str(told)

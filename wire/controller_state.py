@@ -6,21 +6,27 @@ from __future__ import annotations
 
 import struct
 from dataclasses import astuple, dataclass
+from enum import IntEnum
 
-__all__ = ["LINK_ACTIVE", "LINK_OFF", "LINK_PASSIVE", "LINK_RECOVERED", "Link"]
+__all__ = ["BUS_OFF", "Confinement", "ControllerState"]
 
 STATES = ("ERROR-ACTIVE", "ERROR-WARNING", "ERROR-PASSIVE", "BUS-OFF", "STOPPED")
 MODES = ("LOOPBACK", "LISTEN-ONLY", "ONE-SHOT")
 BUS_OFF = 3
-LINK_ACTIVE, LINK_PASSIVE, LINK_OFF, LINK_RECOVERED = 1, 2, 3, 4
-"""What a CAN controller tells its node: error active (again), error
-passive, bus-off, back from bus-off.
-"""
-_LINK = struct.Struct("<HHHHI6I12x")
+_STATE = struct.Struct("<HHHHI6I12x")
+
+
+class Confinement(IntEnum):
+    """What a CAN controller tells its node of fault confinement [ISO 11898-1]."""
+
+    ACTIVE = 1  # error active, again
+    PASSIVE = 2  # error passive
+    BUS_OFF = 3
+    RECOVERED = 4  # back from bus-off
 
 
 @dataclass(frozen=True)
-class Link:
+class ControllerState:
     """A controller: state (Linux's ``enum can_state``), modes (bits 0
     to 2: loopback, listen only, one-shot), counters.
     """
@@ -39,14 +45,14 @@ class Link:
 
     def pack(self) -> bytes:
         """Return the 48 bytes that follow a bus's answer, little endian."""
-        return _LINK.pack(
+        return _STATE.pack(
             *(min(word, 0xFFFF) for word in astuple(self)[:4]), *(min(word, 0xFFFFFFFF) for word in astuple(self)[4:])
         )
 
     @classmethod
-    def unpack(cls, content: bytes) -> Link | None:
+    def unpack(cls, content: bytes) -> ControllerState | None:
         """Return the controller that is told there, None when there is none; never raises."""
-        return cls(*_LINK.unpack_from(content)) if len(content) >= _LINK.size else None
+        return cls(*_STATE.unpack_from(content)) if len(content) >= _STATE.size else None
 
     def __str__(self) -> str:
         """Return the lines of ``ip``."""
