@@ -29,7 +29,7 @@ from __future__ import annotations
 
 from coulombus.compiled.decorator import inlined, kernel
 from coulombus.compiled.records import Record
-from coulombus.sim_bus.rig.detail import ELEMENTS, LUGRE
+from coulombus.sim_bus.rig.detail import BODIES, DRY, ELEMENTS
 from coulombus.sim_bus.rig.elements import foretold, wind
 from coulombus.sim_bus.rig.own_friction import bristles, set_levels
 
@@ -76,7 +76,9 @@ def _solve(d: Record) -> None:
     u[0] = (right * r0 + across) * one
     u[1] = (s0 * a2 * r0 + a0 * (a2 * r1 + s1 * r2)) * one
     u[2] = (s0 * s1 * r0 + s1 * a0 * r1 + left * r2) * one
-    for i in range(n):
+    for i in range(BODIES):
+        if i >= n:
+            continue
         if side[i] != 0:
             react[i] = side[i] * level[i]
             continue
@@ -95,17 +97,24 @@ def _try_once(p: Record, h: float, hand: float, torque: float) -> None:
     d = p.detail
     n = d.count
     rate = 2.0 / h
-    for i in range(n):
+    for i in range(BODIES):
+        if i >= n:
+            continue
         inert = rate * d.total[i]
-        constant, slope = bristles(d, i, h)
-        d.main[i] = inert + d.viscous[i] + slope
-        d.load[i] = inert * d.v[i] - constant
+        d.main[i] = inert + d.viscous[i]
+        d.load[i] = inert * d.v[i]
+        if d.bristles != DRY and d.share[i] > 0.0:
+            constant, slope = bristles(d, i, h)
+            d.main[i] += slope
+            d.load[i] -= constant
     d.load[0] += torque
     d.main[d.drum] += d.wet
     last = n - 1
     d.main[last] += p.operator_damping + 0.5 * h * p.operator_stiffness
     d.load[last] += hand - p.operator_stiffness * d.q[last]
-    for j in range(n - 1):
+    for j in range(BODIES - 1):
+        if j + 1 >= n:
+            continue
         d.tied[j] = d.stiff[j] = 0.0
         if d.contact[j] != 0 or d.gap[j] == 0.0:
             d.tied[j] = d.k[j] * (d.q[j] - d.q[j + 1] - d.contact[j] * d.gap[j])
@@ -115,7 +124,9 @@ def _try_once(p: Record, h: float, hand: float, torque: float) -> None:
         d.load[j] -= d.tied[j]
         d.load[j + 1] += d.tied[j]
     at_rest = False
-    for i in range(n):
+    for i in range(BODIES):
+        if i >= n:
+            continue
         d.side[i] = _side(d.v[i])
         if d.v[i] == 0.0 and d.level[i] > 0.0:
             d.side[i] = 0
@@ -125,7 +136,9 @@ def _try_once(p: Record, h: float, hand: float, torque: float) -> None:
         return
     for _ in range(MOST_SWITCHES):
         again = False
-        for i in range(n):
+        for i in range(BODIES):
+            if i >= n:
+                continue
             if d.v[i] != 0.0 or d.level[i] == 0.0:
                 continue
             if d.side[i] == 0:
@@ -185,25 +198,28 @@ def _next_event(d: Record, h: float, found: int) -> int:
     """Return an event within the step of `h` that was tried and is not the one that was `found` at its
     end, or `NO_EVENT`.
     """
-    for i in range(d.count):
+    for i in range(BODIES):
+        if i >= d.count:
+            continue
         turns = d.level[i] > 0.0 or (d.bristles == ELEMENTS and d.share[i] > 0.0)
         if i != found and d.v[i] != 0.0 and turns and _crosses(d, i, h) < 0.0:
             return i
-    for j in range(d.count - 1):
+    for j in range(BODIES - 1):
+        if j + 1 >= d.count:
+            continue
         if 3 + j != found and d.gap[j] > 0.0 and _crosses(d, 3 + j, h) < 0.0:
             return 3 + j
     return NO_EVENT
 
 
 @kernel
-def _first_event(p: Record, h: float, hand: float, torque: float) -> tuple[float, int]:
-    """Try a step of `h`; return how long it is to its first event, and that event.
+def _first_event(p: Record, h: float, event: int, hand: float, torque: float) -> tuple[float, int]:
+    """Return how long it is to the first event of a step of `h` that was tried, and that event;
+    `event` is one within the step.
 
     The instant is found by the Illinois method; the step up to there is tried last.
     """
     d = p.detail
-    _try(p, h, hand, torque)
-    event = _next_event(d, h, NO_EVENT)
     found = NO_EVENT
     for _ in range(MOST_SWITCHES):
         if event == NO_EVENT:
@@ -257,11 +273,15 @@ def _go(p: Record, h: float, hand: float, torque: float) -> None:
     p.w_operator += p.f_operator * u_last * h
     p.w_motor += torque * d.u[0] * h
     p.f_friction = 0.0
-    for j in range(n - 1):
+    for j in range(BODIES - 1):
+        if j + 1 >= n:
+            continue
         if d.stiff[j] > 0.0:
             between = d.u[j] - d.u[j + 1]
             p.w_viscous += d.d[j] * between * between * h
-    for i in range(n):
+    for i in range(BODIES):
+        if i >= n:
+            continue
         u = d.u[i]
         brake = 0.0
         own = d.react[i]
@@ -273,16 +293,16 @@ def _go(p: Record, h: float, hand: float, torque: float) -> None:
             viscous = d.wet * u
             p.f_brake = -brake - viscous
             p.w_brake -= (brake + viscous) * u * h
-        if d.bristles != 0 and d.share[i] > 0.0:
+        if d.bristles != DRY and d.share[i] > 0.0:
             constant, slope = bristles(d, i, h)
             own += constant + slope * u
             # the work is what is lost: what the bristles keep, they can give back
             if d.bristles == ELEMENTS:
                 p.w_friction += wind(d, i, h, u)
-        if d.bristles == LUGRE and d.share[i] > 0.0:
-            z = (d.z[i] * (1.0 - 0.5 * h * d.alpha[i]) + h * u) / (1.0 + 0.5 * h * d.alpha[i])
-            p.w_friction += 0.5 * d.share[i] * d.sigma_0 * (z * z - d.z[i] * d.z[i])
-            d.z[i] = z
+            else:
+                z = (d.z[i] * (1.0 - 0.5 * h * d.alpha[i]) + h * u) / (1.0 + 0.5 * h * d.alpha[i])
+                p.w_friction += 0.5 * d.share[i] * d.sigma_0 * (z * z - d.z[i] * d.z[i])
+                d.z[i] = z
         p.f_friction -= own
         p.w_friction -= own * u * h
         p.w_viscous += d.viscous[i] * u * u * h
@@ -299,7 +319,10 @@ def move(p: Record, hand: float, torque: float, capacity: float) -> None:
     left = p.h
     set_levels(p, capacity)
     for _ in range(MOST_EVENTS):
-        h, event = _first_event(p, left, hand, torque)
+        _try(p, left, hand, torque)
+        h, event = left, _next_event(d, left, NO_EVENT)
+        if event != NO_EVENT:
+            h, event = _first_event(p, left, event, hand, torque)
         if h > 0.0:
             _go(p, h, hand, torque)
         if event == NO_EVENT:

@@ -30,9 +30,9 @@ from __future__ import annotations
 
 import math
 
-from coulombus.compiled.decorator import inlined, kernel
+from coulombus.compiled.decorator import kernel
 from coulombus.compiled.records import Record
-from coulombus.sim_bus.rig.detail import ELEMENTS
+from coulombus.sim_bus.rig.detail import BODIES, DRY, ELEMENTS
 from coulombus.sim_bus.rig.elements import elements_torque, set_elements
 from coulombus.sim_bus.rig.wave import wave
 
@@ -51,9 +51,11 @@ def set_levels(p: Record, capacity: float) -> None:
     """
     d = p.detail
     scale = (1.0 + d.friction_K * (d.degC - d.reference)) * (1.0 + d.friction_s * (p.t_ns * 1e-9))
-    for i in range(d.count):
+    for i in range(BODIES):
+        if i >= d.count:
+            continue
         speed = abs(d.v[i])
-        own = at_rest = 0.0
+        own = level = 0.0
         if d.share[i] > 0.0:
             own = p.coulomb
             if p.stribeck > 0.0 and speed == 0.0:
@@ -63,20 +65,19 @@ def set_levels(p: Record, capacity: float) -> None:
                 part = part * part if d.exponent == 2.0 else part**d.exponent
                 if part < NOTHING:
                     own += p.stribeck * math.exp(-part)
-            at_rest = p.coulomb + p.stribeck
+            level = own
             if d.angle_share > 0.0:
-                angled = 1.0 + d.angle_share * wave(d.waves[i], d.angle_rad * d.q[i] + d.angle_phase)
-                own *= angled
-                at_rest *= angled
+                own *= 1.0 + d.angle_share * wave(d.waves[i], d.angle_rad * d.q[i] + d.angle_phase)
             own = max(own * scale, 0.0) * d.share[i]
         if i == d.drum:
             p.inherent = own
         d.dry[i] = capacity if i == d.drum else 0.0
         if d.bristles == ELEMENTS:
             if d.share[i] > 0.0:
-                set_elements(d, i, max(own, LEAST_Nm), max(at_rest * scale * d.share[i], LEAST_Nm))
+                at_rest = own * (p.coulomb + p.stribeck) / level
+                set_elements(d, i, max(own, LEAST_Nm), max(at_rest, LEAST_Nm))
             own = 0.0
-        elif d.bristles != 0:
+        elif d.bristles != DRY:
             g = max(own, LEAST_Nm)
             d.alpha[i] = d.share[i] * d.sigma_0 * speed / g
             damping = d.share[i] * d.sigma_1
@@ -85,16 +86,14 @@ def set_levels(p: Record, capacity: float) -> None:
         d.level[i] = own + d.dry[i]
 
 
-@inlined
+@kernel
 def bristles(d: Record, i: int, h: float) -> tuple[float, float]:
-    """Return (constant, slope): the bristles' torque over a step of `h` is constant + slope u
-    [Nm]."""
-    constant = slope = 0.0
-    if d.bristles == ELEMENTS and d.share[i] > 0.0:
+    """Return (constant, slope): the torque of a body's bristles or elements over a step of `h` is
+    constant + slope u [Nm].
+    """
+    if d.bristles == ELEMENTS:
         constant, slope = elements_torque(d, i, h)
-    elif d.bristles != 0 and d.share[i] > 0.0:
-        damping = d.bristle_damping[i]
-        stiffness = (d.share[i] * d.sigma_0 - damping * d.alpha[i]) / (1.0 + 0.5 * h * d.alpha[i])
-        constant = stiffness * d.z[i]
-        slope = 0.5 * h * stiffness + damping
-    return constant, slope
+        return float(constant), float(slope)
+    damping = d.bristle_damping[i]
+    stiffness = (d.share[i] * d.sigma_0 - damping * d.alpha[i]) / (1.0 + 0.5 * h * d.alpha[i])
+    return float(stiffness * d.z[i]), float(0.5 * h * stiffness + damping)

@@ -30,6 +30,6 @@ def wave(kept: Record, angle: float) -> float:
         kept.at, kept.sine, kept.cosine = angle, math.sin(angle), math.cos(angle)
         return float(kept.sine)
     square = small * small
-    odd = small * (1.0 - square * (1.0 / 6.0 - square * (1.0 / 120.0 - square / 5040.0)))
-    even = 1.0 - square * (0.5 - square * (1.0 / 24.0 - square / 720.0))
+    odd = small * (1.0 - square * (1.0 / 6.0 - square * (1.0 / 120.0 - square * (1.0 / 5040.0))))
+    even = 1.0 - square * (0.5 - square * (1.0 / 24.0 - square * (1.0 / 720.0)))
     return float(kept.sine * even + kept.cosine * odd)
