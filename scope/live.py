@@ -1,8 +1,8 @@
 """What is on a bus right now: the last value of every PDO, rates, ages, the nodes' states, and what
 happened.
 
-Taking a frame is a dictionary's look-up and a few stores, so a reader keeps up with a full bus;
-decoding is done when somebody looks (`Live.snapshot`). Time is an argument: nanoseconds since 1970,
+Frames are only kept when they are taken, so a reader keeps up with a full bus; counting and
+decoding are done by NumPy, when somebody looks (`Live.snapshot`). Time is an argument: nanoseconds since 1970,
 as the frames' stamps.
 """
 
@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from operator import itemgetter
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +26,7 @@ from coulombus.scope.error_frames import error_frame
 from coulombus.scope.services import STATES, emcy, lss, nmt
 from coulombus.wire.block import Block
 from coulombus.wire.can_id import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
+from coulombus.wire.client import Received
 
 __all__ = ["Event", "Live", "NodeRow", "PdoRow", "Snapshot", "Value", "values_of"]
 
@@ -38,11 +40,12 @@ CALLS = (CobId.HEARTBEAT, CobId.EMCY, CobId.SDO_TX)
 TPDOS = (CobId.TPDO1, CobId.TPDO2, CobId.TPDO3, CobId.TPDO4)
 SENT_BY_NODES = (*CALLS, *TPDOS)
 """With the four TPDOs of the predefined connection set (CiA 301, section 7.3.5)."""
-BITS = tuple(34 + 8 * n + 13 + (33 + 8 * n) // 4 for n in range(9))
+BITS = np.array([34 + 8 * n + 13 + (33 + 8 * n) // 4 for n in range(9)])
 """Bits of a frame of so many bytes with the worst stuffing, as `wire.bits.worst_case_bits`, which
 needs numba's start.
 """
-BITS_ROW = np.array(BITS)
+TOGETHER = 20_000
+"""Frames that wait to be looked at, at most."""
 
 
 @dataclass(frozen=True)
@@ -175,51 +178,38 @@ class Live:
             for entry, start in zip(pdo.layout.entries, pdo.layout.starts, strict=True)
             if entry.index == STATUSWORD
         }
-        self._events: list[Event] = []
+        self._waiting: list[Block] = []
+        self._waiting_frames = 0
+        self._row = 0  # of the frame that is looked at
+        self._events: list[tuple[int, Event]] = []  # with the row of the frame that tells it
         self._history: deque[tuple[int, dict[int, int], dict[int, int], int, int]] = deque()
         self._sync_silent = False
         self._error_class = 0
         self.frames = self.bits = self.error_frames = self.unknown = 0
         self._foreign: set[int] = set()
 
-    def take(self, received: Iterable[tuple[int, int, int, bytes]]) -> None:
-        """Take frames: (stamp, identifier with flags, length, eight data bytes) each.
+    def take(self, received: Block | Sequence[Received]) -> None:
+        """Take frames; nothing in them raises.
 
-        Nothing in them raises.
+        They are looked at together, when somebody looks or when they are `TOGETHER`.
         """
-        lines = self._lines
-        for t_ns, can_id, length, data in received:
-            self.frames += 1
-            self.bits += BITS[length] if not can_id & CAN_ERR_FLAG else 0
-            line = lines.get(can_id)
-            if line is None:
-                self._other(t_ns, can_id, data[:length])
-                continue
-            if line.length not in (-1, length):
-                self._wrong_length(line, can_id, t_ns, length)
-                continue
-            if line.count:
-                gap_ns = t_ns - line.t_ns
-                if gap_ns < line.least_ns:
-                    line.least_ns = gap_ns
-                if gap_ns > line.most_ns:
-                    line.most_ns = gap_ns
-            line.count += 1
-            line.t_ns = t_ns
-            if can_id in self._statuswords and data != line.data:
-                self._power_state(t_ns, *self._statuswords[can_id], data)
-            line.data = data
+        block = received if isinstance(received, Block) else Block.of(received)
+        self._waiting.append(block)
+        self._waiting_frames += len(block)
+        if self._waiting_frames >= TOGETHER:
+            self._catch_up()
 
-    def take_block(self, block: Block) -> None:
-        """Take many frames; what is known then, and the events of them, are those of `take`.
-
-        Events of one stamp may stand in another order.
+    def _catch_up(self) -> None:
+        """Look at the frames that were taken, identifier by identifier; the events of them stand in
+        the order in which the frames came.
         """
+        block, self._waiting, self._waiting_frames = Block.joined(self._waiting), [], 0
+        if not len(block):
+            return
         self.frames += len(block)
         real = block.lengths[block.can_ids & CAN_ERR_FLAG == 0]
-        self.bits += int(BITS_ROW[real].sum())
-        before = len(self._events)
-        others = []
+        self.bits += int(BITS[real].sum())
+        before, others = len(self._events), []
         for can_id, rows in block.rows.items():
             line = self._lines.get(can_id)
             if line is None:
@@ -227,9 +217,10 @@ class Live:
             else:
                 self._take_line(line, can_id, block, rows)
         if others:
-            for t_ns, can_id, length, data in block.frames(np.sort(np.concatenate(others))):
+            rows = np.sort(np.concatenate(others))
+            for self._row, (t_ns, can_id, length, data) in zip(rows.tolist(), block.frames(rows), strict=True):
                 self._other(t_ns, can_id, data[:length])
-        self._events[before:] = sorted(self._events[before:], key=lambda event: event.t_ns)
+        self._events[before:] = sorted(self._events[before:], key=itemgetter(0))
 
     def _take_line(self, line: _Line, can_id: int, block: Block, rows: npt.NDArray[np.int64]) -> None:
         """Take the rows of a block that are of one line."""
@@ -237,8 +228,12 @@ class Live:
             right = block.lengths[rows] == line.length
             if not right.all():
                 wrong, rows = rows[~right], rows[right]
-                self._wrong_length(line, can_id, int(block.t_ns[wrong[0]]), int(block.lengths[wrong[0]]))
-                line.malformed += len(wrong) - 1
+                self._row = int(wrong[0])
+                if not line.malformed:
+                    length = block.lengths[wrong[0]]
+                    text = f"{can_id:03X}h has {length} bytes, the rig's has {line.length}: another rig?"
+                    self._note(int(block.t_ns[wrong[0]]), text, grave=True)
+                line.malformed += len(wrong)
                 if not len(rows):
                     return
         t_ns = block.t_ns[rows]
@@ -253,19 +248,19 @@ class Live:
             motor, start = self._statuswords[can_id]
             words = block.words[rows] >> 8 * start & 0x7F
             for k in (0, *(np.flatnonzero(words[1:] != words[:-1]) + 1).tolist()):
-                row = int(rows[k])
+                self._row = row = int(rows[k])
                 self._power_state(int(block.t_ns[row]), motor, start, block.data(row))
         line.data = block.data(rows[-1])
 
-    def _wrong_length(self, line: _Line, can_id: int, t_ns: int, length: int) -> None:
-        """Count a frame that has another length than the rig's, and tell of the first."""
-        if not line.malformed:
-            self.tell(t_ns, f"{can_id:03X}h has {length} bytes, the rig's has {line.length}: another rig?", True)
-        line.malformed += 1
-
     def tell(self, t_ns: int, text: str, grave: bool = False) -> None:
-        """Note an event that is seen elsewhere, as the bus going away."""
-        self._events.append(Event(t_ns, text, grave))
+        """Note an event that is seen elsewhere, as the bus going away; it stands behind those of the
+        frames so far.
+        """
+        self._catch_up()
+        self._note(t_ns, text, grave)
+
+    def _note(self, t_ns: int, text: str, grave: bool = False) -> None:
+        self._events.append((self._row, Event(t_ns, text, grave)))
 
     def _power_state(self, t_ns: int, motor: _Node, start: int, data: bytes) -> None:
         state = int(STATE_OF_STATUSWORD[data[start] & 0x7F])
@@ -273,7 +268,7 @@ class Live:
             return
         fault = state in (PowerState.FAULT, PowerState.FAULT_REACTION_ACTIVE)
         if motor.power >= 0 or fault:
-            self.tell(t_ns, f"{motor.name}: {_power_text(motor.power)} -> {_power_text(state)}", fault)
+            self._note(t_ns, f"{motor.name}: {_power_text(motor.power)} -> {_power_text(state)}", fault)
         motor.power = state
 
     def _other(self, t_ns: int, can_id: int, data: bytes) -> None:
@@ -286,21 +281,21 @@ class Live:
         if can_id == CobId.NMT:
             row = nmt(data, lambda number: self._by_id[number].name if number in self._by_id else str(number))
             if "command" in row:
-                self.tell(t_ns, f"NMT: {row['command']}, to {row['node']}")
+                self._note(t_ns, f"NMT: {row['command']}, to {row['node']}")
             return
         if can_id in (CobId.LSS_TX, CobId.LSS_RX):
             row = lss(data, can_id == CobId.LSS_TX)
             if "command" in row and row["command"] != "fastscan":
                 said = ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in row.items() if key != "command")
-                self.tell(t_ns, f"LSS: {row['command']}" + (f", {said}" if said else ""))
+                self._note(t_ns, f"LSS: {row['command']}" + (f", {said}" if said else ""))
             return
         function, node = can_id & 0x780, self._by_id.get(can_id & 0x7F)
         if function in TPDOS and node is not None and node.known and can_id not in self._foreign:
             self._foreign.add(can_id)
-            self.tell(t_ns, f"{node.name}: {can_id:03X}h comes, which the rig does not have", grave=True)
+            self._note(t_ns, f"{node.name}: {can_id:03X}h comes, which the rig does not have", grave=True)
         if node is None and function in CALLS and can_id & 0x7F:
             node = self._stranger(can_id & 0x7F)
-            self.tell(t_ns, f"{node.name}: a node that the rig does not have; --rig says which rig it is")
+            self._note(t_ns, f"{node.name}: a node that the rig does not have; --rig says which rig it is")
         if node is not None and function in SENT_BY_NODES:
             node.services += 1
         if function == CobId.HEARTBEAT and node is not None and len(data) == 1:
@@ -309,12 +304,12 @@ class Live:
             row = emcy(data)
             node.emergency = row["text"] if row["code"] else None
             text = node.emergency or "error reset or no error"
-            self.tell(t_ns, f"{node.name}: EMCY {text} (register {row['register']:02X}h)", grave=bool(row["code"]))
+            self._note(t_ns, f"{node.name}: EMCY {text} (register {row['register']:02X}h)", grave=bool(row["code"]))
         elif function in (CobId.SDO_TX, CobId.SDO_RX) and node is not None and len(data) == 8:
             if data[0] == 0x80:
                 index, subindex = int.from_bytes(data[1:3], "little"), data[3]
                 reason = abort_text(int.from_bytes(data[4:8], "little"))
-                self.tell(t_ns, f"{node.name}: SDO abort {index:04X}h:{subindex}: {reason}")
+                self._note(t_ns, f"{node.name}: SDO abort {index:04X}h:{subindex}: {reason}")
         elif node is None or node.known or function not in SENT_BY_NODES:
             self.unknown += 1
 
@@ -332,11 +327,11 @@ class Live:
     def _heartbeat(self, t_ns: int, node: _Node, state: int) -> None:
         name = _nmt_text(state)
         if node.silent:
-            self.tell(t_ns, f"{node.name}: heard again, {name}")
+            self._note(t_ns, f"{node.name}: heard again, {name}")
         elif state == NmtState.INITIALISING:
-            self.tell(t_ns, f"{node.name}: {name}")
+            self._note(t_ns, f"{node.name}: {name}")
         elif node.state >= 0 and state != node.state:
-            self.tell(t_ns, f"{node.name}: {_nmt_text(node.state)} -> {name}")
+            self._note(t_ns, f"{node.name}: {_nmt_text(node.state)} -> {name}")
         node.state, node.silent = state, False
         node.heartbeat.count += 1
         node.heartbeat.t_ns = t_ns
@@ -345,11 +340,12 @@ class Live:
         self.error_frames += 1
         kind = can_id & 0x1FF
         if kind != self._error_class:  # a bad cable sends thousands of them each second
-            self.tell(t_ns, f"error frame: {error_frame(can_id, data)['text']}", grave=bool(kind & CAN_ERR_BUSOFF))
+            self._note(t_ns, f"error frame: {error_frame(can_id, data)['text']}", grave=bool(kind & CAN_ERR_BUSOFF))
         self._error_class = kind
 
     def snapshot(self, t_ns: int) -> Snapshot:
         """Return what is known at `t_ns`, with the events since the last call."""
+        self._catch_up()
         self._watch(t_ns)
         counts = {can_id: line.count for can_id, line in self._lines.items()}
         sent = {n.node_id: n.services + sum(counts[can_id] for can_id in self._sends[n.node_id]) for n in self._nodes}
@@ -362,7 +358,7 @@ class Live:
         def rate(now: int, then: int) -> float:
             return (now - then) / seconds if seconds > 0 else 0.0
 
-        events, self._events = tuple(self._events), []
+        events, self._events = tuple(event for _, event in self._events), []
         return Snapshot(
             t_ns=t_ns,
             frames=self.frames,
@@ -388,10 +384,10 @@ class Live:
             age_ns = t_ns - node.heartbeat.t_ns
             if node.state >= 0 and node.known and not node.silent and age_ns > node.timeout_ns:
                 node.silent = True
-                self.tell(t_ns, f"{node.name}: no heartbeat for {node.timeout_ns / 1e9:g} s", grave=True)
+                self._note(t_ns, f"{node.name}: no heartbeat for {node.timeout_ns / 1e9:g} s", grave=True)
         silent = self._sync.count > 0 and t_ns - self._sync.t_ns > SYNC_SILENT_NS
         if silent != self._sync_silent:
-            self.tell(t_ns if silent else self._sync.t_ns, "SYNC stopped" if silent else "SYNC again", grave=silent)
+            self._note(t_ns if silent else self._sync.t_ns, "SYNC stopped" if silent else "SYNC again", grave=silent)
         self._sync_silent = silent
 
     def _pdo_row(self, pdo: RigPdo, t_ns: int, rate_per_s: float) -> PdoRow:

@@ -154,7 +154,7 @@ class Capture:
         """Take the frames of some milliseconds."""
         if not len(block):
             return
-        self.live.take_block(block)
+        self.live.take(block)
         self.newest_ns = max(self.newest_ns, int(block.t_ns.max()))
         for can_id, rows in block.rows.items():
             self._counts[can_id] = self._counts.get(can_id, 0) + len(rows)

@@ -13,7 +13,6 @@ from coulombus.scope import pdo_table
 from coulombus.scope.live import BITS, Live
 from coulombus.scope.watch import CHANGED, Screen, ViewKeys, _Asker, as_dict, as_lines
 from coulombus.wire.bits import worst_case_bits
-from coulombus.wire.block import Block
 from host_bench import VELOCITY
 
 S = 1_000_000_000
@@ -364,8 +363,8 @@ def test_whatever_the_host_answers_the_view_goes_on():
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_block_is_as_its_frames_one_by_one(seed):
-    """Frames of the rig and of strangers, of right and wrong lengths, error frames, every state."""
+def test_a_block_is_as_its_frames_one_by_one(seed, monkeypatch):
+    """Also the order of events of one stamp. Frames of the rig and of strangers, of right and wrong lengths, error frames, every state."""
     rng = np.random.default_rng(seed)
     ids = [
         0x80,
@@ -392,15 +391,18 @@ def test_a_block_is_as_its_frames_one_by_one(seed):
     for n in (0, 1, 3, 200, 40, 500):
         received = []
         for _ in range(n):
-            t_ns += int(rng.integers(1, 3_000_000))
+            t_ns += int(rng.integers(0, 3_000_000)) * int(rng.integers(2))
             can_id = int(rng.choice(ids))
             length = lengths.get(can_id, 8) if rng.random() < 0.95 else int(rng.integers(0, 9))
             data = bytearray(rng.bytes(length).ljust(8, b"\0"))
             if can_id == 0x181 and rng.random() < 0.9:
                 data[0] = int(rng.choice([0x37, 0x31, 0x18]))
             received.append((t_ns, can_id, length, bytes(data)))
-        one.take(received)
-        many.take_block(Block.of(received))
+        many.take(received)
+        with monkeypatch.context() as alone:
+            alone.setattr("coulombus.scope.live.TOGETHER", 1)
+            for single in received:
+                one.take([single])
         assert one.snapshot(t_ns) == many.snapshot(t_ns)
     assert min(one.error_frames, one.unknown) > 10
     assert any(row.malformed for row in one.snapshot(t_ns).pdos)
