@@ -33,8 +33,7 @@ class Envelope:
     """
 
     def __init__(self, signals: int = 1) -> None:
-        self._low = np.full((signals, ENVELOPE_BINS), np.nan)
-        self._high = np.full((signals, ENVELOPE_BINS), np.nan)
+        self._bounds = np.full((2, signals, ENVELOPE_BINS), np.nan)  # minima, maxima
         self.newest = -1
         """The bin of the newest sample; -1: none came."""
 
@@ -44,30 +43,28 @@ class Envelope:
         Those of before the newest bin are left out, and what is not finite counts as no sample.
         """
         bins, values = t_ns // BIN_NS, np.atleast_2d(values)
-        if not np.isfinite(values).all():
-            values = np.where(np.isfinite(values), values, np.nan)
         if not len(bins):
             return
-        last = max(int(bins.max()), self.newest)
-        oldest = max(self.newest, last - ENVELOPE_BINS + 1)
-        if last > self.newest:
-            first = last - ENVELOPE_BINS + 1 if self.newest < 0 else max(self.newest + 1, oldest)
-            fresh = np.arange(first, last + 1) % ENVELOPE_BINS
-            self._low[:, fresh] = self._high[:, fresh] = np.nan
-            self.newest = last
-        if bins.min() < oldest:
-            kept = bins >= oldest
-            bins, values = bins[kept], values[:, kept]
+        if not np.isfinite(values).all():
+            values = np.where(np.isfinite(values), values, np.nan)
         steps = bins[1:] - bins[:-1]
         if (steps < 0).any():  # the clock was set back
             order = np.argsort(bins, kind="stable")
             bins, values = bins[order], values[:, order]
             steps = bins[1:] - bins[:-1]
-        if len(bins):
-            starts = np.concatenate(([0], np.flatnonzero(steps) + 1))
+        last = max(int(bins[-1]), self.newest)
+        oldest = max(self.newest, last - ENVELOPE_BINS + 1)
+        if last > self.newest:
+            first = last - ENVELOPE_BINS + 1 if self.newest < 0 else max(self.newest + 1, oldest)
+            self._bounds[..., np.arange(first, last + 1) % ENVELOPE_BINS] = np.nan
+            self.newest = last
+        starts = np.concatenate(([0], np.flatnonzero(steps) + 1))
+        starts = starts[bins[starts] >= oldest]
+        if len(starts):
             places = bins[starts] % ENVELOPE_BINS
-            self._low[:, places] = np.fmin(self._low[:, places], np.fmin.reduceat(values, starts, axis=1))
-            self._high[:, places] = np.fmax(self._high[:, places], np.fmax.reduceat(values, starts, axis=1))
+            low, high = self._bounds
+            low[:, places] = np.fmin(low[:, places], np.fmin.reduceat(values, starts, axis=1))
+            high[:, places] = np.fmax(high[:, places], np.fmax.reduceat(values, starts, axis=1))
 
     def since(self, bin_: int, signal: int = 0) -> tuple[int, Floats, Floats]:
         """Return the bins of a signal from `bin_` on, the newest included: the first one's number,
@@ -76,8 +73,8 @@ class Envelope:
         Earlier ones than are kept are left out.
         """
         first = max(bin_, self.newest - ENVELOPE_BINS + 1, 0)
-        places = np.arange(first, self.newest + 1) % ENVELOPE_BINS
-        return first, self._low[signal, places], self._high[signal, places]
+        low, high = self._bounds[:, signal, np.arange(first, self.newest + 1) % ENVELOPE_BINS]
+        return first, low, high
 
 
 class Samples:
@@ -123,15 +120,20 @@ class Samples:
         return self._t_ns[piece].copy(), self._values[signal, piece].copy()
 
     def since(self, t_ns: int, signal: int = 0) -> tuple[Integers, Floats]:
-        """Return the samples of `t_ns` and later, as far as times rise: times [ns], values."""
+        """Return the samples of `t_ns` and later, as far as times rise: times [ns], values;
+        as `all_since`, no copies.
+        """
         times, values = self.all_since(t_ns)
         return times, values[signal]
 
     def all_since(self, t_ns: int) -> tuple[Integers, Floats]:
-        """Return the same of all signals: times [ns], values of shape (signals, n)."""
+        """Return the same of all signals: times [ns], values of shape (signals, n).
+
+        They are no copies: what is added later may change them.
+        """
         piece = self._piece(len(self))
-        first = piece.start + int(np.searchsorted(self._t_ns[piece], t_ns))
-        return self._t_ns[first : piece.stop].copy(), self._values[:, first : piece.stop].copy()
+        first = piece.start + int(self._t_ns[piece].searchsorted(t_ns))
+        return self._t_ns[first : piece.stop], self._values[:, first : piece.stop]
 
 
 @dataclass(frozen=True)

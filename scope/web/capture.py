@@ -41,6 +41,7 @@ ROWS = (
     ("velocity", "rad/s", ("motor.velocity_rad_s", VELOCITY)),
 )
 """The plots: title, unit, which signals they may show (`Signal.key`)."""
+SHOWN = frozenset(key for _, _, keys in ROWS for key in keys)
 EVENTS = 200
 BITS_NS, BITS_IDS = 100_000_000, 256
 """How often the bits on the wire are counted: after so long, or so many identifiers."""
@@ -87,7 +88,7 @@ class _Pdo:
         ends = (start + entry.bits - 1 for start, entry in zip(starts, entries, strict=True))
         self.places = tuple(f"{a}-{b}" if b > a else str(a) for a, b in zip(starts, ends, strict=True))
         self.data: bytes | None = None
-        self.drawn = tuple(field for field in self.fields if field[0].unit)
+        self.drawn = tuple(field for field in self.fields if field[0].key in SHOWN)
         self.samples, self.envelope = Samples(capacity, len(self.drawn)), Envelope(len(self.drawn))
         tracks = (Track(self.samples, self.envelope, k) for k in range(len(self.drawn)))
         self.tracks = {field[0].name: track for field, track in zip(self.drawn, tracks, strict=True)}
@@ -98,7 +99,8 @@ class _Pdo:
         for row, (signal, entry, start) in zip(values, self.drawn, strict=True):
             row[:] = decode_field(words, start, entry) * signal.scale + signal.offset
         self.samples.add(t_ns, values)
-        self.envelope.add(t_ns, values)
+        if self.drawn:
+            self.envelope.add(t_ns, values)
 
     def period(self, now_ns: int) -> Period | None:
         """Return the figures of the last second; None of less than two frames."""

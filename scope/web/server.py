@@ -503,7 +503,7 @@ async def _serve(
             while not over.is_set() and reader.failure is None:
                 page.tick(reader.until_ns)
                 due_s = max(due_s + BATCH_S, loop.time())  # what came too late is not made up for
-                await _pause(over, due_s - loop.time())
+                await asyncio.sleep(due_s - loop.time())  # `_pause` makes a task and cancels it
         server.stop()
         await server.close_all_connections()
         page.stops.shutdown(wait=False)
