@@ -86,7 +86,7 @@ def batch(capture: Capture, axis: Axis, flow: Flow, more: dict[str, Any]) -> byt
     head = {"n": flow.sent, "now_bin": capture.newest_ns / BIN_NS, "parts": parts, **more}
     text = json.dumps(head, allow_nan=False, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)  # the numbers begin at a multiple of four
-    body = np.concatenate(numbers).astype("<f4").tobytes() if numbers else b""
+    body = np.concatenate(numbers, dtype="<f4", casting="same_kind").tobytes() if numbers else b""
     return LENGTH.pack(len(text)) + text + body
 
 

@@ -133,6 +133,12 @@ class Capture:
             if position is not None and axis.prefix + "motor.velocity_rad_s" not in self._tracks:
                 made = self._tracks[axis.prefix + VELOCITY] = Track(Samples(self._capacity), Envelope(), 0)
                 self._differences.append((made, position))
+        self._names = {
+            axis.name: {
+                title: [n for n in (axis.prefix + key for key in keys) if n in self._tracks] for title, _, keys in ROWS
+            }
+            for axis in rig.axes
+        }
         self._taken = [0] * len(self._differences)
         self._bits: deque[tuple[int, int]] = deque()
         self._bits_sum = self._bits_ns = 0
@@ -144,9 +150,7 @@ class Capture:
 
     def names(self, axis: Axis) -> dict[str, list[str]]:
         """Return which signals each plot of an axis shows, by the plot's title."""
-        return {
-            title: [axis.prefix + key for key in keys if axis.prefix + key in self._tracks] for title, _, keys in ROWS
-        }
+        return self._names[axis.name]
 
     def take(self, frames: Sequence[Received]) -> None:
         """Take the frames of some milliseconds."""
