@@ -30,7 +30,7 @@ from coulombus.node.sdo_abort import SdoAbort
 from coulombus.node.sizes import NodeRecord
 from coulombus.wire.frame import Queue
 
-__all__ = ["BRAKE404", "connection_lost", "cut", "new_setpoint", "next_deadline", "sample", "start", "step"]
+__all__ = ["BRAKE404", "actuate", "connection_lost", "cut", "new_setpoint", "next_deadline", "sample", "start"]
 
 
 @kernel
@@ -101,9 +101,9 @@ def connection_lost(n: NodeRecord, t_ns: int, forced: int) -> None:
     if not forced and n.values[slots404.FAULT_MODE] != 1:
         return
     if n.ramping == 0 or (n.causes & emcy.DEVICE_MASK and n.ramp_to_Nm > 0.0):
-        step(n, t_ns)
+        actuate(n, t_ns)
         _begin_ramp(n, t_ns)
-        step(n, t_ns)
+        actuate(n, t_ns)
 
 
 @kernel
@@ -116,7 +116,7 @@ def host_lost(n: NodeRecord, t_ns: int) -> None:
 
 
 @kernel
-def step(n: NodeRecord, t_ns: int) -> None:
+def actuate(n: NodeRecord, t_ns: int) -> None:
     """Compute the output at `t_ns`."""
     values = n.values
     if n.ramping == 0:
@@ -190,8 +190,8 @@ def next_deadline(n: NodeRecord, t_ns: int, next_ns: int) -> int:
 
 
 @kernel
-def _step(n: NodeRecord, t_ns: int) -> None:
-    step(n, t_ns)
+def _actuate(n: NodeRecord, t_ns: int) -> None:
+    actuate(n, t_ns)
     if n.demag_A > 0.0:
         coil404.demagnetise(n, t_ns)
 
@@ -250,7 +250,7 @@ BRAKE404 = Profile(
     terminals=slots404.TERMINALS,
     behaviour=Behaviour(
         sample=sample,
-        step=_step,
+        actuate=_actuate,
         apply=_apply,
         connection_lost=_connection_lost,
         react=_react,

@@ -23,6 +23,7 @@ from coulombus.node import deadlines, emcy, expedited, guarding, outbox, pdo_tra
 from coulombus.node.kinds import NO_KIND
 from coulombus.node.profile import BY_COMMAND, BY_ITSELF, BY_RESET
 from coulombus.node.reactions import (
+    actuate,
     alarm,
     apply,
     connection_lost,
@@ -30,7 +31,6 @@ from coulombus.node.reactions import (
     next_deadline,
     react,
     sample,
-    step,
 )
 from coulombus.node.sizes import FAR_FUTURE_NS, NodeRecord
 from coulombus.wire.controller_state import Confinement
@@ -193,7 +193,7 @@ def _sync(n: NodeRecord, t_ns: int, length: int, data: int, out: Queue) -> None:
         inputs(n, t_ns, out)
     if n.rpdo_pending:
         pdo_traffic.act_pending(n, t_ns, out)
-    step(n, t_ns)
+    actuate(n, t_ns)
     sample(n)
     pdo_traffic.transmit_sync(n, t_ns, data & 0xFF if length else -1, out)
     if n.tpdo_events > 0:
@@ -216,7 +216,7 @@ def on_time(n: NodeRecord, t_ns: int, out: Queue) -> None:
         outbox.drain(n, t_ns, out)
     if n.sync_producer_ns > 0 and ALLOWED[n.nmt] & Service.SYNC and t_ns >= n.sync_next_ns:
         _produce_sync(n, t_ns, out)
-    step(n, t_ns)
+    actuate(n, t_ns)
     _schedule(n, t_ns, out)
 
 
@@ -275,7 +275,7 @@ def set_nmt(n: NodeRecord, t_ns: int, state: int, why: int, out: Queue) -> None:
     if n.sync_producer_ns > 0 and ALLOWED[state] & ~ALLOWED[before] & Service.SYNC:  # the producer begins anew
         n.sync_counter = 0
         n.sync_next_ns = t_ns + n.sync_producer_ns
-    step(n, t_ns)
+    actuate(n, t_ns)
     _schedule(n, t_ns, out)
 
 
@@ -284,7 +284,7 @@ def written(n: NodeRecord, t_ns: int, carries: int, out: Queue) -> None:
     """Let the device act on what Python wrote to `values` or to the records (an SDO download)."""
     deadlines.settle(n, t_ns, out)
     apply(n, t_ns, t_ns, carries, out)
-    step(n, t_ns)
+    actuate(n, t_ns)
     _schedule(n, t_ns, out)
 
 
@@ -321,7 +321,7 @@ def confinement_changed(n: NodeRecord, t_ns: int, confinement: int, out: Queue) 
     elif confinement == Confinement.RECOVERED:
         alarm(n, t_ns, emcy.BUS_OFF, 0, out)
         emcy.gone(n, t_ns, emcy.BUS_OFF, out)
-    step(n, t_ns)
+    actuate(n, t_ns)
     _schedule(n, t_ns, out)
 
 
@@ -329,5 +329,5 @@ def confinement_changed(n: NodeRecord, t_ns: int, confinement: int, out: Queue) 
 def refresh_inputs(n: NodeRecord, t_ns: int) -> None:
     """Bring the values that the device measures up to date (before an SDO upload)."""
     if n.powered:
-        step(n, t_ns)
+        actuate(n, t_ns)
         sample(n)

@@ -12,7 +12,7 @@ In the kernels: `n` the node's record (`node.record`), `out` the queue of frames
 from __future__ import annotations
 
 from coulombus.compiled.decorator import kernel
-from coulombus.node.reactions import sample, step
+from coulombus.node.reactions import actuate, sample
 from coulombus.node.sizes import FAR_FUTURE_NS, NodeRecord
 from coulombus.wire.frame import Queue, push
 
@@ -45,7 +45,7 @@ def answer(n: NodeRecord, t_ns: int, can_id: int, length: int, data: int, out: Q
     if place < 0:
         return False
     if key >= _MEASURED:
-        step(n, t_ns)
+        actuate(n, t_ns)
         sample(n)
     size = n.fast_size[place]
     value = n.values[n.fast_slot[place]] & ((1 << 8 * size) - 1)

@@ -78,7 +78,7 @@ def _sample(n: NodeRecord) -> None:
 
 
 @kernel
-def _step(n: NodeRecord, t_ns: int) -> None:
+def _actuate(n: NodeRecord, t_ns: int) -> None:
     """Put out what was written, where nothing failed."""
     values = n.values
     for k in range(PORTS):
@@ -191,7 +191,7 @@ IO401 = Profile(
         *_wires(0x6401, "in_analogue", INPUTS),
         *_wires(0x6411, "out_analogue", OUTPUTS),
     ),
-    behaviour=Behaviour(sample=_sample, step=_step, apply=_apply, connection_lost=_connection_lost, react=_react),
+    behaviour=Behaviour(sample=_sample, actuate=_actuate, apply=_apply, connection_lost=_connection_lost, react=_react),
     started=_started,
     check=_check,
 )

@@ -15,7 +15,7 @@ The integral stands still while the demand is at a limit and the error
 pushes further (anti-windup). Kp, Ki: 2010h.
 
 A way to torque 0 that takes its time (option codes 605Ah to 605Eh, a change of the mode) is a
-*ramp*: `begin` starts it, `step` goes along it, and behind it the torque is 0 and the power state
+*ramp*: `begin` starts it, `actuate` goes along it, and behind it the torque is 0 and the power state
 `slowing_to` follows. No ramp lasts longer than 2006h, none outlives the supply. In the torque modes
 the quick stop ramp is "at once": a hand is on the handle.
 

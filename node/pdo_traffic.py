@@ -15,7 +15,7 @@ from __future__ import annotations
 from coulombus.compiled.decorator import kernel
 from coulombus.eds.codec import pack, unpack
 from coulombus.node import deadlines, emcy
-from coulombus.node.reactions import alarm, apply, sample, step
+from coulombus.node.reactions import actuate, alarm, apply, sample
 from coulombus.node.sizes import NodeRecord
 from coulombus.wire.frame import Queue, Record, push
 
@@ -78,7 +78,7 @@ def receive(n: NodeRecord, k: int, t_ns: int, length: int, data: int, out: Queue
         return 0
     unpack(p, data, n.values)
     _act(n, t_ns, k, out)
-    step(n, t_ns)
+    actuate(n, t_ns)
     return 1
 
 

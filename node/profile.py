@@ -181,7 +181,7 @@ class Behaviour(NamedTuple):
     Attributes
     ----------
     sample : (n) bring what the device measures to the slots
-    step : (n, t_ns) compute the output that acts at `t_ns`
+    actuate : (n, t_ns) compute the output that acts at `t_ns`
     apply : (n, t_ns, received_ns, carries, out) act on what was
         written to the slots; `carries`: the bits `acts` of its objects
     connection_lost : (n, t_ns, why) -> 1 where it is to be told as a
@@ -194,7 +194,7 @@ class Behaviour(NamedTuple):
     """
 
     sample: Callable[[NodeRecord], None] = _nothing
-    step: Callable[[NodeRecord, int], None] = _nothing_at
+    actuate: Callable[[NodeRecord, int], None] = _nothing_at
     apply: Callable[[NodeRecord, int, int, int, Queue], None] = _no_action
     connection_lost: Callable[[NodeRecord, int, int], int] = _no_loss
     react: Callable[[NodeRecord, int, int], None] = _no_reaction

@@ -20,6 +20,7 @@ from coulombus.wire.frame import Queue
 
 __all__ = [
     "RAMP_STEP_NS",
+    "actuate",
     "alarm",
     "apply",
     "connection_lost",
@@ -27,7 +28,6 @@ __all__ = [
     "next_deadline",
     "react",
     "sample",
-    "step",
 ]
 
 RAMP_STEP_NS = 1_000_000
@@ -45,11 +45,11 @@ def sample(n: NodeRecord) -> None:
 
 
 @kernel
-def step(n: NodeRecord, t_ns: int) -> None:
+def actuate(n: NodeRecord, t_ns: int) -> None:
     """Compute the output that acts at `t_ns`."""
     for kind in literal_unroll(BEHAVIOURS):
         if n.kind == kind.number:
-            kind.step(n, t_ns)
+            kind.actuate(n, t_ns)
     if n.ramping == 1:
         n.next_ns = min(n.next_ns, t_ns + RAMP_STEP_NS)
 

@@ -39,6 +39,7 @@ __all__ = [
     "ALL_MODES",
     "MODES",
     "OPTION_CODES",
+    "actuate",
     "connection_lost",
     "fault",
     "new_controlword",
@@ -46,7 +47,6 @@ __all__ = [
     "next_deadline",
     "sample",
     "start",
-    "step",
 ]
 
 OPTION_CODES: Mapping[int, tuple[int, ...]] = {
@@ -252,7 +252,7 @@ def new_setpoint(n: NodeRecord, t_ns: int, speed: bool) -> None:
 
 
 @kernel
-def step(n: NodeRecord, t_ns: int) -> None:
+def actuate(n: NodeRecord, t_ns: int) -> None:
     """Compute the torque that acts at `t_ns`."""
     values = n.values
     if values[slots402.MODE] != n.mode:

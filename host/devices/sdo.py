@@ -16,8 +16,8 @@ from coulombus.host.devices.transfers import (
     Progress,
     Refused,
     SdoSilent,
-    Step,
     Transfer,
+    Turn,
     Twins,
     abort,
     download,
@@ -77,7 +77,7 @@ class Talk(Generic[T]):
     def _place(self) -> tuple[int, int]:
         return self._object or (0, 0)
 
-    def _go_on(self, act: Callable[[], Step]) -> None:
+    def _go_on(self, act: Callable[[], Turn]) -> None:
         try:
             step = act()
             while True:

@@ -1,7 +1,7 @@
 """SDO transfers of a client as generators: they yield what is to be sent and are sent what came.
 
 A transfer knows no bus and no clock: `host.devices.sdo` drives it, for one node or for all nodes of
-a bus at a time. A `Step` has the messages to the server, eight bytes each. It gets the server's
+a bus at a time. A `Turn` has the messages to the server, eight bytes each. It gets the server's
 next message, or `SdoSilent` thrown in.
 
 The tester of `coulombus conformance` checks each bit of a server, and can do it wrong. This client
@@ -24,8 +24,8 @@ __all__ = [
     "Progress",
     "Refused",
     "SdoSilent",
-    "Step",
     "Transfer",
+    "Turn",
     "Twins",
     "abort",
     "download",
@@ -36,14 +36,14 @@ __all__ = [
 T = TypeVar("T")
 
 
-class Step(NamedTuple):
+class Turn(NamedTuple):
     """Messages to the server, and whether its next one is waited for; if not, b"" comes back."""
 
     messages: Sequence[bytes] = ()
     waits: bool = True
 
 
-Transfer: TypeAlias = Generator[Step, bytes, T]
+Transfer: TypeAlias = Generator[Turn, bytes, T]
 Progress: TypeAlias = Callable[[int, int], None]
 """Called with the bytes that are there, and how many there will be; 0: the server does not tell."""
 
@@ -108,9 +108,9 @@ class _Answers:
 
     def next(self, *messages: bytes) -> Transfer[bytes]:
         """Send messages; return the server's next one. An abort raises `Refused`."""
-        answer = yield Step(messages)
+        answer = yield Turn(messages)
         while answer[0] == ABORT and named(answer) not in ((self.index, self.subindex), (0, 0)):
-            answer = yield Step()  # of a transfer before this one
+            answer = yield Turn()  # of a transfer before this one
         if answer[0] == ABORT:
             raise Refused(self.what, self.index, self.subindex, int.from_bytes(answer[4:8], "little"))
         return answer
@@ -150,7 +150,7 @@ def upload(
     if answer[0] >> 5 == 2 and answer[0] & 0x03 == 0x01 and block:
         told = int.from_bytes(answer[4:8], "little")
         if LONG < told <= most:
-            yield Step((abort(index, subindex),), waits=False)  # the ordinary one
+            yield Turn((abort(index, subindex),), waits=False)  # the ordinary one
             try:
                 return (yield from _block_upload(say, most, progress))
             except Refused as refused:
@@ -225,7 +225,7 @@ def _block_upload(say: _Answers, most: int, progress: Progress) -> Transfer[byte
         raise say.wrong("the CRC is wrong", Abort.CRC)
     if told and told != len(content):
         raise say.wrong(f"{told} bytes were told, {len(content)} came", Abort.LENGTH)
-    yield Step((b"\xa1" + bytes(7),), waits=False)
+    yield Turn((b"\xa1" + bytes(7),), waits=False)
     return content
 
 

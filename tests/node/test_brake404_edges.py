@@ -37,7 +37,7 @@ def brake():
 
 
 def output(n, t_ns):
-    brake404.step(n, t_ns)
+    brake404.actuate(n, t_ns)
     return float(n.out_brake_Nm)
 
 

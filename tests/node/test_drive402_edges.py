@@ -292,7 +292,7 @@ def test_a_setpoint_beyond_the_limits_is_counted(target, clipped):
 
 
 def torque(n, t_ns=T):
-    states402.step(n, t_ns)
+    states402.actuate(n, t_ns)
     return float(n.out_torque_pm)
 
 

@@ -103,7 +103,7 @@ def test_each_kind_computes_its_own_output(kind):
     node = Node(kind)
     n = node.n
     n.out_torque_pm = n.out_brake_Nm = -1.0
-    reactions.step(n, T)
+    reactions.actuate(n, T)
     assert (n.out_torque_pm, n.out_brake_Nm) == (
         300.0 if kind == KIND_DRIVE else -1.0,
         2.0 if kind == KIND_BRAKE else -1.0,
@@ -115,7 +115,7 @@ def test_each_kind_computes_its_own_output(kind):
 def test_a_brake_with_a_pulse_demagnetises(demag_A):
     node = Node(KIND_BRAKE)
     node.n.demag_A, node.n.demag_delay_ns = demag_A, 50
-    reactions.step(node.n, T)
+    reactions.actuate(node.n, T)
     assert (node.n.pulse_due, node.n.pulse_ns) == ((1, T + 50) if demag_A else (0, 0))
 
 
@@ -125,7 +125,7 @@ def test_a_ramp_is_computed_each_millisecond(ramping, next_ns):
     node = Node(KIND_BRAKE)
     n = node.n
     n.ramping, n.ramp_start_ns, n.ramp_from_Nm, n.next_ns = ramping, T, 2.0, next_ns
-    reactions.step(n, T)
+    reactions.actuate(n, T)
     assert n.next_ns == (min(next_ns, T + MS) if ramping == 1 else next_ns)
     deadline = reactions.next_deadline(n, T, next_ns)
     assert deadline == (min(next_ns, T + MS) if ramping == 1 else next_ns)
