@@ -5,6 +5,8 @@ The power states are `node.states402`'s, the torque is
 `node.motion402`'s, its objects stand in `node.slots402`. The loss of the host - heartbeat,
 guarding, bus-off - is a fault of our own drive; another maker's does what 6007h says, as CiA 402
 has it.
+
+    n : the NODE record
 """
 
 from __future__ import annotations

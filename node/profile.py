@@ -6,6 +6,8 @@ A device's communication (NMT, PDO, SDO, EMCY ...) is the same for all kinds. A 
 file that lacks an object leaves the object's slot at `CoreObject.absent`, so that a kind can stand
 behind any vendor's file as far as the file's objects allow; `Profile.missing` tells which ones it
 lacks that the kind cannot do without.
+
+    n : the NODE record
 """
 
 from __future__ import annotations

@@ -7,9 +7,11 @@ from __future__ import annotations
 import ast
 import importlib
 import os
+import re
 import subprocess
 import sys
 import tomllib
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -19,6 +21,11 @@ import coulombus
 ROOT = Path(__file__).resolve().parent.parent
 ROOMS = sorted(path.name for path in (ROOT / "coulombus").iterdir() if path.is_symlink())
 SOURCES = [path for top in (*ROOMS, "tests", "benchmarks", "examples") for path in sorted((ROOT / top).rglob("*.py"))]
+
+
+@cache
+def parsed(path):
+    return ast.parse(path.read_text())
 
 
 def test_every_folder_with_modules_has_its_link():
@@ -31,7 +38,7 @@ def test_every_folder_with_modules_has_its_link():
 def test_no_source_imports_a_folder_by_its_bare_name():
     assert len(SOURCES) > 300
     for path in SOURCES:
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in ast.walk(parsed(path)):
             names = [node.module] if isinstance(node, ast.ImportFrom) and node.module else []
             names += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             assert not {name.partition(".")[0] for name in names} & set(ROOMS), f"{path}:{node.lineno}"
@@ -95,3 +102,22 @@ def test_an_eds_is_checked_without_numba_and_numpy():
     code = "import sys, coulombus.verbs.eds_verb, coulombus.eds.check, coulombus.compiled.notice; "
     code += "sys.exit(bool({'numba', 'numpy', 'pydantic'} & set(sys.modules)))"
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
+def test_a_record_of_one_letter_is_explained_at_the_modules_head():
+    seen = 0
+    for path in SOURCES:
+        tree = parsed(path)
+        head = ast.get_docstring(tree) or ""
+        for function in ast.walk(tree):
+            if not isinstance(function, ast.FunctionDef) or not {"kernel", "inlined"} & {
+                one.id for one in function.decorator_list if isinstance(one, ast.Name)
+            }:
+                continue
+            for one in function.args.args:
+                if len(one.arg) == 1 and one.annotation is not None and ast.unparse(one.annotation).endswith("Record"):
+                    seen += 1
+                    assert re.search(rf"\b{one.arg}\b[, a-z]* : |`{one.arg}`", head), (
+                        f"{path}:{function.lineno}: {one.arg}"
+                    )
+    assert seen > 200

@@ -2,6 +2,8 @@
 
 They never go to a bus (`recording.inside` has their layout). Nothing here changes what the cycle
 does: it is read, and what was told last is kept beside it.
+
+    h : the HOST record of an axis
 """
 
 from __future__ import annotations

@@ -5,26 +5,26 @@ Each station of a bus has one, a row of `BUS.stations` by the low eight bits of 
 transmit and receive error counters follow the standard's twelve rules; `state` is what they come
 to, in the numbers of Linux's ``enum can_state``:
 
-==== ==============================================================================================
-================= rule when
-what ====
-==============================================================================================
-================= a    a receiver detects an error (no bit error in its own active error flag or
-overload flag)       REC + 1 b    a receiver sees dominant in the first bit after its error flag
-REC + 8 c    a transmitter sends an error flag, except c1: error passive, no ACK, and nothing
-dominant in   TEC + 8
-     its passive flag; c2: stuff error at a recessive stuff bit of the arbitration field
-d    a transmitter's bit error in its active error flag or overload flag                            TEC + 8
-e    a receiver's bit error in its active error flag or overload flag                               REC + 8
-f    each eighth consecutive dominant bit after a flag                                              + 8, by its role
-g    a frame was sent                                                                               TEC - 1, if above 0
-h    a frame was received                                                                           REC - 1; 119 if above 127
-i    TEC or REC above 127                                                                           error passive
-j    TEC above 255                                                                                  bus-off
-k    TEC and REC below 128 again                                                                    error active
-l    bus-off, and 128 times 11 consecutive recessive bits                                           error active, counters 0
-==== ==============================================================================================
-=================
+==== ==================================================================== =========================
+rule when                                                                 what
+==== ==================================================================== =========================
+a    a receiver detects an error, but no bit error in its own active flag REC + 1
+b    a receiver sees dominant in the first bit after its error flag       REC + 8
+c    a transmitter sends an error flag, except c1 and c2                  TEC + 8
+c1   ... error passive, no ACK, and nothing dominant in its passive flag  unchanged
+c2   ... stuff error at a recessive stuff bit of the arbitration field    unchanged
+d    a transmitter's bit error in its active error or overload flag       TEC + 8
+e    a receiver's bit error in its active error or overload flag          REC + 8
+f    each eighth consecutive dominant bit after a flag                    + 8, by its role
+g    a frame was sent                                                     TEC - 1, if above 0
+h    a frame was received                                                 REC - 1; 119 if above 127
+i    TEC or REC above 127                                                 error passive
+j    TEC above 255                                                        bus-off
+k    TEC and REC below 128 again                                          error active
+l    bus-off, and 128 times 11 consecutive recessive bits                 error active, counters 0
+==== ==================================================================== =========================
+
+    c : the record of a controller
 """
 
 from __future__ import annotations

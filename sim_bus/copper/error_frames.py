@@ -14,6 +14,8 @@ byte   what stands there
 ====== =======================================================================
 
 All classes that Linux sends along with counters carry CAN_ERR_CNT.
+
+    c : the record of a controller
 """
 
 from __future__ import annotations

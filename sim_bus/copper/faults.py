@@ -4,6 +4,8 @@
 `sim_bus.faults.file` makes the rows from a file. The table is part of the bus's record, so a kernel
 needs no Python to inject: `strike` judges the rows at the start of each frame, `alarm` those that
 wait for a time.
+
+    f : a row of the table
 """
 
 from __future__ import annotations

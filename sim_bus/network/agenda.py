@@ -7,6 +7,8 @@ and who wants a frame.
 take such a frame, and which, in their order. Both follow the node records: the loop keeps the
 deadline of a device that it has called, `look_again` all of them after Python has worked on the
 records.
+
+    n : the NODE record of a device
 """
 
 from __future__ import annotations

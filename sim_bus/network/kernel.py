@@ -16,6 +16,8 @@ A device is a row of the node records; that row is its station number. An axis i
 brake's row, and the rig between them: a row of the plants and one of the blocks of the operator's
 force. Further devices of an axis show what the rig's roles name (`sim_bus.rig.coupling`). A device
 that belongs to no axis has no rig, and none of this costs it anything.
+
+    w : the WORLD record        b : the BUS record        p : the PLANT record of an axis
 """
 
 from __future__ import annotations

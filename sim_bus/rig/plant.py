@@ -45,6 +45,8 @@ with :math:`R_0`, the :math:`R` at which the current changed its sign. The coil'
 thermal lag, :math:`\tau\dot T = T_{amb} + R_{th} R_{coil} i^2 - T`, and has no part in the
 mechanics. An open coil carries no current; one that is short takes the supply's, outside the
 winding.
+
+    p : the PLANT record of an axis
 """
 
 from __future__ import annotations

@@ -5,6 +5,8 @@ FIFO: only its first frame takes part in the arbitration, and its next message i
 frame of this one has gone; one that sends faster than the bus carries finds its own socket full
 (EAGAIN). What the bus has carried goes out in batches; a client that does not read loses frames,
 counted, and holds up nobody.
+
+    w : the WORLD record        p : the PACE record        s : the SLOT record of a client
 """
 
 from __future__ import annotations

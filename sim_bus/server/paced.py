@@ -12,6 +12,8 @@ to see it. So what waited in a socket while this process could not run is on the
 by the nodes, before a deadline is judged. Where the whole machine stood still, so that nobody sent
 anything either, the world stood still with it (`stalled_ns`): no deadline passes in a time in which
 nobody could have kept it.
+
+    p : the PACE record
 """
 
 from __future__ import annotations
