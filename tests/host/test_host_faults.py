@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import socket
+import sys
 from contextlib import suppress
 from types import SimpleNamespace
 
@@ -54,10 +55,13 @@ class Clock:
         return self.ns * 1e-9
 
     def sleep(self, seconds):
+        shim = sys.getprofile()
+        sys.setprofile(None)  # nothing here is the parent's: a shim that looks at each call takes half of a run
         for _ in range(round(seconds * 1e3)):
             self.ns += MS
             if self.plane is not None:
                 self.plane.live(self.ns)
+        sys.setprofile(shim)
 
 
 class Process:

@@ -12,12 +12,13 @@ import pyarrow.parquet
 import pytest
 
 from coulombus.lab.simulate import simulate
+from coulombus.lab.sweep import one_run, workers
 from coulombus.lab.sweep import sweep as module
-from coulombus.lab.sweep import workers
 from coulombus.lab.sweep.figures import FIGURES
 from coulombus.lab.sweep.file import read_sweep
 from coulombus.lab.sweep.folder import Folder, FolderError
 from coulombus.lab.sweep.one_run import Done, Job, carry_out, order_of
+from coulombus.lab.sweep.picture import map_of
 from coulombus.lab.sweep.sweep import run_sweep
 from coulombus.lab.sweep.workers import ClusterError, on_processes
 from coulombus.lab.sweep.worst import shrunk
@@ -31,19 +32,41 @@ def table(folder):
     return pyarrow.parquet.read_table(folder / "runs.parquet").to_pylist()
 
 
+KNOWN = {}
+
+
+def known(job, order):
+    """Carry out a run; one of the same numbers, by the same `simulate`, is done once for all tests."""
+    asked = (one_run.simulate, job.rig.effective(), repr((job.seconds, job.vary, job.rates, job.keep, order)))
+    if asked not in KNOWN:
+        KNOWN[asked] = carry_out(job, order)
+    return replace(KNOWN[asked], row=dict(KNOWN[asked].row))
+
+
+PICTURES = {}
+
+
+def drawn(*of):
+    """Draw a map, each once for all tests."""
+    return PICTURES.get(repr(of)) or PICTURES.setdefault(repr(of), map_of(*of))
+
+
 def here(job, orders, count):
     """Carry out the runs in this process."""
-    return (carry_out(job, order) for order in orders)
+    return (known(job, order) for order in orders)
 
 
 @pytest.fixture
 def at_once(monkeypatch):
-    """Runs are carried out in this process: no other has to start."""
+    """Runs are carried out in this process: no other has to start. What is the same is done once."""
     monkeypatch.setattr(module, "on_processes", here)
+    monkeypatch.setattr("coulombus.lab.sweep.worst.carry_out", known)
+    monkeypatch.setattr(module, "map_of", drawn)
 
 
 def test_any_number_of_processes_comes_to_the_same_table(sweep_file, tmp_path, monkeypatch):
     sweep = read_sweep(sweep_file())
+    monkeypatch.setattr(module, "map_of", drawn)
     found = [run_sweep(sweep, tmp_path / f"by{n}", processes=n) for n in (1, 2)]
     monkeypatch.setattr(module, "on_processes", here)
     found.append(run_sweep(sweep, tmp_path / "here"))
@@ -92,16 +115,15 @@ def test_a_row_is_what_simulate_comes_to(sweep_file, tmp_path, at_once):
         assert row["rates.still"] == (result.hold_counts_p2p <= 2)
 
 
-def test_a_sweep_that_was_interrupted_goes_on(sweep_file, tmp_path, monkeypatch):
+def test_a_sweep_that_was_interrupted_goes_on(sweep_file, tmp_path, monkeypatch, at_once):
     sweep = read_sweep(sweep_file())
-    monkeypatch.setattr(module, "on_processes", here)
     run_sweep(sweep, tmp_path / "whole")
     carried = []
 
     def interrupted(job, orders, count):
         for order in reversed(orders[:4]):  # whatever comes first
             carried.append(order.run)
-            yield carry_out(job, order)
+            yield known(job, order)
         raise KeyboardInterrupt
 
     monkeypatch.setattr("coulombus.lab.sweep.folder.PART_RUNS", 2)
@@ -110,7 +132,7 @@ def test_a_sweep_that_was_interrupted_goes_on(sweep_file, tmp_path, monkeypatch)
         run_sweep(sweep, tmp_path / "out")
     assert not (tmp_path / "out" / "runs.parquet").exists()
     monkeypatch.setattr(
-        module, "on_processes", lambda job, orders, count: (carried.append(o.run) or carry_out(job, o) for o in orders)
+        module, "on_processes", lambda job, orders, count: (carried.append(o.run) or known(job, o) for o in orders)
     )
     told = []
     run_sweep(sweep, tmp_path / "out", progress=lambda what, done, of, failed: told.append((what, done, of)))
@@ -149,14 +171,12 @@ def dies(action, call, monkeypatch):
 
 
 def test_a_sweep_that_is_killed_anywhere_goes_on_to_the_same_table(sweep_file, tmp_path, monkeypatch):
-    sweep, done, carried = read_sweep(sweep_file()), {}, []
+    sweep, carried = read_sweep(sweep_file()), []
 
     def remembered(job, orders, count):
         for order in orders:
             carried.append(order.run)
-            if order not in done:
-                done[order] = carry_out(job, order)
-            yield done[order]
+            yield known(job, order)
 
     monkeypatch.setattr("coulombus.lab.sweep.folder.PART_RUNS", 2)
     monkeypatch.setattr(module, "on_processes", remembered)
@@ -164,6 +184,7 @@ def test_a_sweep_that_is_killed_anywhere_goes_on_to_the_same_table(sweep_file, t
     monkeypatch.setattr(
         module, "shrunk", lambda job, rate, *more: worst.get(rate) or worst.setdefault(rate, shrunk(job, rate, *more))
     )
+    monkeypatch.setattr(module, "map_of", drawn)
     run_sweep(sweep, tmp_path / "whole")
     killed = 0
     for k in range(2, 200, 5):
@@ -183,9 +204,8 @@ def test_a_sweep_that_is_killed_anywhere_goes_on_to_the_same_table(sweep_file, t
     assert not died
 
 
-def test_a_sweep_that_is_done_runs_nothing_again(sweep_file, tmp_path, monkeypatch):
+def test_a_sweep_that_is_done_runs_nothing_again(sweep_file, tmp_path, monkeypatch, at_once):
     sweep = read_sweep(sweep_file())
-    monkeypatch.setattr(module, "on_processes", here)
     first = run_sweep(sweep, tmp_path / "out")
     monkeypatch.setattr(module, "on_processes", lambda *_: pytest.fail("a run is done twice"))
     monkeypatch.setattr(module, "shrunk", lambda *_: pytest.fail("a worst case is looked for twice"))
@@ -385,7 +405,8 @@ def test_the_worst_case_of_a_rig_elsewhere_finds_its_files(tmp_path, at_once):
     assert (tmp_path / "elsewhere" / "worst-untripped-1.eds").read_text() == eds
 
 
-def test_maps_are_pictures_and_the_same_each_time(sweep_file, tmp_path, at_once):
+def test_maps_are_pictures_and_the_same_each_time(sweep_file, tmp_path, at_once, monkeypatch):
+    monkeypatch.setattr(module, "map_of", map_of)
     sweep = read_sweep(sweep_file())
     pictures = []
     for name in ("a", "b"):
@@ -396,9 +417,8 @@ def test_maps_are_pictures_and_the_same_each_time(sweep_file, tmp_path, at_once)
     assert all(picture.startswith(b"\x89PNG") for picture in pictures[0])
 
 
-def test_a_disk_that_is_full_is_told_and_costs_nothing_that_is_done(sweep_file, tmp_path, monkeypatch):
+def test_a_disk_that_is_full_is_told_and_costs_nothing_that_is_done(sweep_file, tmp_path, monkeypatch, at_once):
     sweep = read_sweep(sweep_file())
-    monkeypatch.setattr(module, "on_processes", here)
     own, written = workers, []
     from coulombus.lab.sweep import folder
 
@@ -416,7 +436,7 @@ def test_a_disk_that_is_full_is_told_and_costs_nothing_that_is_done(sweep_file, 
     monkeypatch.setattr(folder, "write_whole", whole)
     carried = []
     monkeypatch.setattr(
-        module, "on_processes", lambda job, orders, count: (carried.append(o.run) or carry_out(job, o) for o in orders)
+        module, "on_processes", lambda job, orders, count: (carried.append(o.run) or known(job, o) for o in orders)
     )
     assert run_sweep(sweep, tmp_path / "out").runs == 6
     assert carried == [2, 3, 4, 5]
