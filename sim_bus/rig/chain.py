@@ -272,13 +272,14 @@ def _go(p: Record, h: float, hand: float, torque: float) -> None:
     )
     p.w_operator += p.f_operator * u_last * h
     p.w_motor += torque * d.u[0] * h
-    p.f_friction = 0.0
+    # in registers: a sum in memory waits for its last store
+    f_friction, w_friction, w_viscous = 0.0, p.w_friction, p.w_viscous
     for j in range(BODIES - 1):
         if j + 1 >= n:
             continue
         if d.stiff[j] > 0.0:
             between = d.u[j] - d.u[j + 1]
-            p.w_viscous += d.d[j] * between * between * h
+            w_viscous += d.d[j] * between * between * h
     for i in range(BODIES):
         if i >= n:
             continue
@@ -298,16 +299,17 @@ def _go(p: Record, h: float, hand: float, torque: float) -> None:
             own += constant + slope * u
             # the work is what is lost: what the bristles keep, they can give back
             if d.bristles == ELEMENTS:
-                p.w_friction += wind(d, i, h, u)
+                w_friction += wind(d, i, h, u)
             else:
                 z = (d.z[i] * (1.0 - 0.5 * h * d.alpha[i]) + h * u) / (1.0 + 0.5 * h * d.alpha[i])
-                p.w_friction += 0.5 * d.share[i] * d.sigma_0 * (z * z - d.z[i] * d.z[i])
+                w_friction += 0.5 * d.share[i] * d.sigma_0 * (z * z - d.z[i] * d.z[i])
                 d.z[i] = z
-        p.f_friction -= own
-        p.w_friction -= own * u * h
-        p.w_viscous += d.viscous[i] * u * u * h
+        f_friction -= own
+        w_friction -= own * u * h
+        w_viscous += d.viscous[i] * u * u * h
         d.q[i] += u * h
         d.v[i] = 0.0 if d.side[i] == 0 else 2.0 * u - d.v[i]
+    p.f_friction, p.w_friction, p.w_viscous = f_friction, w_friction, w_viscous
 
 
 @kernel

@@ -78,7 +78,7 @@ def advance_detailed(p: Record, f_h: Floats, per_knot: int, first: int, steps: i
     knot = first // per_knot
     within = first - knot * per_knot
     slope = (f_h[knot + 1] - f_h[knot]) / per_knot
-    square = 0.0
+    square, rate = 0.0, 1.0 / p.h
     for k in range(steps):
         motor = target + (p.motor - target) * p.motor_decay
         torque = 0.5 * (p.motor + motor)
@@ -101,8 +101,8 @@ def advance_detailed(p: Record, f_h: Floats, per_knot: int, first: int, steps: i
         before, speed = p.w_brake + p.w_friction - p.w_viscous, d.v[last]
         move(p, hand, torque, capacity)
         if d.heat_1_JK > 0.0:
-            heat(p, before - (p.w_brake + p.w_friction - p.w_viscous), coil * p.coil_A_Nm)
-        seen = p.f_operator + d.crosstalk * (d.v[last] - speed) / p.h
+            heat(p, rate * (before - (p.w_brake + p.w_friction - p.w_viscous)), coil * p.coil_A_Nm)
+        seen = p.f_operator + d.crosstalk * rate * (d.v[last] - speed)
         p.transduced = seen + (p.transduced - seen) * p.transducer_decay
         p.x, p.v = d.q[0], d.v[0]
         p.t_ns += p.step_ns

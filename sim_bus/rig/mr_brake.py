@@ -77,8 +77,8 @@ def thin(d: Record) -> None:
 
 
 @kernel
-def heat(p: Record, lost_J: float, current_A: float) -> None:
-    """Let the device warm up for one step by what friction lost in it [J], and by the coil."""
+def heat(p: Record, lost_W: float, current_A: float) -> None:
+    """Let the device warm up for one step by what friction loses in it [W], and by the coil."""
     d = p.detail
-    gained = lost_J / p.h + d.coil_ohm * current_A * current_A
+    gained = lost_W + d.coil_ohm * current_A * current_A
     d.degC += d.heat_1_JK * gained - d.cooling * (d.degC - p.ambient)
