@@ -101,7 +101,10 @@ class Verbs(click.Group):
                     return super().invoke(ctx)
             except click.UsageError as error:
                 meant = _option_meant(error)
-                raise click.UsageError(f"{error.message}{meant}", error.ctx) if meant else error from None
+                if isinstance(error, click.NoSuchOption):  # of --mod, --mode is meant, and --record is noise
+                    begun = [one for one in error.possibilities or () if one.startswith(error.option_name)]
+                    error.possibilities = begun or error.possibilities
+                raise click.UsageError(f"{error.format_message()}{meant}", error.ctx) if meant else error from None
             except Stopped as stopped:
                 raise Failure(f"ended by {stopped}", status_of(stopped.number)) from None
             except KeyboardInterrupt:
@@ -117,20 +120,31 @@ class Verbs(click.Group):
 
 
 def _option_meant(error: click.UsageError) -> str:
-    """Return which option an argument too many is of, behind a semicolon; nothing where that is not
-    known.
+    """Return what was meant, or is missing, as the end of the error's sentence; nothing where that
+    is not known.
     """
     if re.match(r"No such command '(help|\?)'", error.message, re.IGNORECASE):
         return " The list of verbs is coulombus --help."
     verb = re.fullmatch(r"No such command '(\S+)'\.?", error.message)  # click has found none that is like it
     if verb is not None and error.ctx is not None and isinstance(error.ctx.command, click.Group):
-        known = verb[1].lower().replace("_", "-")
-        return f" Did you mean '{known}'?" if known in error.ctx.command.commands else ""
+        known = verb[1].lower().removesuffix("_command").replace("_", "-")
+        if known == "version":
+            known = "--version"
+        return f" Did you mean '{known}'?" if known in (*error.ctx.command.commands, "--version") else ""
+    if isinstance(error, click.MissingParameter) and error.param is not None and "--bus" in error.param.opts:
+        return " Say --bus coulombus:bench, which coulombus sim serves, or --bus socketcan:can0."
+    if isinstance(error, click.BadParameter) and error.param is not None and isinstance(error.param.type, click.Choice):
+        known = (re.match(r"'([^']*)' is not one of", error.message) or ("", ""))[1].lower()
+        return f" Did you mean '{known}'?" if known in error.param.type.choices else ""
     found = re.fullmatch(r"Got unexpected extra arguments? \((\S+).*\)", error.message)
     if found is None or error.ctx is None:
         return ""
     word = found[1]
     known = {option: param for param in error.ctx.command.params for option in param.opts}
+    words = error.ctx.meta.get(WORDS, ())
+    place = words.index(word) if word in words else 0
+    if words[max(0, place - 2) : place - 1] == ("--set",) and "=" not in words[place - 1]:
+        return f"; did you mean --set {words[place - 1]}={word}?"
     modes = getattr(known["--mode"].type, "choices", ()) if "--mode" in known else ()
     kinds = (
         ("--bus", re.match(r"(coulombus|socketcan):", word)),

@@ -88,8 +88,16 @@ def versions(
 
 
 def import_name(path: Sequence[str], own: Path) -> Outcome:
-    """Where a module is looked for there is no other `coulombus`."""
+    """Where a module is looked for there is no other `coulombus`.
+
+    A folder `coulombus` in the present one, without `__init__.py`, as a clone is one, hides a
+    package that Python finds by no entry of its path: one that is installed in editable mode.
+    """
     others = []
+    clone = Path.cwd() / NAME
+    hidden = own.parent.resolve() not in {Path(entry).resolve() for entry in path}
+    if hidden and clone.is_dir() and not (clone / "__init__.py").is_file():
+        others.append(str(clone))
     for entry in dict.fromkeys(path):
         folder = Path(entry or ".")
         for candidate in (folder / NAME / "__init__.py", folder / f"{NAME}.py"):
@@ -98,7 +106,7 @@ def import_name(path: Sequence[str], own: Path) -> Outcome:
                 others.append(str(place))
     if not others:
         return Outcome(True, f"only {own}")
-    fix = "# rename it, or take its folder out of PYTHONPATH: " + ", ".join(others)
+    fix = "# rename it, work in another folder, or take its folder out of PYTHONPATH: " + ", ".join(others)
     return Outcome(False, f"another {NAME} can be imported: {', '.join(others)}", fix)
 
 

@@ -336,6 +336,9 @@ def _function(name: str, place: str, attribute: str, directory: Path | None, *, 
     except Exception as error:
         if hasattr(error, "exit_status") or isinstance(error, MemoryError):  # interrupted, and no mistake of the law
             raise
+        if isinstance(error, ModuleNotFoundError) and place.startswith(error.name or place):
+            text = "there is no module of that name; expected FILE.py:FUNCTION or MODULE:FUNCTION"
+            raise LawError(f"law {name!r}: {place} cannot be imported: {text}") from error
         raise LawError(f"law {name!r}: {place} cannot be imported: {_import_error(error, place)}") from error
     own = {n: f for n, f in vars(module).items() if callable(f) and getattr(f, "__module__", "") == module.__name__}
     function = own.get(attribute, getattr(module, attribute, None))

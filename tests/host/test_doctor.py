@@ -419,6 +419,20 @@ def test_another_module_of_this_name_is_found(tmp_path):
     assert "coulombus.py" in found.found
 
 
+def test_a_folder_that_holds_a_clone_hides_a_package_that_is_on_no_path(tmp_path, monkeypatch):
+    (tmp_path / "coulombus" / "coulombus").mkdir(parents=True)
+    own = tmp_path / "coulombus" / "coulombus"
+    (own / "__init__.py").touch()
+    monkeypatch.chdir(tmp_path)
+    found = software.import_name([str(tmp_path / "bin")], own)
+    assert not found.ok
+    assert str(own.parent) in found.found
+    assert "work in another folder" in found.fix
+    assert software.import_name([str(own.parent)], own).ok  # a package wins over a folder
+    monkeypatch.chdir(own.parent)
+    assert software.import_name([str(tmp_path / "bin")], own).ok
+
+
 def test_another_program_of_this_name_is_found_where_the_shell_takes_it(tmp_path):
     for folder in ("env/bin", "other"):
         (tmp_path / folder).mkdir(parents=True)
