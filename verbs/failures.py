@@ -103,7 +103,8 @@ class Verbs(click.Group):
                 meant = _option_meant(error)
                 if isinstance(error, click.NoSuchOption):  # of --mod, --mode is meant, and --record is noise
                     begun = [one for one in error.possibilities or () if one.startswith(error.option_name)]
-                    error.possibilities = begun or error.possibilities
+                    if begun:
+                        raise click.NoSuchOption(error.option_name, None, begun, error.ctx) from None
                 raise click.UsageError(f"{error.format_message()}{meant}", error.ctx) if meant else error from None
             except Stopped as stopped:
                 raise Failure(f"ended by {stopped}", status_of(stopped.number)) from None
