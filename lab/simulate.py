@@ -40,6 +40,8 @@ from coulombus.wire.frame import Records
 __all__ = ["TruthError", "simulate"]
 
 PROGRESS_NS = 250_000_000
+LOOK_NS = 1_000_000_000
+"""Longest step of a run that shows and writes nothing."""
 TRUTH_BYTES = 8e9
 
 
@@ -59,6 +61,10 @@ class _VirtualRun(Course):
             order.simulated, mode, believed=rig, seed=seed, truth=order.truth is not None, on_frames=on_frames
         )
         super().__init__(self.world.controllers, order.record, order.progress)
+        plants = [axis.simulation.plant for axis in order.simulated.axes]
+        warms = any(plant.heat is not None or plant.coil_thermal_K_W > 0 for plant in plants)
+        shows = order.progress is not None or order.record is not None
+        self._look_ns = PROGRESS_NS if shows or warms else LOOK_NS  # what warms does so in the pieces of a recorded run
         self.may_adopt = order.measured and order.record is None
         self.measured = MeasuredFrames(rig) if order.measured else None
         if order.record is not None:
@@ -102,7 +108,7 @@ class _VirtualRun(Course):
     def look(self, until_ns: int, done: Callable[[], bool]) -> bool:
         """Run in steps short enough to show progress and to write what was recorded."""
         world = self.world
-        world.run_until(min(until_ns, world.t_ns + PROGRESS_NS), done)
+        world.run_until(min(until_ns, world.t_ns + self._look_ns), done)
         self.mark_course(world.t_ns + (world.t_ns < until_ns))  # what begins at the display's end does not begin
         world.flush()
         enabled = self.enabled_ns

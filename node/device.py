@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from datetime import datetime
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,6 +36,8 @@ from coulombus.wire.frame import Queue, Record, push
 
 __all__ = ["SDO_TIMEOUT_NS", "Device", "DeviceState"]
 
+MOST_MADE = 16
+"""Of so many new devices of a description it is kept what they begin with."""
 STAYS_PRE_OPERATIONAL = 0x04
 """Bit of 1F80h (CiA 302-2): the device does not start by itself. Without 1F80h it does not either.
 """
@@ -86,6 +88,7 @@ class Device:
     ) -> None:
         if not 1 <= node_id <= 127 and node_id != UNCONFIGURED:
             raise ValueError(f"node id {node_id}; expected 1 to 127, or {UNCONFIGURED} for none")
+        new = store is None and not record["node_id"]
         self.description, self.node_id, self.profile = description, node_id, profile
         self.record = record
         self.record["node_id"], self.record["kind"], self.record["held"] = node_id, number(profile), profile.held
@@ -94,7 +97,6 @@ class Device:
         self.store = Store() if store is None else store
         self.parameters = Parameters(self.dictionary, self.store, profile.acts)
         access = Access(self.dictionary, self.communication, self.parameters, profile, self._downloaded)
-        self._tabulate()
         self._sdo = SdoService(access, self.communication, record)
         self.lss = Lss(self.dictionary, record, node_id, self.store, self._reset_communication)
         self._now = 0
@@ -102,7 +104,21 @@ class Device:
         """How often it has booted: after power-on, and after each reset."""
         self.on_download: Callable[[int, int], None] | None = None
         """Called when an SDO client has written an object (index, sub-index)."""
+        made: dict[Any, tuple[Mapping[str, Any], DeviceState]] = description.derived.setdefault(Device, {})
+        key = profile.name, profile.objects, profile.behaviour, profile.started, node_id, int(record["station"])
+        if new and key in made:  # the same device again
+            fields, state = made[key]
+            for name, value in fields.items():
+                record[name] = value
+            self.adopt(state)
+            self._sdo.refresh()
+            return
+        before = record.copy()
+        self._tabulate()
         self._load(0x0000, 0)
+        if new and len(made) < MOST_MADE:
+            changed = (name for name in record.dtype.names or () if not np.array_equal(before[name], record[name]))
+            made[key] = {name: np.copy(record[name]) for name in changed}, self.state()
 
     @property
     def unreadable(self) -> tuple[str, ...]:

@@ -83,13 +83,24 @@ class PdoRecord:
 
 def records_of(
     description: Description, node_id: int, direction: Direction, period_ns: int, wanted: int
-) -> Iterator[PdoRecord]:
-    """Yield the PDOs of a device that can carry something.
+) -> tuple[PdoRecord, ...]:
+    """Return the PDOs of a device that can carry something: found once for a description.
 
     Parameters
     ----------
     wanted : the transmission type that they are to have, where they can
     """
+    found = description.derived.setdefault(records_of, {})
+    key = node_id, direction, period_ns, wanted
+    if key not in found:
+        found[key] = tuple(_records_of(description, *key))
+    records: tuple[PdoRecord, ...] = found[key]
+    return records
+
+
+def _records_of(
+    description: Description, node_id: int, direction: Direction, period_ns: int, wanted: int
+) -> Iterator[PdoRecord]:
     first = COMMUNICATION[direction]
     for index in sorted(index for index in description.objects if first <= index < first + PDO_COUNT):
         number, mapping = index - first + 1, index - first + MAPPING[direction]
@@ -261,7 +272,7 @@ class _Device:
             return []
         transmission = ON_SYNC if self.direction == "tpdo" else self.parts.bus.transmission
         period_ns = self.parts.bus.period_ns
-        records = list(records_of(self.description, self.part.node_id, self.direction, period_ns, transmission))
+        records = records_of(self.description, self.part.node_id, self.direction, period_ns, transmission)
         standing = [record for record in records if record.entries and not (record.room and record.settable)]
         left = {one.place[1:]: one for one in wanted}
         found: dict[int, tuple[PdoRecord, tuple[Entry, ...]]] = {}

@@ -125,3 +125,12 @@ def test_a_run_for_its_figures_is_the_same_with_and_without(set_ups: list[Virtua
     taken = simulate(rig, "hybrid", 0.4, seed=4, measured=True).as_dict()
     assert len(set_ups) == 1
     assert taken == own
+
+
+@pytest.mark.parametrize("warms", [(), ("plant.coil_thermal_K_W=50.0", "plant.coil_thermal_s=2.0")])
+def test_a_run_that_shows_its_progress_is_the_same(warms: tuple[str, ...]) -> None:
+    rig = load_rig("bench").variant(*warms)
+    shown: list[float] = []
+    told = simulate(rig, "hybrid", 3.0, measured=True, progress=shown.append).as_dict()
+    assert len(shown) > 10
+    assert simulate(rig, "hybrid", 3.0, measured=True).as_dict() == told
