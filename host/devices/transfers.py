@@ -124,6 +124,17 @@ class _Answers:
             answer = yield from self.next()
         raise self.wrong(f"{answer.hex(' ')} is no answer", Abort.COMMAND)
 
+    def no_segment(self, answer: bytes, text: str) -> Nonsense:
+        """Return what an answer is that came in the place of a segment's."""
+        if answer[0] >> 5 in (2, 3) and named(answer) != (self.index, self.subindex):
+            return Twins(
+                f"an answer to an SDO of {where(*named(answer))} came within the {self.what} "
+                f"{where(self.index, self.subindex)}: two devices have this node id (take one off the bus, and give the "
+                "other another id: coulombus lss), or another SDO client asks this node now (sdo, scan)",
+                Abort.GENERAL,
+            )
+        return self.wrong(f"command {answer[0]:02X}h {text}", Abort.COMMAND)
+
     def wrong(self, text: str, code: int) -> Nonsense:
         return Nonsense(f"{self.what} {where(self.index, self.subindex)}: {text}", code)
 
@@ -174,7 +185,7 @@ def _ordinary(say: _Answers, answer: bytes, most: int, progress: Progress) -> Tr
     while not last:
         answer = yield from say.next(bytes((0x60 | toggle,)) + bytes(7))
         if answer[0] >> 5 != 0:
-            raise say.wrong(f"command {answer[0]:02X}h is no segment", Abort.COMMAND)
+            raise say.no_segment(answer, "is no segment")
         if answer[0] & 0x10 != toggle:
             raise say.wrong("the toggle bit did not alternate", Abort.TOGGLE)
         data += answer[1 : 8 - (answer[0] >> 1 & 7)]
@@ -258,7 +269,7 @@ def download(index: int, subindex: int, data: bytes, *, progress: Progress = _no
         command = toggle | (7 - len(part)) << 1 | (start + 7 >= len(data))
         answer = yield from say.next(bytes((command,)) + part.ljust(7, b"\0"))
         if answer[0] >> 5 != 1:
-            raise say.wrong(f"command {answer[0]:02X}h acknowledges no segment", Abort.COMMAND)
+            raise say.no_segment(answer, "acknowledges no segment")
         if answer[0] & 0x10 != toggle:
             raise say.wrong("the toggle bit did not alternate", Abort.TOGGLE)
         toggle ^= 0x10

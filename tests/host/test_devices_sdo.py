@@ -10,6 +10,7 @@ from random import Random
 import canopen
 import pytest
 
+from coulombus.eds.cia301 import Abort
 from coulombus.host.devices.sdo import SdoClient, load_defaults, store_parameters
 from coulombus.host.devices.transfers import Nonsense, Refused, SdoSilent, Twins
 from coulombus.host.errors import HostError
@@ -163,6 +164,17 @@ def test_a_server_that_does_it_wrong_is_told_and_aborted(answer, text, code):
     assert caught.value.exit_status == 6
     if code is not None:
         assert server.requests[-1] == b"\x80" + HEAD + code.to_bytes(4, "little")
+
+
+def test_an_answer_to_somebody_elses_request_within_the_segments_is_a_twins():
+    link = DevicesLink()
+    server = Server(link, 5, upload_of(FULL, b"\x43\x18\x10\x01\xc0\x04\0\0"))
+    with pytest.raises(
+        Twins, match=r"answer to an SDO of 1018h:01 came within the upload of .*another SDO client"
+    ) as caught:
+        SdoClient(link, 5).upload(*PLACE)
+    assert caught.value.exit_status == 3
+    assert server.requests[-1] == b"\x80" + HEAD + Abort.GENERAL.to_bytes(4, "little")
 
 
 def test_an_upload_without_an_end_is_given_up():
