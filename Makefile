@@ -67,8 +67,8 @@ $(VENV)/.made:  # written when all is there: what was interrupted is begun anew,
 	@touch $@
 
 $(VENV)/.run: pyproject.toml | $(VENV)/.made
-	@echo "installing (once) ..."
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[web]'
+	@echo "installing (once), a minute or two ..."
+	@$(BIN)/python -m pip install --disable-pip-version-check --editable '.[web]'
 	@touch $@
 
 $(VENV)/.dev: pyproject.toml | $(VENV)/.made
