@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -73,8 +74,14 @@ def _unit(rig_file: str) -> str:
     return f"{bound.entry.index:04X}h:{bound.entry.subindex:02X}"
 
 
+def _named(path: Path, after: str) -> re.Pattern[str]:
+    """Return what finds a file in a message: a rig file may name it by a path of its own."""
+    return re.compile(rf"\S*/{re.escape(path.name)}{after}")
+
+
 def _lost(texts: Sequence[str], role: str, path: Path) -> str:
-    own = [text.partition(": ")[2].replace(f"{path} ", "the file ") for text in texts if text.startswith(role)]
+    named = _named(path, " ")
+    own = [named.sub("the file ", text.partition(": ")[2]) for text in texts if text.startswith(role)]
     return "<br>".join(dict.fromkeys(text.rpartition("; ")[2] for text in own)) or "nothing"
 
 
@@ -87,7 +94,7 @@ def tried(path: Path, role: str, folder: Path) -> Tried | None:
         if role == "brake":
             return None
         line = next(line for line in said.splitlines() if line.startswith("coulombus: "))
-        reason = line.partition(f"{path}: ")[2].partition("; ")[0]
+        reason = _named(path, ": ").split(line, maxsplit=1)[-1].partition("; ")[0]
         return Tried(path.name, "E", "", "no", reason)
     status, out, _ = _run("check", "--rig", rig_file, "--json")
     checked: dict[str, Any] = json.loads(out)

@@ -7,6 +7,7 @@ Real-time tests are done again if the machine stood still when they failed.
 import signal
 import sys
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 from hypothesis import settings
@@ -42,9 +43,16 @@ watchers = pytest.StashKey[Watchers]()
 
 
 @pytest.fixture
-def private_sockets(tmp_path, monkeypatch):
+def short_path():
+    """A directory for sockets, whose paths have at most 107 bytes: it is short, whatever TMPDIR is."""
+    with TemporaryDirectory(prefix="c-", dir="/tmp") as directory:
+        yield Path(directory)
+
+
+@pytest.fixture
+def private_sockets(short_path, monkeypatch):
     """The built-in buses of this test are its own."""
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(short_path))
 
 
 @pytest.fixture

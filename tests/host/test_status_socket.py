@@ -50,8 +50,8 @@ class Teller:
 
 
 @pytest.fixture
-def teller(tmp_path):
-    made = Teller(tmp_path / "status")
+def teller(short_path):
+    made = Teller(short_path / "status")
     yield made
     made.socket.close()
 
@@ -80,14 +80,14 @@ def test_lines_come_ten_times_a_second_however_often_it_is_looked(teller):
             assert len(file.readlines()) == 5
 
 
-def test_nothing_is_made_where_nobody_reads(tmp_path):
-    made = Teller(tmp_path / "s", lambda: pytest.fail("nobody reads"))
+def test_nothing_is_made_where_nobody_reads(short_path):
+    made = Teller(short_path / "s", lambda: pytest.fail("nobody reads"))
     made.tick(3)
     made.socket.close()
 
 
-def test_a_slow_reader_is_not_waited_for_and_counted_and_let_go(tmp_path):
-    made = Teller(tmp_path / "s", lambda: {"text": "x" * 50_000})
+def test_a_slow_reader_is_not_waited_for_and_counted_and_let_go(short_path):
+    made = Teller(short_path / "s", lambda: {"text": "x" * 50_000})
     with made.reader() as slow, made.reader() as quick:
         for _ in range(round(SLOW_S * 1e9 / PERIOD_NS) + 20):
             made.tick()
@@ -100,8 +100,8 @@ def test_a_slow_reader_is_not_waited_for_and_counted_and_let_go(tmp_path):
     made.socket.close()
 
 
-def test_a_reader_that_was_slow_goes_on_with_whole_lines(tmp_path):
-    made = Teller(tmp_path / "s", lambda: {"text": "x" * 100_000})
+def test_a_reader_that_was_slow_goes_on_with_whole_lines(short_path):
+    made = Teller(short_path / "s", lambda: {"text": "x" * 100_000})
     with made.reader() as reader:
         made.tick(6)
         assert made.socket.left_out > 0
@@ -150,7 +150,7 @@ def test_so_many_readers_and_no_more(teller):
         reader.close()
 
 
-def test_two_hosts_on_one_socket_are_not(teller, tmp_path):
+def test_two_hosts_on_one_socket_are_not(teller, short_path):
     with pytest.raises(StatusError, match="another host"):
         StatusSocket(teller.socket.path, dict)
     with teller.reader() as reader:
@@ -158,8 +158,8 @@ def test_two_hosts_on_one_socket_are_not(teller, tmp_path):
         assert lines(reader, 1)
 
 
-def test_the_socket_of_a_killed_host_is_taken_over_and_other_files_are_not(tmp_path):
-    path = tmp_path / "s"
+def test_the_socket_of_a_killed_host_is_taken_over_and_other_files_are_not(short_path):
+    path = short_path / "s"
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as dead:
         dead.bind(str(path))
     StatusSocket(path, dict).close()

@@ -38,15 +38,17 @@ EFF, RTR, ERR = 0x80000000, 0x40000000, 0x20000000
 TIMEOUT_S = 60.0
 
 
-opened = []
+opened, started = [], []
 
 
 @pytest.fixture(autouse=True)
-def private_directory(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+def private_directory(private_sockets):
     yield
     while opened:
         opened.pop().close()
+    while started:  # none is left where the test failed before its end
+        with started.pop() as process:
+            process.kill()
 
 
 @pytest.fixture(scope="module")
@@ -392,6 +394,7 @@ def start_command(*options, **popen):
         text=True,
         **popen,
     )
+    started.append(process)
     assert process.stdout is not None
     return process, json.loads(process.stdout.readline())
 
