@@ -186,7 +186,7 @@ class KernelCache:
 
     def _loaded(self, sig: Any, target_context: Any) -> Any:
         """Load as numba's `load_overload` does, without its `refresh`: that registers all that a
-        kernel could call, a fifth of a start's time. Who compiles does so itself.
+        kernel could call, an eighth of a start's time. Who compiles does so itself.
         """
         assert self._numbas is not None
         rtsys.initialize(target_context)

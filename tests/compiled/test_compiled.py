@@ -68,7 +68,7 @@ def test_an_edited_callee_in_another_file_is_compiled_anew(tmp_path):
 
 @pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
 def test_nothing_compiles_on_the_second_start_nor_is_prepared_for_it():
-    """What numba registers before it compiles took a fifth of each start."""
+    """What numba registers before it compiles took an eighth of each start."""
     code = "from coulombus.lab.simulate import simulate; simulate('bench', 'hybrid', 0.01)"
     base = {"NUMBA_CACHE_DIR": str(CACHE_DIR)}
     run(code, ROOT, **base)
