@@ -10,7 +10,7 @@ import click
 
 from coulombus.verbs.common import json_option, load, rig_option, set_option, verdict
 from coulombus.verbs.failures import EXIT_STATUS, errors, print_json
-from coulombus.verbs.shown import on_terminal
+from coulombus.verbs.shown import PROSE, on_terminal
 from coulombus.wire.folding import columns_of
 
 if TYPE_CHECKING:
@@ -207,18 +207,17 @@ class _Findings:
             for one in axis.allocation.bound.bindings
             if one.decided
         }
-        width = columns_of(sys.stdout)
-        columns = {} if width is None else {"columns": width}
+        columns = columns_of(sys.stdout) or PROSE
         for pdo in self.rig.pdos():
             click.echo(
                 f"\n{pdo.node} {pdo.name}, COB-ID {pdo.layout.cob_id:03X}h, transmission type {pdo.layout.transmission}"
                 + (", its map is fixed" if pdo.fixed else "")
             )
-            click.echo(pdo.layout.diagram(**columns))
+            click.echo(pdo.layout.diagram(columns))
             for signal in pdo.signals:
                 unit = f" {signal.unit}" if signal.unit else ""
                 by = f"  by {decided[signal.name]}" if signal.name in decided else ""
-                click.echo(on_terminal(f"  {signal.name:<28} = raw x {signal.scale:.9g}{unit}{by}", 6))
+                click.echo(on_terminal(f"  {signal.name:<28} = raw x {signal.scale:.9g}{unit}{by}", 6, PROSE))
 
     def _tell_buses(self) -> None:
         for planned in self.buses.values():
@@ -237,4 +236,4 @@ class _Findings:
         for one in self.reactions:
             within = f"within {one.within_s:g} s by {one.who}" if one.who else "nobody notices"
             off = "" if one.safe_s is None else f" within {one.safe_s:g} s"
-            click.echo(on_terminal(f"  {one.device:<12} {one.fault:<10} {within}: {one.what}{off}", 26))
+            click.echo(on_terminal(f"  {one.device:<12} {one.fault:<10} {within}: {one.what}{off}", 26, PROSE))

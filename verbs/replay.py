@@ -5,8 +5,6 @@ what came of it.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,6 +15,7 @@ from coulombus.verbs.bundle import bundle
 from coulombus.verbs.common import json_option, printed, say, verdict
 from coulombus.verbs.failures import EXIT_STATUS, errors, remark
 from coulombus.verbs.option_types import InputPath
+from coulombus.verbs.shown import progress
 
 if TYPE_CHECKING:
     from coulombus.lab.replay.host_replay import HostReplay
@@ -257,9 +256,20 @@ def _play(file: Path, bus_name: str, rig_name: str | None, playing: Playing, cho
             "Leave them out (--node N, --ids), or give --to-rig if that is what you want"
         )
     total = float(tape.t_ns[-1] - tape.t_ns[0]) / 1e9 / playing.speed * max(playing.loops, 1)
-    with Client(address, Hello(filters=NOTHING)) as client, StopSignals() as stop, _bar(total, as_json) as progress:
+    with (
+        Client(address, Hello(filters=NOTHING)) as client,
+        StopSignals() as stop,
+        progress(not as_json, "played") as report,
+    ):
         ask_for_real_time(playing.priority or None)
-        played = play(tape, client, stop, speed=playing.speed, loops=playing.loops, progress=progress)
+        played = play(
+            tape,
+            client,
+            stop,
+            speed=playing.speed,
+            loops=playing.loops,
+            progress=lambda t_s: report("replay", t_s, total),
+        )
         number = stop.number
     late = played.late_us
     cut_short = not played.complete and number and playing.loops
@@ -299,28 +309,6 @@ def _moves(tape: Tape) -> bool:
     from coulombus.recording.senders import HOST, rig_of, senders
 
     return bool(np.any(senders(tape.frames["can_id"], rig_of(tape.path, None)) == HOST))
-
-
-def _bar(total_s: float, as_json: bool) -> AbstractContextManager[Callable[[float], None]]:
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn
-
-    console = Console(stderr=True)
-    if as_json or not console.is_terminal:
-        return nullcontext(lambda seconds: None)
-    columns = (BarColumn(40), TextColumn("{task.completed:5.1f} of {task.total:.1f} s played"))
-
-    class Bar:
-        def __enter__(self) -> Callable[[float], None]:
-            self.bars = Progress(*columns, console=console)
-            self.bars.start()
-            task = self.bars.add_task("", total=total_s)
-            return lambda seconds: self.bars.update(task, completed=seconds)
-
-        def __exit__(self, *_: object) -> None:
-            self.bars.stop()
-
-    return Bar()
 
 
 @dataclass(frozen=True)

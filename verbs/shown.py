@@ -15,12 +15,16 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 __all__ = [
+    "PROSE",
     "on_terminal",
     "print_fitting",
     "progress",
     "running",
     "table_console",
 ]
+
+PROSE = 100
+"""Columns of what is read in a file or a pipe."""
 
 
 def table_console(width: int) -> Console:
@@ -49,11 +53,11 @@ def print_fitting(console: Console, build: Callable[[Collection[str]], Table], l
     console.print(table)
 
 
-def on_terminal(line: str, indent: int) -> str:
-    """Return a line of stdout: broken as `hanging` does where a terminal ends, whole in a file or a
-    pipe.
+def on_terminal(line: str, indent: int, piped: int | None = None) -> str:
+    """Return a line of stdout: broken as `hanging` does where a terminal ends; whole in a file or a
+    pipe, or broken behind `piped` columns.
     """
-    columns = columns_of(sys.stdout)
+    columns = columns_of(sys.stdout) or piped
     return line if columns is None else hanging(line, columns, indent)
 
 

@@ -40,6 +40,13 @@ def test_a_table_is_whole_in_a_terminal_of_80_columns(terminal, arguments):
     assert [line for line in out.splitlines() if len(line) > COLUMNS and "--set" not in line] == []
 
 
+@pytest.mark.parametrize("arguments", [["check"], ["check", "--rig", "paper"]], ids=" ".join)
+def test_a_list_ends_at_a_hundred_columns_in_a_pipe(arguments):
+    out = CliRunner().invoke(main, arguments).stdout
+    assert len(out.splitlines()) > 10
+    assert [line for line in out.splitlines() if len(line) > 100] == []
+
+
 def test_the_verdict_of_each_message_is_always_there(terminal):
     out = CliRunner().invoke(main, ["plan", "--rig", "two_axes"]).stdout
     rows = [line for line in out.splitlines() if line[:3].isalnum() and line[3:4] == "h"]
