@@ -30,6 +30,8 @@ from coulombus.rigs.toml_lines import Key, read_toml
 __all__ = ["Axis", "Origin", "Sections", "Simulation"]
 
 HYBRID_MARGIN = 1.2
+LAWS_THAT_PUSH = frozenset({"wall"})
+"""The project's laws that have a part for the motor in mode hybrid."""
 
 
 class Sections(Section):
@@ -182,10 +184,12 @@ class Axis(Sections):
         6072h is set to.
 
         In `hybrid` the motor has friction to compensate and nothing else: at most 1.2 times the
-        identified friction.
+        identified friction. Of a law that pushes, the rig file's limit is the limit.
         """
         limit = self.mode[mode].motor_limit_Nm
-        return min(limit, HYBRID_MARGIN * self.mechanics.friction_Nm) if mode == "hybrid" else limit
+        if mode != "hybrid" or self.law.function.strip() in LAWS_THAT_PUSH:
+            return limit
+        return min(limit, HYBRID_MARGIN * self.mechanics.friction_Nm)
 
     @property
     def law_of_recording(self) -> bool:

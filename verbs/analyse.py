@@ -387,6 +387,25 @@ def felt(**options: Any) -> None:
         _felt(_rig(options), options["seed"], options["as_json"])
 
 
+@analyse.command("z-width", epilog=EXIT_STATUS, short_help="How stiff a virtual wall may be, active and hybrid.")
+@rig_option
+@set_option
+@seed_option
+@figures_option
+@json_option
+def z_width(**options: Any) -> None:
+    """The stiffest stable virtual wall over its damping, predicted and through the bus: all by the
+    motor (active), or stiffness by the motor and damping by the brake (hybrid).
+
+    \b
+    Examples:
+      coulombus analyse z-width --figures out/figures
+      coulombus analyse z-width --set bus.delay_cycles=3 --json
+    """
+    with errors():
+        _z_width(_rig(options), options)
+
+
 @analyse.command("map", epilog=EXIT_STATUS)
 @rig_option
 @set_option
@@ -471,6 +490,18 @@ def _felt(rig: Rig, seed: int, as_json: bool) -> None:
     with _bar("felt") as report:
         found = felt_study(rig, seed=seed, progress=report)
     _tell(as_json, lambda: found, found.lines)
+
+
+def _z_width(rig: Rig, options: dict[str, Any]) -> None:
+    from coulombus.analysis.rig.wall_plane import wall_plane
+
+    with _bar("z-width") as report:
+        found = wall_plane(rig, seed=options["seed"], progress=report)
+    _tell(options["as_json"], found.as_dict, found.lines)
+    if options["figures"]:
+        from coulombus.analysis.figures.rig import write_wall_plane
+
+        _tell_paths(write_wall_plane(options["figures"], found))
 
 
 def _map(rig: Rig, options: dict[str, Any]) -> None:

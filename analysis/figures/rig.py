@@ -15,6 +15,7 @@ from coulombus.analysis.rig.friction_study import FrictionStudy
 from coulombus.analysis.rig.hold import HoldStudy
 from coulombus.analysis.rig.maps import OscillationMap, at
 from coulombus.analysis.rig.through_bus import BusCycle
+from coulombus.analysis.rig.wall_plane import WallPlane
 from coulombus.lab.demo.traces import draw_detail, draw_traces, share_labels
 from coulombus.recording.friction.identify import Identification
 from coulombus.recording.pictures.style import BLACK, BLUE, COLOURS, DASHES, GREY, VERMILION, figure, label, save
@@ -33,6 +34,7 @@ __all__ = [
     "write_identification",
     "write_map",
     "write_stick_figure",
+    "write_wall_plane",
 ]
 
 SCATTER = 4000
@@ -319,3 +321,16 @@ def write_map(directory: Path, found: OscillationMap) -> list[Path]:
             f"Oscillating (blue) against quiet (white){'; ' + rest if rest else ''}", fontsize=10, x=0.01, ha="left"
         )
         return [*save(made, directory, "map")]
+
+
+def write_wall_plane(directory: Path, found: WallPlane) -> list[Path]:
+    """Z-width: the stiffest stable wall over its damping; lines are predicted, points are the bus."""
+    with figure(5.5, 3.6) as (made, axes):
+        for mode, colour in (("active", VERMILION), ("hybrid", BLUE)):
+            rows = [row for row in found.rows if row.mode == mode]
+            B = [row.B_Nms_rad for row in rows]
+            axes.plot(B, [row.predicted_Nm_rad for row in rows], color=colour, label=f"{mode}, predicted")
+            axes.plot(B, [row.bus_Nm_rad for row in rows], "o", color=colour, label=f"{mode}, through the bus")
+        axes.legend(loc="best")
+        label(axes, "damping B [Nms/rad]", "stiffness K [Nm/rad]", f"virtual wall, rig {found.rig}")
+        return [*save(made, directory, "z-width")]

@@ -278,6 +278,7 @@ class Controller:
         c["heartbeat_ns"] = round(axis.host.heartbeat_s * 1e9)
         self._set_tpdos(c, pdos)
         c["motor_active"], c["brake_active"] = self.mode == "active", self.mode in ("passive", "hybrid")
+        c["motor_helps"] = self.mode == "hybrid"
 
         self._set_scales(c)
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from coulombus.host.laws.laws import OWN_LAWS
 from coulombus.host.laws.parameters import axis_parameters
-from coulombus.rigs.axis import Axis
+from coulombus.rigs.axis import LAWS_THAT_PUSH, Axis
 from coulombus.rigs.rig import Rig, RigError
 
 __all__ = [
@@ -94,6 +94,8 @@ def _motor(axis: Axis, mode: str) -> Iterator[RigError]:
     if mode == "active":  # in slip the compensation takes its share off
         slip = f"mode.{mode}.F_d_Nm"
         wanted = [Demand(key, Nm - compensation if key == slip else Nm) for key, Nm in _law(axis, mode)] + wanted
+    elif mode == "hybrid" and axis.law.function.strip() in LAWS_THAT_PUSH:  # it pushes back while it compensates
+        wanted = [Demand(key, Nm + compensation) for key, Nm in _law(axis, mode)] + wanted
     limit, whose = motor_limit(axis, mode)
     for key, torque_Nm in wanted:
         if torque_Nm > limit + scale:

@@ -36,7 +36,8 @@ keeps the balance that the hand's port must not overdraw,
 with the transducer's :math:`f_h`, the brake's expected torque and :math:`s` the share that is
 compensated: what the hand gives must pay for brake, viscous friction, and half of what the
 compensation is meant to leave. :math:`D` is what has been paid and is still there: at most the
-kinetic energy, so credit is not kept. A sampled velocity is uneven where a device samples a little
+kinetic energy, so credit is not kept. What the law has for the motor in hybrid, a wall's spring, is
+no compensation: its work is taken off :math:`f_h`, in both directions. A sampled velocity is uneven where a device samples a little
 early or late; so of the last `KINETIC_CYCLES` the largest kinetic energy limits what is paid and the
 smallest is what is owed. What one uneven cycle shows neither eats a payment nor asks for one. From :math:`E = -E_0` (``limits.passivity_J``) on
 the motor's share falls, to nothing at :math:`-2 E_0`, and the brake bears what the motor does not
@@ -136,7 +137,7 @@ def observe(c: ControlRecord, h: HostRecord) -> float:
     if running:
         way = h.moved_counts * c.rad_count
         left_Nm = max(0.5 * (c.friction_Nm - c.compensation_Nm), 0.0)
-        paid_J = (handle_Nm - c.viscous * v) * way - (h.brake_lagged_Nm + left_Nm) * abs(way)
+        paid_J = (handle_Nm - h.pushed_Nm - c.viscous * v) * way - (h.brake_lagged_Nm + left_Nm) * abs(way)
         h.port_J = min(h.port_J + paid_J, most_J)
     h.port_handle_Nm = h.handle_Nm
     share: float = min(max(2.0 - (least_J - h.port_J) / c.passivity_J, 0.0), 1.0)

@@ -68,8 +68,8 @@ def enter(axis: AxisRecord, phase: int, t_ns: int) -> None:
         state.stuck = 1
         state.x_stuck = h.counts * c.rad_count
         state.psi_Nm = 0.0
-        state.brake_Nm = 0.0
-        h.gain = 0.0
+        state.brake_Nm = state.motor_Nm = 0.0
+        h.gain = h.pushed_Nm = 0.0
         h.share, h.port_J, h.track_length = 1.0, 0.0, 0
         for k in range(KINETIC_CYCLES):
             h.port_kinetic_J[k] = 0.0
@@ -210,7 +210,8 @@ def settle(c: ControlRecord, h: HostRecord) -> tuple[float, int]:
 
 @kernel
 def split_law(axis: AxisRecord) -> float:
-    """Split the law by mode: the brake bears it, or the motor shows it.
+    """Split the law by mode: the brake bears it, or the motor shows it; in hybrid the motor shows
+    what the law has for it, a push that a brake cannot give.
 
     The motor compensates the inherent friction in slip, as far as the balance at the hand's port
     allows; what it must not give, the brake bears.
@@ -223,15 +224,20 @@ def split_law(axis: AxisRecord) -> float:
     sense = 0.0
     if abs(h.slide_counts) > c.slide_band_counts:
         sense = 1.0 if h.slide_counts * c.rad_count > 0.0 else -1.0
-    sense, psi_Nm, setpoint = hold_back(c, h, sense, axis.state.psi_Nm, axis.state.brake_Nm)
+    pushed_Nm = 0.0
+    if c.motor_active:
+        pushed_Nm = axis.state.psi_Nm
+    elif c.motor_helps:
+        pushed_Nm = axis.state.motor_Nm
+    sense, pushed_Nm, setpoint = hold_back(c, h, sense, pushed_Nm, axis.state.brake_Nm)
     if sense != 0.0:
         given_Nm = h.share * c.compensation_Nm
         withheld_Nm = c.compensation_Nm - given_Nm
         torque_Nm = sense * given_Nm
         if withheld_Nm > 0.0:
             h.withheld_compensation += 1
-    if c.motor_active:
-        torque_Nm -= psi_Nm
+    torque_Nm -= pushed_Nm
+    h.pushed_Nm = h.gain * pushed_Nm
     if c.brake_active:
         if not setpoint >= 0.0:  # negative or NaN
             h.negative_setpoints += 1
@@ -265,6 +271,9 @@ def run(axis: AxisRecord, law_function: LawFunction, t_ns: int) -> tuple[float, 
     if not math.isfinite(state.brake_Nm):
         h.law_Nm = state.brake_Nm
         h.law_brake = 1
+        return _refuse(h, Trip.LAW)
+    if not math.isfinite(state.motor_Nm):
+        h.law_Nm = state.motor_Nm
         return _refuse(h, Trip.LAW)
     state.psi_Nm = psi_Nm
     torque_Nm = split_law(axis)

@@ -157,6 +157,7 @@ CONTROL = np.dtype(
         ("position_half", np.int64),  # half the counts after which it wraps
         ("motor_active", np.int64),  # 1: the motor displays the law (mode active)
         ("brake_active", np.int64),  # 1: the brake displays the law (modes passive, hybrid)
+        ("motor_helps", np.int64),  # 1: the motor displays the law's part for it (mode hybrid)
         ("brake_is_drive", np.int64),  # 1: the brake has power states of its own
         ("brake_ramps", np.int64),  # 1: its driver ramps it off by itself when set-points end
         # scales
@@ -299,6 +300,7 @@ HOST = np.dtype(
         ("port_kinetic_J", np.float64, (KINETIC_CYCLES,)),  # of the last fresh cycles
         ("port_row", np.int64),
         ("port_handle_Nm", np.float64),
+        ("pushed_Nm", np.float64),  # the law's part that the motor displayed last in hybrid, as psi
         ("safe_from_Nm", np.float64),
         ("ramp_cycle", np.int64),  # of the safe state's brake ramp; 0: not begun
         ("handle_before_Nm", np.float64),  # sums of the handle torque before and in the sign check

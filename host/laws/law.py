@@ -89,6 +89,7 @@ LAW_STATE = np.dtype(
         ("x_stuck", np.float64),  # rad
         ("psi_Nm", np.float64),  # what the law returned last; kept by the host
         ("brake_Nm", np.float64),  # the law's set-point for the brake, >= 0
+        ("motor_Nm", np.float64),  # the law's part for the motor in mode hybrid, as psi; 0 but for laws that push back
         ("user", np.float64, (USER,)),
     ],
     align=True,

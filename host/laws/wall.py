@@ -23,10 +23,11 @@ def wall(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
     Within, for :math:`p = x - x_{wall} > 0`:
 
     .. math:: \psi = \mathrm{sat}\left(\max(K p + B v, 0)/\tau_{max}\right)\tau_{max}, \quad
-        \tau_{brake} = \min(B |v|, \tau_{max})
+        \tau_{brake} = \min(B |v|, \tau_{max}), \quad \tau_{motor} = \min(K p, \tau_{max})
 
-    Outside both are 0. The wall never pulls. Mode active shows :math:`\psi`, damping included; the
-    brake of the modes passive and hybrid bears the damping alone, as it cannot push.
+    Outside all are 0. The wall never pulls. Mode active shows :math:`\psi`, damping included. In
+    hybrid the motor has the stiffness, which must push back when the hand lets go, and the brake the
+    damping, which only takes. In passive the brake has the damping alone.
 
     Source: the paper, Fig. 8; of what stiffness a sampled wall bears, J. J. Abbott, A. M. Okamura,
     Effects of position quantization and sampling rate on virtual-wall passivity, IEEE Trans.
@@ -34,8 +35,9 @@ def wall(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
     """
     p = motion.x_rad - law.x_wall_rad
     if p <= 0.0:
-        state.brake_Nm = 0.0
+        state.brake_Nm = state.motor_Nm = 0.0
         return 0.0
     damping = law.B_Nms_rad * motion.v_rad_s
     state.brake_Nm = min(abs(damping), law.most_Nm)
+    state.motor_Nm = min(law.K_Nm_rad * p, law.most_Nm)
     return float(min(max(law.K_Nm_rad * p + damping, 0.0), law.most_Nm))

@@ -434,6 +434,15 @@ def test_the_motor_shows_the_law_and_compensates_in_slip_only(encoder, counts, c
     assert split("passive", encoder * counts, encoder, psi)[1] == compensation
 
 
+@pytest.mark.parametrize(("mode", "shown"), [("active", -0.5), ("hybrid", -0.25), ("passive", 0.0)])
+@pytest.mark.parametrize("gain", [0.25, 1.0])
+def test_the_motor_has_in_hybrid_what_the_law_has_for_it(mode, shown, gain):
+    bench, _ = split(mode, 0, psi=0.5)
+    bench.c.gain_step, bench.h.gain, bench.axis.state.motor_Nm = 0.0, gain, 0.25
+    assert split_law(bench.axis) == gain * shown
+    assert bench.h.pushed_Nm == -gain * shown
+
+
 def test_the_brake_bears_the_law_unless_the_motor_shows_it():
     for mode, shown in (("active", 0.0625), ("hybrid", 0.75), ("passive", 0.75)):
         assert split(mode, 0)[0].h.brake_Nm == shown

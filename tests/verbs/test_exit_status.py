@@ -75,6 +75,7 @@ BASE = {
     "analyse": "analyse",
     "analyse hold": "analyse hold",
     "analyse felt": "analyse felt",
+    "analyse z-width": "analyse z-width",
     "analyse map": "analyse map",
     "analyse study": "analyse study STUDIED",
     "identify": "identify RECORDING",
@@ -102,7 +103,7 @@ WITH_RIG = (
     "systemd",
     "plan",
 )
-WITH_RIG += ("analyse", "analyse hold", "analyse felt", "analyse map", "identify")
+WITH_RIG += ("analyse", "analyse hold", "analyse felt", "analyse z-width", "analyse map", "identify")
 WITH_SET = (
     "demo",
     "simulate",
@@ -121,6 +122,7 @@ WITH_SET = (
     "analyse",
     "analyse hold",
     "analyse felt",
+    "analyse z-width",
     "analyse map",
 )
 WITH_RECORDING = (

@@ -1,0 +1,170 @@
+r"""The K-B plane of a virtual wall through bus, nodes and PDOs.
+
+A hand that is a damper leans on the wall with a constant torque, so that the handle swings
+about :math:`p = f/K` within it. The motor shows K and B (active), or the motor K and the brake B
+(hybrid). The rig is the given one without inherent friction, off-state torque and the motor's lag:
+what is left is `analysis.loop.z_width.Handle`, whose prediction the display is held against.
+
+A point is stable where nothing trips and the speed of the last part is less than half of the first.
+For each B the largest stable K is found by bisection; hybrid's gain is the ratio of the areas below.
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from coulombus.analysis.loop.z_width import Handle, stable_predicted
+from coulombus.analysis.rig.runs import need_modes
+from coulombus.lab.simulate import simulate
+from coulombus.rigs.rig import Rig, load_rig
+
+__all__ = ["WallPlane", "WallRow", "handle_of", "stable_through_bus", "wall_plane"]
+
+MODES = "active", "hybrid"
+DAMPINGS_NMS_RAD = (0.1, 0.5, 1.0, 1.8)
+LEANS_NM, MOST_NM = 0.3, 4.0
+REST_S, LEAN_S, PART_S = 2.0, 1.0, 0.25
+SOFTEST_NM_RAD, STIFFEST_NM_RAD = 2.0, 2000.0
+HALVINGS = 6
+AT_RAD, HAND_NMS_RAD = 0.1, 0.1
+"""Where the wall is, beyond the sign check's travel; and the hand, which that check needs."""
+
+
+@dataclass(frozen=True)
+class WallRow:
+    """The largest stable stiffness at one damping, in one mode; 0: none."""
+
+    mode: str
+    B_Nms_rad: float
+    predicted_Nm_rad: float
+    bus_Nm_rad: float
+
+
+@dataclass(frozen=True)
+class WallPlane:
+    """The boundary of the stable walls over B."""
+
+    rig: str
+    rows: tuple[WallRow, ...]
+
+    def ratio(self, which: str) -> float:
+        """Return hybrid's area as a multiple of active's, ``predicted`` or ``bus``."""
+        area = {}
+        for mode in MODES:
+            rows = [row for row in self.rows if row.mode == mode]
+            K = [getattr(row, f"{which}_Nm_rad") for row in rows]
+            area[mode] = float(np.trapezoid(K, [row.B_Nms_rad for row in rows]))
+        return area["hybrid"] / area["active"] if area["active"] > 0 else math.inf
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values."""
+        ratios = {which: self.ratio(which) for which in ("predicted", "bus")}
+        return {"rig": self.rig, "rows": [asdict(row) for row in self.rows], "hybrid_to_active": ratios}
+
+    def lines(self) -> Iterator[str]:
+        """Yield the boundary for people."""
+        yield f"rig {self.rig}: the stiffest stable wall [Nm/rad]"
+        yield f"{'mode':<8} {'B [Nms/rad]':>12} {'predicted':>10} {'bus':>10}"
+        for row in self.rows:
+            yield f"{row.mode:<8} {row.B_Nms_rad:>12.3g} {row.predicted_Nm_rad:>10.4g} {row.bus_Nm_rad:>10.4g}"
+        yield f"hybrid's area to active's: predicted {self.ratio('predicted'):.3g}, bus {self.ratio('bus'):.3g}"
+
+
+def handle_of(rig: Rig) -> Handle:
+    """Return the rig's handle and the hand on it, as the prediction takes them."""
+    axis = rig.one_axis()
+    plant = axis.simulation.plant
+    return Handle(
+        plant.inertia_kg_m2,
+        plant.viscous_Nms_rad + HAND_NMS_RAD,
+        rig.bus.period_s,
+        1 + rig.bus.late_cycles,
+        2 * math.pi / (plant.encoder_counts_rev * plant.ratio),
+        plant.brake_coil_lag_s,
+        plant.brake_fluid_lag_s,
+    )
+
+
+def stable_through_bus(rig: Rig, K_Nm_rad: float, B_Nms_rad: float, mode: str, *, seed: int = 0) -> bool:
+    """Return whether a hand that leans on the wall (K, B) feels it at rest, by simulation."""
+    nothing = ("inertia_kg_m2", "stiffness_Nm_rad", "tremor_Nm")
+    leaning = rig.variant(
+        "law.function=wall",
+        *(
+            f"law.wall.{key}"
+            for key in (f"K_Nm_rad={K_Nm_rad}", f"B_Nms_rad={B_Nms_rad}", f"most_Nm={MOST_NM}", f"x_wall_rad={AT_RAD}")
+        ),
+        "law.gain_ramp_s=0.01",
+        f"mode.{mode}.motor_limit_Nm={MOST_NM}",
+        f"mode.{mode}.compensation=0.0",
+        f"limits.brake_torque_Nm={rig.one_axis().brake.rated_torque_Nm}",
+        "limits.torque_rate_Nm_s=1e6",
+        "mechanics.friction_Nm=0.0",
+        *(f"plant.{key}=0.0" for key in ("coulomb_Nm", "brake_off_state_Nm", "motor_lag_s")),
+        *(f"operator.{key}=0.0" for key in nothing),
+        f"operator.damping_Nms_rad={HAND_NMS_RAD}",
+        f'phase=[{{kind="rest", duration_s={REST_S}}}, {{kind="file", duration_s={LEAN_S}, '
+        f"t_s=[0.0, 0.001, {LEAN_S}], torque_Nm=[0.0, {LEANS_NM}, {LEANS_NM}]}}]",
+    )
+    with tempfile.TemporaryDirectory(prefix="coulombus-") as directory:
+        path = Path(directory) / "truth.npz"
+        result = simulate(leaning, mode, REST_S + LEAN_S, truth=path, seed=seed, force=True)
+        if result.trip is not None:
+            return False
+        with np.load(path) as truth:
+            t, speed = truth["t_s"], truth["speed_rad_s"]
+            leans = np.abs(truth["operator_Nm"]) > 0.5 * LEANS_NM
+    begin, end = t[leans][0], t[leans][-1]
+    first = speed[(t >= begin) & (t < begin + PART_S)]
+    last = speed[(t > end - PART_S) & (t <= end)]
+    return bool(np.std(last) < 0.5 * np.std(first))
+
+
+def _stiffest(stable: Callable[[float], bool]) -> float:
+    """Return the largest stable stiffness by bisection of its logarithm; 0 where not even the softest is."""
+    low, high = SOFTEST_NM_RAD, STIFFEST_NM_RAD
+    if not stable(low):
+        return 0.0
+    for _ in range(HALVINGS):
+        middle = math.sqrt(low * high)
+        low, high = (middle, high) if stable(middle) else (low, middle)
+    return math.sqrt(low * high)
+
+
+def wall_plane(
+    rig: Rig | None = None,
+    dampings: Sequence[float] = DAMPINGS_NMS_RAD,
+    *,
+    seed: int = 0,
+    progress: Callable[[float], None] | None = None,
+) -> WallPlane:
+    """Return the boundary of the stable walls, predicted and through PDOs.
+
+    Parameters
+    ----------
+    rig : default is the bench rig; its own law and schedule are not used
+    dampings : values of B [Nms/rad], rising
+
+    Raises
+    ------
+    coulombus.rigs.rig.RigError
+        the rig lacks a mode, or has no wall of this size
+    """
+    rig = load_rig("bench") if rig is None else rig
+    need_modes(rig, *MODES)
+    handle, rows = handle_of(rig), []
+    for mode in MODES:
+        for B in dampings:
+            predicted = _stiffest(lambda K, B=B, mode=mode: stable_predicted(handle, K, B, mode))  # type: ignore[misc]
+            bus = _stiffest(lambda K, B=B, mode=mode: stable_through_bus(rig, K, B, mode, seed=seed))  # type: ignore[misc]
+            rows.append(WallRow(mode, B, predicted, bus))
+            if progress is not None:
+                progress(len(rows) / (len(MODES) * len(dampings)))
+    return WallPlane(rig.name, tuple(rows))
