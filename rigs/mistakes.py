@@ -26,17 +26,18 @@ PREFIXES = {"": 1.0, "n": 1e-9, "u": 1e-6, "\u00b5": 1e-6, "\u03bc": 1e-6, "m": 
 class RigError(Exception):
     """A rig file is refused; `errors` holds one line for each mistake, all that were found.
 
-    `problems` are those of them that are about a role.
+    `problems` are those of them that are about a role; `lacking` has the keys that are missing in a
+    section that is there, as ``--set`` takes them.
     """
 
     exit_status = 3
 
-    def __init__(self, errors: Sequence[str], problems: Sequence[Problem] = ()) -> None:
-        self.errors, self.problems = tuple(errors), tuple(problems)
+    def __init__(self, errors: Sequence[str], problems: Sequence[Problem] = (), lacking: Sequence[str] = ()) -> None:
+        self.errors, self.problems, self.lacking = tuple(errors), tuple(problems), tuple(lacking)
         super().__init__("\n".join(self.errors))
 
-    def __reduce__(self) -> tuple[type[RigError], tuple[tuple[str, ...], tuple[Problem, ...]]]:
-        return type(self), (self.errors, self.problems)
+    def __reduce__(self) -> tuple[type[RigError], tuple[tuple[str, ...], tuple[Problem, ...], tuple[str, ...]]]:
+        return type(self), (self.errors, self.problems, self.lacking)
 
 
 @dataclass
@@ -57,6 +58,8 @@ class Source:
     wrong: set[Key] = field(default_factory=set)
     problems: list[Problem] = field(default_factory=list)
     """What is wrong with roles."""
+    lacking: list[str] = field(default_factory=list)
+    """Keys that are missing in a section that is there."""
 
     def of_axis(self, name: str) -> Source:
         """Return a source of its own for the axis `name` of the same file."""
@@ -108,6 +111,11 @@ class Source:
         hint = nearest(value, known) if isinstance(value, str) else ""
         self.say(key, f"got '{shown(value)}', expected {wanted}{hint}")
 
+    def lacks(self, key: Key, wanted: str) -> None:
+        """Note that `key` is missing in a section that is there."""
+        self.lacking.append(self.spelled(key))
+        self.say(key, f"missing in [{dotted(key[:-1])}]; expected {wanted}")
+
     def is_wrong(self, key: Key) -> bool:
         """Tell whether the value of `key`, or one that holds it, is known to be wrong."""
         if any(key[:length] in self.wrong for length in range(1, len(key) + 1)):
@@ -118,7 +126,8 @@ class Source:
         """Raise RigError with every mistake, in the file's order, if there is one."""
         if self.found:
             ordered = [text for _, text in sorted(self.found, key=lambda item: item[0])]
-            raise RigError(list(dict.fromkeys(ordered)), self.problems)  # what several axes share is said once
+            said_once = list(dict.fromkeys(ordered))  # what several axes share
+            raise RigError(said_once, self.problems, list(dict.fromkeys(self.lacking)))
 
 
 def _depth(values: Any, key: Key) -> int:

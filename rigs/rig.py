@@ -429,6 +429,7 @@ def _load(
         check_axes(named, sources)
         for one in sources.values():
             source.found += one.found
+            source.lacking += one.lacking
             source.problems += one.problems
     source.raise_all()
     law_named = any(override.partition("=")[0].strip().endswith("law.function") for override in overrides)

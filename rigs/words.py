@@ -145,7 +145,7 @@ def explain(error: ValidationError, values: Table, schema: type[BaseModel], sour
         name = next(part for part in reversed(key) if isinstance(part, str))
         if detail["type"] == "missing" and info is not None:
             if len(key) > 1:
-                source.say(key, f"missing in [{dotted(key[:-1])}]; expected {expected(name, info)}")
+                source.lacks(key, expected(name, info))
             else:
                 source.say(key, f"the section is missing; expected [{name}] ({info.description})")
         elif detail["type"] == "extra_forbidden" or info is None:

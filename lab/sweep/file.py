@@ -46,8 +46,6 @@ __all__ = ["Sweep", "SweepError", "read_sweep"]
 YEAR_S = 31_557_600
 MOST_RUNS = 1_000_000
 RATE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
-MISSING = re.compile(r"(\S+): missing in \[(\S+?)\]")
-"""What a rig says of a section that has a key and lacks another."""
 LEAF = ("values", "low", "high", "scale", "count")
 """Keys of what is tried of a key: where one of them stands, the key's own name ends."""
 CONTRADICTIONS = (
@@ -321,22 +319,24 @@ def _on_rig(place: Key, vary: Vary, rig: Rig, mistakes: FileMistakes) -> Vary:
         mistakes.say(place, str(error))
         return vary
     refused: list[str] = []
+    lacking: tuple[str, ...] = ()
     for value in whole.tried():
         try:
             rig.variant(whole.override(value))
             return whole
         except RigError as error:
+            lacking = lacking or error.lacking
             refused.append(error.errors[0].removeprefix(f"--set {whole.override(value)}: "))
-    mistakes.say(place, f"the rig refuses it: {refused[0]}{_beside(vary.key, refused[0])}")
+    mistakes.say(place, f"the rig refuses it: {refused[0]}{_beside(vary.key, lacking)}")
     return whole
 
 
-def _beside(key: str, refused: str) -> str:
-    """Return how a key is given that lacks another one of its section."""
-    lacking = MISSING.search(refused)
-    if lacking is None:
+def _beside(key: str, lacking: tuple[str, ...]) -> str:
+    """Return how a key is given that lacks others of its section."""
+    if not lacking:
         return ""
-    return f'; give what is not varied of [{lacking[2]}] beside [vary]: set = ["{key}=...", "{lacking[1]}=..."]'
+    section, given = lacking[0].rpartition(".")[0], ", ".join(f'"{one}=..."' for one in (key, *lacking))
+    return f"; give what is not varied of [{section}] beside [vary]: set = [{given}]"
 
 
 def _own(rig: Rig, key: str) -> Any:
