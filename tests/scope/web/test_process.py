@@ -25,6 +25,7 @@ from tornado.websocket import websocket_connect
 from chromium import CHROMIUM, Browser
 from coulombus.scope.web.batch import unpacked
 from coulombus.scope.web.server import CONNECTIONS, RUBBISH
+from warm_start import Warm
 
 pytestmark = pytest.mark.slow
 
@@ -32,8 +33,8 @@ pytestmark = pytest.mark.slow
 @contextmanager
 def page_of(*words, port=0):
     """A server that is ready, as a process; yields it and its URL."""
-    command = [sys.executable, "-m", "coulombus", "watch", "--bus", "coulombus:bench", "--web", "--json"]
-    with subprocess.Popen(
+    command = ["watch", "--bus", "coulombus:bench", "--web", "--json"]
+    with Warm(
         [*command, "--web-port", str(port), *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:
         try:
