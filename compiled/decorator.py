@@ -20,7 +20,9 @@ references are not counted.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any, TypeVar
 
 from coulombus.compiled.kernel_cache import choose
@@ -38,12 +40,27 @@ __all__ = [
     "kernel",
 ]
 
+
+@contextmanager
+def _without(module: str) -> Iterator[None]:
+    """Let `module` be absent while another one is imported; one that is loaded stays."""
+    if module in sys.modules:
+        yield
+        return
+    sys.modules[module] = None  # type: ignore[assignment]
+    try:
+        yield
+    finally:
+        del sys.modules[module]
+
+
 F = TypeVar("F", bound=Callable[..., Any])
 
 CACHE_DIR = choose(source_key(ROOT))
 """Where the machine code is kept; None where no place can be written."""
 
-import numba  # noqa: E402  (only now does numba read NUMBA_CACHE_DIR)
+with _without("coverage"):  # numba would load it, a tenth of a start, to ask whether it measures
+    import numba  # only now does numba read NUMBA_CACHE_DIR
 import numpy as np  # noqa: E402
 from numba.core import cgutils, event, types  # noqa: E402
 from numba.core.imputils import impl_ret_untracked  # noqa: E402
