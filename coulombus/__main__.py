@@ -3,6 +3,7 @@
 Its imports take a second, in which a signal may come.
 """
 
+import atexit
 import gc
 
 from coulombus.wire.stopping import at_once
@@ -17,6 +18,7 @@ def main() -> None:
     """Run the command line; until a verb begins, a signal ends the process at once."""
     at_once()
     gc.set_threshold(YOUNG)
+    atexit.register(gc.freeze)  # Python looks for circles once more at the end, a fifth of a short verb's time
     from coulombus.verbs.main import main as verbs
 
     verbs(prog_name="coulombus")
