@@ -430,7 +430,8 @@ class Controller:
         if trip is Trip.NONE:
             return None
         node = self.axis.devices[int(self.host["doubtful"][0])]
-        returned = f"{float(self.host['law_Nm'][0]):g} Nm{' for the brake' if self.host['law_brake'][0] else ''}"
+        part = ("", " for the brake", " for the motor")[int(self.host["law_part"][0])]
+        returned = f"{float(self.host['law_Nm'][0]):g} Nm{part}"
         told = TRIP_TEXT[trip].format(
             missed_cycles=int(self.control["missed_cycles"][0]),
             node=node,

@@ -270,10 +270,11 @@ def run(axis: AxisRecord, law_function: LawFunction, t_ns: int) -> tuple[float, 
         return _refuse(h, Trip.LAW)
     if not math.isfinite(state.brake_Nm):
         h.law_Nm = state.brake_Nm
-        h.law_brake = 1
+        h.law_part = 1
         return _refuse(h, Trip.LAW)
     if not math.isfinite(state.motor_Nm):
         h.law_Nm = state.motor_Nm
+        h.law_part = 2
         return _refuse(h, Trip.LAW)
     state.psi_Nm = psi_Nm
     torque_Nm = split_law(axis)

@@ -264,7 +264,7 @@ HOST = np.dtype(
         ("nmt", np.int64, (MOST_DEVICES,)),
         ("doubtful", np.int64),  # the node whose EMCY or heartbeat tripped
         ("law_Nm", np.float64),  # what the law returned that is not finite ...
-        ("law_brake", np.int64),  # ... 1: as the brake's set-point
+        ("law_part", np.int64),  # ... 0: as its result, 1: for the brake, 2: for the motor
         # measured
         ("image", np.int64, (IMAGE_SLOTS,)),
         ("raw_position", np.int64),  # 6064h as it came last

@@ -548,7 +548,7 @@ def told(motion, law, state):
     state.user[1], state.user[2], state.user[3] = motion.x_rad, motion.v_rad_s, motion.v_counts
     state.user[4] = motion.handle_Nm
     state.user[5] += 1.0
-    state.brake_Nm = law.user[1]
+    state.brake_Nm, state.motor_Nm = law.user[1], law.user[2]
     return law.user[0] + k
 
 
@@ -584,20 +584,26 @@ NO_NUMBERS = (math.nan, math.inf, -math.inf)
 
 
 @pytest.mark.parametrize(
-    ("psi", "brake"),
-    [*((wrong, 1.0) for wrong in NO_NUMBERS), *((0.5, wrong) for wrong in NO_NUMBERS), (math.nan, math.nan)],
+    ("psi", "brake", "motor"),
+    [
+        *((wrong, 1.0, 0.0) for wrong in NO_NUMBERS),
+        *((0.5, wrong, 0.0) for wrong in NO_NUMBERS),
+        *((0.5, 1.0, wrong) for wrong in NO_NUMBERS),
+        (math.nan, math.nan, math.nan),
+    ],
 )
-def test_a_law_that_gives_no_finite_number_trips_and_is_not_kept(psi, brake):
+def test_a_law_that_gives_no_finite_number_trips_and_is_not_kept(psi, brake, motor):
     bench = HostBench("active").enter(Phase.RUN, counts=40)
     bench.k.law_function = TOLD
-    bench.k.law[0].user[0], bench.k.law[0].user[1] = psi, brake
+    bench.k.law[0].user[0], bench.k.law[0].user[1], bench.k.law[0].user[2] = psi, brake, motor
     bench.k.state[0].psi_Nm = 0.25
     bench.cycle()
     assert bench.h.trip == Trip.LAW
     assert bench.h.trip_ns == bench.t_ns
     assert bench.motor_pm == 0
     assert bench.k.state[0].psi_Nm == 0.25
-    value = f"{brake:g} Nm for the brake" if math.isfinite(psi) else f"{psi:g} Nm"
+    parts = {f"{psi:g} Nm": psi, f"{brake:g} Nm for the brake": brake, f"{motor:g} Nm for the motor": motor}
+    value = next(text for text, part in parts.items() if not math.isfinite(part))
     assert bench.k.trip == f"LAW: the friction law karnopp returned {value}, which is no finite number (law.function)"
 
 

@@ -539,6 +539,14 @@ def test_the_safe_states_ramp_goes_on_by_one_step_a_cycle():
         assert (bench.phase, bench.h.ramp_cycle) == (Phase.SAFE, ramp_cycle)
 
 
+@pytest.mark.parametrize("phase", [Phase.STILL, Phase.RUN])
+def test_a_wall_of_before_pushes_nothing_when_the_law_begins_anew(phase):
+    bench = standing(phase)
+    bench.axis.state.motor_Nm, bench.h.pushed_Nm = 0.75, 0.5
+    enter(bench.axis, int(Phase.RUN), T)
+    assert (bench.axis.state.motor_Nm, bench.h.pushed_Nm) == (0.0, 0.0)
+
+
 def observed(share, counts, *, felt=0, setpoint=0.5):
     """Split the law while the observer allows `share` of the compensation."""
     bench = standing(Phase.RUN)
