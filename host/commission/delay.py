@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from coulombus.host.commission.friction import FREE_HAND
 from coulombus.host.commission.samples import Floats, sync_before
@@ -169,7 +169,7 @@ def _answer(recording: Recording, asked: str, answered: str) -> _Answer:
         inside = rising & (share < 1.0)
         if np.any(inside):
             delays.append(float(np.mean(lag[inside] - np.log(1 - share[inside]) / slope)))
-    reach = student.ppf(0.975, len(delays) - 1) * np.std(delays, ddof=1) / np.sqrt(len(delays))
+    reach = stdtrit(len(delays) - 1, 0.975) * np.std(delays, ddof=1) / np.sqrt(len(delays))
     rounding = abs(recording.scale(answered)) / float(np.mean(sizes)) / abs(slope)  # half a count at either end
     return _Answer(
         delay_us=float(-offset / slope * 1e6),

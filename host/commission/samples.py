@@ -7,7 +7,7 @@ from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from coulombus.eds.cia301 import CobId
 from coulombus.host.commission.step import CommissionError
@@ -61,7 +61,7 @@ def mean_in(series: Series, begin_s: float, end_s: float, what: str) -> Mean:
     deviation = float(np.std(values, ddof=1))
     return Mean(
         float(np.mean(values)),
-        float(student.ppf(0.5 + CONFIDENCE / 2, independent - 1) * deviation / np.sqrt(independent)),
+        float(stdtrit(independent - 1, 0.5 + CONFIDENCE / 2) * deviation / np.sqrt(independent)),
         deviation,
     )
 
@@ -154,7 +154,7 @@ def fit(columns: list[Floats], y: Floats, block: int) -> Fit:
     beta = inverse @ (X.T @ Y)
     residual = Y - X @ beta
     variance = float(residual @ residual) / freedom
-    reach = student.ppf(0.5 + CONFIDENCE / 2, freedom) * np.sqrt(variance * np.diag(inverse))
+    reach = stdtrit(freedom, 0.5 + CONFIDENCE / 2) * np.sqrt(variance * np.diag(inverse))
     return Fit(beta, reach, residual)
 
 

@@ -25,7 +25,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize_scalar
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from coulombus.recording.friction.sliding import Equations, IdentifyError
 
@@ -261,7 +261,7 @@ def fit_friction(equations: Equations, torque: Floats, remarks: list[str] | None
         # at the optimum the tangent's own coefficient is 0: residuals and the others are those of
         # `chosen`
         wide_error, wide_freedom = _errors(full, clusters)
-        low = height - student.ppf(0.5 + STRIBECK_LEVEL / 2, wide_freedom[-2]) * wide_error[-2]
+        low = height - stdtrit(wide_freedom[-2], 0.5 + STRIBECK_LEVEL / 2) * wide_error[-2]
         if low > 0.0:
             columns["stribeck"] = stribeck.shape, 0.0
             solution, error, freedom = chosen, wide_error[:-1], wide_freedom[:-1]
@@ -269,7 +269,7 @@ def fit_friction(equations: Equations, torque: Floats, remarks: list[str] | None
             stribeck = None
     if stribeck is None:
         notes.append("the data do not carry Stribeck's term")
-    reach = student.ppf(0.5 + CONFIDENCE / 2, freedom) * error
+    reach = stdtrit(freedom, 0.5 + CONFIDENCE / 2) * error
     beta = solution.beta / solution.scale
 
     def estimate(name: str) -> Estimate | None:

@@ -26,7 +26,6 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares, lsq_linear
-from scipy.signal import lfilter
 
 from coulombus.recording.friction.sliding import (
     REVERSAL_S,
@@ -98,6 +97,8 @@ def play(coil_Nm: Floats, r_Nm: float) -> Floats:
 
 def _lagged(values: Floats, lag_s: float, period_s: float) -> Floats:
     share = 1.0 - np.exp(-period_s / lag_s) if lag_s > 0 else 1.0
+    from scipy.signal import lfilter  # takes a second to load
+
     found: Floats = np.asarray(lfilter([share], [1.0, share - 1.0], values), np.float64)
     return found
 

@@ -33,7 +33,6 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from scipy.signal import savgol_coeffs, savgol_filter
 
 from coulombus.eds.cia402 import STATE_OF_STATUSWORD, PowerState
 from coulombus.recording.signals import Series, Source, series
@@ -382,6 +381,8 @@ def _filtered(samples: list[Floats], weight: Floats, hop: int) -> Floats:
 
 def weights(size: int, period_s: float) -> tuple[Floats, Floats, Floats]:
     """Return the weights F (of torques), F' and F'' (of positions), `size` samples each."""
+    from scipy.signal import savgol_coeffs  # takes a second to load: an import for the few who fit
+
     second = np.asarray(savgol_coeffs(size, 2, deriv=2, delta=period_s, use="dot"), np.float64)
     window = np.cumsum(np.cumsum(second))[:-2] * period_s**2  # its second difference is `second`
     first = np.convolve(window, [-0.5, 0.0, 0.5]) / period_s
@@ -392,6 +393,8 @@ def weights(size: int, period_s: float) -> tuple[Floats, Floats, Floats]:
 
 def equations(slides: tuple[Slide, ...], period_s: float, count_rad: float, window_s: float = WINDOW_S) -> Equations:
     """Return the equations of slides, each a quarter of a window after the one before."""
+    from scipy.signal import savgol_filter
+
     size = 2 * max(round(0.5 * (window_s / period_s - 1)), 2) + 1
     hop = max(size // 4, 1)
     weight, first, second = weights(size, period_s)
