@@ -17,8 +17,7 @@ class KikuuweParameters(Parameters):
 
 @friction_law(KikuuweParameters, state=("e_rad",), extremes=("F_c_Nm",))
 def kikuuwe(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
-    r"""Kikuuwe's friction: Coulomb's set-valued law, solved by implicit Euler behind a spring and a
-    damper.
+    r"""Kikuuwe's friction: Coulomb's, by implicit Euler, behind a spring and a damper.
 
     .. math::
 

@@ -1,4 +1,4 @@
-"""The Leuven law: LuGre's bristles whose spring is a hysteresis with a memory that is not local."""
+"""The Leuven law: LuGre's bristles on a hysteresis with non-local memory."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class LeuvenParameters(Parameters):
 
 @friction_law(LeuvenParameters, state=(("F_Nm", 4),), extremes=("F_s_Nm",))
 def leuven(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
-    r"""The Leuven law: LuGre's bristles whose spring is a hysteresis with a memory that is not local.
+    r"""The Leuven law: LuGre's bristles on a hysteresis with non-local memory.
 
     .. math::
 

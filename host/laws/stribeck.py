@@ -1,4 +1,4 @@
-"""Stribeck friction: a level that falls with the speed, in three forms, and viscous friction."""
+"""Stribeck friction: a level that falls with speed (three forms), and a viscous part."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class StribeckParameters(Parameters):
 
 @friction_law(StribeckParameters, extremes=("F_s_Nm",))
 def stribeck(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
-    r"""Stribeck friction: a level that falls with the speed, in three forms, and viscous friction.
+    r"""Stribeck friction: a level that falls with speed (three forms), and a viscous part.
 
     .. math::
 

@@ -27,6 +27,7 @@ def test_the_laws_are_listed():
     done = run()
     assert done.exit_code == 0
     assert [line.split()[0] for line in done.stdout.splitlines()[:-1]] == list(OWN_LAWS)
+    assert max(map(len, done.stdout.splitlines())) <= 100
     listed = json.loads(run("--json").stdout)["laws"]
     assert [one["law"] for one in listed] == list(OWN_LAWS)
     assert {one["section"] for one in listed} >= {"law.lugre", "law.dahl", "mode.NAME and law"}
