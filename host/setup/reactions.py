@@ -48,7 +48,7 @@ def reactions_of(axis: Axis, node: str, settings: Iterable[Setting]) -> tuple[Re
     ours = is_own(node, told_identity(description))
     found = [*_watches(axis, node, part, set_there)]
     told = ours or (0x6007, 0) in set_there
-    what, ramp_s = "torque 0, drive disabled" if told else "the drive's own reaction", 0.0
+    what, ramp_s = "torque 0, disabled" if told else "the drive's own reaction", 0.0
     if node == "brake" and profile_of(description, "brake") != CIA402:
         told = any(
             {(value, sub), (mode, sub)} <= set(set_there) for value, mode in FAULT_VALUES for _, sub in set_there

@@ -242,9 +242,9 @@ def test_after_shutdown_every_call_says_so(bus):
             call()
 
 
-def test_the_socket_of_a_dead_process_is_no_bus(bus, tmp_path):
+def test_the_socket_of_a_dead_process_is_no_bus(bus, short_path):
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as dead:
-        dead.bind(str(tmp_path / "coulombus" / "dead"))
+        dead.bind(str(short_path / "coulombus" / "dead"))
     assert "dead" in bus_names()
     assert can.detect_available_configs(["coulombus"]) == [{"interface": "coulombus", "channel": "bench"}]
     with pytest.raises(can.CanInitializationError, match="start one in another terminal"):
