@@ -28,7 +28,7 @@ test: $(VENV)/.dev  ## all tests: those in virtual time side by side, then those
 	exit $$failed
 
 fast: $(VENV)/.dev  ## a minute of tests in plain Python: nothing is compiled
-	@NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q -n auto --maxprocesses 4 -m "not real_time and not slow" $(FAST)
+	@NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q -n auto --maxprocesses 4 --durations=3 -m "not real_time and not slow" $(FAST)
 
 COVERED := $(BIN)/python -m coverage run --parallel-mode -m pytest -q -p no:cacheprovider -m "not real_time and not slow"
 REACHED := wire/*,eds/*,rigs/*,recording/*,host/cycle/*

@@ -16,6 +16,7 @@ from coulombus.recording.signals import blocks
 from coulombus.rigs.rig import load_rig
 from coulombus.verbs.main import main
 
+pytestmark = pytest.mark.slow  # in plain Python six minutes
 IRON = [0.1, 0.4], [0.2, 0.2]
 
 
