@@ -10,12 +10,14 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 from standstill import LIMIT_S, Watchers
 from tiny_bus import tiny_bus
 
-settings.register_profile("coulombus", derandomize=True, deadline=None)
+settings.register_profile(  # how fast a busy machine draws is nothing that a test asks
+    "coulombus", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow]
+)
 settings.load_profile("coulombus")
 
 ROOMS = {path.name for path in (Path(__file__).resolve().parents[1] / "coulombus").iterdir() if path.is_symlink()}

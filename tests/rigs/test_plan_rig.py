@@ -243,6 +243,7 @@ def test_bring_up_refuses_and_names_the_frame():
         switch_on(world)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["bench", "two_axes"])
 def test_no_frame_of_a_rig_is_later_than_its_bound(name):
     """Two seconds with an SDO transfer every few milliseconds, begun at every part of the cycle."""
