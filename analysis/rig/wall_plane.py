@@ -15,6 +15,7 @@ import math
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -162,8 +163,8 @@ def wall_plane(
     handle, rows = handle_of(rig), []
     for mode in MODES:
         for B in dampings:
-            predicted = _stiffest(lambda K, B=B, mode=mode: stable_predicted(handle, K, B, mode))  # type: ignore[misc]
-            bus = _stiffest(lambda K, B=B, mode=mode: stable_through_bus(rig, K, B, mode, seed=seed))  # type: ignore[misc]
+            predicted = _stiffest(partial(stable_predicted, handle, B_Nms_rad=B, mode=mode))
+            bus = _stiffest(partial(stable_through_bus, rig, B_Nms_rad=B, mode=mode, seed=seed))
             rows.append(WallRow(mode, B, predicted, bus))
             if progress is not None:
                 progress(len(rows) / (len(MODES) * len(dampings)))

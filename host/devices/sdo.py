@@ -11,6 +11,7 @@ from typing import Generic, TypeVar, cast
 from coulombus.eds.cia301 import Abort, CobId
 from coulombus.eds.sdo_frames import where
 from coulombus.host.devices.transfers import (
+    APART,
     MOST_BYTES,
     Nonsense,
     Progress,
@@ -79,14 +80,14 @@ class Talk(Generic[T]):
 
     def _go_on(self, act: Callable[[], Turn]) -> None:
         try:
-            step = act()
+            turn = act()
             while True:
-                for message in step.messages:
+                for message in turn.messages:
                     self._object = self._object or named(message)
                     self._send(message)
-                if step.waits:
+                if turn.waits:
                     break
-                step = self._transfer.send(b"")
+                turn = self._transfer.send(b"")
             self.deadline_ns = self._link.now_ns() + self._timeout_ns
         except StopIteration as stop:
             self.value, self.done = stop.value, True
@@ -216,15 +217,15 @@ class SdoClient:
     def _watched(self, transfer: Transfer[T]) -> Transfer[T]:
         """Do a transfer, and look at each answer whether it is one to the transfer before."""
         try:
-            step = next(transfer)
-            place = named(step.messages[0])
+            turn = next(transfer)
+            place = named(turn.messages[0])
             if place == self._ended:
                 self._ended = None
             while True:
-                answer = yield step
+                answer = yield turn
                 if answer:
                     self._look(answer)
-                step = transfer.send(answer)
+                turn = transfer.send(answer)
         except (StopIteration, Refused) as end:
             self._ended = place
             if isinstance(end, Refused):
@@ -235,8 +236,7 @@ class SdoClient:
         """Refuse a second answer to the transfer before."""
         if answer[0] >> 5 in (2, 3, 4) and named(answer) == self._ended:
             raise Twins(
-                f"two devices answer as node {self.node_id} (SDO of {where(*named(answer))}): take one off the bus, "
-                "and give the other another id (coulombus lss); or another SDO client asks it now (sdo, scan)",
+                f"two devices answer as node {self.node_id} (SDO of {where(*named(answer))}): {APART}",
                 Abort.GENERAL,
             )
 

@@ -19,6 +19,7 @@ from coulombus.host.errors import DeviceMismatch, NodeMissing, SdoAborted
 
 __all__ = [
     "ABORT",
+    "APART",
     "BLOCK",
     "Nonsense",
     "Progress",
@@ -56,6 +57,10 @@ MOST_BYTES = 1 << 26
 """An upload that tells a greater length has no end that matters."""
 MOST_UNTOLD = 1 << 22
 """An upload that does not tell its length is given up here."""
+APART = (
+    "take one off the bus, and give the other another id (coulombus lss); or another SDO client asks it now (sdo, scan)"
+)
+"""What to do about two devices of one node id."""
 REPEATS = 5
 """So often in a row a server may ask for the same segments."""
 
@@ -129,8 +134,7 @@ class _Answers:
         if answer[0] >> 5 in (2, 3) and named(answer) != (self.index, self.subindex):
             return Twins(
                 f"an answer to an SDO of {where(*named(answer))} came within the {self.what} "
-                f"{where(self.index, self.subindex)}: two devices have this node id (take one off the bus, and give the "
-                "other another id: coulombus lss), or another SDO client asks this node now (sdo, scan)",
+                f"{where(self.index, self.subindex)}: two devices have this node id: {APART}",
                 Abort.GENERAL,
             )
         return self.wrong(f"command {answer[0]:02X}h {text}", Abort.COMMAND)
