@@ -62,7 +62,7 @@ async def frames_per_s(url: str, over: Callable[[], None]) -> tuple[float, str]:
     sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "support"))
     from chromium import Browser
 
-    with tempfile.TemporaryDirectory() as profile:
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         async with Browser(url, profile) as browser:
             await browser.until("frames > 10 && one('phase').textContent === 'running'", PATIENCE_S)
             await asyncio.sleep(WARM_S)
