@@ -55,6 +55,8 @@ docs: $(VENV)/.docs  ## the site of the documents, in out/site; fails on a warni
 bench: $(VENV)/.dev  ## the figures of speed, as ratios
 	@$(BIN)/python -m benchmarks
 
+INSTALL := $(BIN)/python -m pip install --no-compile --disable-pip-version-check
+
 $(VENV)/.made:  # written when all is there: what was interrupted is begun anew, and what works is kept
 	@test -n "$(PYTHON)" || { echo "make: Python 3.11 or newer is needed; name one with PYTHON=/path/to/python3.11" >&2; exit 1; }
 	@"$(PYTHON)" -c '$(NEEDED)' || { echo "make: $(PYTHON) is older than 3.11" >&2; exit 1; }
@@ -66,9 +68,14 @@ $(VENV)/.made:  # written when all is there: what was interrupted is begun anew,
 		else echo "make: cannot create a virtual environment (Debian: apt install python3-venv)" >&2; fi; exit 1; }; }
 	@touch $@
 
-$(VENV)/.run: pyproject.toml | $(VENV)/.made
-	@echo "installing (once), a minute or two ..."
-	@$(BIN)/python -m pip install --disable-pip-version-check --editable '.[web]'
+$(VENV)/.run: pyproject.toml | $(VENV)/.made  # what the demo compiles is begun while the rest is installed
+	@echo "installing (once), half a minute ..."
+	@$(BIN)/python -c 'import tomllib; \
+	wanted = tomllib.load(open("pyproject.toml", "rb"))["project"]["dependencies"]; \
+	print(*(one for one in wanted if not one.startswith(("cantools", "matplotlib", "scipy"))), sep="\n")' \
+	| $(INSTALL) --requirement /dev/stdin
+	@$(BIN)/python -m coulombus sim --bus coulombus:make-$$$$ --seconds 0.001 >/dev/null 2>&1 </dev/null & \
+	$(INSTALL) --editable '.[web]'
 	@touch $@
 
 $(VENV)/.dev: pyproject.toml | $(VENV)/.made

@@ -37,7 +37,9 @@ __all__ = [
     "cached",
     "compile_together",
     "inlined",
+    "kept",
     "kernel",
+    "taken",
 ]
 
 
@@ -232,18 +234,33 @@ class Entry:
         return (self._entry or self.load(*arguments))(*arguments)
 
 
-def compile_together(whole: Callable[..., Any], parts: Sequence[tuple[Callable[..., Any], tuple[Any, ...]]]) -> None:
+def kept(whole: Callable[..., Any]) -> bool:
+    """Tell whether nothing is to be compiled for the kernel `whole`, or nothing can be kept."""
+    dispatcher: Any = whole
+    return JIT_DISABLED or CACHE_DIR is None or bool(dispatcher._cache.kept)
+
+
+def taken(whole: Callable[..., Any]) -> bool:
+    """Tell whether another process compiles the kernel `whole` now."""
+    dispatcher: Any = whole
+    return not kept(whole) and bool(dispatcher._cache.taken)
+
+
+def compile_together(whole: Callable[..., Any], parts: Sequence[tuple[Callable[..., Any], tuple[Any, ...]]]) -> bool:
     """Compile what the kernel `whole` calls, each for arguments like these; none is called. Where
     `whole` is kept, its parts are not needed.
 
     What another process compiles at the moment is left for later. So processes that start at the
-    same time share the work: each takes what is not taken.
+    same time share the work: each takes what is not taken. Return whether this one had to wait for
+    the last part: then another one goes on with `whole`.
     """
-    dispatcher: Any = whole
-    if JIT_DISABLED or CACHE_DIR is None or dispatcher._cache.kept:
-        return
+    if kept(whole):
+        return False
     left: list[tuple[Any, tuple[Any, ...]]] = [part for part in parts if hasattr(part[0], "body_cache")]
+    behind = False
     while left:
-        free = next((k for k, (dispatcher, _) in enumerate(left) if not dispatcher.body_cache.taken), 0)
-        dispatcher, arguments = left.pop(free)
+        free = next((k for k, (dispatcher, _) in enumerate(left) if not dispatcher.body_cache.taken), None)
+        behind = free is None
+        dispatcher, arguments = left.pop(free or 0)
         dispatcher.body(tuple(map(numba.typeof, arguments)))
+    return behind

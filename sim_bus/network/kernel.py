@@ -310,11 +310,11 @@ def next_event(w: Record, b: Record, out: Queue, deadlines: Integers, host: Reco
 
 
 @kernel
-def run(world: World, host: Host, law_function: LawFunction, course: CourseFunction, closely: int | None) -> int:
+def run(world: World, host: Host, law_function: LawFunction | None, course: CourseFunction, closely: int | None) -> int:
     """Run until Python is needed; return the `Exit` that says why.
 
-    `closely` None: up to where a close look is needed. Numba leaves out what stands behind a
-    condition on an argument that is None.
+    `law_function` None: there is no host in this world. `closely` None: up to where a close look is
+    needed. Numba leaves out what stands behind a condition on an argument that is None.
     """
     world, host = borrowed(world), borrowed(host)  # each use of an array would count its references
     w, bus, out, nodes = world.state, world.bus, world.out, world.nodes
@@ -361,12 +361,13 @@ def run(world: World, host: Host, law_function: LawFunction, course: CourseFunct
                 _advance(world, course, a, t)
             return Exit.UNTIL if what == NOTHING else Exit.SCRIPT
         if what == HOST:
-            first, t_host = out.count, own_ns(w, t)
-            host_axes.on_time(host.axes, law_function, t_host, out)
-            if w.clock_on + w.keep_sent != 0:
-                _keep(w, out, first)
-            if w.tells != 0:
-                w.told_count = tell_all(host.axes, t, host.told, w.told_count)
+            if law_function is not None:
+                first, t_host = out.count, own_ns(w, t)
+                host_axes.on_time(host.axes, law_function, t_host, out)
+                if w.clock_on + w.keep_sent != 0:
+                    _keep(w, out, first)
+                if w.tells != 0:
+                    w.told_count = tell_all(host.axes, t, host.told, w.told_count)
         elif what == DEVICE:
             i = next_device(deadlines)
             a = axis_of[i]
@@ -405,7 +406,7 @@ def run(world: World, host: Host, law_function: LawFunction, course: CourseFunct
                     keep_deadline(deadlines, i, nodes[i])
                     if axis_of[i] >= 0:
                         actuate(world, course, axis_of[i], t)
-            if not w.host_elsewhere and receives(b, step.SOURCE_HOST):
+            if law_function is not None and not w.host_elsewhere and receives(b, step.SOURCE_HOST):
                 w.had[w.log_count - 1] = 1
                 first, t_host = out.count, own_ns(w, t)
                 wanted = host_axes.on_frame(host.axes, host.owner, t_host, b.can_id, b.length, b.word)

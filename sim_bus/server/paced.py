@@ -38,7 +38,6 @@ from coulombus.compiled.libc import (
 )
 from coulombus.compiled.records import Integers, Record, Records
 from coulombus.eds.cia402 import PowerState
-from coulombus.host.cycle.records import LawFunction
 from coulombus.sim_bus.copper.cut import choose
 from coulombus.sim_bus.network.kernel import Exit, Host, World, next_event, refresh, run
 from coulombus.sim_bus.rig.course import CourseFunction
@@ -166,7 +165,6 @@ def serve(
     beside: Beside,
     world: World,
     host: Host,
-    law_function: LawFunction,
     course: CourseFunction,
 ) -> int:
     """Serve until Python is needed; return an `Exit` or a `Serve` that says why.
@@ -174,7 +172,7 @@ def serve(
     `sim_bus.server.beside.settle` comes next: it ends what Python does beside this loop.
 
     The world's loop is from the first the one that looks closely: nothing is compiled while clients
-    wait.
+    wait. A host is another process, so that loop has none.
     """
     p, w, bus, out = pace[0], world.state, world.bus, world.out
     slots, batches, cable = clients.slots, clients.batches, bus[0]
@@ -201,7 +199,7 @@ def serve(
             if t_event > t_ns:
                 break
             w.until_ns = max(t_event, w.t_ns)
-            reason = run(world, host, law_function, course, 1)
+            reason = run(world, host, None, course, 1)
             if w.log_count > p.handed_out:
                 p.latest_ns = max(p.latest_ns, t_ns - world.log[w.log_count - 1].t_ns)
                 lost = hand_out(w, p, bus, world.log, clients)

@@ -156,9 +156,14 @@ class BusServer:
         self._path: Path | None = None
         self._inode = 0
         self._pace["wake"], self._pace["listener"], self._pace["end_ns"] = self._wake, -1, FOREVER_NS
-        compile_loop(self._pace[0], self._clients, self._worker.shared, *self.world.arguments)
-        warm_up(make_world(self.bit_rate, True))
+        world, host, _, course = self.world.arguments
+        behind = compile_loop(self._pace[0], self._clients, self._worker.shared, world, host, course)
+        trial = make_world(self.bit_rate, True)
+        if behind:
+            warm_up(trial)
         self._load()
+        if not behind:
+            warm_up(trial)
         try:
             if raw is not None:
                 self._open_interface(raw)
@@ -177,9 +182,9 @@ class BusServer:
         self._pace["stop"] = self._pace["wakeups"] = 0
 
     def _serve(self) -> int:
-        worker = self._worker
-        why = int(self._run(self._pace, self._clients, worker.shared, worker.loop, *self.world.arguments[1:]))
-        self._settle(worker.shared, worker.loop, self.world.arguments[-1], self._pace[0])
+        worker, (_, host, _, course) = self._worker, self.world.arguments
+        why = int(self._run(self._pace, self._clients, worker.shared, worker.loop, host, course))
+        self._settle(worker.shared, worker.loop, course, self._pace[0])
         return why
 
     @property

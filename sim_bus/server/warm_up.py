@@ -15,8 +15,6 @@ from coulombus.compiled.decorator import Entry, compile_together
 from coulombus.compiled.records import Record, Records
 from coulombus.eds.cia301 import CobId, NmtCommand
 from coulombus.eds.cia305 import UNCONFIGURED, LssService, LssState
-from coulombus.host.cycle import axes
-from coulombus.host.cycle.records import LawFunction
 from coulombus.node import core, outbox, own_time
 from coulombus.sim_bus.copper.attempt import attempt
 from coulombus.sim_bus.copper.cut import divide
@@ -84,17 +82,16 @@ def compile_loop(
     beside: Beside,
     world: World,
     host: Host,
-    law_function: LawFunction,
     course: CourseFunction,
-) -> None:
+) -> bool:
     """Compile the parts of `sim_bus.server.paced.serve`, those first that take long and have
-    nothing in common.
+    nothing in common. Return whether another process, which started at the same time, compiles the
+    whole.
     """
     w, cable, bus, out, frame = world.state, world.bus[0], world.bus, world.out, (0, 0, 0, 0)
     parts: list[Work] = [
         (attempt, (cable, out, 0)),
         *((core.set_nmt, (node, 0, 0, 0, out)) for node in world.nodes[:1]),
-        (axes.on_time, (host.axes, law_function, 0, out)),
         (end_attempt, (cable, out, world.log, 0)),
         (collect, (beside, world, course, pace)),
         (leave, (beside, world, course, pace, 0, 0)),
@@ -110,7 +107,7 @@ def compile_loop(
     parts += [
         (end_closely, (world, course, cable)),
         (refresh, (w, world.nodes, world.axes, world.deadlines, world.wants)),
-        (run, (world, host, law_function, course, 1)),
+        (run, (world, host, None, course, 1)),
         (settle, (beside, world, course, pace)),
     ]
-    compile_together(serve, parts)
+    return compile_together(serve, parts)

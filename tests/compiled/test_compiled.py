@@ -411,6 +411,33 @@ def test_what_another_process_compiles_comes_last(tmp_path):
 
 
 @pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
+def test_who_waits_for_the_last_part_is_told_that_another_process_goes_on(tmp_path):
+    (tmp_path / "several.py").write_text(
+        "from coulombus.compiled.decorator import compile_together, kernel, kept, taken\n"
+        "@kernel\ndef part(x):\n    return x\n@kernel\ndef whole(x):\n    return part(x)\n"
+        "def take(cache):\n"
+        "    lock, wanted = _lock_of(Path(cache.cache_path), cache._base)\n"
+        "    fcntl.fcntl(lock, fcntl.F_OFD_SETLK, wanted)\n"
+        "    return lock\n"
+        "def free(lock):\n"
+        "    while not part._compiling_counter:\n        pass\n"
+        "    os.close(lock)\n"
+        "import fcntl, os, threading\nfrom pathlib import Path\n"
+        "from coulombus.compiled.kernel_files import _lock_of\n"
+    )
+    code = (
+        f"import sys; sys.path.append({str(tmp_path)!r}); from several import *\n"
+        "threading.Thread(target=free, args=(take(part.body_cache),)).start()\n"
+        "said = [compile_together(whole, [(part, (1,))]) for _ in range(2)]\n"
+        "said += [kept(whole), taken(whole)]\n"
+        "lock = take(whole._cache); said.append(taken(whole)); os.close(lock)\n"
+        "print(*said, whole(3), kept(whole), taken(whole), compile_together(whole, []))"
+    )
+    done = python(code, ROOT, NUMBA_CACHE_DIR=str(tmp_path / "cache"))
+    assert (done.stdout, done.stderr) == ("True False False False True 3 True False False\n", "")
+
+
+@pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
 def test_a_kernel_that_cannot_be_compiled_keeps_nobody_waiting(own_kernels, tmp_path):
     bad = "import numba\nwhile True:\n try:\n  own.f('x')\n except numba.TypingError:\n  break\nimport fcntl, struct, pathlib, compiled_dir"
     (tmp_path / "compiled_dir.py").write_text(
