@@ -47,7 +47,7 @@ SECTIONS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "diff": ("plot:diff", "Compare two recordings"),
         "export": ("export:export_command", "Write a recording as CSV, Parquet, MAT, MF4, MCAP, BLF ..."),
         "replay": ("replay:replay", "Play a recording onto a bus, or check it bit for bit"),
-        "identify": ("analyse:identify_command", "Identify friction from a recording, with intervals"),
+        "identify": ("identify:identify", "Identify friction from a recording, with intervals"),
     },
     "Describe and set up a rig": {
         "init": ("init:init", "Draft a rig file from EDS files or from live devices"),
