@@ -126,7 +126,7 @@ def watch() -> tuple[float, int, int]:
 
 def record() -> tuple[float, int, int]:
     """Return the same of ``watch --pcapng``; what it lost it says in a sentence, so the file is read."""
-    from coulombus.recording.signals import blocks
+    from coulombus.recording.reading import blocks
 
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
         path = Path(folder, "all.pcapng")

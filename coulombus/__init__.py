@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from coulombus.lab.simulate import simulate
-    from coulombus.recording.signals import read
+    from coulombus.recording.reading import read
     from coulombus.rigs.rig import load_rig
     from coulombus.scope.callbacks import live
     from coulombus.sim_bus.network.network import VirtualNetwork
@@ -28,7 +28,7 @@ _PLACES = {
     "VirtualNetwork": "coulombus.sim_bus.network.network",
     "live": "coulombus.scope.callbacks",
     "load_rig": "coulombus.rigs.rig",
-    "read": "coulombus.recording.signals",
+    "read": "coulombus.recording.reading",
     "simulate": "coulombus.lab.simulate",
 }
 

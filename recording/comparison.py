@@ -22,7 +22,8 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.recording.difference import Comparison, Difference, Pair
-from coulombus.recording.signals import Recording, Series, UnknownSignal, read
+from coulombus.recording.reading import read
+from coulombus.recording.signals import Recording, Series, UnknownSignal
 from coulombus.rigs.arguments import WrongCall, path_text
 from coulombus.rigs.rig import Rig
 

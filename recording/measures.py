@@ -5,7 +5,7 @@ those of the markers that the recording carries: the hold from 0.8 s after it be
 before it ends, and of the stroke each dwell from 0.35 s to 0.95 s.
 
 A recording is gone through twice, for its phases and for its figures, block by block
-(`recording.signals.blocks`): the memory does not grow with it. Counts, flips and peaks are the same
+(`recording.reading.blocks`): the memory does not grow with it. Counts, flips and peaks are the same
 in any blocks, bit for bit. An RMS is the root of a sum of the blocks' sums, and the spectrum a mean
 of their means: against one sum over everything they are rounded differently, by less than 1e-12 of
 their value.

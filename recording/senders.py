@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.eds.cia301 import CobId
-from coulombus.recording.signals import blocks
+from coulombus.recording.reading import blocks
 from coulombus.rigs.rig import Rig, RigError, load_rig
 from coulombus.wire.frame import CAN_RTR_FLAG
 

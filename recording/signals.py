@@ -7,42 +7,32 @@
     angle.t_s, angle.values, angle.unit          # two arrays and "rad"
     recording.markers                            # [(1.004, "phase hold"), ...]
 
-What the bits mean comes from the rig file and the EDS files attached to the recording; of a file
-without them (candump's, Wireshark's, or one that editcap has rewritten) from the rig that is given.
-
-A position is followed across the wraps of its counter (`recording.turns`), so that its angle goes
-on where a device's 16 bits begin anew; `frames` has what was on the wire.
-
-`read` keeps everything: 40 bytes for each frame and about 8 for each of its signals. `blocks` goes
-through the file without keeping it, a `Recording` of some seconds at a time; figures and rows come
-of that, in a memory that does not grow with the run. `series` gathers single signals on the way.
+`recording.reading` reads it from a file. A position is followed across the wraps of its counter
+(`recording.turns`), so that its angle goes on where a device's 16 bits begin anew; `frames` has
+what was on the wire. `series` gathers single signals of a recording that is not kept.
 """
 
 from __future__ import annotations
 
 import difflib
-import os
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from html import escape
-from itertools import chain
-from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Self, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from coulombus.eds.pdo import Entry
-from coulombus.recording.inside import NAME as INSIDE
-from coulombus.recording.inside import inside_pdos, of_axis
-from coulombus.recording.log_files import WALL_CLOCK_NS, LogError, is_log, read_log
-from coulombus.recording.pcapng_reader import Capture, iter_pcapng, read_pcapng
-from coulombus.recording.turns import POSITION, Turns, fastest, follow
+from coulombus.recording.inside import of_axis
+from coulombus.recording.log_files import WALL_CLOCK_NS
+from coulombus.recording.pcapng_reader import Capture
+from coulombus.recording.pdo_table import PdoTable, behind, table_of
+from coulombus.recording.turns import Turns
 from coulombus.recording.wall_clock import CLOCK, META, attached_object
-from coulombus.rigs.arguments import WrongCall, path_text
-from coulombus.rigs.rig import Rig, RigError, load_rig, load_rig_text
+from coulombus.rigs.arguments import WrongCall
+from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo, Signal
 from coulombus.wire.frame import Records
 
@@ -52,16 +42,15 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = [
-    "Blocks",
-    "PdoTable",
     "Recording",
     "Series",
     "Source",
     "UnknownSignal",
-    "blocks",
-    "captures",
-    "decode_field",
-    "read",
+    "decode",
+    "epoch_of",
+    "left_out_of",
+    "markers_of",
+    "remarks_on",
     "series",
     "signal_of",
 ]
@@ -69,10 +58,7 @@ __all__ = [
 Array: TypeAlias = npt.NDArray[Any]
 Floats: TypeAlias = npt.NDArray[np.float64]
 Integers: TypeAlias = npt.NDArray[np.int64]
-
-RIG = "rig.toml"
 UNSURE = "unsure "  # begins the names of positions with gaps in which they may have wrapped unseen
-HOST = "host."  # begins the names of what only the host's replay reads: many, and no text
 
 
 class UnknownSignal(KeyError):
@@ -104,24 +90,6 @@ class Series:
         """
         last = np.searchsorted(self.t_s, t_s, "right") - 1
         return np.append(self.values.astype(np.float64), before)[last]  # -1: what was appended
-
-
-@dataclass(frozen=True)
-class PdoTable:
-    """The frames of one PDO: their rows in `Recording.frames`, their stamps, their places in the
-    file's order, and one column of SI values for each signal. What the host tells of itself
-    (`inside`) has its rows in `Capture.inside`.
-    """
-
-    pdo: RigPdo
-    name: str
-    rows: Integers
-    t_ns: Integers
-    order: Integers
-    columns: tuple[Array, ...]
-    malformed: int
-    turns: Mapping[str, Turns]
-    inside: bool = False
 
 
 class Source:
@@ -234,7 +202,7 @@ class Recording(Source):
             return self
         plain = {name.removeprefix(f"{axis}."): turns for name, turns in self.before.items()}
         seen = decode(self.capture, self.rig.alone(axis), self.epoch_ns, plain, of_axis(self.inside, axis))
-        return replace(seen, markers=_markers_of(axis, self.rig, seen.markers))
+        return replace(seen, markers=markers_of(axis, self.rig, seen.markers))
 
     @property
     def frames(self) -> Records:
@@ -268,7 +236,7 @@ class Recording(Source):
         """Sentences on what was left out: a torn end, damaged attachments, other packets, malformed
         PDOs; and on gaps in which a position may have wrapped unseen.
         """
-        return _remarks(self.path, self.capture.warnings, _left_out(self))
+        return remarks_on(self.path, self.capture.warnings, left_out_of(self))
 
     def __getitem__(self, name: str) -> Series:
         """Return a signal; `UnknownSignal`, a KeyError, names the nearest ones."""
@@ -365,49 +333,7 @@ def _range(values: Array) -> tuple[float, float]:
     return (float(values.min()), float(values.max())) if len(values) else (float("nan"), float("nan"))
 
 
-@dataclass
-class Blocks(Source):
-    """A recording that is not kept: each iteration goes through the file, a `Recording` of some
-    seconds at a time (see `blocks`).
-    """
-
-    path: str
-    rig: Rig
-    remarks: tuple[str, ...] = field(default=(), init=False)
-    """As `Recording.remarks`, of the last iteration that came to its end."""
-
-    axis: str = ""
-    """The axis of `rig` whose view this is, with the signals' plain names; "": of all that it has.
-    """
-
-    inside: tuple[RigPdo, ...] = ()
-
-    def __post_init__(self) -> None:
-        self._whole, self.rig = self.rig, self.rig.alone(self.axis) if self.axis else self.rig
-
-    def __iter__(self) -> Iterator[Recording]:
-        epoch_ns, left_out, warnings, turns = None, Counter[str](), list[str](), dict[str, Turns]()
-        for capture in captures(self.path):
-            if epoch_ns is None and len(capture.frames):
-                epoch_ns = _epoch_ns(capture.frames)
-            block = decode(capture, self.rig, epoch_ns, turns, self.inside)
-            turns |= block.turns
-            if self.axis:
-                block = replace(block, markers=_markers_of(self.axis, self._whole, block.markers))
-            left_out.update(_left_out(block))
-            warnings += capture.warnings
-            yield block
-        self.remarks = _remarks(self.path, warnings, left_out)
-
-    def seen_by(self, axis: str) -> Blocks:
-        """Return the recording as the axis of this name sees it, with the signals' plain names.
-
-        Markers of other axes are left out.
-        """
-        return Blocks(self.path, self.rig, axis, of_axis(self.inside, axis)) if axis else self
-
-
-def _markers_of(axis: str, rig: Rig, markers: list[tuple[float, str]]) -> list[tuple[float, str]]:
+def markers_of(axis: str, rig: Rig, markers: list[tuple[float, str]]) -> list[tuple[float, str]]:
     """Return the markers as an axis of `rig` sees them: its own phases by their plain names, those
     of the others not at all.
     """
@@ -446,65 +372,7 @@ def series(source: Source, *names: str) -> tuple[Series, ...]:
     )
 
 
-def read(path: str | os.PathLike[str], rig: Rig | str | os.PathLike[str] | None = None) -> Recording:
-    """Read a recording whole.
-
-    Parameters
-    ----------
-    path
-        A pcapng file of SocketCAN frames, a folder of segments (the newest run in it), or a log
-        that python-can reads (.log, .asc, .blf, .trc, .csv), which has no rig.
-    rig
-        Decode with this rig (a `Rig`, a packaged rig's name, or a rig file's path) and not with the
-        attached one.
-
-    Raises
-    ------
-    coulombus.rigs.rig.RigError
-        No rig is attached and none is given, or the attached one cannot be read.
-    coulombus.recording.pcapng_blocks.PcapngError, coulombus.recording.log_files.LogError
-        The file is damaged, or is of another kind.
-    coulombus.rigs.arguments.WrongCall
-        `path` is no file's name, or `rig` is neither a rig nor its name.
-    """
-    path = path_text(path, "path", 'read("run.pcapng")')
-    capture = next(captures(path)) if is_log(path) else read_pcapng(path)
-    known = _attached_rig((capture,)) if rig is None else _rig(rig)
-    return decode(capture, known, inside=inside_pdos(known, capture.attachments.get(INSIDE)))
-
-
-def blocks(path: str | os.PathLike[str], rig: Rig | str | os.PathLike[str] | None = None) -> Blocks:
-    """Return a recording to go through, as often as needed, in a memory that does not grow with it.
-
-    Parameters and errors as `read`.
-
-    The file is read anew each time: it must stay as it is meanwhile, and a pipe is refused
-    (LogError).
-    """
-    path = path_text(path, "path", 'blocks("run.pcapng")')
-    if Path(path).exists() and not Path(path).is_file() and not Path(path).is_dir():
-        raise LogError(f"{path}: it is no file, and a recording is read more than once; save it to a file first")
-    if is_log(path):
-        return Blocks(str(path), _attached_rig(captures(path)) if rig is None else _rig(rig))
-    stretches = captures(path)
-    first = next(stretches)  # what the host tells of is attached in front
-    known = _attached_rig(chain([first], stretches)) if rig is None else _rig(rig)
-    return Blocks(str(path), known, inside=inside_pdos(known, first.attachments.get(INSIDE)))
-
-
-def captures(path: str | Path) -> Iterator[Capture]:
-    """Yield a pcapng file's stretches; a log of another tool is one."""
-    if is_log(path):
-        frames, remarks = read_log(path)
-        return iter([Capture(str(path), frames, comments=[], attachments={}, warnings=tuple(remarks))])
-    return iter_pcapng(path)
-
-
-def _rig(rig: Rig | str | os.PathLike[str]) -> Rig:
-    return rig if isinstance(rig, Rig) else load_rig(rig)
-
-
-def _epoch_ns(frames: Records) -> int:
+def epoch_of(frames: Records) -> int:
     """Return time 0 of frames the first of which begin a recording."""
     return int(frames["t_ns"][0]) if len(frames) and frames["t_ns"][0] >= WALL_CLOCK_NS else 0
 
@@ -521,14 +389,14 @@ def decode(
     one.
     """
     frames = capture.frames
-    epoch_ns = _epoch_ns(frames) if epoch_ns is None else epoch_ns
+    epoch_ns = epoch_of(frames) if epoch_ns is None else epoch_ns
     t_s: Floats = (frames["t_ns"] - epoch_ns) / 1e9
     can_ids = np.ascontiguousarray(frames["can_id"])
-    tables = tuple(_table(pdo, frames, can_ids, rig, before) for pdo in rig.pdos())
+    tables = tuple(table_of(pdo, frames, can_ids, rig, before) for pdo in rig.pdos())
     if inside:
         ids = np.ascontiguousarray(capture.inside["can_id"])
-        told = (_table(pdo, capture.inside, ids, rig, before) for pdo in inside)
-        tables += tuple(_behind(table, frames["t_ns"]) for table in told)
+        told = (table_of(pdo, capture.inside, ids, rig, before) for pdo in inside)
+        tables += tuple(behind(table, frames["t_ns"]) for table in told)
     signals = {}
     for table in tables:
         at: Floats = (table.t_ns - epoch_ns) / 1e9
@@ -548,7 +416,7 @@ def decode(
     )
 
 
-def _left_out(block: Recording) -> Counter[str]:
+def left_out_of(block: Recording) -> Counter[str]:
     """Return how much was left out, by why."""
     doubts = {
         f"{UNSURE}{name}": turns.doubts - (block.before[name].doubts if name in block.before else 0)
@@ -557,7 +425,8 @@ def _left_out(block: Recording) -> Counter[str]:
     return Counter({"torn": block.capture.torn, "skipped": block.capture.skipped, **block.malformed, **doubts})
 
 
-def _remarks(path: str, warnings: Iterable[str], left_out: Counter[str]) -> tuple[str, ...]:
+def remarks_on(path: str, warnings: Iterable[str], left_out: Counter[str]) -> tuple[str, ...]:
+    """Return what a reader is told: the file's warnings, and what was left out of it."""
     texts = {
         "torn": "the last block is unfinished: {} bytes were left out",
         "skipped": "{} packets are no classical CAN frames and were left out",
@@ -574,58 +443,6 @@ def _remarks(path: str, warnings: Iterable[str], left_out: Counter[str]) -> tupl
     return (*warnings, *(f"{path}: {text(name).format(n)}" for name, n in left_out.items() if n))
 
 
-def _attached_rig(captures: Iterable[Capture]) -> Rig:
-    """Return the rig attached to a recording, of which no more is read than its beginning."""
-    give = "give one: read(path, rig=...), or --rig on the command line"
-    texts: dict[str, str] = {}
-    warnings: list[str] = []
-    for capture in captures:
-        warnings += capture.warnings
-        files = (name for name in capture.attachments if not name.startswith(HOST))
-        texts |= {name: capture.attachments[name].decode(errors="replace") for name in files}
-        if RIG in texts and len(capture.frames):  # its EDS files stand before the frames, too
-            break
-    if RIG not in texts:
-        if capture.torn:
-            warnings.append(f"the file breaks off: its last block is unfinished, {capture.torn} bytes of it are there")
-        damaged = f" ({'; '.join(warnings)})" if warnings else ""
-        raise RigError([f"{capture.path}: no {RIG} is attached, so its PDOs have no meaning{damaged}; {give}"])
-    try:
-        return load_rig_text(texts.pop(RIG), f"{capture.path}[{RIG}]", texts, attached=True)
-    except RigError as error:
-        remedy = f"{capture.path}: its attached rig cannot be read by this version; {give}"
-        raise RigError([*error.errors, remedy]) from error
-
-
-def _table(pdo: RigPdo, frames: Records, can_ids: Integers, rig: Rig, before: Mapping[str, Turns]) -> PdoTable:
-    layout = pdo.layout
-    came = np.flatnonzero(can_ids == layout.cob_id)
-    rows = came[frames["length"][came] == layout.length]
-    words = frames["word"][rows]
-    columns, turns = [], {}
-    for entry, start, signal in zip(layout.entries, layout.starts, pdo.signals, strict=True):
-        raw, name = decode_field(words, start, entry), signal.name
-        if signal.key == POSITION:
-            raw, last = follow(raw, frames["t_ns"][rows], entry, before.get(name), fastest(rig, name))
-            if last is not None:
-                turns[name] = last
-        columns.append(_si(raw, signal))
-    stamps = frames["t_ns"][rows]
-    return PdoTable(pdo, f"{pdo.node}.{pdo.name}", rows, stamps, 2 * rows, tuple(columns), len(came) - len(rows), turns)
-
-
-def _behind(table: PdoTable, bus_ns: Integers) -> PdoTable:
-    """Return a table of what the host tells: each row stands behind the bus' last frame before it."""
-    places: Integers = 2 * np.searchsorted(bus_ns, table.t_ns, "right") - 1
-    return replace(table, order=places, inside=True)
-
-
-def _si(raw: Array, signal: Signal) -> Array:
-    if not signal.unit and (signal.scale, signal.offset) == (1.0, 0.0):
-        return raw
-    return raw * signal.scale + signal.offset
-
-
 def signal_of(pdos: Iterable[RigPdo], name: str, where: str) -> Signal:
     """Return what the PDOs of a rig say of a signal; `UnknownSignal` says that there is none `where`, and
     names the nearest ones.
@@ -635,17 +452,3 @@ def signal_of(pdos: Iterable[RigPdo], name: str, where: str) -> Signal:
         near = difflib.get_close_matches(name, signals, 3, 0.4) or list(signals)
         raise UnknownSignal(f"no signal {name!r} in {where}; there is {', '.join(near)}")
     return signals[name]
-
-
-def decode_field(words: Integers, start: int, entry: Entry) -> Array:
-    """Return the field that begins at bit `start` of each data word: integers, or numbers of an
-    IEEE 754 pattern.
-    """
-    left, right = 64 - start - entry.bits, 64 - entry.bits
-    if entry.kind == "real":
-        pattern = words.view(np.uint64) << np.uint64(left) >> np.uint64(right)
-        return pattern.astype(f"u{entry.bits // 8}").view(f"f{entry.bits // 8}").astype(np.float64)
-    if entry.signed:
-        return words << left >> right
-    field = words.view(np.uint64) << np.uint64(left) >> np.uint64(right)
-    return field if entry.bits == 64 else field.view(np.int64)

@@ -19,7 +19,8 @@ import numpy as np
 
 from coulombus.eds.cia301 import CobId
 from coulombus.eds.reader import Description
-from coulombus.recording.signals import PdoTable, Recording, Source
+from coulombus.recording.pdo_table import PdoTable
+from coulombus.recording.signals import Recording, Source
 from coulombus.rigs.rig import Rig
 from coulombus.scope.error_frames import error_frame
 from coulombus.scope.services import Row, Sdo, emcy, heartbeat, lss, nmt, sync

@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from coulombus.eds.cia301 import CobId, NmtState, abort_text
 from coulombus.eds.cia402 import STATE_OF_STATUSWORD, PowerState
-from coulombus.recording.signals import decode_field
+from coulombus.recording.pdo_table import decode_field
 from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo
 from coulombus.scope.error_frames import error_frame

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from coulombus.recording.signals import decode_field, signal_of
+from coulombus.recording.pdo_table import decode_field
+from coulombus.recording.signals import signal_of
 from coulombus.rigs.rig import Rig
 from coulombus.scope.tracks import BIN_NS, ENVELOPE_BINS, Envelope
 

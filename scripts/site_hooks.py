@@ -68,7 +68,7 @@ frame.
 PYTHON = {
     "Run and read": (
         "lab.simulate.simulate",
-        "recording.signals.read",
+        "recording.reading.read",
         "recording.signals.Recording",
         "recording.signals.Series",
     ),

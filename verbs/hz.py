@@ -53,7 +53,7 @@ def hz(
         if file is not None:
             if chosen.bus_name is not None:
                 raise click.UsageError("a file and --bus: give one of them")
-            from coulombus.recording.signals import blocks
+            from coulombus.recording.reading import blocks
 
             given = click.get_current_context().get_parameter_source("rig_name") is not ParameterSource.DEFAULT
             recording = blocks(file, rig=chosen.load() if given or chosen.overrides else None)

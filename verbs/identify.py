@@ -66,7 +66,7 @@ def identify(
     with errors():
         from coulombus.recording.friction import identify as friction
         from coulombus.recording.output_file import new_file
-        from coulombus.recording.signals import blocks
+        from coulombus.recording.reading import blocks
         from coulombus.rigs.rig import load_rig
 
         recording = blocks(file, rig=None if rig_name is None else load_rig(rig_name))
@@ -90,7 +90,7 @@ def identify(
 
 def _identify_iron(file: Path, rig_name: str | None, axis: str | None, *, as_json: bool) -> None:
     from coulombus.recording.friction.iron import identify_iron, iron_lines
-    from coulombus.recording.signals import blocks
+    from coulombus.recording.reading import blocks
     from coulombus.rigs.rig import load_rig
 
     seen = blocks(file, rig=None if rig_name is None else load_rig(rig_name)).one_axis(axis)
@@ -109,7 +109,7 @@ def _identify_law(file: Path, rig_name: str | None, axis: str | None, options: d
     from coulombus.analysis.rig.law_fit import Stretch, fit_law, lines, stretches_of
     from coulombus.host.laws.path import read_columns
     from coulombus.recording.friction.sliding import IdentifyError
-    from coulombus.recording.signals import blocks
+    from coulombus.recording.reading import blocks
     from coulombus.rigs.rig import load_rig
 
     table = file.suffix.lower() == ".csv"

@@ -42,7 +42,7 @@ def decode(file: Path, rig_name: str | None, as_json: bool) -> None:
       coulombus decode run.pcapng --json | jq 'select(.node == "motor")'
     """
     with errors():
-        from coulombus.recording.signals import blocks
+        from coulombus.recording.reading import blocks
         from coulombus.rigs.rig import load_rig
         from coulombus.scope.decode import as_json as as_json_line
         from coulombus.scope.decode import as_text, fitted, rows

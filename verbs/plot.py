@@ -56,7 +56,7 @@ def plot_command(
     with errors():
         from coulombus.recording.output_file import new_file, reason_against
         from coulombus.recording.pictures.plot import plot, save_picture
-        from coulombus.recording.signals import blocks
+        from coulombus.recording.reading import blocks
 
         place = out or (Path(f"{file}.png") if file.is_dir() else file.with_suffix(".png"))
         reason = reason_against(place, force=overwrite, remedy="choose another name by -o, or replace it with --force")

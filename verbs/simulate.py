@@ -183,7 +183,7 @@ def demo(rig_name: str, overrides: tuple[str, ...], seed: int, out: Path, virtua
     with errors():
         from coulombus.lab.demo.demo import DEMO_MODES, as_dict, displays, run_demo
         from coulombus.lab.demo.traces import figure_14
-        from coulombus.recording.signals import blocks
+        from coulombus.recording.reading import blocks
 
         rig = load(rig_name, overrides).alone()
         missing = [mode for mode in DEMO_MODES if mode not in rig.modes]

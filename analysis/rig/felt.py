@@ -28,7 +28,7 @@ from coulombus.analysis.rig.runs import need_modes
 from coulombus.host.errors import SafetyTrip
 from coulombus.lab.simulate import simulate
 from coulombus.recording.measures import phases
-from coulombus.recording.signals import blocks
+from coulombus.recording.reading import blocks
 from coulombus.rigs.rig import Rig, load_rig
 from coulombus.sim_bus.rig.plant import TRUTH_COLUMNS
 

@@ -31,7 +31,8 @@ import numpy.typing as npt
 from coulombus.analysis.rig.runs import displayed, need_modes
 from coulombus.lab.demo.traces import HANDLE, Traces, traces
 from coulombus.recording.measures import measure, phases, velocity
-from coulombus.recording.signals import Recording, read
+from coulombus.recording.reading import read
+from coulombus.recording.signals import Recording
 from coulombus.rigs.rig import Rig, RigError, load_rig
 
 __all__ = ["STICK_VARIANTS", "Breakaway", "HoldRow", "HoldStudy", "breakaway", "hold_study"]

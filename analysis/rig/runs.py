@@ -7,7 +7,7 @@ from pathlib import Path
 from coulombus.host.errors import SafetyTrip
 from coulombus.lab.simulate import simulate
 from coulombus.recording.measures import phases
-from coulombus.recording.signals import blocks
+from coulombus.recording.reading import blocks
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig, RigError
 

@@ -34,7 +34,8 @@ from coulombus.analysis.rig.maps import LoopParameters, simulate_point
 from coulombus.analysis.rig.runs import displayed, need_modes
 from coulombus.eds.cia301 import CobId
 from coulombus.recording.measures import velocity
-from coulombus.recording.signals import Recording, read
+from coulombus.recording.reading import read
+from coulombus.recording.signals import Recording
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig, load_rig
 

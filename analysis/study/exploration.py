@@ -17,7 +17,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from coulombus.recording.signals import Recording, read
+from coulombus.recording.reading import read
+from coulombus.recording.signals import Recording
 
 __all__ = ["Exploration", "explored", "mean_of"]
 

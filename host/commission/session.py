@@ -15,7 +15,7 @@ from coulombus.host.commission.state import State, folder_of
 from coulombus.host.commission.step import Exercise, Finding, Given, Outcome, Risk, Step, Taken, Trip
 from coulombus.host.errors import SafetyTrip
 from coulombus.host.run.result import RunResult
-from coulombus.recording.signals import read
+from coulombus.recording.reading import read
 from coulombus.rigs.mistakes import dotted, toml_value
 from coulombus.rigs.rewrite import NewValue, replace_file, rewritten
 from coulombus.rigs.rig import Rig, RigError, load_rig, load_rig_text

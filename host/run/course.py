@@ -19,8 +19,8 @@ from coulombus.host.run.result import RunResult, file_sha256
 from coulombus.host.run.schedule import PhaseMarks
 from coulombus.recording.measures import Measures, measure
 from coulombus.recording.pcapng_blocks import RecordingError
+from coulombus.recording.reading import blocks
 from coulombus.recording.recorder import Recorder
-from coulombus.recording.signals import blocks
 
 __all__ = ["SAFE_TIMEOUT_NS", "Course", "Figures"]
 

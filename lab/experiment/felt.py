@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from coulombus.recording.signals import read
+from coulombus.recording.reading import read
 
 __all__ = ["FeltError", "felt_Nm"]
 

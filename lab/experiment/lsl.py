@@ -21,7 +21,8 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.lab.experiment.folder import SubjectFolder
-from coulombus.recording.signals import Recording, read
+from coulombus.recording.reading import read
+from coulombus.recording.signals import Recording
 
 __all__ = ["LslMarkers", "LslMissing", "LslSignals"]
 

@@ -25,7 +25,9 @@ from coulombus.host.cycle.parameters import Order, orders_of
 from coulombus.host.cycle.replay import Inputs, Sent, replay
 from coulombus.host.laws.law_source import law_source, recorded_sha256
 from coulombus.host.laws.laws import OWN_LAWS
-from coulombus.recording.signals import Recording, decode_field, read
+from coulombus.recording.pdo_table import decode_field
+from coulombus.recording.reading import read
+from coulombus.recording.signals import Recording
 from coulombus.recording.trace import EVENT, TRACE, Event, Moment, unpack, unpack_sent
 from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo

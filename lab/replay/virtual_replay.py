@@ -26,8 +26,9 @@ import numpy.typing as npt
 from coulombus.host.cycle.step import SOURCE_HOST
 from coulombus.host.laws.laws import OWN_LAWS
 from coulombus.lab.replay.host_replay import ReplayError
+from coulombus.recording.reading import read
 from coulombus.recording.senders import senders
-from coulombus.recording.signals import Recording, read
+from coulombus.recording.signals import Recording
 from coulombus.rigs.rig import Rig
 from coulombus.sim_bus.copper.arbiter import INTER_FRAME_BITS
 from coulombus.sim_bus.network.virtual_rig import VirtualRig

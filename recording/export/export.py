@@ -22,8 +22,8 @@ from coulombus.recording.export.mcap import McapWriter
 from coulombus.recording.export.mdf import Mf4Writer
 from coulombus.recording.export.text_table import CsvWriter
 from coulombus.recording.output_file import new_file
+from coulombus.recording.reading import blocks, captures
 from coulombus.recording.samples import groups_of, stretches
-from coulombus.recording.signals import blocks, captures
 from coulombus.recording.wall_clock import CLOCK, META, attached_object
 from coulombus.rigs.arguments import path_text
 from coulombus.rigs.rig import Rig
@@ -81,7 +81,7 @@ def export(
     Parameters
     ----------
     path
-        The recording, as `coulombus.recording.signals.read` takes it.
+        The recording, as `coulombus.recording.reading.read` takes it.
     out
         The file to write.
     kind

@@ -27,7 +27,8 @@ import numpy.typing as npt
 
 from coulombus.recording.friction.friction_fit import Fit, fit_friction
 from coulombus.recording.friction.sliding import WINDOW_S, IdentifyError, equations, sliding
-from coulombus.recording.signals import Source, blocks
+from coulombus.recording.reading import blocks
+from coulombus.recording.signals import Source
 
 __all__ = ["Identification", "IdentifyError", "identify", "lines"]
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from coulombus.recording.signals import decode_field
+from coulombus.recording.pdo_table import decode_field
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo

@@ -72,7 +72,7 @@ def test_next_sync_is_one_cycle_and_on_reception_is_what_the_frames_need(cycles)
 def test_the_delay_of_the_stamps_is_the_plants(tmp_path):
     """The motor's true torque changes its sign that long after the SYNC at which it was decided."""
     from coulombus.analysis.rig.through_bus import loop_delay
-    from coulombus.recording.signals import read
+    from coulombus.recording.reading import read
 
     for actuation in ("next_sync", "on_reception"):
         record, truth = tmp_path / f"{actuation}.pcapng", tmp_path / f"{actuation}.npz"

@@ -15,7 +15,7 @@ from coulombus.host.errors import SafetyTrip
 from coulombus.host.run.buses import merged
 from coulombus.host.run.deadman import deadman_of
 from coulombus.lab.simulate import simulate
-from coulombus.recording.signals import read
+from coulombus.recording.reading import read
 from coulombus.rigs.buses import bus_addresses, one_bus
 from coulombus.rigs.rig import RigError, load_rig, load_rig_text
 from coulombus.verbs.main import main

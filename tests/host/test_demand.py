@@ -17,7 +17,7 @@ from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.demand import brake_limit_raw, check_demand, cut_off
 from coulombus.host.cycle.records import Image, Phase
 from coulombus.lab.simulate import simulate
-from coulombus.recording.signals import read
+from coulombus.recording.reading import read
 from coulombus.rigs.rig import RigError, load_rig, load_rig_text
 from coulombus.verbs.main import main
 from coulombus.wire.frame import new_queue

@@ -23,7 +23,7 @@ from coulombus.host.run import real_run
 from coulombus.host.run.control_socket import HostSocket, StopRequest, control_path
 from coulombus.host.run.outputs import Outputs
 from coulombus.recording.pcapng_blocks import RecordingError
-from coulombus.recording.signals import read
+from coulombus.recording.reading import read
 from coulombus.recording.trace import TRACE
 from coulombus.rigs.rig import load_rig
 from coulombus.wire import stopping

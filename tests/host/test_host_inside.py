@@ -16,7 +16,7 @@ from coulombus.recording.inside import (
     inside_attachment,
     inside_pdos,
 )
-from coulombus.recording.signals import decode_field
+from coulombus.recording.pdo_table import decode_field
 from coulombus.rigs.rig import load_rig
 from coulombus.wire.frame import FRAME, new_records
 

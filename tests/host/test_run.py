@@ -18,7 +18,7 @@ from click.testing import CliRunner
 
 from coulombus.compiled.decorator import JIT_DISABLED
 from coulombus.lab.replay.host_replay import host_replay
-from coulombus.recording.signals import read
+from coulombus.recording.reading import read
 from coulombus.rigs.overrides import SHARED_MACHINE
 from coulombus.verbs.main import main
 from coulombus.wire.client import pack_frame

@@ -17,8 +17,8 @@ from coulombus.host.run.course import Course
 from coulombus.host.run.markers import BitMarks, StruckKeys
 from coulombus.host.setup.bringup import release, shut_down
 from coulombus.lab.bringup import switch_on
+from coulombus.recording.reading import read
 from coulombus.recording.recorder import Recorder
-from coulombus.recording.signals import read
 from coulombus.recording.trace import TRACE
 from coulombus.rigs.rig import load_rig
 from coulombus.sim_bus.network.virtual_rig import VirtualRig

@@ -17,7 +17,7 @@ from types import SimpleNamespace
 import pytest
 
 from coulombus.compiled.decorator import JIT_DISABLED
-from coulombus.recording.signals import read
+from coulombus.recording.reading import read
 from coulombus.wire.client import BusFull, pack_frame
 from real_bench import HOLD, STROKE, Observer, children, gone, host, result, simulation
 

@@ -12,7 +12,7 @@ import pytest
 from coulombus.compiled.decorator import JIT_DISABLED
 from coulombus.host.run.control_socket import ask_status
 from coulombus.recording.folders import segments
-from coulombus.recording.signals import read
+from coulombus.recording.reading import read
 from coulombus.wire.address import parse_address
 from real_bench import Observer, end, result, simulation, start
 

@@ -9,7 +9,7 @@ import pytest
 
 from coulombus.compiled.decorator import JIT_DISABLED
 from coulombus.lab.simulate import simulate
-from coulombus.recording.signals import read
+from coulombus.recording.reading import read
 from coulombus.rigs.rig import load_rig
 from foreign_rigs import brake, drive, written
 from real_bench import host, result, simulation

@@ -18,7 +18,7 @@ from coulombus.host.errors import SafetyTrip
 from coulombus.lab.rehearsal import rehearsed
 from coulombus.lab.simulate import simulate
 from coulombus.recording.pcapng_writer import PcapngWriter
-from coulombus.recording.signals import read
+from coulombus.recording.reading import read
 from coulombus.rigs.rig import load_rig, packaged_rig
 from coulombus.sim_bus.network.kernel import BRAKE, MOTOR
 

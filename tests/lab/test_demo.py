@@ -9,7 +9,7 @@ import pytest
 from coulombus.lab.demo.demo import DEMO_MODES, SAME, displays, run_demo
 from coulombus.lab.demo.traces import BINS, draw_traces, traces
 from coulombus.recording.pictures.style import figure
-from coulombus.recording.signals import blocks
+from coulombus.recording.reading import blocks
 from coulombus.rigs.rig import load_rig
 
 HOLD = 'kind="hold", duration_s=2.0, push_F_s=0.6, frequency_Hz=0.5, taps_s=[0.6], tap_Nm=0.5, tap_s=0.02'

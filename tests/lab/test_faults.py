@@ -9,7 +9,7 @@ import pytest
 
 from coulombus.host.cycle.records import Trip
 from coulombus.lab.simulate import simulate
-from coulombus.recording.signals import read
+from coulombus.recording.reading import read
 from coulombus.sim_bus.network.kernel import BRAKE, MOTOR
 
 MS = 1_000_000

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 from coulombus.host.errors import DeviceMismatch
 from coulombus.lab.simulate import simulate
-from coulombus.recording.signals import read
+from coulombus.recording.reading import read
 from coulombus.rigs.plan.by_role import longer_period
 from coulombus.rigs.plan.rig_plan import plan, shortest_period_ns
 from coulombus.rigs.rig import RigError, load_rig, load_rig_text

@@ -16,7 +16,7 @@ from coulombus.lab.replay.host_replay import ReplayError, host_replay
 from coulombus.lab.simulate import simulate
 from coulombus.recording.pcapng_reader import read_pcapng
 from coulombus.recording.pcapng_writer import PcapngWriter
-from coulombus.recording.signals import read
+from coulombus.recording.reading import read
 from coulombus.recording.trace import EVENT, TRACE, Event, Moment, pack, pack_sent, unpack, unpack_sent
 from coulombus.rigs.rig import RigError, load_rig
 from coulombus.verbs.main import main

@@ -12,7 +12,7 @@ from coulombus.lab.replay.host_replay import ReplayError, host_replay
 from coulombus.lab.simulate import simulate
 from coulombus.recording.pcapng_reader import read_pcapng
 from coulombus.recording.pcapng_writer import PcapngWriter
-from coulombus.recording.signals import read
+from coulombus.recording.reading import read
 
 MS = 1_000_000
 PUSHED = (

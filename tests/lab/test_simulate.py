@@ -17,7 +17,7 @@ import pytest
 from coulombus.host.errors import DeviceMismatch, NodeMissing
 from coulombus.lab.bringup import switch_on
 from coulombus.lab.simulate import simulate
-from coulombus.recording.signals import read
+from coulombus.recording.reading import read
 from coulombus.rigs.rig import load_rig
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
 from coulombus.wire.bits import frame_bits

@@ -13,7 +13,7 @@ from coulombus.host.laws.laws import OWN_LAWS
 from coulombus.lab.replay.host_replay import host_replay
 from coulombus.lab.replay.virtual_replay import virtual_replay
 from coulombus.lab.simulate import simulate
-from coulombus.recording.signals import read
+from coulombus.recording.reading import read
 from coulombus.rigs.rig import load_rig
 from coulombus.verbs.main import main
 

@@ -20,7 +20,7 @@ from coulombus.lab.demo.traces import figure_14, traces
 from coulombus.lab.replay.host_replay import host_replay
 from coulombus.lab.simulate import simulate
 from coulombus.recording.friction.identify import IdentifyError, identify
-from coulombus.recording.signals import blocks
+from coulombus.recording.reading import blocks
 from coulombus.rigs.rig import load_rig
 from coulombus.scope.decode import rows
 from coulombus.scope.live import Live

@@ -17,7 +17,8 @@ from coulombus.recording.friction.identify import IdentifyError, identify
 from coulombus.recording.measures import measure, phases
 from coulombus.recording.pcapng_reader import iter_pcapng
 from coulombus.recording.pcapng_writer import PcapngWriter
-from coulombus.recording.signals import blocks, read, series
+from coulombus.recording.reading import blocks, read
+from coulombus.recording.signals import series
 from coulombus.rigs.rig import load_rig
 from coulombus.scope.decode import rows
 from coulombus.wire.frame import FRAME
@@ -213,7 +214,7 @@ def test_only_the_beginning_is_read_for_the_rig(recorded, monkeypatch):
             taken.append(len(part.frames))
             yield part
 
-    monkeypatch.setattr("coulombus.recording.signals.iter_pcapng", counted)
+    monkeypatch.setattr("coulombus.recording.reading.iter_pcapng", counted)
     assert blocks(recorded).rig.name == "bench"
     assert len(taken) == 1
 

@@ -6,7 +6,7 @@ import pytest
 
 from coulombus.recording.pcapng_blocks import PcapngError
 from coulombus.recording.pcapng_reader import read_pcapng
-from coulombus.recording.signals import read
+from coulombus.recording.reading import read
 
 MESSAGES = [
     can.Message(timestamp=1_700_000_000.25, arbitration_id=0x181, data=b"\x37\x02\0\0\0\0\0\0", is_extended_id=False),

@@ -18,7 +18,8 @@ from coulombus.recording.pictures.plot import (
     traces_of,
 )
 from coulombus.recording.pictures.style import QUANTITIES
-from coulombus.recording.signals import Recording, UnknownSignal, blocks, read
+from coulombus.recording.reading import blocks, read
+from coulombus.recording.signals import Recording, UnknownSignal
 from coulombus.recording.span import SpanError, parse_span
 from coulombus.rigs.arguments import WrongCall
 

@@ -18,7 +18,8 @@ from coulombus.recording.export.errors import ExportError
 from coulombus.recording.export.export import FRAMES, KINDS, SIGNALS, export
 from coulombus.recording.export.hdf import _Place
 from coulombus.recording.extras import MissingExtra
-from coulombus.recording.signals import Recording, UnknownSignal, read
+from coulombus.recording.reading import read
+from coulombus.recording.signals import Recording, UnknownSignal
 from coulombus.rigs.arguments import WrongCall
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 

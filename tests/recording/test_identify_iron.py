@@ -12,7 +12,7 @@ from coulombus.analysis.rig.felt import broke_away, felt_control, iron_of
 from coulombus.lab.simulate import simulate
 from coulombus.recording.friction.iron import identify_iron, iron_lines, play
 from coulombus.recording.friction.sliding import IdentifyError
-from coulombus.recording.signals import blocks
+from coulombus.recording.reading import blocks
 from coulombus.rigs.rig import load_rig
 from coulombus.verbs.main import main
 

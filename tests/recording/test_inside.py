@@ -26,8 +26,9 @@ from coulombus.recording.inside import (
 from coulombus.recording.pcapng_reader import read_pcapng
 from coulombus.recording.pcapng_writer import PcapngWriter
 from coulombus.recording.pictures.plot import traces_of
+from coulombus.recording.reading import blocks, read
 from coulombus.recording.recorder import About, Recorder
-from coulombus.recording.signals import blocks, read, series
+from coulombus.recording.signals import series
 from coulombus.rigs.rig import load_rig
 from coulombus.scope.tools.folder import tool_files
 from coulombus.wire.frame import FRAME, new_records

@@ -15,8 +15,10 @@ from coulombus.recording.log_files import LogError
 from coulombus.recording.pcapng_blocks import PcapngError
 from coulombus.recording.pcapng_reader import read_pcapng
 from coulombus.recording.pcapng_writer import PcapngWriter
+from coulombus.recording.pdo_table import decode_field
+from coulombus.recording.reading import blocks, read
 from coulombus.recording.recorder import Recorder
-from coulombus.recording.signals import Recording, blocks, decode_field, read
+from coulombus.recording.signals import Recording
 from coulombus.rigs.rig import Rig, RigError, load_rig
 from coulombus.wire.frame import CAN_EFF_FLAG, CAN_RTR_FLAG, FRAME, data_word
 from host_bench import VELOCITY

@@ -10,7 +10,8 @@ from bench_recording import record
 from coulombus.lab.simulate import simulate
 from coulombus.recording.comparison import compare
 from coulombus.recording.export.export import export
-from coulombus.recording.signals import blocks, read, series
+from coulombus.recording.reading import blocks, read
+from coulombus.recording.signals import series
 from coulombus.rigs.arguments import WrongCall
 from coulombus.rigs.rig import RigError, load_rig
 from coulombus.scope.callbacks import live

@@ -19,9 +19,9 @@ from coulombus.recording import segments as module
 from coulombus.recording.folders import runs, segments
 from coulombus.recording.pcapng_blocks import PcapngError, RecordingError
 from coulombus.recording.pcapng_reader import iter_pcapng
+from coulombus.recording.reading import blocks, read
 from coulombus.recording.recorder import About
 from coulombus.recording.segments import Rotation, SegmentedRecorder, parse_rotation, parse_size, reserve
-from coulombus.recording.signals import blocks, read
 from coulombus.recording.wall_clock import attached_object, clock_state, utc, wall_clock
 from coulombus.rigs.rig import load_rig
 from coulombus.verbs.main import main

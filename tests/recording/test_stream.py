@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from coulombus.recording.signals import read
+from coulombus.recording.reading import read
 from coulombus.recording.stream import stream
 from coulombus.rigs.rig import load_rig
 from coulombus.wire.address import parse_address

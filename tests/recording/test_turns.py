@@ -16,7 +16,8 @@ from coulombus.lab.simulate import simulate
 from coulombus.recording import pcapng_reader
 from coulombus.recording.measures import measure
 from coulombus.recording.pcapng_writer import PcapngWriter
-from coulombus.recording.signals import blocks, read, series
+from coulombus.recording.reading import blocks, read
+from coulombus.recording.signals import series
 from coulombus.recording.turns import Turns, follow
 from coulombus.verbs.main import main
 from foreign_eds import I16, edited

@@ -10,7 +10,7 @@ import pytest
 
 from coulombus.eds.reader import Description, Object, Variable
 from coulombus.recording.pcapng_writer import PcapngWriter
-from coulombus.recording.signals import read
+from coulombus.recording.reading import read
 from coulombus.rigs.rig import Rig, load_rig
 from coulombus.scope.decode import as_json, as_text, rows
 from coulombus.scope.services import Sdo, lss

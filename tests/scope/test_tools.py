@@ -21,7 +21,7 @@ from click.testing import CliRunner
 from coulombus.eds.cia402 import CONTROLWORD_FIELDS, STATUSWORD_FIELDS, word_fields
 from coulombus.recording.mf4_log import ready
 from coulombus.recording.pcapng_writer import PcapngWriter
-from coulombus.recording.signals import read
+from coulombus.recording.reading import read
 from coulombus.rigs.rig import load_rig
 from coulombus.scope.names import fields, identifier, plain, signals
 from coulombus.scope.tools.folder import tool_files

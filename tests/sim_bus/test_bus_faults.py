@@ -18,7 +18,7 @@ import pytest
 from coulombus.eds.cia402 import PowerState
 from coulombus.host.errors import NodeMissing
 from coulombus.lab.simulate import simulate
-from coulombus.recording.signals import read
+from coulombus.recording.reading import read
 from coulombus.rigs.rig import load_rig
 from coulombus.sim_bus.faults.file import FaultError, read_faults
 from coulombus.sim_bus.faults.lines import injected_lines

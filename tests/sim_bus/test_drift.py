@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from coulombus.lab.simulate import simulate
 from coulombus.node.record import new_nodes
-from coulombus.recording.signals import read
+from coulombus.recording.reading import read
 from coulombus.rigs.rig import load_rig
 from coulombus.sim_bus.faults.file import FaultError, read_faults
 from coulombus.sim_bus.faults.injection import Injection

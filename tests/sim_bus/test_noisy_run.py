@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.loss import account
-from coulombus.recording.signals import read
+from coulombus.recording.reading import read
 from coulombus.wire.frame import CAN_ERR_FLAG
 
 

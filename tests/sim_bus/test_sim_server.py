@@ -21,7 +21,7 @@ import canopen
 import pytest
 
 from coulombus.recording.pcapng_blocks import RecordingError
-from coulombus.recording.signals import read
+from coulombus.recording.reading import read
 from coulombus.rigs.rig import load_rig
 from coulombus.sim_bus.network.script import Entry, ScriptError, read_script
 from coulombus.sim_bus.server.clients import SLOTS, State

@@ -12,7 +12,7 @@ from contextlib import suppress
 
 import pytest
 
-from coulombus.recording.signals import read
+from coulombus.recording.reading import read
 from coulombus.rigs.rig import load_rig
 from real_bench import PATIENCE_S, ROOT, Observer, end
 from warm_start import Warm

@@ -29,7 +29,7 @@ from coulombus.host.cycle.records import Image, Phase
 from coulombus.host.realtime.loop import run_plane
 from coulombus.host.realtime.process import new_buffers
 from coulombus.host.realtime.shared_memory import Command, SharedPlane, Status
-from coulombus.recording.signals import read
+from coulombus.recording.reading import read
 from coulombus.rigs.rig import load_rig
 from coulombus.sim_bus.server.rig_server import SimServer
 from coulombus.verbs.exit_status import FAULT

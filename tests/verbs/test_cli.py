@@ -16,7 +16,7 @@ import pytest
 from click.testing import CliRunner
 
 from coulombus.recording.measures import phases
-from coulombus.recording.signals import read
+from coulombus.recording.reading import read
 from coulombus.verbs.main import main
 from coulombus.verbs.simulate import next_steps
 

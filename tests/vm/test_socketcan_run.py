@@ -13,7 +13,7 @@ import time
 
 import pytest
 
-from coulombus.recording.signals import read
+from coulombus.recording.reading import read
 from coulombus.wire.client import BusFull, BusUnavailable, pack_frame
 from vm_host import enabled, host, observer, result, until
 from vm_interfaces import INTERFACES

@@ -7,7 +7,7 @@ from click.testing import CliRunner
 
 from coulombus.lab.experiment.bridge import Ended, FolderError, StudyError, open_session
 from coulombus.lab.experiment.folder import read_events
-from coulombus.recording.signals import read
+from coulombus.recording.reading import read
 from coulombus.verbs.main import main
 from study_text import TEXT
 

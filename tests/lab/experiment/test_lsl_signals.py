@@ -11,7 +11,7 @@ from coulombus.lab.experiment.folder import SubjectFolder
 from coulombus.lab.experiment.lsl import LslSignals
 from coulombus.lab.experiment.session import SubjectSession
 from coulombus.lab.experiment.study import read_study
-from coulombus.recording.signals import read
+from coulombus.recording.reading import read
 from study_text import TEXT
 
 NOW_S = 5000.0

@@ -22,7 +22,7 @@ from coulombus.lab.sweep.picture import map_of
 from coulombus.lab.sweep.sweep import run_sweep
 from coulombus.lab.sweep.workers import ClusterError, on_processes
 from coulombus.lab.sweep.worst import shrunk
-from coulombus.recording.signals import read
+from coulombus.recording.reading import read
 from coulombus.rigs.rig import load_rig, load_rig_text, packaged_rig
 
 pytestmark = pytest.mark.slow

@@ -8,7 +8,7 @@ pytest.importorskip("tornado", reason="the page needs Tornado: pip install 'coul
 
 from chromium import CHROMIUM, Browser
 from coulombus.recording.pcapng_writer import PcapngWriter
-from coulombus.recording.signals import read
+from coulombus.recording.reading import read
 from coulombus.wire.frame import FRAME, data_word, new_records
 from web_bench import BEGIN_NS, MS, Door, cycles, page, served
 

@@ -14,7 +14,7 @@ from tornado.httpclient import AsyncHTTPClient, HTTPRequest
 from tornado.websocket import websocket_connect
 
 from coulombus.compiled.decorator import JIT_DISABLED
-from coulombus.recording.signals import read
+from coulombus.recording.reading import read
 from coulombus.scope.web.batch import unpacked
 from real_bench import HOLD, PATIENCE_S, host, result, simulation
 
