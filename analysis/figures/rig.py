@@ -324,12 +324,15 @@ def write_map(directory: Path, found: OscillationMap) -> list[Path]:
 
 
 def write_wall_plane(directory: Path, found: WallPlane) -> list[Path]:
-    """Z-width: the stiffest stable wall over its damping; lines are predicted, points are the bus."""
+    """Z-width: the stiffest stable wall over its damping; lines are predicted, dashed for a wall
+    of one side; points are the bus.
+    """
     with figure(5.5, 3.6) as (made, axes):
         for mode, colour in (("active", VERMILION), ("hybrid", BLUE)):
             rows = [row for row in found.rows if row.mode == mode]
             B = [row.B_Nms_rad for row in rows]
-            axes.plot(B, [row.predicted_Nm_rad for row in rows], color=colour, label=f"{mode}, predicted")
+            axes.plot(B, [row.predicted_Nm_rad for row in rows], color=colour, label=f"{mode}, both sides")
+            axes.plot(B, [row.leaning_Nm_rad for row in rows], "--", color=colour, label=f"{mode}, one side")
             axes.plot(B, [row.bus_Nm_rad for row in rows], "o", color=colour, label=f"{mode}, through the bus")
         axes.legend(loc="best")
         label(axes, "damping B [Nms/rad]", "stiffness K [Nm/rad]", f"virtual wall, rig {found.rig}")

@@ -15,6 +15,10 @@ has K alone. The brake's level :math:`B|\hat v|` lags behind: for an oscillation
 1 rad/s. A point is stable where the later half of the motion is smaller than the first, and it never
 leaves 1 rad.
 
+*Leaning* (`stable_leaning`): the same motion at a wall of one side, against which the hand comes and
+leans. Outside the brake's level is 0, so behind each entry it has to build up anew: hybrid bears less than
+a wall that holds from both sides, and active, whose stiffness is felt in contact alone, more.
+
 Sources: J. E. Colgate, J. M. Brown, Factors affecting the Z-width of a haptic display, IEEE ICRA 1994,
 doi:10.1109/ROBOT.1994.351077; the paper, Fig. 8.
 """
@@ -29,7 +33,17 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import expm
 
-__all__ = ["Handle", "ZWidth", "hulin_stiffness", "stable_predicted", "stable_simulated", "z_width"]
+__all__ = [
+    "Handle",
+    "Lean",
+    "ZWidth",
+    "dies_out",
+    "hulin_stiffness",
+    "stable_leaning",
+    "stable_predicted",
+    "stable_simulated",
+    "z_width",
+]
 
 Floats: TypeAlias = npt.NDArray[np.float64]
 Bools: TypeAlias = npt.NDArray[np.bool_]
@@ -52,6 +66,17 @@ class Handle:
     count_rad: float = 2 * math.pi / (8192 * 9.587)
     coil_lag_s: float = 3e-3
     fluid_lag_s: float = 15e-3
+
+
+@dataclass(frozen=True)
+class Lean:
+    """How a hand comes to a wall of one side: at rest, and pushed from an instant on for `seconds`."""
+
+    torque_Nm: float = 0.3
+    way_rad: float = 0.1
+    most_Nm: float = 4.0
+    """At which the motor's torque, and the brake's, end."""
+    seconds: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -142,6 +167,44 @@ def stable_simulated(handle: Handle, K_Nm_rad: Floats, B_Nms_rad: Floats, mode: 
         else:
             np.maximum(second, np.abs(x), out=second)
     return np.asarray((second < first) & ~gone, np.bool_)
+
+
+def stable_leaning(handle: Handle, K_Nm_rad: float, B_Nms_rad: float, mode: str, lean: Lean) -> bool:
+    """Return whether a hand that leans on the wall of one side (K, B) feels it at rest: `dies_out`.
+
+    Equations as `stable_simulated`, but that the wall begins at angle 0 and never pulls
+    (`host.laws.wall`), and torques end at ``lean.most_Nm``.
+    """
+    T, J, h = handle.period_s, handle.inertia_kg_m2, handle.period_s / STEPS
+    to_coil, to_fluid = 1 - math.exp(-h / handle.coil_lag_s), 1 - math.exp(-h / handle.fluid_lag_s)
+    x, v, coil, fluid = -lean.way_rad, 0.0, 0.0, 0.0
+    before = round(x / handle.count_rad) * handle.count_rad
+    under_way = [(0.0, 0.0)] * handle.delay_cycles
+    speeds = np.empty(round(lean.seconds / T) * STEPS)
+    for k in range(round(lean.seconds / T)):
+        shown = round(x / handle.count_rad) * handle.count_rad
+        damping, before = B_Nms_rad * (shown - before) / T, shown
+        spring, asked = min(K_Nm_rad * shown, lean.most_Nm), (0.0, 0.0)
+        if shown > 0.0 and mode == "hybrid":
+            asked = spring, min(abs(damping), lean.most_Nm if damping >= 0.0 else spring)
+        elif shown > 0.0:
+            asked = min(max(K_Nm_rad * shown + damping, 0.0), lean.most_Nm), 0.0
+        under_way.append(asked)
+        torque, level = under_way.pop(0)
+        for n in range(STEPS):
+            coil += (level - coil) * to_coil
+            fluid += (coil - fluid) * to_fluid
+            pushed = (v + h / J * (lean.torque_Nm - torque)) / (1 + h * handle.viscous_Nms_rad / J)
+            v = math.copysign(max(abs(pushed) - h / J * fluid, 0.0), pushed)
+            x += h * v
+            speeds[k * STEPS + n] = v
+    part = len(speeds) // 4
+    return dies_out(speeds[:part], speeds[-part:])
+
+
+def dies_out(first: Floats, last: Floats) -> bool:
+    """Return whether the speed of the last part is less than half of the first's (RMS about the mean)."""
+    return bool(np.std(last) < 0.5 * np.std(first))
 
 
 def z_width(handle: Handle | None = None, *, most_K: float = 1000.0, most_B: float = 3.0, points: int = 20) -> ZWidth:

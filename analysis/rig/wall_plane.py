@@ -3,10 +3,12 @@ r"""The K-B plane of a virtual wall through bus, nodes and PDOs.
 A hand that is a damper leans on the wall with a constant torque, so that the handle swings
 about :math:`p = f/K` within it. The motor shows K and B (active), or the motor K and the brake B
 (hybrid). The rig is the given one without inherent friction, off-state torque and the motor's lag:
-what is left is `analysis.loop.z_width.Handle`, whose prediction the display is held against.
+what is left is `analysis.loop.z_width.Handle`. The display is held against its prediction, for a wall
+that holds from both sides, and against the same hand at a wall of one side (`stable_leaning`), which is
+other code: it knows no bus and no PDO.
 
-A point is stable where nothing trips and the speed of the last part is less than half of the first.
-For each B the largest stable K is found by bisection; hybrid's gain is the ratio of the areas below.
+A point is stable where nothing trips and the speed dies out (`dies_out`). For each B the largest stable K
+is found by bisection; hybrid's gain is the ratio of the areas below.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from coulombus.analysis.loop.z_width import Handle, stable_predicted
+from coulombus.analysis.loop.z_width import Handle, Lean, dies_out, stable_leaning, stable_predicted
 from coulombus.analysis.rig.runs import need_modes
 from coulombus.lab.simulate import simulate
 from coulombus.rigs.rig import Rig, load_rig
@@ -30,12 +32,13 @@ __all__ = ["WallPlane", "WallRow", "handle_of", "stable_through_bus", "wall_plan
 
 MODES = "active", "hybrid"
 DAMPINGS_NMS_RAD = (0.1, 0.5, 1.0, 1.8)
-LEANS_NM, MOST_NM = 0.3, 4.0
-REST_S, LEAN_S, PART_S = 2.0, 1.0, 0.25
+REST_S, PART_S = 2.0, 0.25
 SOFTEST_NM_RAD, STIFFEST_NM_RAD = 2.0, 2000.0
 HALVINGS = 6
-AT_RAD, HAND_NMS_RAD = 0.1, 0.1
-"""Where the wall is, beyond the sign check's travel; and the hand, which that check needs."""
+LEAN = Lean()
+"""The wall is beyond the sign check's travel."""
+HAND_NMS_RAD = 0.1
+"""The hand's damping, which that check needs."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,7 @@ class WallRow:
     mode: str
     B_Nms_rad: float
     predicted_Nm_rad: float
+    leaning_Nm_rad: float
     bus_Nm_rad: float
 
 
@@ -56,7 +60,7 @@ class WallPlane:
     rows: tuple[WallRow, ...]
 
     def ratio(self, which: str) -> float:
-        """Return hybrid's area as a multiple of active's, ``predicted`` or ``bus``."""
+        """Return hybrid's area as a multiple of active's: ``predicted``, ``leaning`` or ``bus``."""
         area = {}
         for mode in MODES:
             rows = [row for row in self.rows if row.mode == mode]
@@ -66,16 +70,19 @@ class WallPlane:
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values."""
-        ratios = {which: self.ratio(which) for which in ("predicted", "bus")}
+        ratios = {which: self.ratio(which) for which in ("predicted", "leaning", "bus")}
         return {"rig": self.rig, "rows": [asdict(row) for row in self.rows], "hybrid_to_active": ratios}
 
     def lines(self) -> Iterator[str]:
         """Yield the boundary for people."""
         yield f"rig {self.rig}: the stiffest stable wall [Nm/rad]"
-        yield f"{'mode':<8} {'B [Nms/rad]':>12} {'predicted':>10} {'bus':>10}"
+        yield f"{'mode':<8} {'B [Nms/rad]':>12} {'predicted':>10} {'leaning':>10} {'bus':>10}"
         for row in self.rows:
-            yield f"{row.mode:<8} {row.B_Nms_rad:>12.3g} {row.predicted_Nm_rad:>10.4g} {row.bus_Nm_rad:>10.4g}"
-        yield f"hybrid's area to active's: predicted {self.ratio('predicted'):.3g}, bus {self.ratio('bus'):.3g}"
+            found = row.predicted_Nm_rad, row.leaning_Nm_rad, row.bus_Nm_rad
+            yield f"{row.mode:<8} {row.B_Nms_rad:>12.3g} " + " ".join(f"{K:>10.4g}" for K in found)
+        ratios = ", ".join(f"{which} {self.ratio(which):.3g}" for which in ("predicted", "leaning", "bus"))
+        yield f"hybrid's area to active's: {ratios}"
+        yield "predicted: the wall holds from both sides; leaning: it has one side, without bus and PDOs"
 
 
 def handle_of(rig: Rig) -> Handle:
@@ -100,10 +107,15 @@ def stable_through_bus(rig: Rig, K_Nm_rad: float, B_Nms_rad: float, mode: str, *
         "law.function=wall",
         *(
             f"law.wall.{key}"
-            for key in (f"K_Nm_rad={K_Nm_rad}", f"B_Nms_rad={B_Nms_rad}", f"most_Nm={MOST_NM}", f"x_wall_rad={AT_RAD}")
+            for key in (
+                f"K_Nm_rad={K_Nm_rad}",
+                f"B_Nms_rad={B_Nms_rad}",
+                f"most_Nm={LEAN.most_Nm}",
+                f"x_wall_rad={LEAN.way_rad}",
+            )
         ),
         "law.gain_ramp_s=0.01",
-        f"mode.{mode}.motor_limit_Nm={MOST_NM}",
+        f"mode.{mode}.motor_limit_Nm={LEAN.most_Nm}",
         f"mode.{mode}.compensation=0.0",
         f"limits.brake_torque_Nm={rig.one_axis().brake.rated_torque_Nm}",
         "limits.torque_rate_Nm_s=1e6",
@@ -111,21 +123,21 @@ def stable_through_bus(rig: Rig, K_Nm_rad: float, B_Nms_rad: float, mode: str, *
         *(f"plant.{key}=0.0" for key in ("coulomb_Nm", "brake_off_state_Nm", "motor_lag_s")),
         *(f"operator.{key}=0.0" for key in nothing),
         f"operator.damping_Nms_rad={HAND_NMS_RAD}",
-        f'phase=[{{kind="rest", duration_s={REST_S}}}, {{kind="file", duration_s={LEAN_S}, '
-        f"t_s=[0.0, 0.001, {LEAN_S}], torque_Nm=[0.0, {LEANS_NM}, {LEANS_NM}]}}]",
+        f'phase=[{{kind="rest", duration_s={REST_S}}}, {{kind="file", duration_s={LEAN.seconds}, '
+        f"t_s=[0.0, 0.001, {LEAN.seconds}], torque_Nm=[0.0, {LEAN.torque_Nm}, {LEAN.torque_Nm}]}}]",
     )
     with tempfile.TemporaryDirectory(prefix="coulombus-") as directory:
         path = Path(directory) / "truth.npz"
-        result = simulate(leaning, mode, REST_S + LEAN_S, truth=path, seed=seed, force=True)
+        result = simulate(leaning, mode, REST_S + LEAN.seconds, truth=path, seed=seed, force=True)
         if result.trip is not None:
             return False
         with np.load(path) as truth:
             t, speed = truth["t_s"], truth["speed_rad_s"]
-            leans = np.abs(truth["operator_Nm"]) > 0.5 * LEANS_NM
+            leans = np.abs(truth["operator_Nm"]) > 0.5 * LEAN.torque_Nm
     begin, end = t[leans][0], t[leans][-1]
     first = speed[(t >= begin) & (t < begin + PART_S)]
     last = speed[(t > end - PART_S) & (t <= end)]
-    return bool(np.std(last) < 0.5 * np.std(first))
+    return dies_out(first, last)
 
 
 def _stiffest(stable: Callable[[float], bool]) -> float:
@@ -146,7 +158,7 @@ def wall_plane(
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> WallPlane:
-    """Return the boundary of the stable walls, predicted and through PDOs.
+    """Return the boundary of the stable walls: predicted, at a wall of one side, and through PDOs.
 
     Parameters
     ----------
@@ -164,8 +176,9 @@ def wall_plane(
     for mode in MODES:
         for B in dampings:
             predicted = _stiffest(partial(stable_predicted, handle, B_Nms_rad=B, mode=mode))
+            leaning = _stiffest(partial(stable_leaning, handle, B_Nms_rad=B, mode=mode, lean=LEAN))
             bus = _stiffest(partial(stable_through_bus, rig, B_Nms_rad=B, mode=mode, seed=seed))
-            rows.append(WallRow(mode, B, predicted, bus))
+            rows.append(WallRow(mode, B, predicted, leaning, bus))
             if progress is not None:
                 progress(len(rows) / (len(MODES) * len(dampings)))
     return WallPlane(rig.name, tuple(rows))

@@ -25,7 +25,8 @@ def wall(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
     .. math:: \psi = \mathrm{sat}\left(\max(K p + B v, 0)/\tau_{max}\right)\tau_{max}, \quad
         \tau_{brake} = \min(B |v|, \tau_{max}), \quad \tau_{motor} = \min(K p, \tau_{max})
 
-    Outside all are 0. The wall never pulls. Mode active shows :math:`\psi`, damping included. In
+    Outside all are 0. The wall never pulls: on the way out the brake has at most
+    :math:`\tau_{motor}`, so that it does not hold the hand in the wall. Mode active shows :math:`\psi`, damping included. In
     hybrid the motor has the stiffness, which must push back when the hand lets go, and the brake the
     damping, which only takes. In passive the brake has the damping alone.
 
@@ -38,6 +39,6 @@ def wall(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
         state.brake_Nm = state.motor_Nm = 0.0
         return 0.0
     damping = law.B_Nms_rad * motion.v_rad_s
-    state.brake_Nm = min(abs(damping), law.most_Nm)
     state.motor_Nm = min(law.K_Nm_rad * p, law.most_Nm)
+    state.brake_Nm = min(abs(damping), law.most_Nm if damping >= 0.0 else state.motor_Nm)
     return float(min(max(law.K_Nm_rad * p + damping, 0.0), law.most_Nm))
