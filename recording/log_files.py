@@ -7,7 +7,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from coulombus.eds.regular_file import require_regular
-from coulombus.recording import mf4_log
+from coulombus.recording import blf_log, mf4_log
 from coulombus.wire.frame import FRAME, Records, new_records
 
 __all__ = ["WALL_CLOCK_NS", "LogError", "is_log", "is_pcapng", "read_log"]
@@ -50,11 +50,14 @@ def read_log(path: str | Path) -> tuple[Records, list[str]]:
 
     from coulombus.wire.messages import can_id_of, is_classical, word_of  # imports python-can
 
-    if Path(path).name.lower().removesuffix(".gz").endswith(".mf4"):
+    name = Path(path).name.lower().removesuffix(".gz")
+    if name.endswith(".mf4"):
         mf4_log.ready()
     rows: list[tuple[int, int, int, int, int]] = []
     skipped = 0
     try:
+        if name.endswith(".blf"):
+            blf_log.check(path)
         with can.LogReader(path) as reader:
             for message in reader:
                 if not is_classical(message):
