@@ -29,10 +29,6 @@ from coulombus.rigs.toml_lines import Key, read_toml
 
 __all__ = ["Axis", "Origin", "Sections", "Simulation"]
 
-HYBRID_MARGIN = 1.2
-LAWS_THAT_PUSH = frozenset({"wall"})
-"""The project's laws that have a part for the motor in mode hybrid."""
-
 
 class Sections(Section):
     """The sections of a rig file, as one axis has them: its own values, and the shared ones in the
@@ -178,18 +174,6 @@ class Axis(Sections):
     def allocation(self) -> AxisPdos:
         """The roles of the axis and the PDOs that carry them."""
         return allocate(self, self.prefix)
-
-    def motor_limit_Nm(self, mode: str) -> float:
-        """Return the largest motor torque at the handle [Nm] in a mode, which the drive's own limit
-        6072h is set to.
-
-        In `hybrid` the motor has friction to compensate and nothing else: at most 1.2 times the
-        identified friction. Of a law that pushes, the rig file's limit is the limit.
-        """
-        limit = self.mode[mode].motor_limit_Nm
-        if mode != "hybrid" or self.law.function.strip() in LAWS_THAT_PUSH:
-            return limit
-        return min(limit, HYBRID_MARGIN * self.mechanics.friction_Nm)
 
     @property
     def law_of_recording(self) -> bool:

@@ -32,6 +32,7 @@ import numpy.typing as npt
 
 from coulombus.analysis.loop.bounds import Bounds, bounds
 from coulombus.analysis.loop.sampled_loop import LOOP, STATS, run_loops
+from coulombus.host.cycle.demand import motor_limit_Nm
 from coulombus.host.laws.laws import LAW, LAW_STATE, MOTION
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig, load_rig
@@ -101,7 +102,7 @@ class LoopParameters:
             "rate_Hz": 1.0 / axis.bus.period_s,
             "delay_s": axis.bus.period_s * (1 + axis.bus.late_cycles),
             "motor_lag_s": plant.motor_lag_s,
-            "motor_limit_Nm": axis.motor_limit_Nm(mode),
+            "motor_limit_Nm": motor_limit_Nm(axis, mode),
             "torque_step_Nm": scale["motor.target_torque_Nm"],
             "count_rad": scale["motor.position_rad"],
             "K_p_Nm_rad": chosen.K_p_Nm_rad,

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from coulombus.host.commission.samples import thinned
 from coulombus.host.commission.step import Curve, Exercise, Finding, Given, Outcome, Risk, Step, Taken
+from coulombus.host.cycle.demand import motor_limit_Nm
 from coulombus.recording.measures import measure
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
@@ -36,7 +37,7 @@ class Display(Step):
         chosen = axis.mode[mode]
         return Risk(
             f"The rig displays friction in mode {mode}: F_s {chosen.F_s_Nm:g} Nm, F_d {chosen.F_d_Nm:g} Nm.",
-            motor_Nm=max(axis.motor_limit_Nm(mode), axis.limits.sign_check_torque_Nm if mode == "active" else 0.0),
+            motor_Nm=max(motor_limit_Nm(axis, mode), axis.limits.sign_check_torque_Nm if mode == "active" else 0.0),
             brake_Nm=axis.limits.brake_torque_Nm if mode != "active" else 0.0,
             seconds=12.0,
             operator="After 2 s push the handle, less than it bears, to and fro for 4 s; then stroke it, "

@@ -33,11 +33,12 @@ from coulombus.host.commission.step import (
     exercise,
     lacks_roles,
 )
+from coulombus.host.cycle.demand import HYBRID_MARGIN
 from coulombus.recording.friction.cogging import Cogging, find_cogging
 from coulombus.recording.friction.friction_fit import Estimate
 from coulombus.recording.friction.identify import Identification, identify
 from coulombus.recording.friction.sliding import Floats, IdentifyError, Sliding, equations, sliding
-from coulombus.rigs.axis import HYBRID_MARGIN, Axis
+from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig
 
 __all__ = ["FREE_HAND", "Friction", "sweep_exercise"]

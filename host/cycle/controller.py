@@ -12,7 +12,7 @@ from coulombus.eds.cia301 import CobId, NmtState
 from coulombus.eds.codec import PDO
 from coulombus.eds.own_devices import is_own, told_identity
 from coulombus.eds.pdo import fill
-from coulombus.host.cycle.demand import brake_end_Nm, brake_limit_raw
+from coulombus.host.cycle.demand import brake_end_Nm, brake_limit_raw, motor_limit_Nm
 from coulombus.host.cycle.live import LIVE
 from coulombus.host.cycle.records import (
     CONTROL,
@@ -381,7 +381,7 @@ class Controller:
         """Return the motor's torque limit in counts of its set-point (6071h: per mille), rounded
         down.
         """
-        limit = math.floor(self.axis.motor_limit_Nm(self.mode) / abs(motor_Nm_raw) + 1e-9)
+        limit = math.floor(motor_limit_Nm(self.axis, self.mode) / abs(motor_Nm_raw) + 1e-9)
         motor, entry = self.axis.description("motor"), self.axis.allocation.bound["torque_setpoint"].entry
         target = motor.variable(entry.index, entry.subindex)
         ends = [(entry.index, target.largest)]

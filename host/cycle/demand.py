@@ -14,18 +14,23 @@ from typing import NamedTuple
 
 from coulombus.host.laws.laws import OWN_LAWS
 from coulombus.host.laws.parameters import axis_parameters
-from coulombus.rigs.axis import LAWS_THAT_PUSH, Axis
+from coulombus.rigs.axis import Axis
 from coulombus.rigs.rig import Rig, RigError
 
 __all__ = [
+    "HYBRID_MARGIN",
     "brake_end_Nm",
     "brake_limit",
     "brake_limit_raw",
     "check_demand",
     "cut_off",
     "motor_limit",
+    "motor_limit_Nm",
     "torque_step_Nm",
 ]
+
+
+HYBRID_MARGIN = 1.2
 
 
 class Demand(NamedTuple):
@@ -59,9 +64,28 @@ def brake_end_Nm(axis: Axis) -> float:
     return one.table[-1][1] if one.table else float(brake_limit_raw(axis) * one.scale)
 
 
+def _pushes(axis: Axis) -> bool:
+    """Tell whether the axis' law is one of the project's own that pushes back in mode hybrid."""
+    own = OWN_LAWS.get(axis.law.function.strip())
+    return own is not None and own.pushes
+
+
+def motor_limit_Nm(axis: Axis, mode: str) -> float:
+    """Return the largest motor torque at the handle [Nm] in a mode, which the drive's own limit
+    6072h is set to.
+
+    In `hybrid` the motor has friction to compensate and nothing else: at most 1.2 times the
+    identified friction. Of a law that pushes, the rig file's limit is the limit.
+    """
+    limit = axis.mode[mode].motor_limit_Nm
+    if mode != "hybrid" or _pushes(axis):
+        return limit
+    return min(limit, HYBRID_MARGIN * axis.mechanics.friction_Nm)
+
+
 def motor_limit(axis: Axis, mode: str) -> tuple[float, str]:
     """Return the motor's largest torque in a mode [Nm], and whose limit that is."""
-    limit = axis.motor_limit_Nm(mode)
+    limit = motor_limit_Nm(axis, mode)
     if limit < axis.mode[mode].motor_limit_Nm:
         return limit, f"the motor in mode {mode} (1.2 x mechanics.friction_Nm)"
     return limit, f"mode.{mode}.motor_limit_Nm (the drive's 6072h)"
@@ -94,7 +118,7 @@ def _motor(axis: Axis, mode: str) -> Iterator[RigError]:
     if mode == "active":  # in slip the compensation takes its share off
         slip = f"mode.{mode}.F_d_Nm"
         wanted = [Demand(key, Nm - compensation if key == slip else Nm) for key, Nm in _law(axis, mode)] + wanted
-    elif mode == "hybrid" and axis.law.function.strip() in LAWS_THAT_PUSH:  # it pushes back while it compensates
+    elif mode == "hybrid" and _pushes(axis):  # it pushes back while it compensates
         wanted = [Demand(key, Nm + compensation) for key, Nm in _law(axis, mode)] + wanted
     limit, whose = motor_limit(axis, mode)
     for key, torque_Nm in wanted:

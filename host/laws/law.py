@@ -189,6 +189,7 @@ class Declaration:
     extremes : the parameters that say how much it displays at most [Nm]; none where that depends on
         the motion
     of_mode : the parameters are keys of [mode.*] and [law], as those of the first two laws are
+    pushes : in mode hybrid the motor displays its ``state.motor_Nm``
     """
 
     function: Callable[..., float]
@@ -196,6 +197,7 @@ class Declaration:
     state: tuple[tuple[str, int], ...] = ()
     extremes: tuple[str, ...] = ()
     of_mode: bool = False
+    pushes: bool = False
 
     def __post_init__(self) -> None:
         names, kept = self.names, sum(size for _, size in self.state)
@@ -264,7 +266,11 @@ class Declaration:
 
 
 def friction_law(
-    parameters: type[Parameters], state: Iterable[str | tuple[str, int]] = (), extremes: Iterable[str] = ()
+    parameters: type[Parameters],
+    state: Iterable[str | tuple[str, int]] = (),
+    extremes: Iterable[str] = (),
+    *,
+    pushes: bool = False,
 ) -> Callable[[F], F]:
     """Declare a friction law with named parameters.
 
@@ -273,6 +279,8 @@ def friction_law(
     parameters : the model of its parameters
     state : names of what the law keeps from cycle to cycle; ("F_Nm", 4) is an array
     extremes : the parameters that say how much the law displays at most [Nm]
+    pushes : in mode hybrid the motor displays ``state.motor_Nm``. Of the project's own laws alone
+        this lifts hybrid's limit of the motor (`host.cycle.demand.motor_limit_Nm`).
 
     Raises
     ------
@@ -282,7 +290,7 @@ def friction_law(
     kept = tuple((one, 1) if isinstance(one, str) else one for one in state)
 
     def declare(function: F) -> F:
-        function.declaration = Declaration(function, parameters, kept, tuple(extremes))  # type: ignore[attr-defined]
+        function.declaration = Declaration(function, parameters, kept, tuple(extremes), pushes=pushes)  # type: ignore[attr-defined]
         return function
 
     return declare

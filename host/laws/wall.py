@@ -16,7 +16,7 @@ class WallParameters(Parameters):
     most_Nm: float = Field(1.2, ge=0, le=1e4, description="the torque at which it ends")
 
 
-@friction_law(WallParameters, extremes=("most_Nm",))
+@friction_law(WallParameters, extremes=("most_Nm",), pushes=True)
 def wall(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -> float:
     r"""A virtual wall: stiffness by the motor, damping by the brake, the paper's Fig. 8.
 

@@ -20,6 +20,7 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import ClassVar, Self
 
+from coulombus.host.cycle.demand import motor_limit_Nm
 from coulombus.host.errors import SafetyTrip
 from coulombus.rigs.rig import Rig
 from coulombus.wire.address import BusAddress
@@ -46,7 +47,7 @@ def deadman_of(rig: Rig, mode: str, address: BusAddress) -> str:
     """
     if rig.host.deadman:
         return rig.host.deadman
-    pushing = [f"{axis.prefix}motor" for axis in rig.axes if axis.motor_limit_Nm(mode) > 0]
+    pushing = [f"{axis.prefix}motor" for axis in rig.axes if motor_limit_Nm(axis, mode) > 0]
     if address.kind == "socketcan" and pushing:
         which = "the motor" if pushing == ["motor"] else ", ".join(pushing)
         raise SafetyTrip(

@@ -18,6 +18,7 @@ import can
 import numpy as np
 
 from coulombus.host.cycle.controllers import Controllers
+from coulombus.host.cycle.demand import motor_limit_Nm
 from coulombus.host.errors import SafetyTrip
 from coulombus.host.run.compute import measure_compute
 from coulombus.host.run.control_socket import HostSocket
@@ -108,7 +109,7 @@ def _axis_of(rig: Rig, name: str) -> Axis:
 
 def quiet_mode(rig: Rig) -> str:
     """Return the mode in which the devices are configured: that whose motors may do least."""
-    return min(rig.modes, key=lambda mode: max(axis.motor_limit_Nm(mode) for axis in rig.axes))
+    return min(rig.modes, key=lambda mode: max(motor_limit_Nm(axis, mode) for axis in rig.axes))
 
 
 class _BusWire:

@@ -6,7 +6,7 @@ import pytest
 
 from coulombus.analysis.loop.z_width import Lean, stable_leaning, stable_predicted
 from coulombus.analysis.rig.wall_plane import WallPlane, WallRow, handle_of, stable_through_bus
-from coulombus.host.cycle.demand import cut_off
+from coulombus.host.cycle.demand import cut_off, motor_limit_Nm
 from coulombus.rigs.rig import load_rig
 
 
@@ -64,4 +64,4 @@ def test_in_hybrid_the_motor_must_hold_the_wall_and_compensate(bench, limit, fit
 
 def test_no_other_law_lifts_hybrids_limit(bench):
     axis = bench.variant("mode.hybrid.motor_limit_Nm=1.5").one_axis()
-    assert axis.motor_limit_Nm("hybrid") == pytest.approx(1.2 * 0.14)
+    assert motor_limit_Nm(axis, "hybrid") == pytest.approx(1.2 * 0.14)

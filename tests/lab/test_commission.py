@@ -13,6 +13,7 @@ from coulombus.host.commission.session import Ended, Session
 from coulombus.host.commission.state import State
 from coulombus.host.commission.step import CommissionError, Given
 from coulombus.host.commission.steps import STEPS
+from coulombus.host.cycle.demand import motor_limit_Nm
 from coulombus.host.cycle.records import Trip
 from coulombus.host.errors import SafetyTrip
 from coulombus.lab.rehearsal import rehearsed
@@ -223,7 +224,7 @@ def test_each_step_says_what_moves_and_keeps_below_the_limits(step):
     assert any("Ctrl-C" in line for line in risk.lines())
     for one in step.exercises(rig, given):
         assert one.rig.one_axis().limits == axis.limits
-        assert one.rig.one_axis().motor_limit_Nm(one.mode) <= max(risk.motor_Nm, 0.0) + 1e-9
+        assert motor_limit_Nm(one.rig.one_axis(), one.mode) <= max(risk.motor_Nm, 0.0) + 1e-9
         assert one.seconds <= risk.seconds
     assert risk.motor_Nm <= axis.limits.sign_check_torque_Nm
     assert risk.brake_Nm <= axis.limits.brake_torque_Nm

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from pydantic import BaseModel, ValidationError
 
+from coulombus.host.cycle.demand import motor_limit_Nm
 from coulombus.rigs.axis import Sections
 from coulombus.rigs.devices import Roles, Sdo, Sensor
 from coulombus.rigs.frozen_map import FrozenMap
@@ -176,9 +177,9 @@ def test_a_rig_is_frozen_hashable_and_survives_pickle() -> None:
 def test_motor_limit_by_mode() -> None:
     rig = load_rig("bench", ["mode.hybrid.motor_limit_Nm=1.0"])
     axis = rig.one_axis()
-    assert axis.motor_limit_Nm("active") == 1.5
-    assert axis.motor_limit_Nm("hybrid") == pytest.approx(0.168)
-    assert axis.motor_limit_Nm("passive") == 0
+    assert motor_limit_Nm(axis, "active") == 1.5
+    assert motor_limit_Nm(axis, "hybrid") == pytest.approx(0.168)
+    assert motor_limit_Nm(axis, "passive") == 0
 
 
 def test_defaults_are_there_only_where_they_are_harmless() -> None:
