@@ -37,6 +37,7 @@ __all__ = [
     "NAME",
     "NODE",
     "PER_AXIS",
+    "PHASE_RUN",
     "SOURCE_INSIDE",
     "Limit",
     "inside_attachment",
@@ -56,6 +57,8 @@ MOST_FRAMES = 3 + 8
 """Frames of an axis in a cycle: a law keeps 16 numbers at most."""
 GAIN = 1e-4
 """What one count of the gain is."""
+PHASE_RUN = 5
+"""``host.phase`` while the law is displayed (`host.cycle.records.Phase.RUN`)."""
 
 
 class Limit(IntEnum):

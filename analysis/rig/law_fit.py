@@ -22,7 +22,7 @@ Identification: Theory for the User, 2nd ed. 1999, chapter 9.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias, get_args
 
@@ -41,11 +41,15 @@ from coulombus.recording.friction.sliding import IdentifyError, stretches
 from coulombus.recording.signals import Source
 from coulombus.rigs.words import unit_of
 
-__all__ = ["LawFit", "Stretch", "fit_law", "lines", "stretches_of"]
+__all__ = ["LawFit", "Stretch", "fit_law", "lines", "periods", "stretches_of"]
 
 Floats: TypeAlias = npt.NDArray[np.float64]
 
 STARTS = 5
+PERIOD = "period_rad"
+CANDIDATES, LIKELY, MOST_ROWS = 300, 3, 3000
+FINEST, LONGEST = 60.0, 4.0
+"""Periods are looked for between these parts of the way."""
 CLUSTER_S = 0.05
 WEAK = 1e-5
 """A direction of the parameters whose singular value is this share of the largest is not determined."""
@@ -133,12 +137,21 @@ class _Search:
         # a parameter that may be 0 or less is sought as a multiple of its guess, another in its logarithm
         self.scale = self.low > 0.0
 
-    def start(self, draw: np.random.Generator | None) -> Floats:
-        """Return a start: the guess, or one around it."""
-        if draw is None:
-            return np.where(self.scale, 0.0, 1.0)
-        spread = draw.uniform(-1.5, 1.5, len(self.names))
-        return np.where(self.scale, spread, np.exp(spread))
+    def starts(self, data: Sequence[Stretch]) -> Iterator[Floats]:
+        """Yield the starts: the guess, with each of the `periods` where the law has one; then others
+        around it.
+        """
+        guess, draw = np.where(self.scale, 0.0, 1.0), np.random.default_rng(0)
+        at = next((k for k, name in enumerate(self.names) if name == PERIOD), None)
+        for period in [math.nan] if at is None else periods(data):
+            if at is not None:
+                guess[at] = math.log(period / self.guess[at])
+            yield guess.copy()
+        for _ in range(STARTS - 1):
+            spread = draw.uniform(-1.5, 1.5, len(self.names))
+            if at is not None:
+                spread[at] = guess[at]
+            yield np.where(self.scale, spread, np.exp(spread))
 
     @property
     def bounds(self) -> tuple[Floats, Floats]:
@@ -173,6 +186,32 @@ class _Search:
         except ValidationError as error:  # a rule of the law's own
             raise LawError(f"law {self.given.name!r}: no such parameters: {error}") from error
         return GivenLaw(self.given.name, self.given.pointer, self.declared, parameters)
+
+
+def periods(data: Sequence[Stretch]) -> Floats:
+    """Return the angles [rad], the likeliest first, with which the torque repeats itself, with the
+    handle's direction or without: by linear least squares of a wave of each of `CANDIDATES`.
+
+    A law is many waves away from the data where its period is a little wrong, so no descent finds it.
+    """
+    step = max(sum(len(one.t_s) for one in data) // MOST_ROWS, 1)
+    x, y, s = (
+        np.concatenate(parts)[::step]
+        for parts in (
+            [one.x_rad for one in data],
+            [one.torque_Nm for one in data],
+            [np.sign(np.gradient(one.x_rad)) for one in data],
+        )
+    )
+    way = float(np.ptp(x))
+    tried = np.geomspace(way / FINEST, LONGEST * way, CANDIDATES)
+    left = []
+    for period in tried:
+        wave, across = np.sin(2 * np.pi / period * x), np.cos(2 * np.pi / period * x)
+        columns = np.column_stack((np.ones(len(x)), s, wave, across, s * wave, s * across))
+        left.append(float(np.sum((y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0]) ** 2)))
+    lows = [k for k in range(1, len(left) - 1) if left[k] <= min(left[k - 1], left[k + 1])] or [int(np.argmin(left))]
+    return np.asarray(tried[sorted(lows, key=left.__getitem__)[:LIKELY]], np.float64)
 
 
 def _range(declared: Declaration, name: str) -> tuple[float, float]:
@@ -254,9 +293,9 @@ def fit_law(name: str, data: Sequence[Stretch], overrides: Sequence[str] = (), *
             e = e - basis @ (basis.T @ e)
         return np.where(np.isfinite(e), e, 1e6)
 
-    best, draw = None, np.random.default_rng(0)
-    for k in range(STARTS):
-        start = np.clip(search.start(None if k == 0 else draw), search.bounds[0], search.bounds[1])
+    best = None
+    for start in search.starts(data):
+        start = np.clip(start, search.bounds[0], search.bounds[1])
         found = least_squares(
             residual, start, bounds=search.bounds, x_scale="jac", diff_step=1e-4, max_nfev=MOST_EVALUATIONS
         )

@@ -35,6 +35,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coulombus.eds.cia402 import STATE_OF_STATUSWORD, PowerState
+from coulombus.recording.inside import PHASE_RUN
 from coulombus.recording.signals import Series, Source, series
 
 __all__ = [
@@ -156,8 +157,16 @@ def _armed(counts: Floats, target: Floats, settle: int) -> int | None:
     return None
 
 
+def _told(recording: Source, t: Floats) -> Flags:
+    """Tell in which samples the host says that it displays the law at full gain."""
+    phase, gain = series(recording, "host.phase", "host.gain")
+    return np.asarray((phase.held(t, 0.0) == PHASE_RUN) & (gain.held(t, 0.0) >= 1.0 - 1e-9))
+
+
 def _displayed(recording: Source, t: Floats, counts: Floats) -> tuple[Flags, tuple[str, ...]]:
     """Tell which samples are in the host's phase RUN at full gain, and what had to be assumed."""
+    if recording.has("host.phase"):  # a law that moves the handle by itself leaves no rest behind the sign check
+        return _told(recording, t), ()
     axis, period = recording.rig.one_axis(), recording.rig.bus.period_s
     statusword, target = series(recording, "motor.statusword", "motor.target_torque_Nm")
     ends = sorted(

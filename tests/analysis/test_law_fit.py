@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from coulombus.analysis.rig.law_fit import Stretch, fit_law
+from coulombus.analysis.rig.law_fit import Stretch, fit_law, periods, stretches_of
 from coulombus.host.laws.along import given_law
 from coulombus.host.laws.laws import LawError
+from coulombus.lab.simulate import simulate
 from coulombus.recording.friction.sliding import IdentifyError
+from coulombus.recording.reading import read
 from coulombus.rigs.rig import RigError
 from coulombus.verbs.main import main
 
@@ -36,6 +38,8 @@ TRUE = {
         "sigma_2_Nms_rad": 0.2,
     },
     "kikuuwe": {"F_c_Nm": 1.4, "K_Nm_rad": 60.0, "B_Nms_rad": 0.02},
+    "detent": {"A_Nm": 0.5, "F_c_Nm": 0.1, "v_t_rad_s": 0.5, "period_rad": 0.43},
+    "texture": {"F_c_Nm": 0.6, "A_Nm": 0.3, "v_t_rad_s": 0.2, "period_rad": 0.07},
 }
 
 
@@ -55,6 +59,23 @@ def test_the_intervals_hold_the_truth():
             held[name] += one is not None and one.low <= TRUE["dahl"][name] <= one.high
     assert all(count >= 34 for count in held.values()), held  # 95 % of 40, and three deviations less
     assert any(count < 40 for count in held.values()), held  # and no interval that holds anything
+
+
+@pytest.mark.parametrize("parts", [0.7, 3.3, 21.0])
+def test_the_likeliest_period_is_the_laws(parts):
+    _, x = motion(3000)
+    period = float(np.ptp(x)) / parts
+    found = periods([stretch("detent", 0.05, 0, 3000, A_Nm=0.4, F_c_Nm=0.2, v_t_rad_s=0.1, period_rad=period)])
+    assert found[0] == pytest.approx(period, rel=0.03)
+
+
+def test_a_recorded_detent_is_found_though_nothing_rests_behind_the_sign_check(tmp_path):
+    """It pulls the handle as soon as it is shown: the host says itself when that is."""
+    result = simulate("bench", "active", record=tmp_path / "detent.pcapng", overrides=("law.function=detent",))
+    assert result.trip is None
+    found = fit_law("detent", stretches_of(read(tmp_path / "detent.pcapng")))
+    assert found.values["A_Nm"] == pytest.approx(0.5, rel=0.02)
+    assert found.values["period_rad"] == pytest.approx(0.5, rel=0.01)
 
 
 def test_inertia_and_bias_are_told_apart_from_the_law():

@@ -19,6 +19,7 @@ from coulombus.recording.inside import (
     MOST_FRAMES,
     NAME,
     PER_AXIS,
+    PHASE_RUN,
     SOURCE_INSIDE,
     inside_pdos,
     of_axis,
@@ -74,6 +75,7 @@ def test_a_simulated_run_has_them_once_a_cycle_behind_their_frames(simulated):
     assert phases[0] == Phase.STILL
     assert (np.diff(phases) >= 0).all()
     assert Phase.RUN in phases
+    assert Phase.RUN == PHASE_RUN
     gain = recording["host.gain"]
     assert 0.1 < gain.values.max() <= 1.0
     run = recording["host.phase"].values == Phase.RUN
