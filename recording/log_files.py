@@ -16,6 +16,8 @@ LOGS = (".log", ".asc", ".blf", ".trc", ".csv", ".mf4", ".db")
 LINES = (".log", ".asc", ".csv", ".trc")
 WALL_CLOCK_NS = 10**17
 """Stamps beyond this (1973) are a clock's; smaller ones count from the run's start."""
+LATEST_S = 2**63 / 1e9 - 1
+"""Stamps beyond this are more nanoseconds than an int64 holds."""
 
 
 class LogError(Exception):
@@ -84,4 +86,6 @@ def _stamp_ns(timestamp: float) -> int:
     """Return python-can's stamp [s]: a clock's in whole us, which is what files have and as much as
     its float still tells.
     """
+    if not abs(timestamp) < LATEST_S:
+        raise ValueError(f"got the stamp {timestamp:g} s, expected one before the year 2262")
     return round(timestamp * 1e6) * 1000 if timestamp * 1e9 >= WALL_CLOCK_NS else round(timestamp * 1e9)

@@ -1,4 +1,4 @@
-"""A .blf log at which python-can's reader would stay for ever, or of which it would fill the memory."""
+"""Logs of other tools that mislead their reader: one that would stay for ever, or fill the memory."""
 
 from __future__ import annotations
 
@@ -61,4 +61,12 @@ def test_a_container_that_fills_the_memory_is_refused(tmp_path):
     head = OBJECT_HEADER.pack(b"LOBJ", 16, 1, OBJECT_HEADER.size + len(content), 10)
     path.write_bytes(written(path)[:144] + head + content)
     with pytest.raises(LogError, match="the container at byte 144 has more than 64 MB"):
+        read_log(path)
+
+
+@pytest.mark.parametrize("stamp", ["1e10", "-1e300", "nan", "inf"])
+def test_a_stamp_that_no_clock_tells_is_refused(tmp_path, stamp):
+    path = tmp_path / "stamp.log"
+    path.write_text(f"(1.0) can0 181#00\n({stamp}) can0 181#00\n")
+    with pytest.raises(LogError, match=r"after frame 1: .*expected one before the year 2262"):
         read_log(path)
