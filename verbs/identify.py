@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import click
 from coulombus.verbs.common import force_option, json_option, printed, say
 from coulombus.verbs.failures import EXIT_STATUS, errors, print_json, remark
 from coulombus.verbs.option_types import PICTURE, InputPath
+from coulombus.verbs.shown import on_terminal
 
 __all__ = ["identify"]
 
@@ -85,7 +87,12 @@ def identify(
             if as_json:
                 print_json(found.as_dict())
             else:
-                click.echo("\n".join(friction.lines(found)))
+                _print(friction.lines(found))
+
+
+def _print(lines: Iterable[str]) -> None:
+    for line in "\n".join(lines).split("\n"):
+        click.echo(on_terminal(line, 6 if line.startswith("note: ") else 23))
 
 
 def _identify_iron(file: Path, rig_name: str | None, axis: str | None, *, as_json: bool) -> None:
@@ -102,7 +109,7 @@ def _identify_iron(file: Path, rig_name: str | None, axis: str | None, *, as_jso
         if as_json:
             print_json(found.as_dict())
         else:
-            click.echo("\n".join(iron_lines(found)))
+            _print(iron_lines(found))
 
 
 def _identify_law(file: Path, rig_name: str | None, axis: str | None, options: dict[str, Any]) -> None:
@@ -131,4 +138,4 @@ def _identify_law(file: Path, rig_name: str | None, axis: str | None, options: d
         if options["as_json"]:
             print_json(found.as_dict())
         else:
-            click.echo("\n".join(lines(found)))
+            _print(lines(found))

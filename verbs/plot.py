@@ -177,4 +177,8 @@ def _tell(found: Comparison) -> None:
 
 
 def _verdict(one: Difference) -> str:
-    return "not judged" if one.tolerance is None else "equal" if one.equal else "differs"
+    if one.tolerance is None:
+        return "not judged"
+    if one.equal:
+        return "equal"
+    return "differs" if one.max > one.tolerance else "count differs"  # more samples in a phase of one of them
