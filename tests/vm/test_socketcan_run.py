@@ -5,6 +5,7 @@ Slowed down fifty times, as an emulated machine is.
 
 from __future__ import annotations
 
+import re
 import signal
 import struct
 import subprocess
@@ -13,7 +14,9 @@ import time
 
 import pytest
 
+from coulombus.host.run.control_socket import NotChanged, ask_change
 from coulombus.recording.reading import read
+from coulombus.wire.address import parse_address
 from coulombus.wire.client import BusFull, BusUnavailable, pack_frame
 from vm_host import enabled, host, observer, result, until
 from vm_interfaces import INTERFACES
@@ -58,6 +61,22 @@ def test_no_torque_without_a_switch_or_a_word(sim, interface):
         status, _, err = result(run)
     assert status == 7
     assert "host.deadman" in err
+
+
+def test_a_change_needs_the_arm_key_that_the_host_has_printed(sim, interface):
+    address = parse_address(f"socketcan:{interface}")
+
+    def change(key):
+        return ask_change(address, {"values": {"F_s_Nm": 3.4}, "over_s": 0.1, "key": key}, timeout_s=60)
+
+    with observer(interface) as client, host(interface, *SETS, seconds=60) as run:
+        key = next(found[1] for line in run.stderr if (found := re.search(r"arm key.*: (\d{6})", line)))
+        until(client, enabled, run)
+        for wrong in ("", "x", f"{(int(key) + 1) % 10**6:06d}"):
+            with pytest.raises(NotChanged, match="arm key"):
+                change(wrong)
+        assert "F_s_Nm" in change(key)["marker"]
+        run.send_signal(signal.SIGINT)
 
 
 def test_the_interface_goes_down_in_mid_run(sim, interface):
