@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import math
 import tomllib
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,9 @@ from coulombus.lab.experiment.folder import FolderError, read_events, subjects_o
 from coulombus.recording.pcapng_blocks import RecordingError
 
 __all__ = ["lines", "report"]
+
+OPTIMISERS = ("bfgs", "lbfgs", "powell")
+"""One after the other, until one converges; the last needs no slope."""
 
 
 def report(folder: Path, *, exploration: bool = False) -> dict[str, Any]:
@@ -138,7 +142,11 @@ def _over(found: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def _mixed(subjects: Mapping[str, Mapping[str, Any]]) -> tuple[dict[str, Any] | None, str | None]:
-    """Return the mixed model's effects against the first condition, or why there is none."""
+    """Return the mixed model's effects against the first condition, or why there is none.
+
+    The intervals are Student's t of what is left within the subjects: statsmodels' normal ones hold
+    the truth in 86 of 100 studies of six subjects.
+    """
     rows = [
         (subject, name, math.log(one["fit"]["jnd"]))
         for subject, found in subjects.items()
@@ -146,7 +154,9 @@ def _mixed(subjects: Mapping[str, Mapping[str, Any]]) -> tuple[dict[str, Any] | 
         if one["fit"] is not None
     ]
     names = list(dict.fromkeys(name for _, name, _ in rows))
-    if len({subject for subject, _, _ in rows}) < 2 or len(names) < 2 or len(rows) < len(names) + 3:
+    count = len({subject for subject, _, _ in rows})
+    free = len(rows) - count - (len(names) - 1)
+    if count < 2 or len(names) < 2 or free < 1 or len(rows) < len(names) + 3:
         return None, "a mixed model needs two subjects and two conditions, and three thresholds more than conditions"
     try:
         models: Any = importlib.import_module("statsmodels.regression.mixed_linear_model")
@@ -154,16 +164,20 @@ def _mixed(subjects: Mapping[str, Mapping[str, Any]]) -> tuple[dict[str, Any] | 
         return None, "a mixed model needs statsmodels: pip install 'coulombus[study]'"
     design = np.array([[1.0, *(float(name == one) for one in names[1:])] for _, name, _ in rows])
     try:
-        fitted = models.MixedLM(
-            np.array([jnd for _, _, jnd in rows]), design, groups=np.array([subject for subject, _, _ in rows])
-        ).fit(reml=True)
-        bounds = np.asarray(fitted.conf_int())
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of subjects that are all alike their variance is 0, an end of its range
+            fitted = models.MixedLM(
+                np.array([jnd for _, _, jnd in rows]), design, groups=np.array([subject for subject, _, _ in rows])
+            ).fit(reml=True, method=OPTIMISERS)
+            half = float(student.ppf(0.975, free)) * np.asarray(fitted.bse_fe)
     except (np.linalg.LinAlgError, ValueError) as error:
         return None, f"the mixed model cannot be fitted: {error}"
+    if not np.all(np.isfinite(half)):
+        return None, "the mixed model cannot be fitted: the thresholds tell no variance"
     effects = {
         name: {
             "ratio": float(np.exp(fitted.params[k])),
-            "ratio_95": [float(np.exp(bounds[k][0])), float(np.exp(bounds[k][1]))],
+            "ratio_95": [float(np.exp(fitted.params[k] + side * half[k])) for side in (-1, 1)],
         }
         for k, name in enumerate(names)
         if k
