@@ -66,6 +66,7 @@ TARGETS = {
     "host/cycle/iron.py": Target(("test_iron",)),
     "host/cycle/axes.py": Target(("test_host_axes",)),
     "eds/description.py": Target(("test_eds_reader",), ("Variable.admits", "Variable.largest")),
+    "host/laws/wall.py": Target(("test_law_edges",), ("wall",)),
     "host/laws/karnopp.py": Target(("test_law_edges",), ("karnopp",)),
     "host/laws/coulomb.py": Target(("test_law_edges",), ("coulomb",)),
     "host/cycle/controller.py": Target(

@@ -37,7 +37,8 @@ def levels(n=200, seed=3):
 def test_without_the_section_nothing_is_inverted():
     bench = HostBench()
     assert bench.c.iron_plays == 0
-    assert [f(bench.c, bench.h, 1.25) for f in (coil_for, magnetise, seen_by_fluid)] == [1.25] * 3
+    for coil in (1.25, -0.25):
+        assert [f(bench.c, bench.h, coil) for f in (coil_for, magnetise, seen_by_fluid)] == [coil] * 3
     assert lead(bench.c, bench.h, 1.25) == 1.25
 
 
@@ -73,6 +74,15 @@ def test_beyond_the_ends_the_inverse_goes_on_with_slope_1(beyond):
     assert least > 0.05  # it remembers
     assert coil_for(bench.c, bench.h, most + abs(beyond)) == pytest.approx(limit + abs(beyond))
     assert coil_for(bench.c, bench.h, least - abs(beyond)) == pytest.approx(-abs(beyond), abs=1e-9)
+
+
+def test_at_0_and_at_the_first_guess_the_inverse_is_exact():
+    bench = HostBench("hybrid", *IRON)
+    limit = float(bench.c.brake_limit_Nm)
+    assert coil_for(bench.c, bench.h, -0.05) == -0.05  # below 0 with slope 1, though the iron's is less there
+    magnetise(bench.c, bench.h, 3.0)
+    for coil in (0.0, 0.5 * limit):
+        assert coil_for(bench.c, bench.h, seen_by_fluid(bench.c, bench.h, coil)) == coil
 
 
 def test_between_the_ends_the_inverse_never_falls_and_has_no_jump():

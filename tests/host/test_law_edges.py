@@ -4,9 +4,13 @@ cycle.
 
 from __future__ import annotations
 
+import math
+from types import SimpleNamespace
+
 import pytest
 
 from coulombus.host.laws.laws import LAW, LAW_STATE, MOTION, coulomb, karnopp, load_law
+from coulombus.host.laws.wall import wall
 from coulombus.wire.frame import new_records
 
 BOTH = pytest.mark.parametrize("sign", [1, -1])
@@ -67,3 +71,21 @@ def test_no_memory_left_is_no_mistake_of_the_law(tmp_path):
     (tmp_path / "hungry.py").write_text("raise MemoryError\n")
     with pytest.raises(MemoryError):
         load_law("hungry.py:law", tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("p", "v", "torque", "brake", "motor"),
+    [
+        (0.0, 1.0, 0.0, 0.0, 0.0),  # it begins behind its angle
+        (0.005, 0.5, 0.15, 0.05, 0.1),
+        (0.005, 5.0, 0.6, 0.5, 0.1),  # on the way in all of the damping, though K p is less
+        (0.005, -5.0, 0.0, 0.1, 0.1),
+        (0.1, 9.0, 0.6, 0.6, 0.6),  # each part ends at most_Nm
+        (0.1, -9.0, 0.6, 0.6, 0.6),
+    ],
+)
+def test_the_walls_parts_for_brake_and_motor(p, v, torque, brake, motor):
+    law = SimpleNamespace(x_wall_rad=0.2, K_Nm_rad=20.0, B_Nms_rad=0.1, most_Nm=0.6)
+    state = SimpleNamespace(brake_Nm=math.nan, motor_Nm=math.nan)
+    assert wall(SimpleNamespace(x_rad=0.2 + p, v_rad_s=v), law, state) == pytest.approx(torque)
+    assert (state.brake_Nm, state.motor_Nm) == pytest.approx((brake, motor))
