@@ -1,4 +1,5 @@
-"""A run of a sweep, set-up and figures included, on one core; and two processes against one.
+"""A run of a sweep, set-up and figures included, on one core; and two processes against one, beside
+two processes of nothing but cycles: what the machine's processors give.
 
 The reference is the cyclic kernel alone over the same display, which runs in between. CPU time of
 the thread is counted, so that what else the machine does counts little.
@@ -7,9 +8,12 @@ the thread is counted, so that what else the machine does counts little.
 from __future__ import annotations
 
 import statistics
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 
 from coulombus.lab.bringup import switch_on
@@ -24,6 +28,9 @@ __all__ = ["sweep"]
 DISPLAY_S = 13.0
 ROUNDS = 7
 SCALED_RUNS = 120
+TURNS = 3
+CYCLED_S = 1000.0
+ROOT = Path(__file__).resolve().parents[1]
 FILE = f"""
 seconds = {DISPLAY_S}
 design = "random"
@@ -58,8 +65,44 @@ def sweep(show: Callable[..., None]) -> None:
     run_s, cycles_s = statistics.median(runs), statistics.median(cycles)
     show(f"a run of {DISPLAY_S:g} s in a sweep, set-up and figures included", f"{DISPLAY_S / run_s:.0f} x", "600 x")
     show("... as a multiple of its cycles alone", f"{run_s / cycles_s:.1f} x")
-    one, two = (_lasting(job, orders, count) for count in (1, 2))
+    scaled = [(_cycling(1), _lasting(job, orders, 1), _cycling(2), _lasting(job, orders, 2)) for _ in range(TURNS)]
+    alone, one, alone_two, two = (min(times) for times in zip(*scaled, strict=True))
     show(f"{SCALED_RUNS} runs by two processes against one", f"{one / two:.2f} x", "1.9 x on two idle cores")
+    show("... the same cycles by each of two processes", f"{2 * alone / alone_two:.2f} x", "what the processors give")
+
+
+def _cycles() -> None:
+    """Wait for a line, run a display's cycles, and tell how long that took [s]."""
+    world = VirtualRig(load_rig("bench"), "hybrid")
+    switch_on(world)
+    world.start_host()
+    world.wait_ns(2_000_000_000)
+    print("ready", flush=True)
+    sys.stdin.readline()
+    begin = time.perf_counter()
+    world.wait_ns(round(CYCLED_S * 1e9))
+    print(time.perf_counter() - begin, flush=True)
+
+
+def _cycling(count: int) -> float:
+    """Return how long the slowest of `count` processes takes for the same cycles [s]."""
+    words = [sys.executable, "-c", "from benchmarks.sweep import _cycles; _cycles()"]
+    with ExitStack() as stack:
+        processes = [
+            stack.enter_context(
+                subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=ROOT)
+            )
+            for _ in range(count)
+        ]
+        pipes = [(process.stdin, process.stdout) for process in processes]
+        for _, out in pipes:
+            assert out is not None
+            out.readline()
+        for into, _ in pipes:
+            assert into is not None
+            into.write("\n")
+            into.flush()
+        return max(float(out.readline()) for _, out in pipes if out is not None)
 
 
 def _lasting(job: Job, orders: list, count: int) -> float:
