@@ -246,7 +246,7 @@ def _real_demo(rig_name: str, overrides: tuple[str, ...], seed: int, out: Path, 
     from coulombus.wire.stopping import Signals
 
     both = (*SHARED_MACHINE, *overrides)
-    say("the time limits are those of `coulombus run --shared-machine`")
+    say("for a machine shared with others:\n" + "\n".join(f"  --set {text}" for text in SHARED_MACHINE))
     with Signals() as signals, progress(not as_json) as report:
         return run_real_demo(
             load_rig(rig_name, both).alone(),
