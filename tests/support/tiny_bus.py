@@ -111,7 +111,8 @@ class TinyBus:
         with self._lock:
             if status == 0:
                 self._clients[client] = (flags, filters)
-            client.send(struct.pack("<IHHIIQ", MAGIC, self.version, status, self.bitrate, 17, self.lost))
+            with suppress(OSError):  # it has gone: its end is the next that the selector tells
+                client.send(struct.pack("<IHHIIQ", MAGIC, self.version, status, self.bitrate, 17, self.lost))
 
 
 def _passes(can_id, flags, filters):

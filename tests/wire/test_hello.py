@@ -78,6 +78,21 @@ def test_connect_greets_and_returns_a_blocking_socket():
         connection.socket.close()
 
 
+def test_a_client_that_goes_in_the_middle_of_a_greeting_leaves_the_small_bus_standing(monkeypatch):
+    failed = []
+    monkeypatch.setattr(threading, "excepthook", failed.append)
+    with tiny_bus():
+        for _ in range(200):
+            client = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+            client.settimeout(5)
+            client.connect(str(socket_path("bench")))
+            for _ in range(4):
+                client.send(Hello().pack())
+            client.close()
+        connect(BENCH, timeout=5).close()
+    assert failed == []
+
+
 def test_no_bus_says_how_to_start_one():
     with pytest.raises(BusUnavailable, match="coulombus sim --bus coulombus:bench") as caught:
         connect(BENCH)
