@@ -309,7 +309,7 @@ class Controller:
         c["net_work_cycles"] = _cycles(limits.net_work_window_s, T)
         c["travel_rad"] = math.inf if limits.travel_rad == "unlimited" else float(limits.travel_rad)
         handle = axis.allocation.bound.get("handle_torque") is not None
-        observed = handle and self.mode == "hybrid"
+        observed = handle and self.mode in ("active", "hybrid")
         c["passivity_J"] = limits.passivity_J if observed else math.inf
         c["mismatch_Nm"] = limits.handle_mismatch_Nm if handle else math.inf
         c["mismatch_cycles"] = _cycles(limits.handle_mismatch_s, T)

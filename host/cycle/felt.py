@@ -36,12 +36,18 @@ keeps the balance that the hand's port must not overdraw,
 with the transducer's :math:`f_h`, the brake's expected torque and :math:`s` the share that is
 compensated: what the hand gives must pay for brake, viscous friction, and half of what the
 compensation is meant to leave. :math:`D` is what has been paid and is still there: at most the
-kinetic energy, so credit is not kept. What the law has for the motor in hybrid, a wall's spring, is
-no compensation: its work is taken off :math:`f_h`, in both directions. A sampled velocity is uneven where a device samples a little
-early or late; so of the last `KINETIC_CYCLES` the largest kinetic energy limits what is paid and the
-smallest is what is owed. What one uneven cycle shows neither eats a payment nor asks for one. From :math:`E = -E_0` (``limits.passivity_J``) on
-the motor's share falls, to nothing at :math:`-2 E_0`, and the brake bears what the motor does not
-give. So the compensation settles at what there truly is to compensate.
+kinetic energy, so credit is not kept. What the law has for the motor - all of it in active, a wall's
+spring in hybrid - is no compensation: its work is taken off :math:`f_h`, in both directions. Law and
+brake count as they acted on the way that the newest position ends. In active the balance begins anew
+where the handle turns back within 50 ms: the limit cycle of a law on the motor is no doubt of the
+compensation.
+
+A sampled velocity is uneven where a device samples a little early or late; so of the last
+`KINETIC_CYCLES` the largest kinetic energy limits what is paid and the smallest is what is owed. What
+one uneven cycle shows neither eats a payment nor asks for one. From :math:`E = -E_0`
+(``limits.passivity_J``) on the motor's share falls, to nothing at :math:`-2 E_0`, and in hybrid the
+brake bears what the motor does not give. So the compensation settles at what there truly is to
+compensate.
 """
 
 from __future__ import annotations
@@ -53,6 +59,8 @@ from coulombus.host.cycle.records import KINETIC_CYCLES, TRACK, ControlRecord, H
 __all__ = ["brake_level", "expect", "lead", "observe", "slide_velocity"]
 
 FLUID_LEAD, COIL_LEAD = 3.0, 2.0
+CHATTER_NS = 50_000_000
+"""A handle that turns back within this time is in the limit cycle of a law on the motor."""
 
 
 @kernel
@@ -106,11 +114,17 @@ def lead(c: ControlRecord, h: HostRecord, level_Nm: float) -> float:
 
 @kernel
 def expect(c: ControlRecord, h: HostRecord) -> None:
-    """Step the brake's expected torque along by a cycle under the set-point that was sent."""
+    """Step the brake's expected torque along by a cycle under the set-point that was sent.
+
+    A set-point acts on the next SYNC. So the observer takes what was expected a cycle ago, but for a
+    brake whose lags are not told: their stand-in is a little too long by itself.
+    """
     if c.coil_step <= 0.0 and c.fluid_step <= 0.0:
         seen_Nm = magnetise(c, h, h.brake_Nm)
         h.brake_lagged_Nm = seen_Nm + (h.brake_lagged_Nm - seen_Nm) * c.brake_lag_decay
+        h.port_brake_Nm = h.brake_lagged_Nm
         return
+    h.port_brake_Nm = h.brake_lagged_Nm
     before = h.iron_Nm
     h.coil_Nm = h.brake_Nm if c.coil_step <= 0.0 else h.coil_Nm + (h.brake_Nm - h.coil_Nm) * c.coil_step
     h.iron_Nm = magnetise(c, h, h.coil_Nm)
@@ -137,8 +151,15 @@ def observe(c: ControlRecord, h: HostRecord) -> float:
     if running:
         way = h.moved_counts * c.rad_count
         left_Nm = max(0.5 * (c.friction_Nm - c.compensation_Nm), 0.0)
-        paid_J = (handle_Nm - h.pushed_Nm - c.viscous * v) * way - (h.brake_lagged_Nm + left_Nm) * abs(way)
+        paid_J = (handle_Nm - h.port_pushed_Nm - c.viscous * v) * way - (h.port_brake_Nm + left_Nm) * abs(way)
         h.port_J = min(h.port_J + paid_J, most_J)
-    h.port_handle_Nm = h.handle_Nm
+        h.port_slid_ns += c.period_ns
+        if way * h.port_way < 0.0:  # it turned back
+            if c.motor_active and h.port_slid_ns < CHATTER_NS:
+                h.port_J = most_J
+            h.port_slid_ns = 0
+        if way != 0.0:
+            h.port_way = way
+    h.port_handle_Nm, h.port_pushed_Nm = h.handle_Nm, h.pushed_Nm
     share: float = min(max(2.0 - (least_J - h.port_J) / c.passivity_J, 0.0), 1.0)
     return share

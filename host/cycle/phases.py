@@ -74,6 +74,7 @@ def enter(axis: AxisRecord, phase: int, t_ns: int) -> None:
         for k in range(KINETIC_CYCLES):
             h.port_kinetic_J[k] = 0.0
         h.port_handle_Nm = h.handle_Nm
+        h.port_pushed_Nm, h.port_way, h.port_slid_ns = 0.0, 0.0, 0
         forget(h)
         h.armed_ns = t_ns
     _begin(h, phase)

@@ -299,8 +299,12 @@ HOST = np.dtype(
         ("port_J", np.float64),  # paid at the hand's port and still there
         ("port_kinetic_J", np.float64, (KINETIC_CYCLES,)),  # of the last fresh cycles
         ("port_row", np.int64),
-        ("port_handle_Nm", np.float64),
-        ("pushed_Nm", np.float64),  # the law's part that the motor displayed last in hybrid, as psi
+        ("port_brake_Nm", np.float64),  # the brake's expected torque on the way that the position ends
+        ("port_handle_Nm", np.float64),  # a cycle ago: the hand ...
+        ("port_pushed_Nm", np.float64),  # ... and the law's part for the motor
+        ("port_way", np.float64),  # the last way that was not 0 [rad] ...
+        ("port_slid_ns", np.int64),  # ... and for how long it has had its sign
+        ("pushed_Nm", np.float64),  # the law's part that the motor was given last, as psi
         ("safe_from_Nm", np.float64),
         ("ramp_cycle", np.int64),  # of the safe state's brake ramp; 0: not begun
         ("handle_before_Nm", np.float64),  # sums of the handle torque before and in the sign check

@@ -55,7 +55,7 @@ def test_sliding_in_passive_is_felt_as_F_d_through_a_hysteresis(bench):
         assert torque == pytest.approx(1.0, rel=0.03)
 
 
-def kicked(bench, belief_Nm, tmp_path, *more):
+def kicked(bench, belief_Nm, tmp_path, *more, mode="hybrid"):
     """Return the run and the handle's speed [rad/s] in the kick's phase, of a hand that kicks and lets go."""
     rig = bench.variant(
         KICK,
@@ -66,7 +66,7 @@ def kicked(bench, belief_Nm, tmp_path, *more):
         *(f"operator.{name}=0.0" for name in ("inertia_kg_m2", "damping_Nms_rad", "stiffness_Nm_rad", "tremor_Nm")),
         *more,
     )
-    result = simulate(rig, "hybrid", 7.0, truth=tmp_path / "truth.npz", force=True)
+    result = simulate(rig, mode, 7.0, truth=tmp_path / "truth.npz", force=True)
     with np.load(tmp_path / "truth.npz") as truth:
         speed = np.abs(truth["speed_rad_s"])
     return result, speed
@@ -86,6 +86,56 @@ def test_without_the_observer_it_turns_for_ever(bench, tmp_path):
     result, speed = kicked(bench, 0.14 * 1.11, tmp_path, "limits.passivity_J=1e6")
     assert result.trip is None
     assert speed[-100_000:-30_000].min() > 1.0
+
+
+@pytest.mark.parametrize("mode", ["active", "hybrid"])
+def test_no_kicked_handle_turns_for_ever_whatever_is_believed(bench, mode, tmp_path):
+    rng = np.random.default_rng(15)
+    for seed in range(4):
+        friction, viscous, inertia = rng.uniform((0.08, 0.001, 0.0015), (0.2, 0.01, 0.005))
+        too_much = rng.uniform(1.1, 1.4, 3)
+        kick_Nm = friction + 2.0 * inertia / 0.05
+        rig = bench.variant(
+            f"plant.coulomb_Nm={friction - 0.08}",
+            f"plant.viscous_Nms_rad={viscous}",
+            f"plant.inertia_kg_m2={inertia}",
+            f"mechanics.friction_Nm={friction * too_much[0]}",
+            f"mechanics.viscous_Nms_rad={viscous * too_much[1]}",
+            f"mechanics.inertia_kg_m2={inertia * too_much[2]}",
+            f"mode.{mode}.F_s_Nm=0.0",
+            f"mode.{mode}.F_d_Nm=0.0",
+            f"mode.{mode}.motor_limit_Nm={1.2 * friction * too_much[0]}",
+            *(f"operator.{name}=0.0" for name in ("inertia_kg_m2", "damping_Nms_rad", "stiffness_Nm_rad", "tremor_Nm")),
+            'phase=[{kind="rest", duration_s=2.0}, {kind="file", duration_s=6.0, t_s=[0.0, 0.01, 0.06, 6.0], '
+            f"torque_Nm=[0.0, {kick_Nm}, 0.0, 0.0]}}]",
+        )
+        result = simulate(rig, mode, 8.0, truth=tmp_path / "truth.npz", seed=seed, force=True)
+        with np.load(tmp_path / "truth.npz") as truth:
+            speed = np.abs(truth["speed_rad_s"])
+        assert result.trip is None
+        assert speed.max() > 0.5
+        assert speed[-20_000:].max() == 0.0  # 1 s
+        assert result.counters["withheld_compensation"] > 0
+
+
+def test_a_handle_that_swings_in_a_detent_comes_to_rest_on_the_motor(bench, tmp_path):
+    detents = ('law.function="detent"', "law.detent.A_Nm=0.2", "law.detent.F_c_Nm=0.0", "law.detent.period_rad=1.0")
+    result, speed = kicked(bench, 0.17, tmp_path, *detents, mode="active")
+    assert result.trip is None
+    assert speed.max() > 1.0
+    assert speed[-20_000:].max() == 0.0
+    assert result.counters["withheld_compensation"] > 0
+
+
+def test_a_right_belief_has_nothing_withheld_though_the_brake_chatters(bench):
+    rig = felt_control(bench).variant('law.function="regularised"')
+    assert simulate(rig, "hybrid", 13.0).counters["withheld_compensation"] == 0
+
+
+def test_the_limit_cycle_on_the_motor_has_nothing_withheld(bench):
+    result = simulate(bench, "active", 5.0, measured=True)
+    assert result.hold_velocity_rms_rad_s > 0.5
+    assert result.counters["withheld_compensation"] == 0
 
 
 def test_a_right_belief_has_nothing_withheld(bench, tmp_path):
