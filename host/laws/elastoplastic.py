@@ -44,7 +44,7 @@ def elastoplastic(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -
 
     Within a cycle v is one number, and z depends on the path alone. The elastic part and that beyond
     z_ss are solved exactly, the part between by the classical Runge-Kutta method in 16 steps over its
-    width. The brake bears :math:`g(v) + \sigma_2 |v|`.
+    width; after 32 widths it is a parabola, which is solved, too. The brake bears :math:`g(v) + \sigma_2 |v|`.
 
     Source: P. Dupont, V. Hayward, B. Armstrong, F. Altpeter, Single state elastoplastic friction
     models, IEEE Trans. Automat. Control 47(5), 2002, doi:10.1109/TAC.2002.1000274.
@@ -77,8 +77,11 @@ def elastoplastic(motion: MotionRecord, law: LawRecord, state: LawStateRecord) -
             k_4 = 1.0 - 0.5 * (math.sin(scale * (u - middle)) + 1.0) * u / z_ss
             y = min(y + h / 6.0 * (k_1 + 2.0 * k_2 + 2.0 * k_3 + k_4), z_ss)
         left -= steps * h
-    if left > 0.0:
+    if left > 0.0 and y > z_ss:
         y = z_ss + (y - z_ss) * math.exp(-left / z_ss)
+    elif left > 0.0 and y < z_ss:  # so near to z_ss that the sine is a parabola: Bernoulli's equation
+        bend = 0.25 * scale * scale * z_ss
+        y = z_ss - 1.0 / ((1.0 / (z_ss - y) + bend) * math.exp(min(left / z_ss, 700.0)) - bend)
     state.z_rad = sense * y
     share = 0.0
     if y >= z_ss:

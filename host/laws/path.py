@@ -16,6 +16,8 @@ __all__ = ["MotionFileError", "MotionPath", "ramp", "read_columns", "read_motion
 
 COLUMNS = ("t_s", "x_rad")
 MOST_ERRORS = 10
+MOST = 1e100
+"""No number of a motion is larger: what is computed of it stays finite."""
 
 
 class MotionFileError(Exception):
@@ -82,17 +84,24 @@ def read_columns(path: Path, columns: tuple[str, ...]) -> tuple[npt.NDArray[np.f
             f"{path}:{number}: got '{head[:60].strip()}', expected a header with the columns {','.join(columns)}{hint}"
         )
     places = [names.index(column) for column in columns]
-    values, mistakes, before = [], [], -math.inf
+    values: list[list[float]] = []
+    mistakes, before = [], -math.inf
     for number, line in rows[1:]:
         cells = _cells(line)
         row = [_number(cells[place]) for place in places] if len(cells) == len(names) else [math.nan]
-        if not all(map(math.isfinite, row)):
+        if not all(abs(one) <= MOST for one in row):
             mistakes.append(
-                f"{path}:{number}: got '{line[:60].strip()}', expected finite numbers in {len(names)} columns"
+                f"{path}:{number}: got '{line[:60].strip()}', expected finite numbers in {len(names)} columns, "
+                f"within +-{MOST:g}"
             )
             continue
         if row[0] <= before:
             mistakes.append(f"{path}:{number}: t_s: got {row[0]:g} after {before:g}, expected times that grow")
+        elif values and not abs(row[1] - values[-1][1]) <= MOST * (row[0] - before):
+            mistakes.append(
+                f"{path}:{number}: {columns[1]}: got {row[1]:g} after {values[-1][1]:g} in {row[0] - before:g} s, "
+                f"expected a speed within +-{MOST:g} rad/s"
+            )
         before = row[0]
         values.append(row)
     if len(rows) < 3:

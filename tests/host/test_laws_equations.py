@@ -95,6 +95,17 @@ def test_elastoplastic_is_its_equation_along_any_motion(F_ba):
     assert found["torque_Nm"] == pytest.approx(expected, abs=3e-4)
 
 
+@pytest.mark.parametrize("F_ba", [0.99, 0.999])
+def test_elastoplastic_comes_to_its_level_in_one_step_as_in_many(F_ba):
+    few, many = (
+        driven("elastoplastic", np.linspace(0, 1e-3, n), np.linspace(0, 0.0125, n), F_s_Nm=1.0, F_ba_Nm=F_ba)
+        for n in (2, 20_001)
+    )
+    left = 12.5 * 0.1  # sigma_1 v, of which next to nothing is left
+    assert few["torque_Nm"][-1] - 1 == pytest.approx(many["torque_Nm"][-1] - 1, rel=1e-3)
+    assert 1e-9 < few["torque_Nm"][-1] - 1 < 1e-3 * left
+
+
 def test_elastoplastic_does_not_drift_below_break_away_where_lugre_does():
     """Dupont 2002, Fig. 4: a load with a ripple below break-away."""
     t = np.arange(40001) * 1e-4

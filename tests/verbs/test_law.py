@@ -97,6 +97,11 @@ FILES = {
     "no head": (b"0,0\n1,1\n", ":1: got '0,0', expected a header with the columns t_s,x_rad"),
     "torn": (b"t_s,x_rad\n0,0\n1,1\n2", ":4: got '2', expected finite numbers in 2 columns"),
     "nan": (b"t_s,x_rad\n0,0\n1,nan\n2,0\n", ":3: got '1,nan', expected finite numbers in 2 columns"),
+    "too large": (b"t_s,x_rad\n0,0\n1,1e101\n2,0\n", ":3: got '1,1e101', expected finite numbers in 2 columns, within"),
+    "too fast": (
+        b"t_s,x_rad\n0,0\n1e-320,1\n2,0\n",
+        ":3: x_rad: got 1 after 0 in 9.99989e-321 s, expected a speed within +-1e+100 rad/s",
+    ),
     "back in time": (b"t_s,x_rad\n0,0\n2,1\n1,0\n", ":4: t_s: got 1 after 2, expected times that grow"),
     "twice the time": (b"t_s,x_rad\n0,0\n2,1\n2,0\n", ":4: t_s: got 2 after 2, expected times that grow"),
     "no text": (b"\xff\xfe\x00", ":1: no UTF-8; expected a CSV file with the columns t_s,x_rad"),
