@@ -65,7 +65,8 @@ class _VirtualRun(Course):
         warms = any(plant.heat is not None or plant.coil_thermal_K_W > 0 for plant in plants)
         shows = order.progress is not None or order.record is not None
         self._look_ns = PROGRESS_NS if shows or warms else LOOK_NS  # what warms does so in the pieces of a recorded run
-        self.may_adopt = order.measured and order.record is None
+        self.only_figures = order.measured and order.record is None
+        """Nobody looks at the frames: set-up may be an earlier run's, and what follows the safe state is left out."""
         self.measured = MeasuredFrames(rig) if order.measured else None
         if order.record is not None:
             about = About(law=law_attachments(rig), law_state=self.world.controller.law_state)
@@ -74,6 +75,8 @@ class _VirtualRun(Course):
             self.world.keep_told()
         self.world.on_change = lambda change: self.mark(self.world.t_ns, change.marker)
         self.injection: Injection | None = None
+        self.ended_ns = 0
+        """When the host has ended, which it does behind its safe state."""
 
     def _write(self, frames: Records) -> None:
         if self.measured is not None:
@@ -125,14 +128,16 @@ class _VirtualRun(Course):
         safely.
         """
         world, k = self.world, self.k
-        self.losses = (set_up if self.may_adopt else switch_on)(world)
+        self.losses = (set_up if self.only_figures else switch_on)(world)
         self.mark(world.t_ns, f"run {k.mode}")
         world.start_host()
         self.display(seconds)
         self.make_safe()
         world.stop_host()
-        release(k, world)  # a few milliseconds: the nodes have not missed its heartbeat yet
-        shut_down(world)
+        self.ended_ns = world.t_ns
+        if not self.only_figures:
+            release(k, world)  # a few milliseconds: the nodes have not missed its heartbeat yet
+            shut_down(world)
 
     def mark(self, t_ns: int, text: str) -> None:
         """Mark what is recorded or measured at `t_ns`."""
@@ -163,7 +168,7 @@ class _VirtualRun(Course):
         return self.result_of(
             self.figures(),
             missed_deadlines=int(k.host[0]["missed_deadlines"]),
-            simulated_s=0.0 if enabled is None else (self.world.t_ns - enabled) * 1e-9,
+            simulated_s=0.0 if enabled is None else (self.ended_ns - enabled) * 1e-9,
             counters=k.counters(),
             exit_status=7 if trip else 0,
             opened=list(self.world.opened) or None,

@@ -14,11 +14,12 @@ from coulombus.recording.pcapng_reader import Capture
 from coulombus.recording.recorder import Markers
 from coulombus.recording.signals import Recording, decode
 from coulombus.rigs.rig import Rig
-from coulombus.wire.frame import FRAME, Records, new_records
+from coulombus.wire.frame import FRAME, Records
 
 __all__ = ["MeasuredFrames"]
 
 NAME = "a run in memory"
+_OPAQUE = np.dtype((np.void, FRAME.itemsize))
 
 
 class MeasuredFrames:
@@ -42,16 +43,17 @@ class MeasuredFrames:
         """Append a batch of frames with rising stamps."""
         frames = frames.view(np.ndarray)  # a plain array answers faster than a recarray
         comments = self._markers.on(frames["t_ns"])
-        can_id = frames["can_id"]
+        can_id = np.ascontiguousarray(frames["can_id"])
         kept = np.zeros(len(frames), np.bool_)
         for wanted in self._wanted:  # a few: faster than np.isin
             kept |= can_id == wanted
         kept[list(comments)] = True
         self._comments += [(self._count + int(np.count_nonzero(kept[:row])), text) for row, text in comments.items()]
-        self._parts.append(frames[kept])
+        self._parts.append(frames.take(np.flatnonzero(kept)))  # frames[kept] copies field by field: ten times as long
         self._count += len(self._parts[-1])
 
     def recording(self) -> Recording:
         """Return what was taken, decoded."""
-        frames = np.concatenate([new_records(FRAME, 0), *self._parts])
+        parts = [part.view(_OPAQUE) for part in self._parts]  # numpy would join records field by field
+        frames = np.concatenate([np.zeros(0, _OPAQUE), *parts]).view(FRAME).view(np.recarray)
         return decode(Capture(NAME, frames, comments=self._comments, attachments={}), self._rig)

@@ -46,16 +46,15 @@ def table_of(pdo: RigPdo, frames: Records, can_ids: Integers, rig: Rig, before: 
     layout = pdo.layout
     came = np.flatnonzero(can_ids == layout.cob_id)
     rows = came[frames["length"][came] == layout.length]
-    words = frames["word"][rows]
+    words, stamps = frames["word"][rows], frames["t_ns"][rows]
     columns, turns = [], {}
     for entry, start, signal in zip(layout.entries, layout.starts, pdo.signals, strict=True):
         raw, name = decode_field(words, start, entry), signal.name
         if signal.key == POSITION:
-            raw, last = follow(raw, frames["t_ns"][rows], entry, before.get(name), fastest(rig, name))
+            raw, last = follow(raw, stamps, entry, before.get(name), fastest(rig, name))
             if last is not None:
                 turns[name] = last
         columns.append(_si(raw, signal))
-    stamps = frames["t_ns"][rows]
     return PdoTable(pdo, f"{pdo.node}.{pdo.name}", rows, stamps, 2 * rows, tuple(columns), len(came) - len(rows), turns)
 
 
