@@ -12,7 +12,7 @@ from typing import Any
 from coulombus.host.setup.bringup import meet, plans_of
 from coulombus.host.setup.device_plan import DevicePlan
 from coulombus.lab.bringup import switch_on
-from coulombus.rigs.axis import Axis, Sections
+from coulombus.rigs.axis import NO_DEVICES, Axis, Sections
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
 from coulombus.sim_bus.network.world_state import WorldState, adopt, state_of
 
@@ -20,8 +20,6 @@ __all__ = ["forget", "set_up"]
 
 MOST = 6
 """So many are kept: 1 to 2 MB each."""
-NOT_ASKED = frozenset(("plant", "operator", "phases"))
-"""The sections of which set-up asks nothing."""
 
 
 @dataclass(frozen=True)
@@ -65,5 +63,5 @@ def _key(world: VirtualRig) -> tuple[Any, ...]:
 
 
 def _asked(axis: Axis) -> tuple[Any, ...]:
-    values = (getattr(axis, name) for name in Sections.model_fields if name not in NOT_ASKED)
+    values = (getattr(axis, name) for name in Sections.model_fields if name not in NO_DEVICES)
     return axis.name, *(one.text for one in axis.descriptions), *values

@@ -27,7 +27,10 @@ from coulombus.rigs.signals import Node, RigPdo
 from coulombus.rigs.text import apply_override
 from coulombus.rigs.toml_lines import Key, read_toml
 
-__all__ = ["Axis", "Origin", "Sections", "Simulation"]
+__all__ = ["NO_DEVICES", "Axis", "Origin", "Sections", "Simulation"]
+
+NO_DEVICES = frozenset(("plant", "operator", "phases"))
+"""The sections that say nothing of the devices, nor of what the host sets them up with."""
 
 
 class Sections(Section):
@@ -120,15 +123,35 @@ class Axis(Sections):
     origin: Origin = Field(exclude=True)
 
     @classmethod
-    def of(cls, sections: Sections, name: str, descriptions: Mapping[Node, Description], origin: Origin) -> Axis:
-        """Return the axis that has these sections and EDS files."""
+    def of(
+        cls,
+        sections: Sections,
+        name: str,
+        descriptions: Mapping[Node, Description],
+        origin: Origin,
+        allocation: AxisPdos | None = None,
+    ) -> Axis:
+        """Return the axis that has these sections and EDS files; `allocation` is theirs, where it is
+        known already.
+        """
         values: dict[str, Any] = {key: getattr(sections, key) for key in Sections.model_fields}
         ordered = tuple(descriptions[node] for node in sections.devices)
-        return cls(**values, name=name, descriptions=ordered, origin=origin)
+        axis = cls(**values, name=name, descriptions=ordered, origin=origin)
+        if allocation is not None:
+            axis.__dict__["allocation"] = allocation
+        return axis
 
     def from_origin(self, origin: Origin) -> Axis:
         """Return the axis with another origin."""
-        return Axis.of(self, self.name, dict(zip(self.devices, self.descriptions, strict=True)), origin)
+        descriptions = dict(zip(self.devices, self.descriptions, strict=True))
+        return Axis.of(self, self.name, descriptions, origin, self.allocation)
+
+    def has_devices_of(self, sections: Sections, descriptions: Mapping[Node, Description]) -> bool:
+        """Tell whether sections and EDS files are this axis' own but for those of `NO_DEVICES`."""
+        names = Sections.model_fields.keys() - NO_DEVICES
+        return all(getattr(sections, name) == getattr(self, name) for name in names) and [
+            descriptions[node].text for node in sections.devices
+        ] == [one.text for one in self.descriptions]
 
     def without(self, *roles: str) -> Axis:
         """Return the axis as it were if the rig file took these roles out (object = "none")."""

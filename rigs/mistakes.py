@@ -118,9 +118,11 @@ class Source:
 
     def is_wrong(self, key: Key) -> bool:
         """Tell whether the value of `key`, or one that holds it, is known to be wrong."""
-        if any(key[:length] in self.wrong for length in range(1, len(key) + 1)):
+        if self.wrong and any(key[:length] in self.wrong for length in range(1, len(key) + 1)):
             return True
-        return self.document.is_broken(key) or (self.axis != () and self.document.is_broken((*self.axis, *key)))
+        return bool(self.document.broken) and (
+            self.document.is_broken(key) or (self.axis != () and self.document.is_broken((*self.axis, *key)))
+        )
 
     def raise_all(self) -> None:
         """Raise RigError with every mistake, in the file's order, if there is one."""

@@ -29,6 +29,7 @@ from coulombus.rigs.devices import Device
 from coulombus.rigs.files import read_descriptions, read_schedules
 from coulombus.rigs.mistakes import RigError, Source, nearest
 from coulombus.rigs.model import About, Bus, Host
+from coulombus.rigs.pdo_maps import AxisPdos, allocate
 from coulombus.rigs.rules import check, check_roles, remarks
 from coulombus.rigs.signals import Node, RigPdo
 from coulombus.rigs.text import apply_override, emit
@@ -263,7 +264,7 @@ class Rig:
         if not overrides:
             return self
         attached = self.origin.attached
-        found = load_rig_text(self.effective(), self.path, self.eds_texts, overrides, attached=attached)
+        found = _load(self.effective(), self.path, self.eds_texts, overrides, [], attached, self.axes)
         both = (*self.overrides, *overrides)  # of the text as it is: `Axis.mistake` says where a value came from
         return self._as_said(_from(found, replace(found.origin, text=self.text, overrides=both)))
 
@@ -408,7 +409,9 @@ def _load(
     overrides: Sequence[str],
     broken: Sequence[tuple[float, str]],
     attached: bool = False,
+    earlier: Sequence[Axis] = (),
 ) -> Rig:
+    """Load a rig: `load_rig_text`. The `earlier` axes lend those that have the same devices what was found of these."""
     document = read_toml(text)
     source = Source(path, document, found=list(broken))
     source.found += [(line, f"{path}:{line}: {problem}") for line, problem in document.problems]
@@ -424,7 +427,11 @@ def _load(
     named = split_axes(values, source)
     own_values = {"": values} if named is None else named
     sources = {"": source} if named is None else {name: source.of_axis(name) for name in named}
-    parts = [_Parts.of(own_values[name], sources[name], eds_texts, attached=attached) for name in own_values]
+    before = {axis.name: axis for axis in earlier}
+    parts = [
+        _Parts.of(name, own, sources[name], eds_texts, attached=attached, earlier=before.get(name))
+        for name, own in own_values.items()
+    ]
     if named is not None:
         check_axes(named, sources)
         for one in sources.values():
@@ -462,10 +469,18 @@ class _Parts:
 
     sections: Sections | None
     descriptions: Mapping[Node, Description]
+    allocation: AxisPdos | None = None
 
     @classmethod
     def of(
-        cls, values: dict[str, Any], source: Source, eds_texts: Mapping[str, str] | None, *, attached: bool
+        cls,
+        name: str,
+        values: dict[str, Any],
+        source: Source,
+        eds_texts: Mapping[str, str] | None,
+        *,
+        attached: bool,
+        earlier: Axis | None,
     ) -> _Parts:
         """Validate the values of one axis; mistakes are noted in `source`."""
         read_schedules(values, source, attached=attached)
@@ -476,13 +491,19 @@ class _Parts:
             explain(error, values, Sections, source)
         check(values, source)
         descriptions = read_descriptions(values, source, eds_texts)
+        allocation = None
         if sections is not None and len(descriptions) == len(sections.devices):
-            check_roles(_Unnamed(sections, descriptions), values, source)
+            if earlier is not None and earlier.has_devices_of(sections, descriptions):
+                allocation = earlier.allocation
+            else:
+                parts = _Unnamed(sections, descriptions)
+                allocation = allocate(parts, f"{name}." if name else "")
+                check_roles(allocation.problems, parts, values, source)
         if sections is None and not source.found:
             raise AssertionError("an axis that pydantic refuses has a mistake that is explained")
-        return cls(sections, descriptions)
+        return cls(sections, descriptions, allocation)
 
     def axis(self, name: str, origin: Origin) -> Axis:
         """Return the axis; nothing of it was refused."""
         assert self.sections is not None
-        return Axis.of(self.sections, name, self.descriptions, origin)
+        return Axis.of(self.sections, name, self.descriptions, origin, self.allocation)

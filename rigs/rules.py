@@ -14,7 +14,7 @@ from coulombus.rigs.devices import SENSOR_NAME
 from coulombus.rigs.files import COLUMNS
 from coulombus.rigs.mistakes import Source, dotted, shown
 from coulombus.rigs.model import CIA_301_BIT_RATES, MODES, MOST_DEVICES, WORK_WINDOW_CYCLES, to_ns
-from coulombus.rigs.pdo_maps import allocate
+from coulombus.rigs.problem import Problem
 from coulombus.rigs.signals import Parts
 from coulombus.rigs.toml_lines import Key, Table
 
@@ -222,9 +222,11 @@ def check(values: Table, source: Source) -> None:
             _check_columns(phase, ("phase", i), COLUMNS[kind][1], source)
 
 
-def check_roles(parts: Parts, values: Table, source: Source) -> None:
-    """Note which roles of an axis no object has, and which finds no place in a PDO."""
-    for problem in allocate(parts).problems:
+def check_roles(problems: Iterable[Problem], parts: Parts, values: Table, source: Source) -> None:
+    """Note which roles of an axis no object has, and which finds no place in a PDO: the problems of
+    its `rigs.pdo_maps.allocate`.
+    """
+    for problem in problems:
         said = values.get("role", {}).get(problem.role)
         if problem.role == "deadman":
             source.stands(("host", "deadman"), parts.host.deadman, problem.text)
