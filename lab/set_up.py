@@ -1,7 +1,9 @@
 """The set-up of a simulated rig, done once for rigs that differ in plant and hand alone.
 
 Power-on, bring-up over SDO and NMT start take more processor time than a display of 13 s. In a
-sweep they are mostly the same, frame by frame.
+sweep they are mostly the same, frame by frame. So a world that has ended is kept, and begins again
+behind its set-up with the plant and the hand of the next run (`ready_world`, `give_back`); or another
+world of the same devices goes on where the set-up ended (`set_up`).
 """
 
 from __future__ import annotations
@@ -9,29 +11,60 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from coulombus.host.laws.laws import OWN_LAWS
 from coulombus.host.setup.bringup import meet, plans_of
 from coulombus.host.setup.device_plan import DevicePlan
 from coulombus.lab.bringup import switch_on
 from coulombus.rigs.axis import NO_DEVICES, Axis, Sections
+from coulombus.rigs.rig import Rig
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
 from coulombus.sim_bus.network.world_state import WorldState, adopt, state_of
 
-__all__ = ["forget", "set_up"]
+__all__ = ["forget", "give_back", "ready_world", "set_up"]
 
 MOST = 6
-"""So many are kept: 1 to 2 MB each."""
+"""So many are kept: 1 to 2 MB each, and as much for an idle world."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Kept:
     key: tuple[Any, ...]
     state: WorldState
     plans: tuple[DevicePlan, ...]
     losses: tuple[str, ...]
+    idle: VirtualRig | None = None
+    """A world that nobody uses any more."""
 
 
 _kept: list[_Kept] = []
 """The newest one first."""
+
+
+def ready_world(rig: Rig, mode: str, seed: int) -> tuple[VirtualRig, tuple[str, ...]] | None:
+    """Return an idle world behind its set-up, with the plants and hands of `rig`, and what its set-up
+    left out; None where no world can be that.
+
+    It is the caller's own until `give_back`.
+    """
+    asked = tuple(map(_asked, rig.axes))
+    for one in _kept:
+        world = one.idle
+        if world is not None and one.key == (mode, one.key[1], asked, asked):
+            one.idle = None  # it is nobody's where something fails from here on
+            world.renew(rig, seed)
+            return (world, one.losses) if adopt(world, one.state) else None
+    return None
+
+
+def give_back(world: VirtualRig) -> None:
+    """Keep a world that has ended, for `ready_world`: if its host knew what it is, and the law is the
+    project's own, whose file nobody edits meanwhile.
+    """
+    if world.controllers.rig is world.rig and world.rig.law_function in OWN_LAWS:
+        asked = tuple(map(_asked, world.rig.axes))
+        for one in _kept:
+            if one.key == (world.mode, one.key[1], asked, asked):
+                one.idle = world
 
 
 def set_up(world: VirtualRig) -> tuple[str, ...]:

@@ -21,7 +21,7 @@ from coulombus.host.run.course import Course, Figures
 from coulombus.host.run.result import RunResult
 from coulombus.host.setup.bringup import check_plan, release, shut_down
 from coulombus.lab.bringup import switch_on
-from coulombus.lab.set_up import set_up
+from coulombus.lab.set_up import give_back, ready_world, set_up
 from coulombus.recording.in_memory import MeasuredFrames
 from coulombus.recording.measures import Measures, measure
 from coulombus.recording.output_file import check as check_output
@@ -57,16 +57,21 @@ class _VirtualRun(Course):
     def __init__(self, order: _Order) -> None:
         rig, mode, seed = order.rig, order.mode, order.seed
         on_frames = None if order.record is None and not order.measured else self._write
-        self.world = VirtualRig(
-            order.simulated, mode, believed=rig, seed=seed, truth=order.truth is not None, on_frames=on_frames
+        ready = ready_world(rig, mode, seed) if order.only_figures and order.simulated is rig else None
+        self.is_ready = ready is not None
+        """The world is behind its set-up already."""
+        self.world, losses = ready or (
+            VirtualRig(order.simulated, mode, believed=rig, seed=seed, truth=order.truth is not None),
+            (),
         )
+        self.world.on_frames = on_frames
         super().__init__(self.world.controllers, order.record, order.progress)
+        self.losses = losses
         plants = [axis.simulation.plant for axis in order.simulated.axes]
         warms = any(plant.heat is not None or plant.coil_thermal_K_W > 0 for plant in plants)
         shows = order.progress is not None or order.record is not None
         self._look_ns = PROGRESS_NS if shows or warms else LOOK_NS  # what warms does so in the pieces of a recorded run
-        self.only_figures = order.measured and order.record is None
-        """Nobody looks at the frames: set-up may be an earlier run's, and what follows the safe state is left out."""
+        self.only_figures = order.only_figures
         self.measured = MeasuredFrames(rig) if order.measured else None
         if order.record is not None:
             about = About(law=law_attachments(rig), law_state=self.world.controller.law_state)
@@ -128,7 +133,8 @@ class _VirtualRun(Course):
         safely.
         """
         world, k = self.world, self.k
-        self.losses = (set_up if self.only_figures else switch_on)(world)
+        if not self.is_ready:
+            self.losses = (set_up if self.only_figures else switch_on)(world)
         self.mark(world.t_ns, f"run {k.mode}")
         world.start_host()
         self.display(seconds)
@@ -296,6 +302,13 @@ class _Order:
     force: bool
     measured: bool
 
+    @property
+    def only_figures(self) -> bool:
+        """Whether nobody sees more of the run than its figures: then the set-up may be an earlier
+        run's, and what follows the host's end is left out.
+        """
+        return self.measured and all(one is None for one in (self.record, self.truth, self.script, self.faults))
+
     def on(self, channel: str, stop_ns: int | None) -> _Order:
         """Return what that is on one bus, whose host is stopped at `stop_ns`.
 
@@ -311,8 +324,16 @@ class _Order:
         record = None if self.record is None else path_on(self.record, channel)
         truth = None if self.truth is None else path_on(self.truth, channel)
         faults = None if self.faults is None else self.faults.on(channel, self.rig.channels)
-        rig, simulated = self.rig.on(channel), self.simulated.on(channel)
-        return replace(self, rig=rig, simulated=simulated, record=record, truth=truth, script=script, faults=faults)
+        rig = self.rig.on(channel)
+        return replace(
+            self,
+            rig=rig,
+            simulated=rig if self.simulated is self.rig else self.simulated.on(channel),
+            record=record,
+            truth=truth,
+            script=None if self.script is None and stop_ns is None else script,
+            faults=faults,
+        )
 
 
 def _simulate_buses(order: _Order) -> RunResult:
@@ -351,7 +372,10 @@ def _simulate_bus(order: _Order) -> RunResult:
     run.close()
     if order.truth is not None:
         _save(order.truth, run.world.truth())
-    return run.result()
+    result = run.result()
+    if order.only_figures:
+        give_back(run.world)
+    return result
 
 
 def _create(path: Path, *, force: bool) -> None:

@@ -67,6 +67,14 @@ class Controllers:
             controller.records = axes[k : k + 1]
         self.axes = axes
 
+    def rename(self, rig: Rig) -> None:
+        """Be the controllers of another rig, which differs from theirs in `rigs.axis.NO_DEVICES`
+        alone.
+        """
+        self.rig = rig
+        for controller, axis in zip(self.each, rig.axes, strict=True):
+            controller.axis = axis
+
     @property
     def control(self) -> Records:
         """Limits and scales of all axes."""

@@ -171,7 +171,7 @@ class VirtualNetwork:
         self.injection: Injected | None = None
         self.opened: tuple[str, ...] = ()
         """What devices have otherwise than their EDS files, a line each (`node.opened`)."""
-        self._on_frames = on_frames
+        self.on_frames = on_frames
         self._stations: list[Station] = []
         self._script: list[tuple[int, int, Callable[[Any], None]]] = []
         self._planned = 0
@@ -397,8 +397,8 @@ class VirtualNetwork:
 
     def hand_over(self, count: int) -> None:
         """Give the first rows of the log to who wants every frame."""
-        if self._on_frames is not None and count:
-            self._on_frames(self._log[:count])
+        if self.on_frames is not None and count:
+            self.on_frames(self._log[:count])
 
     # the devices
 

@@ -24,6 +24,7 @@ from coulombus.rigs.rig import Rig
 from coulombus.sim_bus.network.kernel import AXIS, BRAKE, MOTOR, TOLD_FRAMES, Exit, Host
 from coulombus.sim_bus.network.network import CanopenNetwork, Mechanics, VirtualNetwork
 from coulombus.sim_bus.rig.coupling import brake_torque
+from coulombus.sim_bus.rig.course import course_of
 from coulombus.sim_bus.rig.operator import KNOT_S, Operator
 from coulombus.sim_bus.rig.plant import COIL_INTACT, COIL_OPEN, COIL_SHORT, PLANT, new_plant, truth_columns
 from coulombus.sim_bus.rig.stand_ins import couple, stand_ins
@@ -81,18 +82,14 @@ class VirtualRig(VirtualNetwork):
         truth: bool = False,
         numbered: bool = True,
     ) -> None:
-        self.rig, self.mode = rig, mode
+        self.mode = mode
         host_rig = believed or rig
         self.sdo_timeout_s = host_rig.host.sdo_timeout_s
         self.controllers = Controllers(host_rig, mode)
         self.controller = self.controllers.each[0]
-        self.operators = [Operator(axis, mode, seed + a * SEED_STEP) for a, axis in enumerate(rig.axes)]
         self.network = CanopenNetwork(lambda can_id, data, _: self.send(can_id, data), self._await_answer)
-        self._left: list[tuple[float, float] | None] = [None] * len(
-            rig.axes
-        )  # a schedule that was left: its start and its end [s]
         self._heard: set[int] = set()
-        self._had, self._events = 0, list[tuple[int, ...]]()
+        self._events = list[tuple[int, ...]]()
         self.on_host: Callable[[Records, Records, Records], None] | None = None
         """Called with each batch, after `on_frames`: which of its frames the host received, rows of
         `recording.trace.EVENT`, what the host asked for.
@@ -104,20 +101,15 @@ class VirtualRig(VirtualNetwork):
 
         n = len(rig.axes)
         knots = TRUTH_BLOCK_KNOTS if truth else BLOCK_KNOTS
-        axes = new_records(AXIS, n)
+        axes, plant = new_records(AXIS, n), new_records(PLANT, n)
         self._axes = axes.view(np.ndarray)  # Python looks at it often: a plain array answers faster than a recarray
-        self._axes["motor"], self._axes["brake"] = MOTOR + 2 * np.arange(n), BRAKE + 2 * np.arange(n)
-        self._axes["operator_start_ns"], self._axes["truth_on"] = -1, truth
-        self._axes["steps_per_knot"] = [max(1, round(KNOT_S / one.simulation.plant.step_s)) for one in rig.axes]
         self._f_h = np.zeros((n, knots + 1))
+        self._take(rig, plant, seed)
+        self._axes["truth_on"] = truth
         steps = knots * int(self._axes["steps_per_knot"].max())
         self._columns = [truth_columns(one.simulation.plant) for one in rig.axes]
         self._truth_block = np.zeros((n, steps if truth else 1, max(map(len, self._columns))))
         self._truth: list[list[Any]] = [[] for _ in range(n)]
-        self._truth_from = [0] * n
-        plant = new_records(PLANT, n)
-        for a, one in enumerate(rig.axes):
-            plant[a : a + 1] = new_plant(one, seed + a * SEED_STEP)
         k = self.controllers
         self._told = new_records(FRAME, TOLD_FRAMES)
         devices = [stand_ins(one) for one in rig.axes]
@@ -139,17 +131,51 @@ class VirtualRig(VirtualNetwork):
             added = self.add(device.served.description, device.node_id if numbered else UNCONFIGURED, device.profile)
             rows[device.node_id] = (len(rows), added)
             self.opened = (*self.opened, *(text for text in device.served.remarks if text not in self.opened))
-        for a, found in enumerate(devices):
-            couple(rig.axes[a], self._axes[a], self.plant[a], {one.node: rows[one.node_id] for one in found})
+        self._rows = [{one.node: rows[one.node_id] for one in found} for found in devices]
         self.rows: dict[str, int] = {
-            rig.axes[a].prefix + one.node: rows[one.node_id][0] for a, found in enumerate(devices) for one in found
+            axis.prefix + node: row
+            for axis, found in zip(rig.axes, self._rows, strict=True)
+            for node, (row, _) in found.items()
         }
         """The row of each device by its name: ``motor``, ``brake``, a sensor's (``AXIS.motor`` with
         several axes).
         """
         self.motor, self.brake = self.devices[MOTOR], self.devices[BRAKE]
-        for a in range(n):
+        self._couple()
+
+    def _take(self, rig: Rig, plant: Records, seed: int) -> None:
+        """Let `plant` and the hands be those of `rig`, which have not begun."""
+        n = len(rig.axes)
+        self.rig = rig
+        self.operators = [Operator(axis, self.mode, seed + a * SEED_STEP) for a, axis in enumerate(rig.axes)]
+        self._left: list[tuple[float, float] | None] = [None] * n
+        """A schedule that was left: its start and its end [s]."""
+        self._had, self._truth_from = 0, [0] * n
+        self._axes[:] = np.zeros(n, AXIS)
+        self._axes["motor"], self._axes["brake"] = MOTOR + 2 * np.arange(n), BRAKE + 2 * np.arange(n)
+        self._axes["operator_start_ns"] = -1
+        self._axes["steps_per_knot"] = [max(1, round(KNOT_S / one.simulation.plant.step_s)) for one in rig.axes]
+        for a, one in enumerate(rig.axes):
+            plant[a : a + 1] = new_plant(one, seed + a * SEED_STEP)
+
+    def _couple(self) -> None:
+        """Let the devices show and move the plants, and the hands act on them."""
+        for a, rows in enumerate(self._rows):
+            couple(self.rig.axes[a], self._axes[a], self.plant[a], rows)
             self._new_force_block(a)
+
+    def renew(self, rig: Rig, seed: int) -> None:
+        """Begin again at time 0 with the plants and hands of a `rig` that has the same devices.
+
+        Bus, nodes and host are still what they were: `sim_bus.network.world_state.adopt` gives them
+        the state that belongs to it.
+        """
+        self._world["t_ns"] = 0
+        self._events = []
+        self.controllers.rename(rig)
+        self._take(rig, self.plant, seed)
+        self._arguments = (*self._arguments[:3], course_of(self.plant))
+        self._couple()
 
     # time
 

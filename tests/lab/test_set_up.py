@@ -12,7 +12,7 @@ import pytest
 from coulombus.compiled.decorator import JIT_DISABLED
 from coulombus.lab import set_up as module
 from coulombus.lab.bringup import switch_on
-from coulombus.lab.set_up import forget, set_up
+from coulombus.lab.set_up import forget, give_back, ready_world, set_up
 from coulombus.lab.simulate import simulate
 from coulombus.rigs.rig import Rig, load_rig
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
@@ -45,9 +45,14 @@ def set_ups(monkeypatch: pytest.MonkeyPatch) -> list[VirtualRig]:
 
 def course(rig: Rig, mode: str, seed: int, begin: Callable[[VirtualRig], tuple[str, ...]]) -> dict[str, Any]:
     """Return everything that a run leaves behind: each frame from power-on on, and each record."""
+    world = VirtualRig(rig, mode, seed=seed)
+    return displayed(world, lambda: begin(world))
+
+
+def displayed(world: VirtualRig, begin: Callable[[], tuple[str, ...]]) -> dict[str, Any]:
     frames = []
-    world = VirtualRig(rig, mode, seed=seed, on_frames=lambda batch: frames.append(batch.copy()))
-    losses = begin(world)
+    world.on_frames = lambda batch: frames.append(batch.copy())
+    losses = begin()
     began_ns = world.t_ns
     world.start_host()
     world.wait_ns(DISPLAY_NS)
@@ -72,6 +77,7 @@ OTHERS = (
     ("bench", "passive", ("plant.transducer_noise_Nm=0.02", "operator.tremor_Nm=0.05", "plant.step_s=1e-4")),
     ("two_axes", "hybrid", ()),
     ("elastic", "hybrid", ("plant.cable.stiffness_Nm_rad=300.0",)),
+    ("bench", "active", ("plant.cable.motor_inertia_kg_m2=2e-4", "plant.cable.stiffness_Nm_rad=300.0")),
 )
 
 
@@ -85,6 +91,51 @@ def test_a_run_that_takes_a_set_up_over_has_the_same_bytes(
     alone, taken = course(other, mode, 11, switch_on), course(other, mode, 11, set_up)
     assert len(set_ups) == 1
     assert {key for key in alone if alone[key] != taken[key]} == set()
+
+
+@pytest.mark.parametrize(("name", "mode", "changed"), OTHERS)
+@pytest.mark.parametrize("tripped", [False, True])
+def test_a_world_that_begins_again_has_the_same_bytes(
+    name: str, mode: str, changed: tuple[str, ...], *, tripped: bool
+) -> None:
+    first = load_rig(EXAMPLES / "elastic.toml" if name == "elastic" else name)
+    world = VirtualRig(first, mode, seed=3)
+    losses = set_up(world)
+    world.start_host()
+    world.wait_ns(DISPLAY_NS)
+    if tripped:
+        world.inject(0, "over_current", present=True)
+        world.wait_ns(50_000_000)
+        assert world.controllers.trip is not None
+        world.inject(0, "over_current", present=False)
+    give_back(world)
+    other = first.variant(*changed)
+    ready = ready_world(other, mode, 11)
+    assert ready == (world, losses)
+    assert ready_world(other, mode, 11) is None  # it is somebody's
+    alone, again = course(other, mode, 11, switch_on), displayed(world, lambda: losses)
+    assert {key for key in alone if alone[key] != again[key]} == set()
+
+
+def test_a_world_of_other_devices_or_of_a_law_that_may_be_edited_is_nobodys() -> None:
+    rig = load_rig("bench")
+    for one in (rig, rig.with_law(f"{EXAMPLES / 'own_law.py'}:stribeck")):
+        world = VirtualRig(one, "hybrid")
+        set_up(world)
+        give_back(world)
+    assert ready_world(one, "hybrid", 0) is None
+    assert ready_world(rig, "active", 0) is None
+    assert ready_world(rig.variant("mechanics.friction_Nm=0.15"), "hybrid", 0) is None
+    assert ready_world(rig.variant("plant.temperature_degC=31.0"), "hybrid", 0) is None  # and the world is gone
+    assert ready_world(rig, "hybrid", 0) is None
+
+
+def test_a_world_whose_host_believes_something_else_is_not_kept() -> None:
+    rig = load_rig("bench")
+    world = VirtualRig(rig, "hybrid", believed=rig.variant("mechanics.friction_Nm=0.15"))
+    set_up(world)
+    give_back(world)
+    assert ready_world(rig, "hybrid", 0) is None
 
 
 @pytest.mark.parametrize(
