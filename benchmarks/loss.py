@@ -114,14 +114,14 @@ def account(
                 mark(t_ns, text)
 
         world.injection._on_fault = strike
-        write: Callable[[Any], None] | None = world._on_frames
+        write: Callable[[Any], None] | None = world.on_frames
 
         def take(rows: Any) -> None:
             found.take(rows)
             if write is not None:
                 write(rows)
 
-        world._on_frames = take
+        world.on_frames = take
 
     faults = directory / "noise.toml"
     faults.write_text(NOISE, encoding="utf-8")
