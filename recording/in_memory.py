@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from coulombus.compiled.records import joined
 from coulombus.recording.measures import MEASURED
 from coulombus.recording.pcapng_reader import Capture
 from coulombus.recording.recorder import Markers
@@ -19,7 +20,6 @@ from coulombus.wire.frame import FRAME, Records
 __all__ = ["MeasuredFrames"]
 
 NAME = "a run in memory"
-_OPAQUE = np.dtype((np.void, FRAME.itemsize))
 
 
 class MeasuredFrames:
@@ -54,6 +54,5 @@ class MeasuredFrames:
 
     def recording(self) -> Recording:
         """Return what was taken, decoded."""
-        parts = [part.view(_OPAQUE) for part in self._parts]  # numpy would join records field by field
-        frames = np.concatenate([np.zeros(0, _OPAQUE), *parts]).view(FRAME).view(np.recarray)
+        frames = joined(FRAME, self._parts)
         return decode(Capture(NAME, frames, comments=self._comments, attachments={}), self._rig)

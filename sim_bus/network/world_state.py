@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from coulombus.compiled.decorator import JIT_DISABLED
-from coulombus.compiled.records import Records
+from coulombus.compiled.records import Records, copied, overwrite
 from coulombus.node.device import DeviceState
 from coulombus.node.sizes import FAR_FUTURE_NS
 from coulombus.sim_bus.network.kernel import Exit
@@ -79,10 +79,10 @@ def state_of(world: VirtualRig, noise: Sequence[int]) -> WorldState | None:
         return None
     return WorldState(
         t_ns=world.t_ns,
-        arrays=tuple(getattr(parts, name).copy() for name in ARRAYS),
+        arrays=tuple(copied(getattr(parts, name)) for name in ARRAYS),
         records=tuple(getattr(parts, name).copy() for name in RECORDS),
-        log=parts.log[: int(w.log_count)].copy(),
-        host=world.controllers.axes.copy(),
+        log=copied(parts.log[: int(w.log_count)]),
+        host=copied(world.controllers.axes),
         seen=_seen(parts.plant),
         draws=known,
         devices=tuple(device.state() for device in world.devices),
@@ -102,15 +102,15 @@ def adopt(world: VirtualRig, state: WorldState) -> bool:
     for plant, (factor, summand) in zip(plants, state.draws, strict=True):
         plant["random"] = (int(plant["random"][0]) * factor + summand) & NOISE_MASK
     for name, array in zip(ARRAYS, state.arrays, strict=True):
-        getattr(parts, name)[:] = array
+        overwrite(getattr(parts, name), array)
     for name, record in zip(RECORDS, state.records, strict=True):
         there = getattr(parts, name)
         for field in record.dtype.names:
             there[field] = record[field]
-    parts.log[: len(state.log)] = state.log
+    overwrite(parts.log[: len(state.log)], state.log)
     for a, plant in enumerate(plants):
-        parts.plant[a : a + 1] = plant
-    world.controllers.axes[:] = state.host
+        overwrite(parts.plant[a : a + 1], plant)
+    overwrite(world.controllers.axes, state.host)
     for device, kept in zip(world.devices, state.devices, strict=True):
         device.adopt(kept)
     world.exits.update(state.exits)
@@ -137,12 +137,15 @@ def _seen(plants: Records) -> tuple[tuple[float, ...], ...]:
 def _advanced(parts: Any, course: Any, a: int, t_ns: int) -> Records | None:
     """Return the plant of axis `a` at `t_ns`; None where it depends on the pieces of the way there."""
     found = []
+    axis, f_h, truth = parts.axes[a], parts.f_h[a], parts.truth[a]
+    per_knot = int(axis["steps_per_knot"])
     for pieces in PIECES:
-        plant: Records = parts.plant[a : a + 1].copy()
+        plant: Records = copied(parts.plant[a : a + 1])
         p = plant[0]
-        for until in np.linspace(0, t_ns, pieces + 1)[1:].astype(np.int64).tolist():
-            steps = (until - int(p.t_ns)) // int(p.step_ns)
-            first = int(p.t_ns) // int(p.step_ns)
-            course(p, parts.f_h[a], int(parts.axes[a].steps_per_knot), first, steps, parts.truth[a], -1)
+        now_ns, step_ns = int(p["t_ns"]), int(p["step_ns"])
+        for piece in range(1, pieces + 1):
+            steps = (t_ns * piece // pieces - now_ns) // step_ns
+            course(p, f_h, per_knot, now_ns // step_ns, steps, truth, -1)
+            now_ns += steps * step_ns
         found.append(plant)
     return found[0] if len({plant.tobytes() for plant in found}) == 1 else None
