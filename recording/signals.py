@@ -390,13 +390,16 @@ def decode(
     """
     frames = capture.frames
     epoch_ns = epoch_of(frames) if epoch_ns is None else epoch_ns
-    t_s: Floats = (frames["t_ns"] - epoch_ns) / 1e9
     can_ids = np.ascontiguousarray(frames["can_id"])
     tables = tuple(table_of(pdo, frames, can_ids, rig, before) for pdo in rig.pdos())
     if inside:
         ids = np.ascontiguousarray(capture.inside["can_id"])
         told = (table_of(pdo, capture.inside, ids, rig, before) for pdo in inside)
         tables += tuple(behind(table, frames["t_ns"]) for table in told)
+
+    def at_s(row: int) -> float:
+        return float((frames["t_ns"][row] - epoch_ns) / 1e9)
+
     signals = {}
     for table in tables:
         at: Floats = (table.t_ns - epoch_ns) / 1e9
@@ -409,7 +412,7 @@ def decode(
         epoch_ns=epoch_ns,
         tables=tables,
         signals=MappingProxyType(signals),
-        markers=[(float(t_s[row]), line) for row, text in capture.comments for line in text.splitlines()],
+        markers=[(at_s(row), line) for row, text in capture.comments for line in text.splitlines()],
         malformed=MappingProxyType({table.name: table.malformed for table in tables if not table.inside}),
         before=MappingProxyType(dict(before)),
         inside=inside,
