@@ -14,7 +14,7 @@ from coulombus.rigs.frozen_map import FrozenMap
 from coulombus.rigs.mistakes import Source, dotted, nearest, number_hint
 from coulombus.rigs.toml_lines import Key, Table
 
-__all__ = ["accepted_range", "expected", "explain", "fields_of", "kinds_of", "named_in", "unit_of"]
+__all__ = ["accepted_range", "expected", "explain", "fields_of", "kinds_of", "named_in", "unit_of", "without_unit"]
 
 UNITS = {
     "push_F_s": "F_s",
@@ -50,6 +50,11 @@ UNITS = {
 def unit_of(name: str) -> str:
     """Return the unit that stands in a key's name; empty where there is none."""
     return next((unit for suffix, unit in UNITS.items() if name.endswith(suffix)), "")
+
+
+def without_unit(name: str) -> str:
+    """Return a key's name without the unit in it: ``F_s`` of ``F_s_Nm``."""
+    return next((name.removesuffix(one) for one in UNITS if one[0] == "_" and name.endswith(one)), name)
 
 
 def fields_of(model: type[BaseModel]) -> dict[str, FieldInfo]:

@@ -1,4 +1,4 @@
-"""The pictures of a study's report, and the report as a page of Markdown with them."""
+"""The pictures of a study's report, and the page with them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from coulombus.analysis.study.fit import Fit
-from coulombus.analysis.study.report import lines
+from coulombus.analysis.study.page import page
 from coulombus.recording.pictures.style import figure, save
 from coulombus.rigs.rewrite import write_whole
 
@@ -22,26 +22,27 @@ __all__ = ["write_figures"]
 def write_figures(found: Mapping[str, Any], folder: Path) -> list[Path]:
     """Draw what a report has, and return the files: PNG and SVG, and report.md with all of them."""
     paths: list[Path] = []
+    level, unit = found["level"]["quantity"], found["level"]["unit"]
+    named = f"level: {level} [{unit}]" if unit else "level"
+    study = f"{found['study']}, " if found["study"] else ""
     for subject, conditions in found["subjects"].items():
         for name, wanted, draw in _OF_SUBJECTS:
             shown = {key: one for key, one in conditions.items() if wanted(one)}
             if shown:
                 with figure(6.0, 4.0) as (made, axes):
-                    draw(axes, shown)
-                    axes.set_title(f"subject {subject}")
+                    draw(axes, shown, named, unit)
+                    axes.set_title(f"{study}subject {subject}")
                     axes.legend()
                     paths += save(made, folder, f"sub-{subject}_{name}")
     if any(one["jnd"] is not None for one in found["conditions"].values()) and len(found["subjects"]) > 1:
         with figure(6.0, 4.0) as (made, axes):
-            draw_conditions(axes, found)
+            draw_conditions(axes, found, unit)
             paths += save(made, folder, "conditions")
-    pictures = "\n\n".join(f"![{path.stem}]({path.name})" for path in paths if path.suffix == ".png")
-    told = "\n".join(f"- {line.strip()}" for line in lines(found))
-    write_whole(folder / "report.md", f"# What the study came to\n\n{told}\n\n{pictures}\n".encode())
+    write_whole(folder / "report.md", page(found, paths).encode())
     return [*paths, folder / "report.md"]
 
 
-def draw_psychometric(axes: Axes, shown: Mapping[str, Any]) -> None:
+def draw_psychometric(axes: Axes, shown: Mapping[str, Any], level: str, unit: str) -> None:
     """Draw the share of answers at each level, and the fitted function."""
     for k, (name, one) in enumerate(shown.items()):
         fit = Fit(**one["fit"])
@@ -49,11 +50,11 @@ def draw_psychometric(axes: Axes, shown: Mapping[str, Any]) -> None:
         counts = np.array(list(one["levels"].values()), float)
         axes.scatter(levels, counts[:, 0] / counts[:, 1], s=8 + 2 * counts[:, 1], color=f"C{k}", alpha=0.6)
         x = np.linspace(levels.min(), levels.max(), 200)
-        axes.plot(x, fit.chance(x), color=f"C{k}", label=f"{name}: JND {fit.jnd:.3g}")
-    axes.set(xlabel="level", ylabel="share taken as larger", ylim=(-0.03, 1.03))
+        axes.plot(x, fit.chance(x), color=f"C{k}", label=f"{name}: JND {fit.jnd:.3g} {unit}".rstrip())
+    axes.set(xlabel=level, ylabel="share taken as larger", ylim=(-0.03, 1.03))
 
 
-def draw_track(axes: Axes, shown: Mapping[str, Any]) -> None:
+def draw_track(axes: Axes, shown: Mapping[str, Any], level: str, unit: str) -> None:
     """Draw the levels of an adaptive method in their order; wrong answers are crosses."""
     for k, (name, one) in enumerate(shown.items()):
         levels, right = np.array(one["track"], float).T
@@ -63,29 +64,29 @@ def draw_track(axes: Axes, shown: Mapping[str, Any]) -> None:
         axes.scatter(trial[right == 0], levels[right == 0], s=20, color=f"C{k}", marker="x")
         if one["staircase"] is not None:
             axes.axhline(one["staircase"]["threshold"], color=f"C{k}", ls=":", lw=1.0)
-    axes.set(xlabel="trial of the condition (x: wrong)", ylabel="level")
+    axes.set(xlabel="trial of the condition (x: wrong)", ylabel=level)
 
 
-def draw_magnitudes(axes: Axes, shown: Mapping[str, Any]) -> None:
+def draw_magnitudes(axes: Axes, shown: Mapping[str, Any], level: str, unit: str) -> None:
     """Draw estimated magnitudes over the levels, both logarithmic."""
     for k, (name, one) in enumerate(shown.items()):
         levels, answers = np.array(one["track"], float).T
         label = f"{name}: exponent {one['magnitudes']['exponent']:.3g}"
         axes.scatter(levels, answers, s=10, color=f"C{k}", alpha=0.6, label=label)
-    axes.set(xlabel="level", ylabel="magnitude", xscale="log", yscale="log")
+    axes.set(xlabel=level, ylabel="magnitude", xscale="log", yscale="log")
 
 
-def draw_exploration(axes: Axes, shown: Mapping[str, Any]) -> None:
+def draw_exploration(axes: Axes, shown: Mapping[str, Any], level: str, unit: str) -> None:
     """Draw how far and how fast the hand turned the handle at each level."""
     for k, (name, one) in enumerate(shown.items()):
         levels = [float(level) for level in one["exploration"]]
         path = [hand["path_rad"] for hand in one["exploration"].values()]
         axes.plot(levels, path, marker="o", color=f"C{k}", label=name)
-    axes.set(xlabel="level", ylabel="path of the handle [rad]")
+    axes.set(xlabel=level, ylabel="path of the handle [rad]")
     axes.set_ylim(bottom=0)
 
 
-def draw_conditions(axes: Axes, found: Mapping[str, Any]) -> None:
+def draw_conditions(axes: Axes, found: Mapping[str, Any], unit: str) -> None:
     """Draw each subject's JND in each condition, the geometric mean and its interval."""
     names = [name for name, one in found["conditions"].items() if one["jnd"] is not None]
     for x, name in enumerate(names):
@@ -97,12 +98,13 @@ def draw_conditions(axes: Axes, found: Mapping[str, Any]) -> None:
         if whole["jnd_95"] is not None:
             axes.plot([x + 0.15] * 2, whole["jnd_95"], color="C1")
     axes.set_xticks(range(len(names)), names)
-    axes.set(ylabel="JND", title=f"{len(found['subjects'])} subjects; mean with interval of 95 %")
+    told = f"JND of {found['level']['quantity']} [{unit}]" if unit else "JND"
+    axes.set(ylabel=told, title=f"{len(found['subjects'])} subjects; geometric mean with interval of 95 %")
     axes.set_xlim(-0.5, len(names) - 0.3)
     axes.set_ylim(bottom=0)
 
 
-_OF_SUBJECTS: tuple[tuple[str, Callable[[Any], bool], Callable[[Axes, Mapping[str, Any]], None]], ...] = (
+_OF_SUBJECTS: tuple[tuple[str, Callable[[Any], bool], Callable[[Axes, Mapping[str, Any], str, str], None]], ...] = (
     ("psychometric", lambda one: one["fit"] is not None, draw_psychometric),
     ("track", lambda one: one["fit"] is not None and one["track"] is not None, draw_track),
     ("magnitudes", lambda one: one["magnitudes"] is not None, draw_magnitudes),

@@ -18,8 +18,9 @@ from coulombus.analysis.study.fit import fit_comparisons, fit_magnitudes
 from coulombus.analysis.study.staircase import staircase
 from coulombus.lab.experiment.folder import FolderError, read_events, subjects_of
 from coulombus.recording.pcapng_blocks import RecordingError
+from coulombus.rigs.words import unit_of, without_unit
 
-__all__ = ["lines", "report"]
+__all__ = ["between", "lines", "report"]
 
 OPTIMISERS = ("bfgs", "lbfgs", "powell")
 """One after the other, until one converges; the last needs no slope."""
@@ -41,15 +42,22 @@ def report(folder: Path, *, exploration: bool = False) -> dict[str, Any]:
     FolderError
         it is the folder of no study, or a file of it cannot be used
     """
-    subjects = {subject: _subject(folder, subject, exploration) for subject in subjects_of(folder)}
+    asked = _asked(folder)
+    subjects = {subject: _subject(folder, subject, asked["kind"], exploration) for subject in subjects_of(folder)}
     names = list(dict.fromkeys(name for found in subjects.values() for name in found))
     conditions = {name: _over([one[name] for one in subjects.values() if name in one]) for name in names}
     model, why_not = _mixed(subjects)
-    return {"subjects": subjects, "conditions": conditions, "mixed_model": model, "no_mixed_model": why_not}
+    return {
+        "study": asked["name"],
+        "level": asked["level"],
+        "subjects": subjects,
+        "conditions": conditions,
+        "mixed_model": model,
+        "no_mixed_model": why_not,
+    }
 
 
-def _subject(folder: Path, subject: str, exploration: bool) -> dict[str, Any]:
-    kind = _kind(folder)
+def _subject(folder: Path, subject: str, kind: str | None, exploration: bool) -> dict[str, Any]:
     paths = sorted((folder / f"sub-{subject}").glob(f"sub-{subject}_task-*_events.tsv"))
     rows: list[dict[str, str]] = []
     for path in paths:
@@ -70,13 +78,19 @@ def _subject(folder: Path, subject: str, exploration: bool) -> dict[str, Any]:
     return found
 
 
-def _kind(folder: Path) -> str | None:
-    """Return the method of the study's copy; None where that cannot be read."""
+def _asked(folder: Path) -> dict[str, Any]:
+    """Return of the study's copy its name, its method, and what the level is: a quantity and its
+    unit. What cannot be read is None, of the level "".
+    """
+    told: dict[str, Any] = {"name": None, "kind": None, "level": {"quantity": "", "unit": ""}}
     try:
-        kind = tomllib.loads((folder / "study.toml").read_text(encoding="utf-8"))["method"]["kind"]
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
-    return kind if isinstance(kind, str) else None
+        study = tomllib.loads((folder / "study.toml").read_text(encoding="utf-8"))
+        shares = {key: abs(float(share)) for key, share in study["level"].items()}
+        own = max(shares, key=lambda key: -abs(shares[key] - 1.0)).rpartition(".")[2]  # the level itself, if it is set
+        told |= {"name": str(study["name"]), "kind": str(study["method"]["kind"])}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return told
+    return told | {"level": {"quantity": without_unit(own), "unit": unit_of(own)}}
 
 
 def _explored(recordings: Path, rows: Sequence[Mapping[str, str]]) -> dict[str, Any]:
@@ -191,7 +205,8 @@ def _told_hand(hand: Mapping[str, Any]) -> str:
     return text if hand["work_J"] is None else f"{text}, peak {hand['peak_Nm']:.3g} Nm, work {hand['work_J']:.3g} J"
 
 
-def _between(bounds: Sequence[float | None] | None) -> str:
+def between(bounds: Sequence[float | None] | None) -> str:
+    """Return an interval as text: " (0.1 to 0.2)", with `?` for an end that nothing bounds."""
     if bounds is None:
         return ""
     low, high = ("?" if one is None else f"{one:.4g}" for one in bounds)
@@ -200,27 +215,26 @@ def _between(bounds: Sequence[float | None] | None) -> str:
 
 def lines(found: Mapping[str, Any]) -> Iterable[str]:
     """Yield a report as text."""
+    unit = f" {found['level']['unit']}".rstrip()
     for subject, conditions in found["subjects"].items():
         for name, one in conditions.items():
             text = f"{subject} {name}: {one['trials']} trials"
             fit, magnitudes = one["fit"], one["magnitudes"]
             if fit is not None:
-                text += f", JND {fit['jnd']:.4g}{_between(fit['jnd_95'])}, PSE {fit['pse']:.4g}"
+                text += f", JND {fit['jnd']:.4g}{unit}{between(fit['jnd_95'])}, PSE {fit['pse']:.4g}{unit}"
                 text += "" if fit["weber"] is None else f", Weber fraction {fit['weber']:.3g}"
                 text += f", {fit['right']:.1%} right"
             if magnitudes is not None:
-                text += f", exponent {magnitudes['exponent']:.3g}{_between(magnitudes['exponent_95'])}"
+                text += f", exponent {magnitudes['exponent']:.3g}{between(magnitudes['exponent_95'])}"
             if one["staircase"] is not None:
                 turned = one["staircase"]
-                text += (
-                    f", {turned['turns']} turns around {turned['threshold']:.4g} ({turned['right']:.1%} right there)"
-                )
+                text += f", {turned['turns']} turns around {turned['threshold']:.4g}{unit} ({turned['right']:.1%} right there)"
             yield text
             for level, hand in (one["exploration"] or {}).items():
-                yield f"  level {level}: {_told_hand(hand)}"
+                yield f"  level {level}{unit}: {_told_hand(hand)}"
     for name, one in found["conditions"].items():
         if one["jnd"] is not None and one["subjects"] > 1:
-            yield f"{name}: JND {one['jnd']:.4g}{_between(one['jnd_95'])} of {one['subjects']} subjects"
+            yield f"{name}: JND {one['jnd']:.4g}{unit}{between(one['jnd_95'])} of {one['subjects']} subjects"
     model = found["mixed_model"]
     for name, effect in (model or {"jnd_ratio": {}})["jnd_ratio"].items():
-        yield f"{name}: JND {effect['ratio']:.3g}{_between(effect['ratio_95'])} times that of {model['against']}"
+        yield f"{name}: JND {effect['ratio']:.3g}{between(effect['ratio_95'])} times that of {model['against']}"

@@ -59,9 +59,12 @@ def test_free_exploration_is_told_by_level(tmp_path):
     assert hand["1.6"]["displays"] == 1
     assert hand["1.6"]["path_rad"] >= hand["1.6"]["range_rad"] >= 0
     figures = str(tmp_path / "figures")
-    assert "level 1.6: path" in CliRunner().invoke(main, ["analyse", "study", str(tmp_path / "out")]).stdout
+    assert "level 1.6 Nm: path" in CliRunner().invoke(main, ["analyse", "study", str(tmp_path / "out")]).stdout
     assert CliRunner().invoke(main, ["analyse", "study", str(tmp_path / "out"), "--figures", figures]).exit_code == 0
     assert (tmp_path / "figures" / "sub-S01_exploration.png").exists()
+    page = (tmp_path / "figures" / "report.md").read_text().splitlines()
+    assert "| subject | condition | level [Nm] | path [rad] | reversals | moving | speed [rad/s] |" in page[-4]
+    assert [line.count("|") for line in page[-4:]] == [page[-1].count("|")] * 4
     (tmp_path / "out" / "sub-S01" / "recordings" / "trial-0001_display-1.pcapng").unlink()
     refused = CliRunner().invoke(main, ["analyse", "study", str(tmp_path / "out")])
     assert refused.exit_code == 2

@@ -7,8 +7,9 @@ import pytest
 from click.testing import CliRunner
 from scipy.special import ndtri
 
+from coulombus.analysis.study.page import page
 from coulombus.analysis.study.pictures import write_figures
-from coulombus.analysis.study.report import _mixed, lines, report
+from coulombus.analysis.study.report import _asked, _mixed, lines, report
 from coulombus.lab.experiment.folder import FolderError, SubjectFolder
 from coulombus.lab.experiment.observer import Observer
 from coulombus.lab.experiment.session import People, SubjectSession, run_session
@@ -63,8 +64,28 @@ def test_staircases_come_to_the_observers_thresholds(keep, tmp_path):
     low, high = found["conditions"]["a"]["jnd_95"]
     assert low < 0.15 < high
     assert "2 subjects" in "\n".join(lines(found))
+    assert f"JND {found['conditions']['a']['jnd']:.4g} Nm (" in "\n".join(lines(found))
+    told = page(found)
+    assert "The level is F_s [Nm]." in told
+    assert "| JND [Nm] | PSE [Nm] |" in told
+    assert "exponent" not in told  # a column that is empty
     names = {path.name for path in write_figures(found, tmp_path / "figures")}
     assert {"sub-S01_track.png", "sub-S02_psychometric.svg", "conditions.png", "report.md"} <= names
+
+
+@pytest.mark.parametrize(
+    ("level", "told"),
+    [
+        ('"law.texture.depth_Nm" = 0.5\n"law.texture.period_rad" = 1.0', ("period", "rad")),
+        ('"mode.hybrid.compensation" = 1.0', ("compensation", "")),
+        ('"law.lugre.sigma_1_Nms_rad" = 2.0', ("sigma_1", "Nm s/rad")),
+    ],
+)
+def test_the_level_is_the_key_that_it_is_set_to(tmp_path, level, told):
+    (tmp_path / "study.toml").write_text(f'name = "n"\n[level]\n{level}\n[method]\nkind = "free"\n')
+    assert _asked(tmp_path)["level"] == dict(zip(("quantity", "unit"), told, strict=True))
+    (tmp_path / "study.toml").write_text("[level]\nx = 'a'\n")
+    assert _asked(tmp_path)["level"] == {"quantity": "", "unit": ""}
 
 
 def test_pictures_are_the_same_for_the_same_answers(keep, tmp_path):
