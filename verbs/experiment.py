@@ -184,6 +184,7 @@ def _streams(folder: SubjectFolder, lsl: bool) -> tuple[()] | tuple[LslMarkers, 
 
 @contextmanager
 def _people(session: SubjectSession, asked: Asked) -> Iterator[People]:
+    from coulombus.lab.experiment.displays import VirtualDisplays
     from coulombus.lab.experiment.observer import Observer
     from coulombus.lab.experiment.session import People
 
@@ -200,6 +201,8 @@ def _people(session: SubjectSession, asked: Asked) -> Iterator[People]:
             asking.over("The study is over. Thank you." if session.trial is None else "The session has ended.")
             time.sleep(LAST_S)
     else:
+        if not isinstance(session.displays, VirtualDisplays):
+            say("q or Escape ends a display at once, and the session with it")
         yield _at_the_terminal(study)
 
 

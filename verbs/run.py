@@ -61,10 +61,10 @@ def run_command(
     """Run the host alone, in real time, on a bus where the nodes are: simulated ones
     (`coulombus sim`) or a rig.
 
-    Ends safely when the time is over, on Ctrl-C (exit status 130), SIGTERM (143), when the terminal
-    is closed (129), on Ctrl-Backslash (131), `coulombus stop` (0), or a trip (7). After a trip
-    nothing re-arms by itself. Real-time rights are asked for; what is refused is told with the
-    command that grants it.
+    Ends safely when the time is over, by q or Escape in its terminal (exit status 0), on Ctrl-C
+    (130), SIGTERM (143), when the terminal is closed (129), on Ctrl-Backslash (131), `coulombus stop`
+    (0), or a trip (7). After a trip nothing re-arms by itself. Real-time rights are asked for; what is
+    refused is told with the command that grants it.
 
     \b
     Examples:

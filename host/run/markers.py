@@ -20,6 +20,7 @@ __all__ = ["BitMark", "BitMarks", "StruckKeys", "bit_mark", "marker_of"]
 
 SAID, MOST_SAID, KEYS = "mark", 200, "123456789"
 """How such a marker begins; how long it is at most; the keys that set one."""
+STOP_KEYS = (b"q", b"Q", b"\x1b")
 
 
 def marker_of(text: str) -> str:
@@ -109,16 +110,19 @@ class BitMarks:
 
 
 class StruckKeys:
-    """Markers of the keys 1 to 9: the keys' thread strikes them, and the run takes them when it
-    looks next.
+    """The keys of the terminal during a run, whose thread strikes them: 1 to 9 are markers, which the
+    run takes when it looks next, and q or Escape asks for the safe state.
     """
 
     def __init__(self, now_ns: Callable[[], int]) -> None:
+        self.stop = False
+        """Whether q or Escape was struck; every key that sends Escape first stops, too."""
         self._now_ns = now_ns
         self._struck: deque[tuple[int, str]] = deque()
 
     def strike(self, strokes: bytes) -> None:
-        """Keep what these strokes mark, with the present time."""
+        """Keep what these strokes mark, with the present time, and whether one of them stops."""
+        self.stop |= any(key in strokes for key in STOP_KEYS)
         for digit in strokes.decode("ascii", "replace"):
             if digit in KEYS:
                 self._struck.append((self._now_ns(), marker_of(digit)))

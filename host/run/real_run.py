@@ -233,8 +233,8 @@ class _RealRun(Course):
         self.mark(self.now_ns, change.marker)
 
     def _watch_keys(self) -> None:
-        """Let the keys 1 to 9 set markers, where a terminal is there and something is recorded."""
-        if self.recorder is not None and in_foreground():
+        """Let the keys 1 to 9 set markers, and q and Escape stop, where a terminal is there."""
+        if in_foreground():
             with suppress(OSError, termios.error):
                 self._stack.enter_context(Keys(self._keys.strike))
 
@@ -405,6 +405,9 @@ class _RealRun(Course):
         if self.door.stop_wanted():
             self.stopped_by = "coulombus stop"
             return False
+        if self._keys.stop:
+            self.stopped_by = "a key"
+            return False
         return True
 
     def _supervise(self) -> bool:
@@ -422,7 +425,7 @@ class _RealRun(Course):
         self.mark_course(self.now_ns + 1)
         for t_ns, text in self._keys.take():
             self.mark(t_ns, text)
-            _say(text)
+            _say(text if self.recorder is not None else f"{text}: nothing is recorded")
         enabled = self.enabled_ns
         if enabled is not None and self.progress is not None:
             with suppress(OSError):  # of a terminal that was closed

@@ -105,7 +105,7 @@ class SubjectSession:
         recorded: Callable[[Path], None] = lambda path: None,
     ) -> None:
         self.folder, self.study = folder, folder.study
-        self._displays, self._mark, self._recorded = displays, mark, recorded
+        self.displays, self._mark, self._recorded = displays, mark, recorded
         self._trials = folder.resumed()
         self._rigs: dict[tuple[str, float], Rig] = {}
         self._shown = 0
@@ -127,7 +127,7 @@ class SubjectSession:
     def stop(self) -> None:
         """End the display that is on safely, and let none begin; from any thread."""
         self._stopped = True
-        self._displays.stop()
+        self.displays.stop()
 
     def show(self, number: int) -> RunResult:
         """Show display `number`, from 1, of the trial; return when it has safely ended.
@@ -161,7 +161,7 @@ class SubjectSession:
         if number == 1:
             self._mark(f"trial {trial.number}")
         self._mark(f"display {number} begins")
-        result = self._displays(display)
+        result = self.displays(display)
         self._mark(f"display {number} ends")
         if result.recording is not None:
             self._recorded(Path(result.recording))

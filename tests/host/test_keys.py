@@ -62,6 +62,16 @@ def test_the_keys_1_to_9_are_markers():
     assert not list(keys.take())
 
 
+@pytest.mark.parametrize(
+    ("strokes", "stop"), [(b"q", True), (b"12Q", True), (b"\x1b", True), (b"\x1b[A", True), (b"1 y", False)]
+)
+def test_q_and_escape_stop(strokes, stop):
+    keys = StruckKeys(lambda: 7)
+    keys.strike(strokes)
+    keys.strike(b"1")
+    assert keys.stop is stop
+
+
 @pytest.mark.parametrize("text", ["", "  ", "a\nb", "a\x1b[2J", "x" * 196])
 def test_a_text_that_is_no_marker_is_refused(text):
     run = SimpleNamespace(**vars(RUN), mark=None)

@@ -164,8 +164,14 @@ class Plane:
         return np.zeros(0, TRACE).view(np.recarray)
 
 
-def marked(tmp_path, monkeypatch, *, slow_batch=1, trip=Trip.NONE, rig="bench", enabled_s=(1,)):
-    """Return the markers of a run of 5 s, in ms.
+def marked(tmp_path, monkeypatch, **how):
+    """Return the markers of a run of 5 s, in ms."""
+    over(tmp_path, monkeypatch, **how)
+    return [(round(t_s * 1000), text.partition(":")[0]) for t_s, text in read(tmp_path / "r.pcapng").markers]
+
+
+def over(tmp_path, monkeypatch, *, slow_batch=1, trip=Trip.NONE, rig="bench", enabled_s=(1,), struck=b""):
+    """Return a run of 5 s that has ended; keys were `struck` as it began.
 
     The drives of the axes are enabled at these times.
     """
@@ -185,9 +191,20 @@ def marked(tmp_path, monkeypatch, *, slow_batch=1, trip=Trip.NONE, rig="bench", 
     run.signals = Signals()
     run.door = SimpleNamespace(stop_wanted=lambda: False)
     run.changes = SimpleNamespace(arm_key="")
+    run._keys.strike(struck)
     run.course(5.0)
     run.drain()
-    return [(round(t_s * 1000), text.partition(":")[0]) for t_s, text in read(tmp_path / "r.pcapng").markers]
+    return run
+
+
+@pytest.mark.parametrize("key", [b"q", b"\x1b"])
+def test_a_key_makes_the_rig_safe_at_once(tmp_path, monkeypatch, key):
+    run = over(tmp_path, monkeypatch, struck=key)
+    assert run.stopped_by == "a key"
+    assert run.k.done
+    assert run.k.safe_ns < 2 * S  # the display would have ended at 6 s
+    (tmp_path / "again").mkdir()
+    assert over(tmp_path / "again", monkeypatch, struck=b"1").stopped_by is None
 
 
 @pytest.mark.parametrize("slow_batch", [1, 95])
