@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import select
 import signal
 import sys
 import termios
@@ -31,16 +32,25 @@ def in_foreground() -> bool:
 class Keys:
     """Watches the terminal in a thread, and calls ``struck(strokes)`` there; ``ended()`` when it
     watches no more, be it by an error.
+
+    What was struck before is forgotten, or given to `earlier`.
     """
 
-    def __init__(self, struck: Callable[[bytes], None], ended: Callable[[], None] = lambda: None) -> None:
-        self._fd, self._call = sys.stdin.fileno(), struck
+    def __init__(
+        self,
+        struck: Callable[[bytes], None],
+        ended: Callable[[], None] = lambda: None,
+        earlier: Callable[[bytes], None] | None = None,
+    ) -> None:
+        self._fd, self._call, self._earlier = sys.stdin.fileno(), struck, earlier
         self._lookout = Lookout("keys", self._watch, ended)
         self._mode: list[Any] = []
 
     def __enter__(self) -> Self:
         self._mode = termios.tcgetattr(self._fd)
-        tty.setcbreak(self._fd)
+        tty.setcbreak(self._fd, termios.TCSAFLUSH if self._earlier is None else termios.TCSADRAIN)
+        if self._earlier is not None and select.select([self._fd], [], [], 0)[0]:
+            self._earlier(os.read(self._fd, 4096))
         self._lookout.start()
         return self
 

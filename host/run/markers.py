@@ -122,10 +122,14 @@ class StruckKeys:
 
     def strike(self, strokes: bytes) -> None:
         """Keep what these strokes mark, with the present time, and whether one of them stops."""
-        self.stop |= any(key in strokes for key in STOP_KEYS)
+        self.strike_early(strokes)
         for digit in strokes.decode("ascii", "replace"):
             if digit in KEYS:
                 self._struck.append((self._now_ns(), marker_of(digit)))
+
+    def strike_early(self, strokes: bytes) -> None:
+        """Keep whether one of these strokes stops; they came before the run, and mark nothing of it."""
+        self.stop |= any(key in strokes for key in STOP_KEYS)
 
     def take(self) -> Iterator[tuple[int, str]]:
         """Yield the time [ns] and the marker of each that has not been taken."""

@@ -236,7 +236,7 @@ class _RealRun(Course):
         """Let the keys 1 to 9 set markers, and q and Escape stop, where a terminal is there."""
         if in_foreground():
             with suppress(OSError, termios.error):
-                self._stack.enter_context(Keys(self._keys.strike))
+                self._stack.enter_context(Keys(self._keys.strike, earlier=self._keys.strike_early))
 
     def drain(self, seen_ns: int | None = None) -> None:
         """Write what the data plane has logged, in the order of the stamps.
