@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Floats", "Integers", "Record", "Records", "copied", "joined", "new_records", "overwrite"]
+__all__ = ["Floats", "Integers", "Record", "Records", "copied", "new_records", "overwrite"]
 
 Records: TypeAlias = npt.NDArray[Any]
 """An array of records (a structured dtype)."""
@@ -35,12 +34,6 @@ def _opaque(records: Records) -> Records:
 def copied(records: Records) -> Records:
     """Return a copy of an array of records, which is of the same class."""
     return _opaque(records).copy().view(records.dtype).view(type(records))
-
-
-def joined(dtype: np.dtype[Any], parts: Iterable[Records]) -> Records:
-    """Return the records of all parts, of type `dtype`, one behind the other."""
-    rows = [_opaque(part) for part in parts]
-    return (np.concatenate(rows) if rows else np.zeros(0, dtype)).view(dtype).view(np.recarray)
 
 
 def overwrite(records: Records, others: Records) -> None:

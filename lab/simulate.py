@@ -157,7 +157,7 @@ class _VirtualRun(Course):
             return super().figures()
         if self.enabled_ns is None:
             return Figures([Measures() for _ in self.k], None)
-        return Figures([measure(one) for one in self.measured.recording().axes], None)
+        return Figures([measure(one) for one in self.measured.recordings()], None)
 
     def close(self) -> None:
         """Write what is left and close the recording."""

@@ -1,25 +1,30 @@
-"""A run's frames in memory, for its figures alone: of a run that nobody wants to keep.
+"""What a run's figures are computed from, in memory: of a run that nobody wants to keep.
 
-Only the frames of the PDOs that figures are computed from are kept (`recording.measures.MEASURED`):
-120 bytes for each cycle of an axis. The figures are those of the recording, but for the rounding of
-sums over other blocks (`recording.measures`).
+Of the frames only stamps and data words are kept, and only of the PDOs that figures are computed from
+(`recording.measures.MEASURED`): 48 bytes for each cycle of an axis. The figures are those of the
+recording, but for the rounding of sums over other blocks (`recording.measures`).
 """
 
 from __future__ import annotations
 
-import numpy as np
+from typing import TypeAlias
 
-from coulombus.compiled.records import joined
+import numpy as np
+import numpy.typing as npt
+
 from coulombus.recording.measures import MEASURED
 from coulombus.recording.pcapng_reader import Capture
+from coulombus.recording.pdo_table import signals_of
 from coulombus.recording.recorder import Markers
-from coulombus.recording.signals import Recording, decode
+from coulombus.recording.signals import Recording, Series, markers_of
 from coulombus.rigs.rig import Rig
-from coulombus.wire.frame import FRAME, Records
+from coulombus.rigs.signals import RigPdo
+from coulombus.wire.frame import FRAME, Records, new_records
 
 __all__ = ["MeasuredFrames"]
 
 NAME = "a run in memory"
+Integers: TypeAlias = npt.NDArray[np.int64]
 
 
 class MeasuredFrames:
@@ -27,32 +32,54 @@ class MeasuredFrames:
 
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
-        self._wanted = sorted(
-            {pdo.layout.cob_id for pdo in rig.pdos() if any(signal.key in MEASURED for signal in pdo.signals)}
-        )
-        self._markers = Markers()
-        self._parts: list[Records] = []
-        self._comments: list[tuple[int, str]] = []
-        self._count = 0
+        self._came: dict[int, tuple[RigPdo, list[Integers], list[Integers]]] = {
+            pdo.layout.cob_id: (pdo, [], []) for pdo in rig.pdos() if any(one.key in MEASURED for one in pdo.signals)
+        }
+        """By identifier: the PDO, and of each batch the stamps and the data words of its frames."""
+        self._waiting = Markers()
+        self._markers: list[tuple[float, str]] = []
 
     def mark(self, t_ns: int, text: str) -> None:
         """Let the first frame at or after `t_ns` carry the comment `text`."""
-        self._markers.add(t_ns, text)
+        self._waiting.add(t_ns, text)
 
     def write(self, frames: Records) -> None:
         """Append a batch of frames with rising stamps."""
         frames = frames.view(np.ndarray)  # a plain array answers faster than a recarray
-        comments = self._markers.on(frames["t_ns"])
-        can_id = np.ascontiguousarray(frames["can_id"])
-        kept = np.zeros(len(frames), np.bool_)
-        for wanted in self._wanted:  # a few: faster than np.isin
-            kept |= can_id == wanted
-        kept[list(comments)] = True
-        self._comments += [(self._count + int(np.count_nonzero(kept[:row])), text) for row, text in comments.items()]
-        self._parts.append(frames.take(np.flatnonzero(kept)))  # frames[kept] copies field by field: ten times as long
-        self._count += len(self._parts[-1])
+        t_ns, can_id = frames["t_ns"], np.ascontiguousarray(frames["can_id"])
+        for row, text in self._waiting.on(t_ns).items():
+            self._markers += [(float(t_ns[row] / 1e9), line) for line in text.splitlines()]
+        for cob_id, (pdo, stamps, words) in self._came.items():
+            rows = np.flatnonzero(can_id == cob_id)
+            rows = rows[frames["length"][rows] == pdo.layout.length]
+            stamps.append(t_ns[rows])
+            words.append(frames["word"][rows])
 
-    def recording(self) -> Recording:
-        """Return what was taken, decoded."""
-        frames = joined(FRAME, self._parts)
-        return decode(Capture(NAME, frames, comments=self._comments, attachments={}), self._rig)
+    def recordings(self) -> tuple[Recording, ...]:
+        """Return what was taken as each axis sees it (`Recording.axes`): the measured signals and the
+        markers, and no frame.
+        """
+        names = self._rig.axis_names
+        rigs = [self._rig.alone(name) for name in names] or [self._rig]
+        return tuple(self._seen(name, rig) for name, rig in zip(names or ("",), rigs, strict=True))
+
+    def _seen(self, axis: str, rig: Rig) -> Recording:
+        signals = {}
+        for pdo in rig.pdos():
+            if pdo.layout.cob_id in self._came:
+                _, *parts = self._came[pdo.layout.cob_id]
+                t_ns, words = (np.concatenate([np.zeros(0, np.int64), *one]) for one in parts)
+                t_s = t_ns / 1e9
+                for signal, values in signals_of(pdo, words, t_ns, rig, {}, MEASURED)[0]:
+                    signals[signal.name] = Series(t_s, values, signal.unit)
+        return Recording(
+            path=NAME,
+            rig=rig,
+            capture=Capture(NAME, new_records(FRAME, 0), comments=[], attachments={}),
+            epoch_ns=0,
+            tables=(),
+            signals=signals,
+            markers=markers_of(axis, self._rig, self._markers) if axis else self._markers,
+            malformed={},
+            before={},
+        )

@@ -4,7 +4,7 @@ units.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
@@ -17,7 +17,7 @@ from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo, Signal
 from coulombus.wire.frame import Records
 
-__all__ = ["PdoTable", "behind", "decode_field", "table_of"]
+__all__ = ["PdoTable", "behind", "decode_field", "signals_of", "table_of"]
 
 Array: TypeAlias = npt.NDArray[Any]
 Integers: TypeAlias = npt.NDArray[np.int64]
@@ -47,15 +47,33 @@ def table_of(pdo: RigPdo, frames: Records, can_ids: Integers, rig: Rig, before: 
     came = np.flatnonzero(can_ids == layout.cob_id)
     rows = came[frames["length"][came] == layout.length]
     words, stamps = frames["word"][rows], frames["t_ns"][rows]
-    columns, turns = [], {}
-    for entry, start, signal in zip(layout.entries, layout.starts, pdo.signals, strict=True):
+    signals, turns = signals_of(pdo, words, stamps, rig, before)
+    columns = tuple(values for _, values in signals)
+    return PdoTable(pdo, f"{pdo.node}.{pdo.name}", rows, stamps, 2 * rows, columns, len(came) - len(rows), turns)
+
+
+def signals_of(
+    pdo: RigPdo,
+    words: Integers,
+    t_ns: Integers,
+    rig: Rig,
+    before: Mapping[str, Turns],
+    keys: Collection[str] | None = None,
+) -> tuple[list[tuple[Signal, Array]], dict[str, Turns]]:
+    """Return a PDO's signals, of these `keys` alone where they are given, with their values in the data
+    words that came at `t_ns`, and where its position was last.
+    """
+    found, turns = [], {}
+    for entry, start, signal in zip(pdo.layout.entries, pdo.layout.starts, pdo.signals, strict=True):
+        if keys is not None and signal.key not in keys:
+            continue
         raw, name = decode_field(words, start, entry), signal.name
         if signal.key == POSITION:
-            raw, last = follow(raw, stamps, entry, before.get(name), fastest(rig, name))
+            raw, last = follow(raw, t_ns, entry, before.get(name), fastest(rig, name))
             if last is not None:
                 turns[name] = last
-        columns.append(_si(raw, signal))
-    return PdoTable(pdo, f"{pdo.node}.{pdo.name}", rows, stamps, 2 * rows, tuple(columns), len(came) - len(rows), turns)
+        found.append((signal, _si(raw, signal)))
+    return found, turns
 
 
 def behind(table: PdoTable, bus_ns: Integers) -> PdoTable:

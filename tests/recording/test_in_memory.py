@@ -43,19 +43,21 @@ def test_a_run_that_is_never_armed_has_no_figures():
     assert result.hold_counts_p2p is None
 
 
-def test_a_marker_stays_with_its_frame_and_other_frames_go():
+def test_a_marker_has_the_time_of_its_frame_and_a_torn_pdo_is_left_out():
     rig = load_rig("bench")
+    pdo = next(pdo for pdo in rig.pdos() if any(signal.key == "motor.position_rad" for signal in pdo.signals))
     frames = new_records(FRAME, 6)
     frames["t_ns"] = [10, 20, 30, 40, 50, 60]
-    frames["can_id"] = [0x80, 0x181, 0x80, 0x701, 0x181, 0x80]
-    frames["length"] = 8
+    frames["can_id"] = [0x80, pdo.layout.cob_id, 0x80, pdo.layout.cob_id, pdo.layout.cob_id, 0x80]
+    frames["length"] = pdo.layout.length
+    frames["length"][3] -= 1
     kept = MeasuredFrames(rig)
     kept.mark(25, "phase rest")
     kept.mark(60, "phase hold")
     kept.mark(61, "phase stroke")
     kept.write(frames[:3])
     kept.write(frames[3:])
-    recording = kept.recording()
-    assert recording.frames["t_ns"].tolist() == [20, 30, 50, 60]
+    (recording,) = kept.recordings()
+    assert recording["motor.position_rad"].t_s.tolist() == [20e-9, 50e-9]
     assert recording.markers == [(30e-9, "phase rest"), (60e-9, "phase hold")]
     assert [one.kind for one in phases(recording)] == ["rest", "hold"]
