@@ -76,8 +76,9 @@ class Operator:
         self._hand = drawn(axis.simulation.operator, seed)
         self._tremor_rad, self._push, self._tap = 0.0, 1.0, 1.0
         spread = self._hand.population
-        self._late_s = LATE_S * spread * np.abs(_subject(seed, 3).standard_normal(MOST_TAPS))
+        self._late_s = np.zeros(MOST_TAPS)
         if spread > 0:
+            self._late_s = LATE_S * spread * np.abs(_subject(seed, 3).standard_normal(MOST_TAPS))
             self._tremor_rad = 2 * np.pi * _subject(seed, 1).random()
             self._push, self._tap = np.exp(spread * _subject(seed, 2).standard_normal(2))
         self._phases = axis.phases
