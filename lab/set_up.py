@@ -8,7 +8,7 @@ world of the same devices goes on where the set-up ended (`set_up`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from coulombus.host.laws.laws import OWN_LAWS
@@ -32,8 +32,8 @@ class _Kept:
     state: WorldState
     plans: tuple[DevicePlan, ...]
     losses: tuple[str, ...]
-    idle: VirtualRig | None = None
-    """A world that nobody uses any more."""
+    idle: list[VirtualRig] = field(default_factory=list)
+    """At most one world, which nobody uses any more: a thread that takes it takes it from all others."""
 
 
 _kept: list[_Kept] = []
@@ -47,12 +47,13 @@ def ready_world(rig: Rig, mode: str, seed: int) -> tuple[VirtualRig, tuple[str, 
     It is the caller's own until `give_back`.
     """
     asked = tuple(map(_asked, rig.axes))
-    for one in _kept:
-        world = one.idle
-        if world is not None and one.key == (mode, one.key[1], asked, asked):
-            one.idle = None  # it is nobody's where something fails from here on
-            world.renew(rig, seed)
-            return (world, one.losses) if adopt(world, one.state) else None
+    for one in [one for one in _kept if one.key == (mode, one.key[1], asked, asked)]:
+        try:
+            world = one.idle.pop()
+        except IndexError:
+            return None
+        world.renew(rig, seed)
+        return (world, one.losses) if adopt(world, one.state) else None
     return None
 
 
@@ -64,7 +65,7 @@ def give_back(world: VirtualRig) -> None:
         asked = tuple(map(_asked, world.rig.axes))
         for one in _kept:
             if one.key == (world.mode, one.key[1], asked, asked):
-                one.idle = world
+                one.idle[:] = [world]
 
 
 def set_up(world: VirtualRig) -> tuple[str, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -128,6 +129,14 @@ def test_a_world_of_other_devices_or_of_a_law_that_may_be_edited_is_nobodys() ->
     assert ready_world(rig.variant("mechanics.friction_Nm=0.15"), "hybrid", 0) is None
     assert ready_world(rig.variant("plant.temperature_degC=31.0"), "hybrid", 0) is None  # and the world is gone
     assert ready_world(rig, "hybrid", 0) is None
+
+
+def test_threads_that_simulate_side_by_side_do_not_share_a_world() -> None:
+    rig = load_rig("bench")
+    alone = [simulate(rig, "hybrid", 0.3, seed=seed, measured=True).as_dict() for seed in range(6)]
+    with ThreadPoolExecutor(3) as pool:
+        beside = list(pool.map(lambda seed: simulate(rig, "hybrid", 0.3, seed=seed, measured=True).as_dict(), range(6)))
+    assert beside == alone
 
 
 def test_a_world_whose_host_believes_something_else_is_not_kept() -> None:
