@@ -58,6 +58,8 @@ __all__ = [
 Array: TypeAlias = npt.NDArray[Any]
 Floats: TypeAlias = npt.NDArray[np.float64]
 Integers: TypeAlias = npt.NDArray[np.int64]
+MOST_NAMED = 6
+"""Signals that an error names where none is like the one that was asked for."""
 UNSURE = "unsure "  # begins the names of positions with gaps in which they may have wrapped unseen
 
 
@@ -452,6 +454,9 @@ def signal_of(pdos: Iterable[RigPdo], name: str, where: str) -> Signal:
     """
     signals = {signal.name: signal for pdo in pdos for signal in pdo.signals}
     if name not in signals:
-        near = difflib.get_close_matches(name, signals, 3, 0.4) or list(signals)
-        raise UnknownSignal(f"no signal {name!r} in {where}; there is {', '.join(near)}")
+        near = difflib.get_close_matches(name, signals, 3, 0.4)
+        some = near or list(signals)[:MOST_NAMED]
+        more = 0 if near else len(signals) - len(some)
+        others = f" and {more} others, which coulombus pdo lists" if more else ""
+        raise UnknownSignal(f"no signal {name!r} in {where}; there is {', '.join(some)}{others}")
     return signals[name]
