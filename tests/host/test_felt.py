@@ -167,7 +167,11 @@ def test_an_uneven_velocity_hides_no_motion_that_nobody_pays_for():
 def test_a_balance_begins_anew_with_each_run():
     bench = kicked([25] * 400)
     assert bench.h.port_J < 0.0
+    assert bench.h.port_way > 0.0
+    assert bench.h.port_slid_ns > 0
+    bench.h.port_pushed_Nm = 1.0
     enter(bench.axis, Phase.RUN, 0)
+    assert [bench.h.port_way, bench.h.port_slid_ns, bench.h.port_pushed_Nm] == [0, 0, 0]
     assert bench.h.port_J == 0.0
     assert max(bench.h.port_kinetic_J) == 0.0
     assert bench.h.share == 1.0
