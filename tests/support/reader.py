@@ -15,14 +15,14 @@ from warm_start import Warm
 
 __all__ = ["Reader"]
 
-READY = ("is ready", "is on bus", "join")
+READY = ("is ready", "is on bus", "are joined")
 
 
 class Reader:
     """Who follows a page in a folder: `coulombus` starts warm, everything else in a shell."""
 
     def __init__(self, folder):
-        self.folder, self.beside, self.printed = folder, [], ""
+        self.folder, self.beside, self.printed, self.tells = folder, [], "", None
         path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
         self.environment = {**os.environ, "PATH": path, "COLUMNS": "100"}
 
@@ -53,18 +53,31 @@ class Reader:
             process = self.start(line.removesuffix(" &"), file, line.endswith(" &"))
         if line.endswith(" &"):
             self.beside.append(process)
+            self.tells = process, out
             deadline = time.monotonic() + PATIENCE_S
             while not any(word in out.read_text() for word in READY):
                 assert process.poll() is None, out.read_text()
                 assert time.monotonic() < deadline, out.read_text()
                 time.sleep(0.02)
         else:
+            self.tells = None
             status = process.wait(PATIENCE_S)
             assert status == int(wanted[1] if wanted else 0), f"{line}: {status}\n{out.read_text()}"
         self.printed = out.read_text()
 
     def shows(self, lines):
-        """Each line that the page shows is a part of a line that was printed, but for blanks."""
-        there = [" ".join(line.split()) for line in self.printed.splitlines()]
-        for line in lines:
-            assert any(" ".join(line.split()) in one for one in there), f"{line!r} is not in:\n{self.printed}"
+        """Each line that the page shows is a part of a line that was printed, but for blanks.
+
+        A command that runs beside may still be about to print it.
+        """
+        deadline = time.monotonic() + PATIENCE_S
+        while True:
+            alive = self.tells is not None and self.tells[0].poll() is None
+            if self.tells is not None:
+                self.printed = self.tells[1].read_text()
+            there = [" ".join(line.split()) for line in self.printed.splitlines()]
+            missing = [line for line in lines if not any(" ".join(line.split()) in one for one in there)]
+            if not missing or not alive or time.monotonic() > deadline:
+                break
+            time.sleep(0.02)
+        assert missing == [], f"not in:\n{self.printed}"
