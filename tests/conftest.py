@@ -38,8 +38,9 @@ sys.meta_path.insert(0, OneName)
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as a shell starts what stands before an &
     signal.signal(signal.SIGINT, signal.default_int_handler)
-if signal.getsignal(signal.SIGQUIT) is signal.SIG_IGN:
-    signal.signal(signal.SIGQUIT, signal.SIG_DFL)
+for _number in (signal.SIGQUIT, signal.SIGHUP):  # as nohup starts what is to outlive its terminal
+    if signal.getsignal(_number) is signal.SIG_IGN:
+        signal.signal(_number, signal.SIG_DFL)
 
 watchers = pytest.StashKey[Watchers]()
 
