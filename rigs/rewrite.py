@@ -22,7 +22,7 @@ from coulombus.rigs.draft.text import CHECK
 from coulombus.rigs.mistakes import RigError, dotted, toml_value
 from coulombus.rigs.toml_lines import MOST_CHARACTERS, Document, Key, read_toml
 
-__all__ = ["NewValue", "replace_file", "rewritten", "write_whole"]
+__all__ = ["NewValue", "forget_torn", "replace_file", "rewritten", "write_whole"]
 
 _ASSIGNMENT = re.compile(r"(?P<head>\s*[^=#]*=\s*)(?P<rest>.*)")
 _TEXT_OR_COMMENT = re.compile(r""""(?:[^"\\]|\\.)*"|'[^']*'|(?P<comment>\s*\#.*)""")
@@ -187,6 +187,9 @@ def _keep(path: Path, content: bytes) -> Path:
     raise RigError([f"{path}: there are {MOST_COPIES} copies of this name already; take some away"])
 
 
+_BESIDE = re.compile(r"\..+-\d+-[0-9a-f]{8}(\.\w+)?")
+
+
 def write_whole(path: Path, content: bytes, mode: int = 0o644, *, new: bool = False) -> None:
     """Write a file as a whole or not at all: it is on the disk before it has its name.
 
@@ -210,3 +213,11 @@ def write_whole(path: Path, content: bytes, mode: int = 0o644, *, new: bool = Fa
     finally:
         with suppress(OSError):
             beside.unlink()
+
+
+def forget_torn(folder: Path) -> None:
+    """Remove what `write_whole` has left in a folder when it was killed; nobody writes there now."""
+    for path in folder.glob(".*"):
+        if _BESIDE.fullmatch(path.name):
+            with suppress(OSError):
+                path.unlink()

@@ -28,7 +28,7 @@ from typing import Any, Self
 from coulombus.lab.experiment.study import Study
 from coulombus.lab.experiment.trials import Trial, Trials
 from coulombus.recording.recorder import project_version
-from coulombus.rigs.rewrite import write_whole
+from coulombus.rigs.rewrite import forget_torn, write_whole
 
 __all__ = ["COLUMNS", "FolderError", "SubjectFolder", "read_events", "subjects_of"]
 
@@ -151,6 +151,8 @@ class SubjectFolder:
                 fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
                 raise FolderError(f"{self.folder}: another session writes there; wait for its end") from None
+            for folder in (self.folder, self.own):
+                forget_torn(folder)
             self._describe()
             self._take_part()
             (self.own / "recordings").mkdir(parents=True, exist_ok=True)

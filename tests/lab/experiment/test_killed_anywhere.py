@@ -100,7 +100,8 @@ while (told := killed(place / "parts", at)) is not None:
         (place / "parts" / name).read_bytes() == (place / "whole" / name).read_bytes()
         for name in ("participants.tsv", "participants.json", "study.toml", "dataset_description.json")
     )
-    found.append({"at": at, "told": told, "rows": len(rows), "complete": came.complete, "same": same,
+    left = sorted(path.name for path in (place / "parts").rglob(".*") if path.name != ".lock")
+    found.append({"at": at, "left": left, "told": told, "rows": len(rows), "complete": came.complete, "same": same,
                   "bytes": events.read_bytes() == whole})
     shutil.rmtree(place / "parts")
     at += every
@@ -126,6 +127,7 @@ def test_killed_at_any_place_a_session_goes_on_and_comes_to_the_same_bytes(tmp_p
         assert one["complete"], one
         assert one["same"], one
         assert one["bytes"], one
+        assert one["left"] == [], one  # no half of a file that was to be replaced
         assert one["rows"] >= one["told"].count("kept"), one  # what was kept is not lost
         assert one["rows"] >= one["told"].count("answered") - 1, one  # and one answer at most
     last = {one["told"][-1] if one["told"] else "begin" for one in found}
