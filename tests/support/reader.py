@@ -15,7 +15,7 @@ from warm_start import Warm
 
 __all__ = ["Reader"]
 
-READY = ("is ready", "is on bus", "are joined")
+READY = ("is ready", "is on bus", "waits on bus", "are joined")
 
 
 class Reader:
