@@ -22,7 +22,8 @@ from coulombus.host.cycle.demand import motor_limit_Nm
 from coulombus.host.errors import SafetyTrip
 from coulombus.host.run.compute import measure_compute
 from coulombus.host.run.control_socket import HostSocket
-from coulombus.host.run.real_run import LISTEN_S, check_no_rehearsal
+from coulombus.host.run.real_course import LISTEN_S
+from coulombus.host.run.refusals import check_no_rehearsal
 from coulombus.host.setup.control_plane import RealControlPlane
 from coulombus.host.setup.response import DeviceTimes, Stamped, measure_devices
 from coulombus.rigs.axis import Axis

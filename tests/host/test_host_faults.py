@@ -19,9 +19,10 @@ from coulombus.host.cycle.records import Phase, Trip
 from coulombus.host.errors import HostError
 from coulombus.host.realtime.data_plane import DataPlane
 from coulombus.host.realtime.shared_memory import TRACE_ROWS, Command, SharedPlane, Status
-from coulombus.host.run import real_run
+from coulombus.host.run import real_course
 from coulombus.host.run.control_socket import HostSocket, StopRequest, control_path
 from coulombus.host.run.outputs import Outputs
+from coulombus.host.run.real_run import real_run
 from coulombus.recording.pcapng_blocks import RecordingError
 from coulombus.recording.reading import read
 from coulombus.recording.trace import TRACE
@@ -157,15 +158,15 @@ def bench(tmp_path, monkeypatch):
             pass
 
     clock = [Clock()]
-    monkeypatch.setattr(real_run, "DataPlane", PlayedPlane)
-    monkeypatch.setattr(real_run, "RealControlPlane", Control)
-    monkeypatch.setattr(real_run, "bring_up", lambda k, control: ())
-    monkeypatch.setattr(real_run, "release", lambda k, control: None)
+    monkeypatch.setattr(real_course, "DataPlane", PlayedPlane)
+    monkeypatch.setattr(real_course, "RealControlPlane", Control)
+    monkeypatch.setattr(real_course, "bring_up", lambda k, control: ())
+    monkeypatch.setattr(real_course, "release", lambda k, control: None)
 
     def run(fail_at=0, before=lambda: None, arming=True):
         clock[0] = Clock()
         monkeypatch.setattr(PlayedPlane, "clock", clock[0], raising=False)
-        monkeypatch.setattr(real_run, "time", clock[0])
+        monkeypatch.setattr(real_course, "time", clock[0])
         monkeypatch.setattr("coulombus.host.realtime.data_plane.time", clock[0])
         shim, planes = Shim(fail_at), []
 
@@ -190,7 +191,7 @@ def bench(tmp_path, monkeypatch):
         try:
             if not arming:
                 begin()
-            result = real_run.real_run(rig, "passive", 0.03, bus=BUS, outputs=Outputs(record=record), signals=Signals())
+            result = real_run(rig, "passive", 0.03, bus=BUS, outputs=Outputs(record=record), signals=Signals())
         except (HostError, BusUnavailable, RecordingError) as error:
             refusal = error
         finally:
@@ -318,8 +319,8 @@ def test_an_error_before_arming_is_a_refusal_with_its_place(bench, monkeypatch):
         raise OSError(24, "Too many open files")
 
     done = []
-    monkeypatch.setattr(real_run, "bring_up", broken)
-    monkeypatch.setattr(real_run, "shut_down", done.append)
+    monkeypatch.setattr(real_course, "bring_up", broken)
+    monkeypatch.setattr(real_course, "shut_down", done.append)
     found = bench(arming=False)
     assert found.refusal.exit_status == 7
     assert str(found.refusal).startswith(
@@ -339,7 +340,7 @@ def test_a_data_plane_that_has_ended_before_arming_is_no_run_that_went_well(benc
         plane._process.status = 0
         return ()
 
-    monkeypatch.setattr(real_run, "bring_up", lose)
+    monkeypatch.setattr(real_course, "bring_up", lose)
     found = bench(arming=False)
     assert found.refusal.exit_status == 4
     assert "lost before anything was armed: Input/output error" in str(found.refusal)

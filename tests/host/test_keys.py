@@ -9,9 +9,10 @@ from types import SimpleNamespace
 
 import pytest
 
+from coulombus.host.run.answers import Answers
 from coulombus.host.run.deadman import HeldKey
 from coulombus.host.run.markers import StruckKeys
-from coulombus.host.run.real_run import _RealRun
+from coulombus.host.run.outputs import Outputs
 from coulombus.wire.keys import Keys, in_foreground
 
 RUN = SimpleNamespace(recorder=object(), failure=None, path=Path("r.pcapng"), now_ns=7)
@@ -72,20 +73,24 @@ def test_q_and_escape_stop(strokes, stop):
     assert keys.stop is stop
 
 
+def answers(run):
+    return Answers(run, None, None, "coulombus:bench", Outputs())
+
+
 @pytest.mark.parametrize("text", ["", "  ", "a\nb", "a\x1b[2J", "x" * 196])
 def test_a_text_that_is_no_marker_is_refused(text):
     run = SimpleNamespace(**vars(RUN), mark=None)
-    assert "expected a text of 1 to 195 printable characters" in json.loads(_RealRun._mark_asked(run, text))["error"]
+    assert "expected a text of 1 to 195 printable characters" in json.loads(answers(run).mark(text))["error"]
 
 
 def test_a_text_marks_the_recording_as_a_persons():
     marked = []
     run = SimpleNamespace(**vars(RUN), mark=lambda t_ns, text: marked.append((t_ns, text)))
-    told = json.loads(_RealRun._mark_asked(run, " phase hold "))  # no phase of the run's
+    told = json.loads(answers(run).mark(" phase hold "))  # no phase of the run's
     assert told == {"marker": "mark phase hold", "recording": "r.pcapng"}
     assert marked == [(7, "mark phase hold")]
 
 
 def test_nothing_is_marked_where_nothing_is_recorded():
     run = SimpleNamespace(**(vars(RUN) | {"recorder": None}), mark=None)
-    assert "it does not record" in json.loads(_RealRun._mark_asked(run, "x"))["error"]
+    assert "it does not record" in json.loads(answers(run).mark("x"))["error"]

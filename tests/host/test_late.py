@@ -7,7 +7,7 @@ import pytest
 from coulombus.host.cycle.late import forget, hold_back
 from coulombus.host.cycle.records import ASKED, Phase
 from coulombus.host.laws.laws import compile_law
-from coulombus.host.run.real_run import check_no_delay
+from coulombus.host.run.refusals import check_no_delay
 from coulombus.rigs.rig import RigError, load_rig
 from coulombus.wire.address import parse_address
 from host_bench import HostBench

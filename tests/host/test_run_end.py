@@ -12,9 +12,10 @@ import pytest
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.records import Image, Phase, Trip
 from coulombus.host.realtime.shared_memory import Status
-from coulombus.host.run import real_run
+from coulombus.host.run import real_course
 from coulombus.host.run.course import Course
 from coulombus.host.run.markers import BitMarks, StruckKeys
+from coulombus.host.run.real_recording import StampOrder
 from coulombus.host.setup.bringup import release, shut_down
 from coulombus.lab.bringup import switch_on
 from coulombus.recording.reading import read
@@ -176,16 +177,17 @@ def over(tmp_path, monkeypatch, *, slow_batch=1, trip=Trip.NONE, rig="bench", en
     The drives of the axes are enabled at these times.
     """
     rig = load_rig(rig)
-    run = object.__new__(real_run._RealRun)
+    run = object.__new__(real_course.RealCourse)
     k = Controllers(rig, "hybrid")
     plane = Plane(k, trip, enabled_s)
     plane.clock, plane.slow_batch = Clock(plane), slow_batch
-    monkeypatch.setattr(real_run, "time", plane.clock)
+    monkeypatch.setattr(real_course, "time", plane.clock)
     Course.__init__(run, k, tmp_path / "r.pcapng", None)
     run.rig, run.plane, run.zero_ns = rig, plane, 0
-    run.notifier, run.address, run.teller = Notifier({}), "coulombus:bench", None
+    run.notifier, run.address = Notifier({}), "coulombus:bench"
+    run.answers = SimpleNamespace(tell=lambda now_ns: None)
     run.recorder = Recorder(tmp_path / "r.pcapng", rig, "hybrid")
-    run.error = run.stopped_by = run._waiting = None
+    run.error, run.stopped_by, run._order = None, None, StampOrder(0)
     run._keys, run._bits = StruckKeys(plane.clock.monotonic_ns), BitMarks((), rig)
     run.deadman, run._seen = "none", (0, 0.0)
     run.signals = Signals()
@@ -240,15 +242,15 @@ def test_the_phases_of_each_axis_count_from_its_own_start(tmp_path, monkeypatch,
 
 
 def test_what_the_recording_needs_is_compiled_before_the_nodes_are_touched(monkeypatch):
-    run = object.__new__(real_run._RealRun)
+    run = object.__new__(real_course.RealCourse)
     rig = load_rig("bench")
     run.plane = Plane(Controllers(rig, "hybrid"))
     run.plane.slow_batch = 0
     Course.__init__(run, run.plane.k, None, None)
-    run.zero_ns, run._waiting, run.deadman = 0, None, "key"
+    run.zero_ns, run._order, run.deadman = 0, StampOrder(0), "key"
     run.address = SimpleNamespace(kind="coulombus")
     run.control = SimpleNamespace(check_alone=lambda at: None)
     seen = []
-    monkeypatch.setattr(real_run, "bring_up", lambda k, control: seen.append(run.plane.batches) or ())
+    monkeypatch.setattr(real_course, "bring_up", lambda k, control: seen.append(run.plane.batches) or ())
     run.prepare()
     assert seen == [1]

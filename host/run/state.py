@@ -1,12 +1,31 @@
-"""The state of an axis for other programs."""
+"""The state of the data plane and of an axis for other programs."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from coulombus.host.cycle.controller import Controller
+from coulombus.host.realtime.data_plane import DataPlane
+from coulombus.host.run.histogram import coarse_dict
 
-__all__ = ["axis_state"]
+__all__ = ["axis_state", "plane_state"]
+
+
+def plane_state(plane: DataPlane, period_ns: int) -> dict[str, Any]:
+    """Return the state of the data plane as plain values; `period_ns` is the cycle's."""
+    wakeup, latency = plane.wakeup(), plane.latency()
+    return {
+        "data_plane": plane.status.name.lower(),
+        "cycles": plane.cycles,
+        "wakeup_us": wakeup and wakeup.as_dict(),
+        "sync_to_rpdo_us": latency and latency.as_dict(),
+        "histograms_us": {
+            "wakeup": coarse_dict(plane.shared.wakeup_bins),
+            "sync_to_rpdo": coarse_dict(plane.shared.latency_bins),
+            "deadline": period_ns / 1000,
+        },
+        "counters": plane.counters(),
+    }
 
 
 def axis_state(controller: Controller) -> dict[str, Any]:

@@ -1,0 +1,70 @@
+"""What a live run refuses before anything is armed, and the words of a refusal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+
+import can
+
+from coulombus.host.errors import SafetyTrip
+from coulombus.rigs.draft.text import REHEARSAL, rehearsal_marks
+from coulombus.rigs.rig import Rig, RigError
+from coulombus.wire.address import BusAddress
+
+__all__ = ["check_no_delay", "check_no_rehearsal", "place_of", "refusing"]
+
+
+def check_no_rehearsal(rig: Rig, address: BusAddress) -> None:
+    """Refuse a rig file for simulated devices on a real bus.
+
+    Raises
+    ------
+    RigError
+        the file has marks of `coulombus init --rehearse`; each is named
+    """
+    marks = () if address.kind == "coulombus" else rehearsal_marks(rig.origin.text)
+    if marks:
+        wanted = f"expected what holds for the devices on {address}, and no mark"
+        raise RigError([f"{rig.path}:{line}: got '# {REHEARSAL}'; {wanted}" for line in marks])
+
+
+def check_no_delay(rig: Rig, address: BusAddress) -> None:
+    """Refuse a delay for study on a live bus, where a hand may be on the handle.
+
+    Raises
+    ------
+    RigError
+        `bus.delay_cycles` is more than 1
+    """
+    if rig.bus.late_cycles:
+        wanted = f"1 or no such key on {address}: a longer delay is for study in virtual time (coulombus simulate)"
+        raise rig.axes[0].mistake("bus.delay_cycles", wanted)
+
+
+@contextmanager
+def refusing() -> Iterator[None]:
+    """Make a refusal, with its exit status, of every error that is nobody's mistake and comes
+    before anything is armed (after it: a trip).
+
+    Raises
+    ------
+    SafetyTrip
+        an error came that has no exit status of its own
+    """
+    try:
+        yield
+    except Exception as error:
+        if isinstance(error, can.CanError) or hasattr(error, "exit_status"):
+            raise
+        text = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+        raise SafetyTrip(f"arming refused: {text} ({place_of(error.__traceback__)})") from error
+
+
+def place_of(trace: TracebackType | None) -> str:
+    """Return where an error came from: file and line."""
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    return "" if trace is None else f"{Path(trace.tb_frame.f_code.co_filename).name}:{trace.tb_lineno}"
