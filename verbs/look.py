@@ -188,6 +188,7 @@ def watch(
       coulombus watch --bus coulombus:bench --foxglove
     """
     with errors():
+        from coulombus.scope.watch import View as Shown
         from coulombus.scope.watch import watch as run
 
         rig, address = chosen.found()
@@ -208,13 +209,9 @@ def watch(
         else:
             named = click.get_current_context().get_parameter_source("rig_name") is not ParameterSource.DEFAULT
             run(
-                *(rig, address),
+                *(rig, address, Shown(as_json, view.interval, named, view.scope)),
                 seconds=seconds,
-                as_json=as_json,
-                interval_s=view.interval,
-                all_nodes=named,
                 host=lambda: host_text(address),
-                scope=view.scope,
             )
 
 

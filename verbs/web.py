@@ -124,7 +124,7 @@ def serve_page(
 
     try:
         from coulombus.scope.web.guard import kept_token
-        from coulombus.scope.web.server import serve
+        from coulombus.scope.web.server import Shown, serve
         from coulombus.scope.web.state import HostDoor
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] != "tornado":
@@ -144,7 +144,8 @@ def serve_page(
         curve=law_curve,
     )
     serve(
-        *(rig, address, door, kept_token(socket_path(address.kind).parent / kept), ready),
+        Shown(rig, address, door, kept_token(socket_path(address.kind).parent / kept)),
+        ready,
         host=page.web_host,
         port=page.web_port,
         seconds=seconds,

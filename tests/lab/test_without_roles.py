@@ -24,7 +24,7 @@ from coulombus.recording.reading import blocks
 from coulombus.rigs.rig import load_rig
 from coulombus.scope.decode import rows
 from coulombus.scope.live import Live
-from coulombus.scope.watch import as_dict
+from coulombus.scope.screen import as_dict
 from coulombus.verbs.main import main
 from coulombus.wire.frame import data_bytes
 from eds_edit import SENSOR

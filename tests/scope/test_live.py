@@ -11,7 +11,8 @@ from rich.console import Console
 from coulombus.rigs.rig import load_rig
 from coulombus.scope import pdo_table
 from coulombus.scope.live import BITS, Live
-from coulombus.scope.watch import CHANGED, Screen, ViewKeys, _Asker, as_dict, as_lines
+from coulombus.scope.screen import CHANGED, Screen, as_dict, as_lines
+from coulombus.scope.watch import ViewKeys, _Asker
 from coulombus.wire.bits import worst_case_bits
 from host_bench import VELOCITY
 

@@ -14,9 +14,9 @@ from coulombus.recording.signals import UnknownSignal
 from coulombus.rigs.rig import load_rig
 from coulombus.scope.braille import DOTS, drawn
 from coulombus.scope.live import Live
+from coulombus.scope.screen import Screen
 from coulombus.scope.traces import Traces
 from coulombus.scope.tracks import BIN_NS, ENVELOPE_BINS
-from coulombus.scope.watch import Screen
 
 NAME = "motor.position_rad"
 NOW = 1_700_000_000 * 10**9

@@ -13,7 +13,8 @@ from coulombus.host.cycle.parameters import Change, LiveParameters
 from coulombus.host.run.changes import Changes
 from coulombus.rigs.rig import load_rig
 from coulombus.scope.web.capture import Capture
-from coulombus.scope.web.server import Page, Server, listening
+from coulombus.scope.web.page import Page
+from coulombus.scope.web.server import Server, listening
 from coulombus.scope.web.state import HostDoor
 
 MS = 1_000_000

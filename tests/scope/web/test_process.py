@@ -24,7 +24,8 @@ from tornado.websocket import websocket_connect
 
 from chromium import CHROMIUM, Browser
 from coulombus.scope.web.batch import unpacked
-from coulombus.scope.web.server import CONNECTIONS, RUBBISH
+from coulombus.scope.web.page import RUBBISH
+from coulombus.scope.web.server import CONNECTIONS
 from warm_start import Warm
 
 pytestmark = pytest.mark.slow

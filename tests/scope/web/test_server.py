@@ -16,7 +16,8 @@ from tornado.websocket import WebSocketClosedError, websocket_connect
 
 from coulombus.scope.web import WebError
 from coulombus.scope.web.batch import IN_FLIGHT, unpacked
-from coulombus.scope.web.server import QUESTIONS, RUBBISH, listening, order_of
+from coulombus.scope.web.page import QUESTIONS, RUBBISH, order_of
+from coulombus.scope.web.server import listening
 from web_bench import BEGIN_NS, MS, Door, cycles, page, served
 
 
