@@ -31,7 +31,7 @@ from coulombus.wire.mailbox import new_mailbox
 from coulombus.wire.realtime import ask_for_real_time, die_with_parent, outlive_parent
 from coulombus.wire.stopping import SIGNALS
 
-__all__ = ["main", "new_buffers"]
+__all__ = ["main", "new_buffers", "warm_up"]
 
 
 def new_buffers(fd: int, shared: SharedPlane) -> Buffers:
@@ -43,7 +43,7 @@ def new_buffers(fd: int, shared: SharedPlane) -> Buffers:
     return Buffers(fd, *parts, box, words, tx, poll, new_queue(), new_records(FRAME, MOST_FRAMES))
 
 
-def _warm_up(shared: SharedPlane, buffers: Buffers, law_function: LawFunction) -> None:
+def warm_up(shared: SharedPlane, buffers: Buffers, law_function: LawFunction) -> None:
     """Load (or compile) the loop by a call that ends at once, and touch every page of the ring and
     the histograms.
     """
@@ -64,7 +64,7 @@ def main(settings: dict[str, Any]) -> int:
     shared = SharedPlane(settings["memory_fd"], settings["axes"])
     law_function = load_law(settings["law"], Path(settings["law_directory"]))
     buffers = new_buffers(settings["bus_fd"], shared)
-    _warm_up(shared, buffers, law_function)
+    warm_up(shared, buffers, law_function)
     report = ask_for_real_time(settings["priority"], settings["cpu"])
     shared.plane["parent"] = settings["parent"]
     outlive_parent()

@@ -111,7 +111,7 @@ def test_it_is_stopped_safely(how, status, by):
     with (
         simulation(BUS, mode="passive"),
         Observer(BUS) as observer,
-        host(BUS, mode="passive", preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN)) as run,
+        host(BUS, mode="passive", background=True) as run,
     ):
         observer.until_enabled(run)
         observer.watch(0.2)

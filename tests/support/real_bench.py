@@ -17,7 +17,7 @@ from coulombus.rigs.overrides import SHARED_MACHINE
 from coulombus.wire.address import parse_address
 from coulombus.wire.client import BusUnavailable, Client, pack_frame
 from coulombus.wire.hello import Hello
-from warm_start import Warm
+from warm_start import InBackground, Warm
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 PATIENCE_S = 240  # never reached where all is well; the first start compiles
@@ -38,9 +38,11 @@ def command(verb, *arguments, overrides=()):
     return [sys.executable, "-m", "coulombus", *words(verb, *arguments, overrides=overrides)]
 
 
-def start(verb, *arguments, overrides=(), **options):
+def start(verb, *arguments, overrides=(), background=False, **options):
+    """Start a command; with `background` as a shell's job that goes on behind the prompt."""
     cold = "preexec_fn" in options  # what is forked from a process that runs already cannot have one
-    return (subprocess.Popen if cold else Warm)(
+    kind = subprocess.Popen if cold else InBackground if background else Warm
+    return kind(
         (command if cold else words)(verb, *arguments, overrides=overrides),
         cwd=ROOT,
         stdout=subprocess.PIPE,

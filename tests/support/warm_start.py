@@ -1,9 +1,12 @@
-"""``coulombus VERB ...`` as a process of its own, forked from one that has imported everything:
-most of a short run is Python's start otherwise.
+"""``coulombus VERB ...`` as a process of its own, forked from one that has imported everything and
+loaded the loops of bus and host: most of a short run is Python's start otherwise.
 
 `Warm` is a `subprocess.Popen` whose child is made by the server below, one for each test process.
-The child has the given files, folder and environment, and ends as any Python does. What a variable
-changes at import is the server's: tests of the start itself use `subprocess`.
+The child has the given files, folder and environment, and ends as any Python does. What it starts
+of this project, as a host its data plane, is forked from it in turn (`Forked`). Two things it does
+not do, as it would take a second: lock its memory, which has all modules of the project in it, and
+listen for another host for longer than `LISTEN_S`. What a variable changes at import is the
+server's: tests of the start itself use `subprocess`.
 """
 
 from __future__ import annotations
@@ -11,7 +14,7 @@ from __future__ import annotations
 import array
 import atexit
 import gc
-import importlib
+import importlib.util
 import inspect
 import json
 import os
@@ -20,6 +23,9 @@ import signal
 import socket
 import subprocess
 import sys
+import traceback
+from contextlib import suppress
+from pathlib import Path
 
 MODULES = (
     *("coulombus.verbs.run", "coulombus.verbs.sim", "coulombus.verbs.replay", "coulombus.verbs.main"),
@@ -28,6 +34,7 @@ MODULES = (
     *("scipy.signal", "scipy.stats", "matplotlib.figure"),  # each takes a second; some verbs import them when they run
 )
 MOST_BYTES = 1 << 16
+LISTEN_S = 0.3
 
 
 class Warm(subprocess.Popen):
@@ -35,6 +42,8 @@ class Warm(subprocess.Popen):
 
     closed = ()
     """Which of the descriptors 0 to 2 it has not."""
+    ignored = ()
+    """Which signals it ignores from its start on."""
 
     def _execute_child(self, *given):
         bound = inspect.signature(subprocess.Popen._execute_child).bind(self, *given).arguments
@@ -46,6 +55,7 @@ class Warm(subprocess.Popen):
             "cwd": str(bound["cwd"] or "."),
             "env": bound["env"] or dict(os.environ),
             "closed": self.closed,
+            "ignored": self.ignored,
         }
         self._status = ours
         self.pid = _server().start(order, [*wanted, its])
@@ -76,6 +86,12 @@ class WithoutStdout(Warm):
     """One that is started as by ``coulombus VERB ... >&-``."""
 
     closed = (1,)
+
+
+class InBackground(Warm):
+    """One that is started as a shell's background job: ``coulombus VERB ... &``."""
+
+    ignored = (signal.SIGINT,)
 
 
 class _Server:
@@ -144,35 +160,140 @@ def serve(fd):
                 os.close(one)
             orders.send(str(pid).encode())
             continue
-        signal.set_wakeup_fd(-1)
-        for one in (signal.SIGCHLD, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
-            signal.signal(one, signal.SIG_DFL)
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        reset_signals(order["ignored"])
         for at, one in enumerate(files[:3]):
             os.dup2(one, at)
         orders.close()
         for one in (*files, wake, waker, *waiting.values()):
             if one > 2:
                 os.close(one)
-        os.environ.clear()
-        os.environ.update(order["env"])
-        os.chdir(order["cwd"])
-        for fd in order["closed"]:
-            os.close(fd)
-        for fd, (name, mode) in enumerate((("stdin", "r"), ("stdout", "w"), ("stderr", "w"))):
-            stream = None if fd in order["closed"] else open(fd, mode, closefd=False)  # noqa: SIM115
-            setattr(sys, name, stream)
-            setattr(sys, f"__{name}__", stream)
+        enter(order["env"], order["cwd"], order["closed"])
         sys.argv = ["coulombus", *order["args"]]
+        subprocess.Popen = Forked
         return
 
 
-if __name__ == "__main__":
-    from coulombus.wire.frame import arbitration_key
+def reset_signals(ignored=()):
+    """Leave the signals as a Python finds them that is executed."""
+    signal.set_wakeup_fd(-1)
+    for one in signal.valid_signals():
+        if callable(signal.getsignal(one)):
+            signal.signal(one, signal.SIG_DFL)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    for one in ignored:
+        signal.signal(one, signal.SIG_IGN)
 
+
+def enter(environment, folder, closed=()):
+    """Go to a folder, with an environment, and with streams on the descriptors 0 to 2 but for those
+    that are closed.
+    """
+    os.environ.clear()
+    os.environ.update(environment)
+    os.chdir(folder)
+    for fd in closed:
+        os.close(fd)
+    for fd, (name, mode) in enumerate((("stdin", "r"), ("stdout", "w"), ("stderr", "w"))):
+        stream = None if fd in closed else open(fd, mode, closefd=False)  # noqa: SIM115
+        setattr(sys, name, stream)
+        setattr(sys, f"__{name}__", stream)
+
+
+class Forked(subprocess.Popen):
+    """What a warm process starts: a module of this project in a fork of itself, anything else as
+    always.
+    """
+
+    def _execute_child(self, *given):
+        bound = inspect.signature(super()._execute_child).bind(*given).arguments
+        words = list(map(os.fspath, bound["args"])) if isinstance(bound["args"], (list, tuple)) else []
+        at = words.index("-m") + 1 if words[:1] == [sys.executable] and "-m" in words else 0
+        if not at or words[at].partition(".")[0] != "coulombus":
+            super()._execute_child(*given)
+            return
+        self.pid = os.fork()
+        if self.pid == 0:
+            run_module(bound, words[at], words[at + 1 :])
+        self._child_created = True
+        self._close_pipe_fds(
+            *(bound[name] for name in ("p2cread", "p2cwrite", "c2pread", "c2pwrite", "errread", "errwrite"))
+        )
+
+
+def run_module(bound, module, words):
+    """Run a module as ``python -m`` does, in a child that has nothing open but what it is given."""
+    status = 1
+    try:
+        gc.freeze()  # what is the parent's is not closed here: its descriptors have other owners by then
+        ignored = [one for one in signal.valid_signals() if signal.getsignal(one) == signal.SIG_IGN]
+        for at, name in enumerate(("p2cread", "c2pwrite", "errwrite")):
+            if bound[name] not in (-1, at):
+                os.dup2(bound[name], at)
+        for one in map(int, os.listdir("/proc/self/fd")):
+            if one > 2 and one not in bound["pass_fds"]:
+                with suppress(OSError):  # that of the listing is closed already
+                    os.close(one)
+        if bound["start_new_session"]:
+            os.setsid()
+        reset_signals(ignored)
+        if bound["preexec_fn"] is not None:
+            bound["preexec_fn"]()
+        enter(os.environ.copy() if bound["env"] is None else bound["env"], bound["cwd"] or ".")
+        spec = importlib.util.find_spec(module)
+        if spec.submodule_search_locations is not None:
+            spec = importlib.util.find_spec(f"{module}.__main__")
+        sys.argv = [spec.origin, *words]
+        sys.modules["__main__"] = main = importlib.util.module_from_spec(spec)
+        main.__name__ = "__main__"
+        exec(spec.loader.get_code(spec.name), vars(main))
+        status = 0
+    except SystemExit as end:
+        status = end.code if isinstance(end.code, int) else int(end.code is not None)
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(OSError, ValueError):
+                stream.flush()
+        os._exit(status)
+
+
+def leave_out():
+    """Leave out what takes a second of each start."""
+    from coulombus.host.run import real_course
+    from coulombus.wire import realtime
+
+    real_course.LISTEN_S = LISTEN_S
+    realtime.lock_memory = lambda: realtime.Right("locked memory", True, "mlockall", "")
+
+
+def load_loops():
+    """Load, or compile, the loop of a bus with its rig, and that of a data plane."""
+    from coulombus.host.cycle.controllers import Controllers
+    from coulombus.host.laws.laws import load_law
+    from coulombus.host.realtime.process import new_buffers, warm_up
+    from coulombus.host.realtime.shared_memory import SharedPlane
+    from coulombus.rigs.rig import load_rig
+    from coulombus.sim_bus.server.rig_server import SimServer
+    from coulombus.wire.address import parse_address
+
+    rig = load_rig("bench")
+    SimServer(rig, parse_address(f"coulombus:warm-{os.getpid()}")).close()
+    controllers = Controllers(rig, "hybrid")
+    shared = SharedPlane.create(len(controllers.each))
+    controllers.adopt(shared.axes)
+    shared.owner[:] = controllers.owner
+    ours, its = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with ours, its:
+        warm_up(shared, new_buffers(its.fileno(), shared), load_law(rig.law_function, Path(rig.law_directory)))
+    shared.close()
+
+
+if __name__ == "__main__":
     for module in MODULES:
         importlib.import_module(module)
-    arbitration_key(0)  # numba prepares itself when the first kernel is loaded
+    leave_out()
+    load_loops()
     gc.collect()
     gc.freeze()  # else each child copies the memory of all modules, when it looks for rubbish at its end: 0.6 s
     serve(int(sys.argv[1]))
