@@ -19,13 +19,8 @@ help:  ## this list
 demo: $(VENV)/.run  ## the paper's experiment on the built-in virtual bus
 	@$(BIN)/coulombus demo
 
-SIDE_BY_SIDE := $(BIN)/python -m pytest -n auto --maxprocesses 4 --max-worker-restart 0 --dist loadfile
-
-test: $(VENV)/.dev  ## all tests: those in virtual time side by side, then those against the wall clock, alone
-	@failed=0; $(SIDE_BY_SIDE) -m "not real_time" || failed=$$?; \
-	$(BIN)/python -m pytest -m "real_time and not patient" || failed=$$?; \
-	$(SIDE_BY_SIDE) -m "real_time and patient" || failed=$$?; \
-	exit $$failed
+test: $(VENV)/.dev  ## all tests: those against the wall clock, and beside them those in virtual time
+	@PYTHON=$(BIN)/python scripts/test
 
 fast: $(VENV)/.dev  ## a minute of tests in plain Python: nothing is compiled
 	@NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q -n auto --maxprocesses 4 --durations=3 -m "not real_time and not slow" $(FAST)

@@ -84,6 +84,8 @@ class TinyBus:
     def _take(self, client):
         try:
             message = client.recv(1 << 16)
+        except ConnectionResetError:  # it went without reading all; what it sent is still here, and then its end
+            return
         except OSError:
             message = b""
         if not message:

@@ -79,6 +79,18 @@ def test_connect_greets_and_returns_a_blocking_socket():
         connection.socket.close()
 
 
+def test_what_a_client_sent_that_read_nothing_is_on_the_small_bus():
+    ours, its = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with tiny_bus() as bus, its:
+        bus._clients[its] = (0, [])
+        with ours:
+            ours.send(struct.pack("=IB3x8s", 0x80, 0, b""))
+            its.send(bytes(16))
+        bus._take(its)
+        bus._take(its)
+        assert bus.frames == [(0x80, 0, bytes(8))]
+
+
 def test_a_client_that_goes_in_the_middle_of_a_greeting_leaves_the_small_bus_standing(monkeypatch):
     failed = []
     monkeypatch.setattr(threading, "excepthook", failed.append)
