@@ -31,7 +31,7 @@ from coulombus.compiled.decorator import inlined, kernel
 from coulombus.compiled.records import Record
 from coulombus.sim_bus.rig.detail import BODIES, DRY, ELEMENTS
 from coulombus.sim_bus.rig.elements import foretold, wind
-from coulombus.sim_bus.rig.own_friction import bristles, set_levels
+from coulombus.sim_bus.rig.own_friction import set_bristles, set_levels
 
 __all__ = ["MOST_EVENTS", "move"]
 
@@ -104,9 +104,9 @@ def _try_once(p: Record, h: float, hand: float, torque: float) -> None:
         d.main[i] = inert + d.viscous[i]
         d.load[i] = inert * d.v[i]
         if d.bristles != DRY and d.share[i] > 0.0:
-            constant, slope = bristles(d, i, h)
-            d.main[i] += slope
-            d.load[i] -= constant
+            set_bristles(d, i, h)
+            d.main[i] += d.given[i]
+            d.load[i] -= d.held[i]
     d.load[0] += torque
     d.main[d.drum] += d.wet
     last = n - 1
@@ -159,7 +159,7 @@ def _try(p: Record, h: float, hand: float, torque: float) -> None:
     _try_once(p, h, hand, torque)
     d = p.detail
     if d.bristles == ELEMENTS and d.slip_rate == 0.0:
-        while not foretold(d, h):  # at most once for each body
+        while not foretold(d):  # at most once for each body
             _try_once(p, h, hand, torque)
 
 
@@ -295,13 +295,12 @@ def _go(p: Record, h: float, hand: float, torque: float) -> None:
             p.f_brake = -brake - viscous
             p.w_brake -= (brake + viscous) * u * h
         if d.bristles != DRY and d.share[i] > 0.0:
-            constant, slope = bristles(d, i, h)
-            own += constant + slope * u
+            own += d.held[i] + d.given[i] * u
             # the work is what is lost: what the bristles keep, they can give back
             if d.bristles == ELEMENTS:
                 w_friction += wind(d, i, h, u)
             else:
-                z = (d.z[i] * (1.0 - 0.5 * h * d.alpha[i]) + h * u) / (1.0 + 0.5 * h * d.alpha[i])
+                z = d.kept[i] * d.z[i] + d.taken[i] * u
                 w_friction += 0.5 * d.share[i] * d.sigma_0 * (z * z - d.z[i] * d.z[i])
                 d.z[i] = z
         f_friction -= own

@@ -100,10 +100,18 @@ DETAIL = np.dtype(
         ("tied", np.float64, (BODIES - 1,)),  # a coupling's torque at the step's begin ...
         ("stiff", np.float64, (BODIES - 1,)),  # ... and for each rad/s of mean speed between its bodies
         ("alpha", np.float64, (BODIES,)),
-        ("bears", np.float64, (BODIES,)),  # the level of all elements
+        ("bears", np.float64, (BODIES,)),  # the level of the bristles, or of all elements
+        ("rate_Nm_s", np.float64, (BODIES,)),  # how fast the speed winds stiff bristles
+        ("kept", np.float64, (BODIES,)),  # of the bristles' deflection behind the step ...
+        ("taken", np.float64, (BODIES,)),  # ... and for each rad/s of mean speed
         ("winds", np.int64, (BODIES,)),  # 1: how z goes cannot be foretold
         ("follows", np.float64, (BODIES,)),  # how fast a slipping one follows it [1/s]
         ("bristle_damping", np.float64, (BODIES,)),
+        ("way", np.float64, (BODIES,)),  # of z, as foretold
+        ("borne", np.float64, (BODIES,)),  # what the elements bear on the mean if z stands still ...
+        ("rises", np.float64, (BODIES,)),  # ... and for each rad of z
+        ("held", np.float64, (BODIES,)),  # the torque of bristles or elements at rest ...
+        ("given", np.float64, (BODIES,)),  # ... and for each rad/s of mean speed
         ("events", np.int64),  # since power-on
         ("missed_events", np.int64),  # steps with more of them than `chain.MOST_EVENTS`
         ("stored", np.float64),  # energy in springs and bristles

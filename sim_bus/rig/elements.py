@@ -98,51 +98,42 @@ def _element(d: Record, i: int, j: int, h: float, way: float) -> tuple[float, fl
 
 
 @kernel
-def _linear(d: Record, i: int, h: float, way: float) -> tuple[float, float]:
-    """Return (constant, for each rad of z) of what the elements of a body bear in a step."""
+def elements_torque(d: Record, i: int, h: float) -> None:
+    """Set the torque of the elements over a step of `h`: held + given u [Nm]; and what `foretold` and
+    `wind` need to know of the step.
+    """
+    way = _way(d, i, h)
     constant = slope = 0.0
     for j in range(d.elements):
         one, rises, _ = _element(d, i, j, h, way)
         constant += one
         slope += rises
-    return constant, slope
-
-
-@kernel
-def elements_torque(d: Record, i: int, h: float) -> tuple[float, float]:
-    """Return (constant, slope): the torque of the elements over a step of `h` is constant + slope u
-    [Nm].
-    """
-    constant, slope = _linear(d, i, h, _way(d, i, h))
+    d.way[i], d.borne[i], d.rises[i] = way, constant, slope
     damping = d.bristle_damping[i] if d.slip_rate == 0.0 else 0.0
     each = (h * slope + damping) / (1.0 + h * d.alpha[i] * slope)
-    return constant - each * d.alpha[i] * constant, each
+    d.held[i], d.given[i] = constant - each * d.alpha[i] * constant, each
 
 
 @kernel
-def foretold(d: Record, h: float) -> bool:
-    """Tell whether z goes as was foretold in the step of `h` that was tried; where it does not, all
+def foretold(d: Record) -> bool:
+    """Tell whether z goes as was foretold in the step that was tried; where it does not, all
     elements of that body wind from now on, which is right in either sense.
     """
     right = True
     for i in range(d.count):
-        if d.share[i] > 0.0 and d.winds[i] == 0:
-            way = _way(d, i, h)
-            constant, _ = _linear(d, i, h, way)
-            if way * (d.u[i] - d.alpha[i] * constant) < 0.0:
-                d.winds[i] = 1
-                right = False
+        if d.share[i] > 0.0 and d.winds[i] == 0 and d.way[i] * (d.u[i] - d.alpha[i] * d.borne[i]) < 0.0:
+            d.winds[i] = 1
+            right = False
     return right
 
 
 @kernel
 def wind(d: Record, i: int, h: float, u: float) -> float:
-    """Take the step of `h` with the mean speed `u`; return by how much the energy of the elements has
-    grown [J].
+    """Take the step of `h` that was tried last, with the mean speed `u`; return by how much the energy
+    of the elements has grown [J].
     """
-    way = _way(d, i, h)
-    constant, slope = _linear(d, i, h, way)
-    z = h * (u - d.alpha[i] * constant) / (1.0 + h * d.alpha[i] * slope)
+    way = d.way[i]
+    z = h * (u - d.alpha[i] * d.borne[i]) / (1.0 + h * d.alpha[i] * d.rises[i])
     sense = -1.0 if z < 0.0 else 1.0
     stored = 0.0
     for j in range(d.elements):

@@ -14,10 +14,12 @@ Bristles (LuGre) instead have the deflection :math:`z` and give
 .. math:: F = \sigma_0 z + \sigma_1 \dot z, \qquad \dot z = v - \alpha z, \quad \alpha = \sigma_0 |v| / g,
 
 by the midpoint rule with :math:`\alpha` of the step's begin: linear in the mean speed, stable at
-any stiffness and step, of first order. LuGre's friction can give energy where
-:math:`\sigma_1 |v| > 4 g` (the quadratic form :math:`\sigma_0\alpha z^2 + \sigma_1\alpha z\dot z +
-\sigma_1\dot z^2` is then indefinite); the plant takes :math:`\min(\sigma_1, 4 g/|v|)` and so never
-does. With :math:`\sigma_1 = 0` and no Stribeck rise this is Dahl's friction.
+any stiffness and step, of first order. With :math:`r = \sigma_0 |v|` one division does it: :math:`z`
+behind a step of :math:`h` is :math:`((g - \tfrac{h}{2} r) z + h g u) / (g + \tfrac{h}{2} r)`.
+
+LuGre's friction can give energy where :math:`\sigma_1 |v| > 4 g` (the quadratic form
+:math:`\sigma_0\alpha z^2 + \sigma_1\alpha z\dot z + \sigma_1\dot z^2` is then indefinite); the plant
+takes :math:`\min(\sigma_1, 4 g/|v|)` and so never does. With :math:`\sigma_1 = 0` and no Stribeck rise this is Dahl's friction.
 
 Sources: H. Olsson and others, Friction Models and Friction Compensation, European Journal of
 Control 4(3), 1998, doi:10.1016/S0947-3580(98)70113-X; C. Canudas de Wit and others, IEEE
@@ -36,7 +38,7 @@ from coulombus.sim_bus.rig.detail import BODIES, DRY, ELEMENTS
 from coulombus.sim_bus.rig.elements import elements_torque, set_elements
 from coulombus.sim_bus.rig.wave import wave
 
-__all__ = ["bristles", "set_levels"]
+__all__ = ["set_bristles", "set_levels"]
 
 NOTHING = 40.0
 """e to the minus this is nothing beside 1."""
@@ -79,7 +81,7 @@ def set_levels(p: Record, capacity: float) -> None:
             own = 0.0
         elif d.bristles != DRY:
             g = max(own, LEAST_Nm)
-            d.alpha[i] = d.share[i] * d.sigma_0 * speed / g
+            d.bears[i], d.rate_Nm_s[i] = g, d.share[i] * d.sigma_0 * speed
             damping = d.share[i] * d.sigma_1
             d.bristle_damping[i] = damping if damping * speed <= 4.0 * g else 4.0 * g / speed
             own = 0.0
@@ -87,13 +89,16 @@ def set_levels(p: Record, capacity: float) -> None:
 
 
 @kernel
-def bristles(d: Record, i: int, h: float) -> tuple[float, float]:
-    """Return (constant, slope): the torque of a body's bristles or elements over a step of `h` is
-    constant + slope u [Nm].
+def set_bristles(d: Record, i: int, h: float) -> None:
+    """Set what a body's bristles or elements do over a step of `h`: their torque is held + given u
+    [Nm].
     """
     if d.bristles == ELEMENTS:
-        constant, slope = elements_torque(d, i, h)
-        return float(constant), float(slope)
-    damping = d.bristle_damping[i]
-    stiffness = (d.share[i] * d.sigma_0 - damping * d.alpha[i]) / (1.0 + 0.5 * h * d.alpha[i])
-    return float(stiffness * d.z[i]), float(0.5 * h * stiffness + damping)
+        elements_torque(d, i, h)
+        return
+    g, damping, rate = d.bears[i], d.bristle_damping[i], d.rate_Nm_s[i]
+    half = 0.5 * h * rate
+    one = 1.0 / (g + half)
+    stiffness = (d.share[i] * d.sigma_0 * g - damping * rate) * one
+    d.held[i], d.given[i] = stiffness * d.z[i], 0.5 * h * stiffness + damping
+    d.kept[i], d.taken[i] = (g - half) * one, h * g * one
