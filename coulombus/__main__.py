@@ -8,16 +8,17 @@ import gc
 
 from coulombus.wire.stopping import at_once
 
-YOUNG = 10_000
-"""Objects that are made before Python looks for circles among them. By its own 700 it does so 200
-times while a verb is imported, a tenth of a start.
+YOUNG, MIDDLE, OLD = 10_000, 50, 20
+"""How often Python looks for circles: among as many new objects, among those that this has left so
+many times, among all when it has done that so often. By its own 700, 10, 10 it does so 200 times
+while a verb is imported, a tenth of a start; a look among all of these takes another 50 ms.
 """
 
 
 def main() -> None:
     """Run the command line; until a verb begins, a signal ends the process at once."""
     at_once()
-    gc.set_threshold(YOUNG)
+    gc.set_threshold(YOUNG, MIDDLE, OLD)
     atexit.register(gc.freeze)  # Python looks for circles once more at the end, a fifth of a short verb's time
     from coulombus.verbs.main import main as verbs
 
