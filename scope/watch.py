@@ -31,7 +31,7 @@ from coulombus.wire.hello import Flags, Hello
 from coulombus.wire.keys import Keys, in_foreground
 from coulombus.wire.stopping import StopSignals
 
-__all__ = ["View", "ViewKeys", "look_once", "watch"]
+__all__ = ["LiveView", "ViewKeys", "look_once", "watch"]
 
 DRAW_S = 0.1
 LINE_S = 1.0
@@ -44,7 +44,7 @@ PAUSE_KEYS, RAW_KEYS, WORD_KEYS, END_KEYS = b"p ", b"b", b"w", b"q"
 
 
 @dataclass(frozen=True)
-class View:
+class LiveView:
     """What of a bus is shown, and how."""
 
     as_json: bool = False
@@ -57,13 +57,13 @@ class View:
     """Signals that a terminal draws over the last ten seconds."""
 
 
-EVERYTHING = View()
+EVERYTHING = LiveView()
 
 
 def watch(
     rig: Rig,
     address: BusAddress,
-    view: View = EVERYTHING,
+    view: LiveView = EVERYTHING,
     *,
     seconds: float | None = None,
     console: Console | None = None,
@@ -230,7 +230,7 @@ class _Reader:
 
 
 @contextmanager
-def _on_terminal(console: Console, view: View, begin_ns: int) -> Iterator[Callable[[Snapshot, Any], None]]:
+def _on_terminal(console: Console, view: LiveView, begin_ns: int) -> Iterator[Callable[[Snapshot, Any], None]]:
     past: deque[Event] = deque(maxlen=EVENTS)
     held: list[tuple[Snapshot, tuple[Event, ...], tuple[Trace, ...]]] = []
     with Display(console=console, auto_refresh=False) as display:
@@ -247,7 +247,7 @@ def _on_terminal(console: Console, view: View, begin_ns: int) -> Iterator[Callab
 
 
 @contextmanager
-def _line_by_line(console: Console, view: View, begin_ns: int) -> Iterator[Callable[[Snapshot, Any], None]]:
+def _line_by_line(console: Console, view: LiveView, begin_ns: int) -> Iterator[Callable[[Snapshot, Any], None]]:
     def draw(snapshot: Snapshot, facts: dict[str, Any]) -> None:
         if view.as_json:
             sys.stdout.write(json.dumps(as_dict(snapshot, facts, begin_ns), allow_nan=False) + "\n")

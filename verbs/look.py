@@ -188,7 +188,7 @@ def watch(
       coulombus watch --bus coulombus:bench --foxglove
     """
     with errors():
-        from coulombus.scope.watch import View as Shown
+        from coulombus.scope.watch import LiveView
         from coulombus.scope.watch import watch as run
 
         rig, address = chosen.found()
@@ -209,7 +209,7 @@ def watch(
         else:
             named = click.get_current_context().get_parameter_source("rig_name") is not ParameterSource.DEFAULT
             run(
-                *(rig, address, Shown(as_json, view.interval, named, view.scope)),
+                *(rig, address, LiveView(as_json, view.interval, named, view.scope)),
                 seconds=seconds,
                 host=lambda: host_text(address),
             )

@@ -75,8 +75,7 @@ class RealCourse(Course):
         progress: Callable[[float], None] | None,
         cpu: int | None,
     ) -> None:
-        self.rig, self.address, self.outputs = rig, address, outputs
-        self.signals = signals
+        self.rig, self.address, self.signals = rig, address, signals
         self.deadman = deadman_of(rig, mode, address)
         self.zero_ns = time.monotonic_ns()
         super().__init__(Controllers(rig, mode), outputs.record, progress)
@@ -111,7 +110,7 @@ class RealCourse(Course):
             self._stack.close()
             raise
 
-    # recording
+    # markers, changes, recording
 
     def mark(self, t_ns: int, text: str) -> None:
         """Mark the recording, whose time begins with the run's."""

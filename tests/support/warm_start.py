@@ -174,14 +174,15 @@ def serve(fd):
 
 
 def reset_signals(ignored=()):
-    """Leave the signals as a Python finds them that is executed."""
+    """Leave the signals as a Python finds them that is executed: what is ignored stays so."""
     signal.set_wakeup_fd(-1)
     for one in signal.valid_signals():
-        if callable(signal.getsignal(one)):
+        if one in ignored:
+            signal.signal(one, signal.SIG_IGN)
+        elif signal.getsignal(one) is not signal.SIG_IGN and one == signal.SIGINT:
+            signal.signal(one, signal.default_int_handler)
+        elif callable(signal.getsignal(one)):
             signal.signal(one, signal.SIG_DFL)
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    for one in ignored:
-        signal.signal(one, signal.SIG_IGN)
 
 
 def enter(environment, folder, closed=()):
@@ -225,7 +226,6 @@ def run_module(bound, module, words):
     status = 1
     try:
         gc.freeze()  # what is the parent's is not closed here: its descriptors have other owners by then
-        ignored = [one for one in signal.valid_signals() if signal.getsignal(one) == signal.SIG_IGN]
         for at, name in enumerate(("p2cread", "c2pwrite", "errwrite")):
             if bound[name] not in (-1, at):
                 os.dup2(bound[name], at)
@@ -235,7 +235,7 @@ def run_module(bound, module, words):
                     os.close(one)
         if bound["start_new_session"]:
             os.setsid()
-        reset_signals(ignored)
+        reset_signals()
         if bound["preexec_fn"] is not None:
             bound["preexec_fn"]()
         enter(os.environ.copy() if bound["env"] is None else bound["env"], bound["cwd"] or ".")

@@ -4,11 +4,9 @@ a documented status; never a fault of this program.
 
 from __future__ import annotations
 
-import itertools
 import random
 import re
 import struct
-from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
@@ -120,7 +118,7 @@ def test_a_mutilated_recording_is_read_or_refused(whole, log, mutilated, seed, t
     noise = random.Random(f"{mutilated.__name__} {seed}")
     source = log if mutilated is some_text else whole
     path = tmp_path / f"mutilated{source.suffix}"
-    for number, verb in zip(range(5), itertools.cycle(noise.sample(VERBS, len(VERBS))), strict=False):
+    for verb in noise.sample(VERBS, 5):
         path.write_bytes(mutilated(noise, source))
         words = {
             "FILE": str(path),
@@ -130,9 +128,9 @@ def test_a_mutilated_recording_is_read_or_refused(whole, log, mutilated, seed, t
         }
         rig = ["--rig", "bench"] if source is log and not verb.startswith(("replay", "export")) else []
         done = CliRunner().invoke(main, [words.get(word, word) for word in verb.split()] + rig)
-        told = f"{number} {verb}: {done.exit_code}\n{done.output[-2000:]}"
+        told = f"{verb}: {done.exit_code}\n{done.output[-2000:]}"
         assert done.exit_code in STATUSES, told
         assert done.exit_code != FAULT, told
         assert "Traceback" not in done.output, told
         if done.exit_code in (2, 3):
-            assert Path(path).name in done.output or "rig" in done.output, told
+            assert path.name in done.output, told
