@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from coulombus.eds.cia301 import predefined, restricted
+from coulombus.eds.cia301 import CobId, predefined, restricted
 from coulombus.eds.description import Description, Diagnosis, EdsError
 from coulombus.eds.pdo import COB_ID_INVALID, COMMUNICATION, MAPPING, PDO_COUNT, Direction, PdoLayout, read_layout
 
@@ -91,6 +91,11 @@ def _identifiers(description: Description, node_id: int) -> Iterator[Diagnosis]:
         value = description.default(index, subindex, node_id)
         if isinstance(value, int) and not value & 0x7FF:
             yield _warn(description, index, subindex, f"{name} is 0x{value:X}, the identifier of NMT", f"no {what}")
+        elif isinstance(value, int) and index == 0x1014 and value & 0x1FFFFFFF == CobId.SYNC:
+            text = f"{name} is 0x{value:X}, the identifier of SYNC: a host cannot tell whose fault it is"
+            yield _warn(description, index, subindex, text, usual)
+        elif isinstance(value, int) and index == 0x1014 and value & 1 << 31:
+            yield _warn(description, index, subindex, f"{name} is 0x{value:X}: bit 31 switches EMCY off", "no EMCY")
         elif index == SDO and isinstance(value, int) and value != predefined(index, subindex, node_id):
             text = f"{name} is 0x{value:X} for node {node_id}, not {usual} as CiA 301 has {what}"
             yield _warn(description, index, subindex, text, "that identifier")

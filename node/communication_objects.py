@@ -113,7 +113,7 @@ class Communication:
                 node["tpdo_count"][k] = -1 if node["tpdo"][k]["sync_start"] and node["sync_overflow"] else 0
 
     def _refresh_emcy(self, subindex: int, t_ns: int) -> None:
-        cob_id = self._dictionary.number(0x1014, 0, CobId.EMCY + self._dictionary.node_id)
+        cob_id = self._dictionary.number(0x1014, 0, INVALID)  # a device without it sends none
         self._node["emcy_id"] = -1 if cob_id & INVALID or not cob_id & 0x7FF else cob_id & 0x7FF  # 0 is NMT's
         inhibit_ns = self._dictionary.number(0x1015) * 100_000
         self._node["emcy_inhibit_ns"] = inhibit_ns

@@ -26,6 +26,7 @@ from coulombus.rigs.arguments import WrongCall, path_text, texts
 from coulombus.rigs.axes import check_axes, split_axes
 from coulombus.rigs.axis import Axis, Origin, Sections
 from coulombus.rigs.devices import Device
+from coulombus.rigs.emergency import emcy_identifier
 from coulombus.rigs.files import read_descriptions, read_schedules
 from coulombus.rigs.mistakes import RigError, Source, nearest
 from coulombus.rigs.model import About, Bus, Host
@@ -54,6 +55,11 @@ class RigNode:
     def node_id(self) -> int:
         """Its node id."""
         return self.part.node_id
+
+    @property
+    def emcy_id(self) -> int:
+        """Identifier of its EMCYs."""
+        return emcy_identifier(self.description, self.node_id)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

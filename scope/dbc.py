@@ -136,6 +136,7 @@ def _services(ids: Mapping[str, int], rig: Rig, period_ms: int) -> Iterator[Mess
         comment="NMT command",
     )
     heartbeat_s = {HOST: rig.host.heartbeat_s} | {_word(node.name): node.part.heartbeat_s for node in rig.nodes}
+    emcy_ids = {node.node_id: node.emcy_id for node in rig.nodes}
     for name, number in ids.items():
         listeners = [other for other in ids if other != name]
         yield Message(
@@ -150,7 +151,7 @@ def _services(ids: Mapping[str, int], rig: Rig, period_ms: int) -> Iterator[Mess
         if name == HOST:
             continue
         yield Message(
-            CobId.EMCY + number,
+            emcy_ids[number],
             f"{name}_EMCY",
             8,
             [

@@ -87,6 +87,7 @@ class _Services:
     def __init__(self, rig: Rig) -> None:
         self._names = {rig.host.node_id: "host"} | {node.node_id: node.name for node in rig.nodes}
         self._descriptions: dict[str, Description] = {node.name: node.description for node in rig.nodes}
+        self._emergencies = {node.emcy_id: node.name for node in rig.nodes}
         self._pdos = {pdo.layout.cob_id: pdo for pdo in rig.pdos()}
         self._servers: dict[int, Sdo] = {}
 
@@ -125,6 +126,9 @@ class _Services:
             row["service"] = "time"
         elif can_id in (CobId.LSS_TX, CobId.LSS_RX):
             row["service"], decoder = "lss", lambda content: lss(content, can_id == CobId.LSS_TX)
+        elif can_id in self._emergencies:
+            row |= {"service": "emcy", "node": self._emergencies[can_id]}
+            decoder = emcy
         elif node_id:
             row["node"] = self._name(node_id)
             if function == CobId.EMCY:

@@ -166,6 +166,7 @@ class Live:
         self._nodes = [_Node(n.name, n.node_id, round(n.part.heartbeat_timeout_s * 1e9)) for n in rig.nodes]
         self._nodes.append(_Node("host", rig.host.node_id, round(3e9 * rig.host.heartbeat_s)))
         self._by_id = {node.node_id: node for node in self._nodes}
+        self._emergencies = {node.emcy_id: self._by_id[node.node_id] for node in rig.nodes}
         self._sends = {
             n.node_id: [p.layout.cob_id for p in self._pdos if p.layout.direction == "tpdo" and p.node_id == n.node_id]
             for n in self._nodes
@@ -290,6 +291,8 @@ class Live:
                 self._note(t_ns, f"LSS: {row['command']}" + (f", {said}" if said else ""))
             return
         function, node = can_id & 0x780, self._by_id.get(can_id & 0x7F)
+        if can_id in self._emergencies:
+            function, node = CobId.EMCY, self._emergencies[can_id]
         if function in TPDOS and node is not None and node.known and can_id not in self._foreign:
             self._foreign.add(can_id)
             self._note(t_ns, f"{node.name}: {can_id:03X}h comes, which the rig does not have", grave=True)
@@ -300,11 +303,8 @@ class Live:
             node.services += 1
         if function == CobId.HEARTBEAT and node is not None and len(data) == 1:
             self._heartbeat(t_ns, node, data[0] & 0x7F)
-        elif function == CobId.EMCY and node is not None and len(data) == 8:
-            row = emcy(data)
-            node.emergency = row["text"] if row["code"] else None
-            text = node.emergency or "error reset or no error"
-            self._note(t_ns, f"{node.name}: EMCY {text} (register {row['register']:02X}h)", grave=bool(row["code"]))
+        elif function == CobId.EMCY and node is not None:
+            self._emergency(t_ns, node, data)
         elif function in (CobId.SDO_TX, CobId.SDO_RX) and node is not None and len(data) == 8:
             if data[0] == 0x80:
                 index, subindex = int.from_bytes(data[1:3], "little"), data[3]
@@ -312,6 +312,16 @@ class Live:
                 self._note(t_ns, f"{node.name}: SDO abort {index:04X}h:{subindex}: {reason}")
         elif node is None or node.known or function not in SENT_BY_NODES:
             self.unknown += 1
+
+    def _emergency(self, t_ns: int, node: _Node, data: bytes) -> None:
+        row = emcy(data)
+        grave = bool(row.get("code", True))  # one without a code is a doubt, too
+        node.emergency = row.get("text", "without a code") if grave else None
+        register = f" (register {row['register']:02X}h)" if "register" in row else ""
+        length = f", {row['malformed']}" if "malformed" in row else ""
+        self._note(
+            t_ns, f"{node.name}: EMCY {node.emergency or 'error reset or no error'}{register}{length}", grave=grave
+        )
 
     def _stranger(self, node_id: int) -> _Node:
         """Take up a node that the rig does not have.

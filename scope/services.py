@@ -47,11 +47,17 @@ def heartbeat(data: bytes) -> Row:
 
 
 def emcy(data: bytes) -> Row:
-    """Emergency: code with its text, error register 1001h, five manufacturer's bytes."""
-    if len(data) != 8:
-        return {"malformed": f"{len(data)} bytes, expected 8"}
-    code, register = struct.unpack_from("<HB", data)
-    return {"code": code, "text": emcy_text(code), "register": register, "manufacturer": data[3:].hex()}
+    """Emergency: code with its text, error register 1001h, five manufacturer's bytes.
+
+    A frame of another length is malformed; what it has is told all the same.
+    """
+    row: Row = {} if len(data) == 8 else {"malformed": f"{len(data)} bytes, expected 8"}
+    if len(data) >= 2:
+        code = int.from_bytes(data[:2], "little")
+        row |= {"code": code, "text": emcy_text(code)}
+    if len(data) >= 3:
+        row |= {"register": data[2], "manufacturer": data[3:].hex()}
+    return row
 
 
 LSS_RESULTS = {

@@ -64,7 +64,8 @@ class RealControlPlane:
         self.sdo_timeout_s = rig.host.sdo_timeout_s
         self._host_id = rig.host.node_id
         nodes = [node.node_id for node in rig.nodes]
-        self._own = {base + node for base in (CobId.EMCY, CobId.SDO_TX, CobId.HEARTBEAT) for node in nodes}
+        self._own = {base + node for base in (CobId.SDO_TX, CobId.HEARTBEAT) for node in nodes}
+        self._own |= {node.emcy_id for node in rig.nodes}
         self._foreign = {CobId.SYNC: "SYNC", CobId.HEARTBEAT + self._host_id: f"the heartbeat of node {self._host_id}"}
         self.heard: str | None = None
         self._nmt: dict[int, int] = {}

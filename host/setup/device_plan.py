@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from coulombus.eds.cia301 import CobId
 from coulombus.eds.cia402 import OPERATION_MODE_CST, OPERATION_MODE_PROFILE_TORQUE
 from coulombus.eds.own_devices import MANUFACTURER, is_own, told_identity
 from coulombus.eds.reader import Description, Variable
@@ -19,8 +20,9 @@ from coulombus.host.setup.reactions import NO_REACTION, Reaction, reactions_of
 from coulombus.host.setup.settings import Setting, settings_of, torque_limits
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.devices import Brake, Device, Motor
+from coulombus.rigs.emergency import emcy_default
 from coulombus.rigs.guarding import beats
-from coulombus.rigs.pdo_maps import mode_of
+from coulombus.rigs.pdo_maps import mode_of, writable
 from coulombus.rigs.problem import Problem
 from coulombus.rigs.roles import CIA402, profile_of
 
@@ -98,6 +100,7 @@ class _Planner:
     def plan(self) -> DevicePlan:
         """Return the plan."""
         self._identity()
+        self._emergency()
         there = self._described()
         final = {(s.index, s.subindex): s.value for s in there}  # the last value of an object counts
         kept = [setting for setting in there if self._can_be_set(setting, final)]
@@ -188,6 +191,15 @@ class _Planner:
         if not setting.verify and not setting.listed:
             self.losses.append(f"{self.who}: {_place(setting)} is write-only, so that it cannot be read back")
         return True
+
+    def _emergency(self) -> None:
+        """Refuse a device whose EMCYs come as SYNC, for ever: nobody could tell whose fault it is."""
+        default = emcy_default(self.description, self.part.node_id)
+        if default == CobId.SYNC and not writable(self.description.variable(0x1014, 0)):
+            text = f", object 1014h:00 is {default:X}h, the identifier of SYNC, and read-only"
+            self._problem(
+                text, "correct the EDS file where the device has another one, or take another device", "1014h:00"
+            )
 
     def _identity(self) -> None:
         """Look at 1000h and 1018h: what the EDS file lacks, or has otherwise than the rig file."""

@@ -23,6 +23,7 @@ from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.errors import NodeMissing, SafetyTrip
 from coulombus.host.setup.bringup import ControlPlane, configure, plans_of, wait_operational
 from coulombus.host.setup.device_plan import DevicePlan
+from coulombus.rigs.emergency import emcy_identifier
 from coulombus.rigs.signals import RigPdo
 from coulombus.wire.address import BusUnavailable
 from coulombus.wire.bits import frame_bits
@@ -198,7 +199,7 @@ class _Device:
             raise SafetyTrip("another host is on the bus: a SYNC was heard that is not this one's; end it first")
         for frame in heard:
             code = int.from_bytes(frame.data[:2], "little")
-            if frame.can_id == CobId.EMCY + self.plan.node_id and len(frame.data) == 8 and code:
+            if frame.can_id == emcy_identifier(self.plan.description, self.plan.node_id) and code:
                 self.emergencies.add(code)
 
     def _refuse_silent(self, silent: Collection[int]) -> None:

@@ -19,6 +19,7 @@ from coulombus.eds.own_devices import is_own, told_identity
 from coulombus.eds.reader import Description, Variable
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.devices import Brake, Device, Motor
+from coulombus.rigs.emergency import EMCY_OFF, emcy_default, emcy_identifier, is_mute
 from coulombus.rigs.guarding import is_guarded, life_of
 from coulombus.rigs.pdo_maps import mode_of, writable
 from coulombus.rigs.roles import CIA401, CIA402, CIA404, Binding, profile_of
@@ -195,6 +196,7 @@ def _common_settings(axis: Axis, node: str, part: Device, ours: bool) -> Iterato
         beat = round(part.heartbeat_s * 1000)
         yield Setting(0x1017, 0, beat, f"{node}.heartbeat_s", optional=True, why="its own heartbeat", lost=lost)
     yield Setting(0x1005, 0, CobId.SYNC, optional=True, why="SYNC's identifier", unless_equal=not ours)
+    yield _emergency(description, part.node_id)
     if isinstance(part, Motor | Brake):
         timeout_us = round(part.sync_timeout_s * 1e6)
         lost = f"the {'drive' if node == 'motor' else 'brake'} does not notice the loss of SYNC ({node}.sync_timeout_s)"
@@ -211,6 +213,21 @@ def _common_settings(axis: Axis, node: str, part: Device, ours: bool) -> Iterato
             unless_equal=True,
             why="a lost host ends its PDOs",
         )
+
+
+def _emergency(description: Description, node_id: int) -> Setting:
+    """EMCY's identifier: read, and written where the device has another one."""
+    mute, default = is_mute(description, node_id), emcy_default(description, node_id)
+    off = default is not None and bool(default & EMCY_OFF)
+    return Setting(
+        *(0x1014, 0, emcy_identifier(description, node_id)),
+        optional=True,
+        soft=mute,
+        unless_equal=True,
+        why="EMCY's identifier",
+        lost="the host hears none of its faults by EMCY" if mute else "",
+        told="its EMCY is switched off in 1014h (bit 31); bring-up switches it on" if off and not mute else "",
+    )
 
 
 def _drive_settings(axis: Axis, part: Motor | Brake, setpoint: Binding, ours: bool) -> Iterator[Setting]:

@@ -52,7 +52,7 @@ def dissector(rig: Rig) -> str:
     nodes = {rig.host.node_id: "host"} | {node.node_id: node.name for node in rig.nodes}
     services = {int(CobId.NMT): ("nmt", ""), int(CobId.SYNC): ("sync", "")}
     services |= {CobId.HEARTBEAT + number: ("heartbeat", name) for number, name in nodes.items()}
-    services |= {CobId.EMCY + number: ("emcy", name) for number, name in nodes.items() if number != rig.host.node_id}
+    services |= {node.emcy_id: ("emcy", node.name) for node in rig.nodes}
     rows = (
         f"    [{can_id:#05x}] = {{name = {_quoted(name)}{', node = ' + _quoted(node) if node else ''}}},"
         for can_id, (name, node) in sorted(services.items())

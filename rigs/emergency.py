@@ -1,0 +1,43 @@
+"""Where a node sends its EMCYs: the COB-ID 1014h of its EDS file (CiA 301, section 7.5.2.17)."""
+
+from __future__ import annotations
+
+from coulombus.eds.cia301 import CobId, restricted
+from coulombus.eds.reader import Description
+
+__all__ = ["EMCY_OFF", "emcy_default", "emcy_identifier", "is_mute"]
+
+EMCY_OFF = 1 << 31
+"""Bit of 1014h: the node sends no EMCY."""
+_EXTENDED = 1 << 29
+_READ_ONLY = ("ro", "const")
+
+
+def emcy_default(description: Description, node_id: int) -> int | None:
+    """Return the default of 1014h; None where the file has none."""
+    default = description.default(0x1014, 0, node_id) if description.has(0x1014, 0) else None
+    return default if isinstance(default, int) else None
+
+
+def emcy_identifier(description: Description, node_id: int) -> int:
+    """Return the identifier under which the node is to send its EMCYs.
+
+    It is the file's, where that one is valid, has 11 bits and belongs to no other service; else that
+    of the pre-defined connection set, which bring-up writes.
+    """
+    usual, default = CobId.EMCY + node_id, emcy_default(description, node_id)
+    if default is None or default & (EMCY_OFF | _EXTENDED) or default == CobId.SYNC:
+        return usual
+    own = default & 0x7FF
+    return own if own == usual or (own and not restricted(own)) else usual
+
+
+def is_mute(description: Description, node_id: int) -> bool:
+    """Tell whether the node sends no EMCY and cannot be made to: its file has no 1014h, or one that
+    is switched off and read-only.
+    """
+    if not description.has(0x1014, 0):
+        return True
+    default = emcy_default(description, node_id)
+    off = default is not None and (default & EMCY_OFF or not default & 0x7FF)
+    return bool(off) and description.variable(0x1014, 0).access in _READ_ONLY
