@@ -71,6 +71,9 @@ def _refused(error: RigError) -> list[dict[str, str]]:
     return known + [Problem("", "", "", text, "correct the rig file")._asdict() for text in told]
 
 
+GENTLER = "give limits.safe_ramp_s more time, up to 1.8 s"
+
+
 def _once(texts: Iterable[Any]) -> list[Any]:
     return list(dict.fromkeys(texts))
 
@@ -79,9 +82,12 @@ class _Findings:
     """What follows from a rig: its PDOs, its plan, what bring-up does in each mode."""
 
     def __init__(self, rig: Rig) -> None:
+        from coulombus.eds.own_devices import is_own, told_identity
         from coulombus.host.cycle.controller import Controller
-        from coulombus.host.cycle.demand import cut_off
+        from coulombus.host.cycle.demand import brake_limit, cut_off
         from coulombus.host.setup.device_plan import device_plans
+        from coulombus.host.setup.limit_meanings import meanings_of
+        from coulombus.host.setup.release import release_of
         from coulombus.rigs.plan.rig_plan import plans
 
         self.rig = rig
@@ -103,6 +109,17 @@ class _Findings:
         self.questions: list[str] = _once(text for device in devices for text in device.questions)
         self.losses: list[str] = _once(text for device in devices for text in device.losses)
         self.reactions: list[Reaction] = _once(one for device in devices for one in device.reactions)
+        self.releases = [
+            release_of(
+                axis,
+                brake_limit(axis)[0],
+                axis.brake.ramp_s if is_own("brake", told_identity(axis.description("brake"))) else 0.0,
+            )
+            for axis in rig.axes
+        ]
+        self.meanings: list[str] = _once(
+            text for axis in rig.axes for mode in axis.mode for text in meanings_of(axis, mode)
+        )
         self.cut: list[str] = _once(text for mode in rig.modes for text in cut_off(rig, mode))
         self.diagnoses = [str(d) for node in rig.nodes for d in node.description.diagnoses]
         self.ok = self.fits and not self.problems and not self.cut
@@ -144,6 +161,8 @@ class _Findings:
             "questions": self.questions,
             "losses": self.losses,
             "reactions": [one._asdict() for one in self.reactions],
+            "releases": [one._asdict() | {"gentle": one.is_gentle} for one in self.releases],
+            "limits": self.meanings,
             "accepted": list(self.rig.host.accept),
             "roles": [
                 {
@@ -181,6 +200,13 @@ class _Findings:
                 value = f"{step['value']:#x} ({step['bits']} bits){when}"
                 click.echo(on_terminal(f"  {step['device']:<12} {step['object']} := {value}  {step['why']}", 15))
         self._tell_reactions()
+        click.echo()
+        for release in self.releases:
+            click.echo(on_terminal(f"release: {release}", 4))
+            if not release.is_gentle:
+                click.echo(on_terminal(f"  that throws the hand: {GENTLER}", 4))
+        for text in self.meanings:
+            click.echo(on_terminal(f"limit: {text}", 4))
         for mode, limit in self.limits.items():
             click.echo(f"mode {mode}: drive torque limit 6072h = {limit} per mille")
         if self.rig.law_function.strip() not in OWN_LAWS:
