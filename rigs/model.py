@@ -40,6 +40,8 @@ MOST_DELAY_CYCLES = 16
 """Cycles from sampling to actuation at most, where a longer delay is studied."""
 WINDOW_CYCLES = 64
 """Cycles that the estimate of a slow velocity can look back."""
+BRAKE_FALL_S = 0.01
+"""In which a law may take the brake's whole torque away, where the rig file says no rate."""
 CIA_301_BIT_RATES = (10_000, 20_000, 50_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
 CHANNEL = r"^[a-z0-9_]{0,16}$"
 DEADMAN = r"^(|none|key|object:[0-9A-Fa-f]{4}:[0-9A-Fa-f]{1,2}(:0x[0-9A-Fa-f]{1,16})?|gpio:gpiochip\d+:\d+(:low)?|socket:/.+)$"
@@ -276,6 +278,12 @@ class Limits(Section):
 
     torque_rate_Nm_s: float = Field(gt=0, le=1e9, description="rate of the motor's command at the handle")
     brake_torque_Nm: float = Field(ge=0, le=1e4, description="largest braking torque commanded")
+    brake_fall_Nm_s: float | None = Field(
+        None,
+        gt=0,
+        le=1e9,
+        description="rate at which the law may let the brake's set-point fall; none: brake_torque_Nm in 10 ms",
+    )
     speed_rad_s: float = Field(gt=0, le=1e4, description="trip above this speed")
     encoder_jump_counts: int = Field(ge=1, le=2**31 - 1, description="trip above this many counts in one cycle")
     net_work_J: float = Field(gt=0, le=1e6, description="trip above this net work of the motor on the handle ...")
@@ -294,6 +302,12 @@ class Limits(Section):
         gt=0, le=1e4, description="trip when transducer and brake command differ by more ..."
     )
     handle_mismatch_s: float = Field(gt=0, le=60, description="... for this long")
+    motor_mismatch_Nm: float | None = Field(
+        None,
+        gt=0,
+        le=1e4,
+        description="trip when the motor's measured torque is off from its commands by more; none: 0.2 of the rated torque",
+    )
     missed_tpdo_cycles: int = Field(ge=1, le=1000, description="trip after this many cycles without a TPDO")
     still_s: float = Field(ge=0, le=60, description="before arming the handle is still this long ...")
     still_handle_torque_Nm: float = Field(gt=0, le=1e4, description="... with less than this on it ...")
@@ -302,9 +316,15 @@ class Limits(Section):
     sign_check_counts: int = Field(ge=1, le=2**31 - 1, description="motion that the sign check looks for")
     sign_check_torque_Nm: float = Field(gt=0, le=1e4, description="the sign check gives up above this torque")
     sign_check_travel_rad: float = Field(gt=0, le=1e3, description="the sign check aborts beyond this angle")
-    safe_brake_Nm: float = Field(ge=0, le=1e4, description="safe state: the brake is kept at min(present, this) ...")
-    safe_hold_s: float = Field(ge=0, le=60, description="... until the handle is still, or this long ...")
-    safe_ramp_s: float = Field(ge=0, le=60, description="... then ramped to 0 in this time")
+    safe_ramp_s: float = Field(ge=0, le=60, description="safe state: brake_torque_Nm is ramped to 0 in this time ...")
+    safe_hold_s: float = Field(ge=0, le=60, description="... with pauses of this length in all, at most: ...")
+    safe_speed_rad_s: float = Field(0.5, gt=0, le=1e4, description="... while the handle is faster than this, ...")
+    safe_brake_Nm: float = Field(ge=0, le=1e4, description="... and from here down while the hand bears a load")
+
+    @property
+    def brake_fall(self) -> float:
+        """Rate at which the law may let the brake's set-point fall [Nm/s]."""
+        return max(self.brake_torque_Nm, 1e-9) / BRAKE_FALL_S if self.brake_fall_Nm_s is None else self.brake_fall_Nm_s
 
     @property
     def travel_limit_rad(self) -> float:

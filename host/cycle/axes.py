@@ -132,8 +132,8 @@ def ramps_a_brake(axes: AxisRecords) -> bool:
 
 @kernel
 def safe_setpoints(axes: AxisRecords, t_ns: int, out: Queue) -> None:
-    """Send the last set-points: drive disabled and without torque, the brake no stronger than the
-    safe state's, which its driver ramps off.
+    """Send the last set-points: drive disabled and without torque, the brake as it is, which its
+    driver ramps off.
 
     A brake that is a CiA 402 drive is disabled, too. While the bus lives its torque has been ramped
     off before (`ramps_a_brake`).
@@ -141,9 +141,8 @@ def safe_setpoints(axes: AxisRecords, t_ns: int, out: Queue) -> None:
     A SYNC follows, since RPDOs may act on the next SYNC only.
     """
     for k in range(axes.shape[0]):
-        c, h = axes[k].control, axes[k].host
+        h = axes[k].host
         h.torque_Nm = 0.0
-        h.brake_Nm = min(h.brake_Nm, c.safe_brake_Nm)
         h.image[Image.CONTROLWORD] = 0
         h.image[Image.BRAKE_CONTROLWORD] = 0
         step.send(axes[k], t_ns, out)

@@ -28,6 +28,7 @@ from coulombus.host.cycle.records import (
 from coulombus.host.laws.laws import LAW, LAW_STATE, MOTION, OWN_LAWS, LawError, load_declared
 from coulombus.host.laws.parameters import axis_parameters
 from coulombus.rigs.axis import Axis
+from coulombus.rigs.emergency import emcy_identifier
 from coulombus.rigs.guarding import beats, is_guarded
 from coulombus.rigs.model import MOST_DEVICES
 from coulombus.rigs.signals import RigPdo, Signal
@@ -51,9 +52,13 @@ AXIS = np.dtype(
 )
 """One axis as the kernels take it."""
 
+CLIPPING = ("clipped_torque", "slowed_torque", "clipped_setpoints", "slowed_setpoints")
+"""Counters of the limits that act on what a law asks for."""
+
 COUNTERS = (
-    *("lost_pdos", "missed_deadlines", "stray_frames", "malformed_pdos", "clipped_torque", "slowed_torque"),
-    *("limited_by_drive", "clipped_setpoints", "negative_setpoints", "withheld_compensation"),
+    *("lost_pdos", "missed_deadlines", "stray_frames", "malformed_pdos", "malformed_services"),
+    *("clipped_torque", "slowed_torque"),
+    *("limited_by_drive", "clipped_setpoints", "slowed_setpoints", "negative_setpoints", "withheld_compensation"),
 )
 """What `Controller.counters` counts."""
 
@@ -68,6 +73,16 @@ out.
 """
 SIGN_HAND_NM = 0.008
 SETTLE_S = 0.05
+CLIPPED_S = 0.5
+"""A law that is clipped for so much longer than it is not trips."""
+UNLOADED_S = 0.1
+"""Time in which the safe state lets go of a handle without a load."""
+MISMATCH_SHARE = 0.2
+"""Of the rated torque: `limits.motor_mismatch_Nm` where the rig file has none."""
+MOTOR_LAG_S = 0.05
+"""Time constant with which a command to the motor stops explaining its measured torque, and the
+time for which that may go unexplained.
+"""
 ENABLE_TIMEOUT_S = 1.0
 
 IMAGE_OF_SIGNAL = {
@@ -107,15 +122,17 @@ TRIP_TEXT = {
     Trip.OTHER_AXIS: "another axis went to its safe state",
     Trip.LAW: "the friction law {law} returned {returned}, which is no finite number (law.function)",
     Trip.BUS_LOST: "the bus is gone: its process ended, or its interface went down",
-    Trip.SECOND_HOST: "another host sends SYNC or this host's heartbeat on the same bus",
+    Trip.SECOND_HOST: "somebody else sends what only this host may send on this bus: {foreign}",
+    Trip.MOTOR_TORQUE: "the motor's measured torque (6077h) is off from its commands by more than limits.motor_mismatch_Nm",
+    Trip.LAW_CLIPPED: "a limit acted on the friction law {law} in most cycles, so the hand did not feel this law: {clipped}",
     Trip.DEADMAN: "the dead man's switch was not held",
     Trip.DATA_PLANE: "the data plane's process died",
     Trip.HOST: "the host's own process failed, ended, or stood still",
     Trip.NOT_STILL: "arming refused: the handle was not still for limits.still_s within limits.still_timeout_s",
     Trip.HANDLE_LOADED: "arming refused: more than limits.still_handle_torque_Nm on the handle; let go of it, or check the transducer",
     Trip.ENABLE_TIMEOUT: "arming refused: the drive did not reach Operation Enabled",
-    Trip.SIGN_NO_MOTION: "arming refused: the sign check's torque did not move the handle: is it held, is the motor not connected, "
-    "or is there more friction than mechanics.friction_Nm? Then identify first: coulombus commission --step friction",
+    Trip.SIGN_NO_MOTION: "arming refused: the sign check's torque moved the handle by {sign_moved} of the {sign_counts} counts of "
+    "limits.sign_check_counts: {still_because}",
     Trip.SIGN_ENCODER: "arming refused: motor and encoder disagree on the sign (mechanics.motor_polarity, mechanics.encoder_polarity)",
     Trip.SIGN_TRANSDUCER: "arming refused: the torque transducer's sign is wrong (mechanics.transducer_polarity)",
     Trip.SIGN_TRAVEL: "arming refused: the handle moved too far in the sign check",
@@ -126,6 +143,12 @@ TRIP_TEXT = {
 
 def _cycles(seconds: float, period_s: float) -> int:
     return max(1, round(seconds / period_s))
+
+
+def motor_mismatch_Nm(axis: Axis) -> float:
+    """Return by how much the motor's measured torque may be off from its commands [Nm]."""
+    given = axis.limits.motor_mismatch_Nm
+    return MISMATCH_SHARE * axis.motor.rated_torque_Nm * axis.mechanics.ratio if given is None else given
 
 
 def slot_of_signal(signal: Signal) -> int:
@@ -179,7 +202,7 @@ class Controller:
         self.rpdos[:] = self._new_pdos([pdo for pdo in pdos if pdo.layout.direction == "rpdo"])
         self.tpdos[:] = self._new_pdos([pdo for pdo in pdos if pdo.layout.direction == "tpdo"])
         self.control[:] = self._new_control(pdos)
-        for name in ("enabled_ns", "armed_ns", "full_gain_ns", "heard_ns"):
+        for name in ("enabled_ns", "armed_ns", "full_gain_ns", "heard_ns", "foreign_id"):
             self.host[name] = -1
         self.host["deadman_ok"] = 1
         self.host["share"] = 1.0
@@ -271,6 +294,7 @@ class Controller:
         for k, node in enumerate(axis.devices):
             c["node_id"][k] = axis.part(node).node_id
             description = axis.description(node)
+            c["emcy_id"][k] = emcy_identifier(description, axis.part(node).node_id)
             c["heartbeat_timeout_ns"][k] = round(axis.part(node).heartbeat_timeout_s * 1e9) if beats(description) else 0
             if is_guarded(description):
                 c["guarded"] |= 1 << k
@@ -304,6 +328,8 @@ class Controller:
         c["motor_rate_Nm"] = limits.torque_rate_Nm_s * T
         c["brake_limit_raw"] = brake_limit_raw(axis)
         c["brake_limit_Nm"] = min(limits.brake_torque_Nm, brake_end_Nm(axis))
+        c["brake_fall_Nm"] = limits.brake_fall * T
+        c["clipped_cycles"] = _cycles(CLIPPED_S, T)
         c["speed_limit"], c["jump_counts"] = limits.speed_rad_s, limits.encoder_jump_counts
         c["net_work_J"] = limits.net_work_J
         c["net_work_cycles"] = _cycles(limits.net_work_window_s, T)
@@ -311,6 +337,9 @@ class Controller:
         handle = axis.allocation.bound.get("handle_torque") is not None
         observed = handle and self.mode in ("active", "hybrid")
         c["passivity_J"] = limits.passivity_J if observed else math.inf
+        measured = axis.allocation.bound.get("torque") is not None
+        c["motor_mismatch_Nm"] = motor_mismatch_Nm(axis) if measured else math.inf
+        c["motor_mismatch_cycles"], c["motor_lag_decay"] = _cycles(MOTOR_LAG_S, T), math.exp(-T / MOTOR_LAG_S)
         c["mismatch_Nm"] = limits.handle_mismatch_Nm if handle else math.inf
         c["mismatch_cycles"] = _cycles(limits.handle_mismatch_s, T)
         c["missed_cycles"] = limits.missed_tpdo_cycles
@@ -328,6 +357,7 @@ class Controller:
         c["sign_travel_counts"] = math.ceil(limits.sign_check_travel_rad / abs(c["rad_count"]))
         c["sign_hand_Nm"], c["sign_hand_cycles"] = SIGN_HAND_NM if handle else math.inf, _cycles(SIGN_HAND_S, T)
         c["settle_cycles"] = _cycles(SETTLE_S, T)
+        self._check_counts(c)
 
         switch = any(signal.name.endswith(".deadman") for pdo in pdos for signal in pdo.signals)
         c["deadman_slot"] = Image.DEADMAN if switch else -1
@@ -335,9 +365,24 @@ class Controller:
 
         c["law_keeps"] = sum(size for _, size in self.law_state)
         c["safe_brake_Nm"] = limits.safe_brake_Nm
-        c["safe_hold_cycles"] = _cycles(limits.safe_hold_s, T)
-        c["safe_ramp_cycles"] = _cycles(limits.safe_ramp_s, T)
+        ramp_cycles = _cycles(limits.safe_ramp_s, T)
+        c["safe_longest_cycles"] = ramp_cycles + round(limits.safe_hold_s / T)
+        c["release_Nm"] = c["brake_limit_Nm"] / ramp_cycles
+        c["unloaded_Nm"] = max(c["brake_limit_Nm"] / _cycles(UNLOADED_S, T), c["release_Nm"])
+        c["release_counts"] = limits.safe_speed_rad_s * T / abs(c["rad_count"])
         return control
+
+    def _check_counts(self, c: ControlRecord) -> None:
+        """Refuse limits in radians that the encoder is too coarse for."""
+        limits, rad_count = self.axis.limits, abs(float(c["rad_count"]))
+        speed, travel = rad_count / self.axis.bus.period_s, limits.sign_check_counts * rad_count
+        if speed >= limits.speed_rad_s:
+            expected = f"more than {speed:.3g}: one encoder count in a cycle is that fast already; take a longer bus.period_s or a finer encoder"
+            raise self.axis.mistake("limits.speed_rad_s", expected)
+        if c["sign_check"] and travel >= limits.sign_check_travel_rad:
+            most = math.ceil(limits.sign_check_travel_rad / rad_count) - 1
+            expected = f"at most {most}: {limits.sign_check_counts} counts are {travel:.3g} rad, and limits.sign_check_travel_rad ends before that"
+            raise self.axis.mistake("limits.sign_check_counts", expected)
 
     def _set_tpdos(self, c: ControlRecord, pdos: tuple[RigPdo, ...]) -> None:
         """Say which TPDOs are awaited, and which of them has the position."""
@@ -402,7 +447,8 @@ class Controller:
         """Return the identifiers of the CANopen objects of the axis' nodes."""
         c = self.control[0]
         nodes = list(map(int, c["node_id"][: c["nodes"]]))
-        services = {base + node for base in (CobId.EMCY, CobId.SDO_TX, CobId.SDO_RX, CobId.HEARTBEAT) for node in nodes}
+        services = {base + node for base in (CobId.SDO_TX, CobId.SDO_RX, CobId.HEARTBEAT) for node in nodes}
+        services |= set(map(int, c["emcy_id"][: c["nodes"]]))
         return services | {
             int(pdo["cob_id"]) for pdos in (self.rpdos, self.tpdos) for pdo in pdos if pdo["cob_id"] >= 0
         }
@@ -437,6 +483,11 @@ class Controller:
             node=node,
             law=self.axis.law.function,
             returned=returned,
+            foreign=self._foreign(),
+            sign_moved=int(self.host["sign_moved"][0]),
+            sign_counts=int(self.control["sign_counts"][0]),
+            still_because=self._still_because(),
+            clipped=", ".join(f"{name} {int(self.host[name][0])}" for name in CLIPPING if self.host[name][0]),
         )
         text = f"{trip.name}: {told}"
         if trip is Trip.NOT_STILL and self._starved:
@@ -447,6 +498,25 @@ class Controller:
         if trip in (Trip.EMCY_MOTOR, Trip.EMCY_BRAKE, Trip.EMCY_SENSOR):
             text += f" (error code {int(self.host['emcy_code'][0]):04X}h)"
         return self.axis.said(text)
+
+    def _foreign(self) -> str:
+        """Return which frame came from somebody else (`Trip.SECOND_HOST`)."""
+        can_id = int(self.host["foreign_id"][0])
+        if can_id < 0:
+            return "SYNC, or its heartbeat"
+        service, node = can_id & 0x780, can_id & 0x7F
+        if service == CobId.SDO_RX:
+            return f"an SDO request that writes an object of node {node} (identifier {can_id:03X}h)"
+        return f"a frame with the identifier {can_id:03X}h of its set-points (RPDO)"
+
+    def _still_because(self) -> str:
+        """Return why the sign check saw too little motion (`Trip.SIGN_NO_MOTION`)."""
+        if self.host["sign_moved"][0] > 0:
+            return "it is held, there is more friction than mechanics.friction_Nm, or the encoder is too coarse for so many"
+        return (
+            "is it held, is the motor not connected, or is there more friction than mechanics.friction_Nm? "
+            "Then identify first: coulombus commission --step friction"
+        )
 
     @property
     def _starved(self) -> bool:

@@ -147,7 +147,7 @@ class Controllers:
     @property
     def ending_s(self) -> float:
         """How long the slowest axis may take from its trip to the end of its brake's ramp [s]."""
-        return max(self._seconds(k, "safe_hold_cycles", "safe_ramp_cycles") for k in self)
+        return max(self._seconds(k, "safe_longest_cycles") for k in self)
 
     @staticmethod
     def _seconds(controller: Controller, *cycles: str) -> float:

@@ -27,7 +27,7 @@ from coulombus.host.cycle.records import (
     SignResult,
     Trip,
 )
-from coulombus.host.cycle.transitions import CONTROLWORDS
+from coulombus.host.cycle.transitions import BRAKE_CONTROLWORDS, CONTROLWORDS
 
 __all__ = [
     "advance",
@@ -64,6 +64,7 @@ def enter(axis: AxisRecord, phase: int, t_ns: int) -> None:
     c, h, state = axis.control, axis.host, axis.state
     if phase == Phase.SIGN:
         h.sign_direction = 1
+        h.sign_moved = 0
     elif phase == Phase.RUN:  # stuck where the handle is, the gain at 0
         state.stuck = 1
         state.x_stuck = h.counts * c.rad_count
@@ -82,14 +83,21 @@ def enter(axis: AxisRecord, phase: int, t_ns: int) -> None:
 
 @kernel
 def trip_to_safe(c: ControlRecord, h: HostRecord, trip: int, t_ns: int) -> None:
-    """Go to the safe state; only the first reason counts."""
+    """Go to the safe state; only the first reason counts.
+
+    The brake begins with the torque that the hand feels: its own, as expected behind its lags, and
+    in mode active what the motor displayed.
+    """
     if h.phase >= Phase.SAFE:
         return
     if h.phase == Phase.SIGN:
         h.sign_result = SignResult.REFUSED
     h.trip = trip
     h.trip_ns = t_ns
-    h.safe_from_Nm = min(h.brake_Nm, c.safe_brake_Nm)
+    displayed_Nm = h.brake_lagged_Nm
+    if h.phase == Phase.RUN and c.motor_active:
+        displayed_Nm += abs(h.torque_Nm)
+    h.brake_Nm = min(displayed_Nm, c.brake_limit_Nm)
     _begin(h, Phase.SAFE)
 
 
@@ -155,8 +163,9 @@ def sign_check(c: ControlRecord, h: HostRecord) -> tuple[float, int]:
     """SIGN: ramp a small motor torque until the handle moves: the encoder must count with it, the
     hand must resist.
 
-    The encoder's verdict falls at `sign_counts`; the ramp goes on to a few times that, so that the
-    hand's mean torque over `sign_hand_cycles` (a tremor's period) tells the transducer's sign. The
+    The encoder's verdict falls at `sign_counts`; the ramp goes on to a few times that, and is taken
+    back behind it. The hand's mean torque over `sign_hand_cycles` (a tremor's period) tells the
+    transducer's sign. The
     positive sense is tried first. A hand that rests on the handle may hold it by friction against
     that; then the negative sense is tried, and nothing that moves before the torque has turned its
     sign is evidence.
@@ -172,7 +181,9 @@ def sign_check(c: ControlRecord, h: HostRecord) -> tuple[float, int]:
     if moved <= -c.sign_counts:
         return _refuse(h, Trip.SIGN_ENCODER)
     limit = min(c.sign_torque_Nm, c.motor_limit_raw * abs(c.motor_Nm_raw))
-    if moved < SIGN_TRAVEL_FACTOR * c.sign_counts and u < limit:
+    if moved >= SIGN_TRAVEL_FACTOR * c.sign_counts:  # enough: a light handle would run away
+        u = max(u - SETTLE_STEPS * c.sign_step_Nm, 0.0)
+    elif u < limit:
         u = min(u + c.sign_step_Nm, limit)
     if moved < c.sign_counts:
         h.handle_during_Nm = 0.0
@@ -180,6 +191,7 @@ def sign_check(c: ControlRecord, h: HostRecord) -> tuple[float, int]:
         if u >= limit:
             h.still += 1
             if h.still > c.sign_hand_cycles:
+                h.sign_moved = max(h.sign_moved, moved)
                 if h.sign_direction < 0:
                     return _refuse(h, Trip.SIGN_NO_MOTION)
                 h.sign_direction = -1
@@ -249,8 +261,15 @@ def split_law(axis: AxisRecord) -> float:
         if setpoint > c.brake_limit_Nm:
             if setpoint > c.brake_limit_Nm + c.brake_Nm_raw:  # less than a count is rounding
                 h.clipped_setpoints += 1
+                h.clipped = 1
             setpoint = c.brake_limit_Nm
-        h.brake_Nm = lead(c, h, setpoint)
+        setpoint = lead(c, h, setpoint)
+        lowest_Nm = min(h.brake_Nm - c.brake_fall_Nm, c.brake_limit_Nm)
+        if setpoint < lowest_Nm:
+            h.slowed_setpoints += 1
+            h.clipped = 1
+            setpoint = lowest_Nm
+        h.brake_Nm = setpoint
     return h.gain * torque_Nm
 
 
@@ -288,17 +307,23 @@ def run(axis: AxisRecord, law_function: LawFunction, t_ns: int) -> tuple[float, 
 
 @kernel
 def safe(c: ControlRecord, h: HostRecord) -> tuple[float, int]:
-    """SAFE: no motor torque; hold the brake until the handle is still, then ramp it off."""
-    if h.ramp_cycle == 0:
-        h.brake_Nm = h.safe_from_Nm
-        still = h.fresh and abs(h.v_counts) <= STILL_COUNTS and h.phase_cycle > 1
-        if still or h.phase_cycle >= c.safe_hold_cycles or h.safe_from_Nm == 0.0:
-            h.ramp_cycle = 1
-        return 0.0, Phase.SAFE
-    left = c.safe_ramp_cycles - h.ramp_cycle
-    h.ramp_cycle += 1
-    h.brake_Nm = h.safe_from_Nm * max(left, 0) / c.safe_ramp_cycles
-    return 0.0, Phase.DISABLE if left <= 0 else Phase.SAFE
+    """SAFE: no motor torque; release the brake as slowly as a loaded hand needs it.
+
+    The set-point falls by `release_Nm` a cycle; by `unloaded_Nm` where a transducer that nobody
+    doubts sees no load on the handle. It pauses while the handle is faster than `release_counts`,
+    and at `safe_brake_Nm` while the hand still bears a load. A line that falls at the same rate to 0
+    at `safe_longest_cycles` bounds it, so a hand is free by then.
+    """
+    believed = c.still_handle_Nm < math.inf and h.missed_in_a_row == 0 and h.trip != Trip.HANDLE_TORQUE
+    loaded = abs(h.handle_Nm) > c.still_handle_Nm
+    moving = h.fresh and abs(h.v_counts) > c.release_counts
+    level_Nm = h.brake_Nm
+    if believed and not loaded:
+        level_Nm -= c.unloaded_Nm
+    elif not moving and not (believed and loaded and level_Nm <= c.safe_brake_Nm):
+        level_Nm -= c.release_Nm
+    h.brake_Nm = max(min(level_Nm, c.release_Nm * (c.safe_longest_cycles - h.phase_cycle)), 0.0)
+    return 0.0, Phase.SAFE if h.brake_Nm > 0.0 or h.phase_cycle <= 1 else Phase.DISABLE
 
 
 @kernel
@@ -319,7 +344,7 @@ def _act(axis: AxisRecord, law_function: LawFunction, t_ns: int) -> tuple[float,
     """
     c, h = axis.control, axis.host
     h.image[Image.CONTROLWORD] = CONTROLWORDS[h.phase, h.drive]
-    h.image[Image.BRAKE_CONTROLWORD] = CONTROLWORDS[h.phase, h.brake_drive]
+    h.image[Image.BRAKE_CONTROLWORD] = BRAKE_CONTROLWORDS[h.phase, h.brake_drive]
     if h.phase == Phase.STILL:
         return still(c, h)
     if h.phase == Phase.ENABLE:

@@ -55,8 +55,8 @@ class Phase(IntEnum):
     SIGN = 3  # a small torque ramp: do motor, encoder and transducer agree?
     SETTLE = 4  # torque back to zero, still again
     RUN = 5  # the law; its gain ramps in
-    SAFE = 6  # motor torque 0, brake held, then ramped
-    DISABLE = 7  # controlword "disable voltage" until the drive says so
+    SAFE = 6  # motor torque 0 and controlword "disable voltage"; the brake is released
+    DISABLE = 7  # brake off; until the drive says that it is disabled
     DONE = 8  # nothing more to do; outputs zero
 
 
@@ -89,6 +89,8 @@ class Trip(IntEnum):
     HOST = 23
     EMCY_SENSOR = 24
     HEARTBEAT_SENSOR = 25
+    MOTOR_TORQUE = 26
+    LAW_CLIPPED = 27
     NOT_STILL = 32  # from here on: arming was refused
     HANDLE_LOADED = 33
     ENABLE_TIMEOUT = 34
@@ -144,6 +146,7 @@ CONTROL = np.dtype(
         ("host_id", np.int64),
         ("nodes", np.int64),  # motor, brake, sensors
         ("node_id", np.int64, (MOST_DEVICES,)),
+        ("emcy_id", np.int64, (MOST_DEVICES,)),  # identifier of each node's EMCYs
         ("heartbeat_timeout_ns", np.int64, (MOST_DEVICES,)),  # of each node; 0: not watched
         ("heartbeat_ns", np.int64),
         ("guard_ns", np.int64),  # period of the remote frames by which the host guards; 0: it guards no node
@@ -197,11 +200,16 @@ CONTROL = np.dtype(
         ("motor_rate_Nm", np.float64),  # a cycle
         ("brake_limit_Nm", np.float64),  # the rig file's limit or the device's, whichever is less
         ("brake_limit_raw", np.int64),  # what its object takes at most
+        ("brake_fall_Nm", np.float64),  # by which the law's set-point may fall in a cycle
+        ("clipped_cycles", np.int64),  # so many more clipped than unclipped cycles of the law trip
         ("speed_limit", np.float64),
         ("jump_counts", np.int64),
         ("net_work_J", np.float64),
         ("net_work_cycles", np.int64),
         ("travel_rad", np.float64),  # inf: unlimited
+        ("motor_mismatch_Nm", np.float64),  # measured torque beyond the command; inf: not measured
+        ("motor_mismatch_cycles", np.int64),
+        ("motor_lag_decay", np.float64),  # a cycle, of the command's envelope
         ("mismatch_Nm", np.float64),
         ("mismatch_cycles", np.int64),
         ("missed_cycles", np.int64),
@@ -226,9 +234,11 @@ CONTROL = np.dtype(
         ("deadman_slot", np.int64),  # slot of the process image that holds the switch; -1: none
         ("deadman_mask", np.int64),  # bits that are all 1 while the switch is held; 0: any bit
         # safe state
-        ("safe_brake_Nm", np.float64),
-        ("safe_hold_cycles", np.int64),
-        ("safe_ramp_cycles", np.int64),
+        ("safe_brake_Nm", np.float64),  # at this level the release waits for the load to go
+        ("safe_longest_cycles", np.int64),  # the brake is off at the latest after so many
+        ("release_Nm", np.float64),  # by which the brake's set-point falls in a cycle of the safe state
+        ("unloaded_Nm", np.float64),  # ... where no load is on the handle
+        ("release_counts", np.float64),  # a cycle; the release pauses while the handle is faster
         # what the host tells of itself (`host.cycle.inside`)
         ("law_keeps", np.int64),  # numbers, by its declaration
     ],
@@ -248,6 +258,7 @@ HOST = np.dtype(
         ("emcy_code", np.int64),  # error code of the EMCY that tripped
         ("sign_result", np.int64),
         ("sign_direction", np.int64),  # sense that the sign check tries: 1, then -1
+        ("sign_moved", np.int64),  # counts that its full torque moved the handle, at most
         ("deadman_ok", np.int64),  # 1: a hand is on the switch, or none is asked for
         # the cycle
         ("cycle", np.int64),
@@ -305,12 +316,14 @@ HOST = np.dtype(
         ("port_way", np.float64),  # the last way that was not 0 [rad] ...
         ("port_slid_ns", np.int64),  # ... and for how long it has had its sign
         ("pushed_Nm", np.float64),  # the law's part that the motor was given last, as psi
-        ("safe_from_Nm", np.float64),
-        ("ramp_cycle", np.int64),  # of the safe state's brake ramp; 0: not begun
         ("handle_before_Nm", np.float64),  # sums of the handle torque before and in the sign check
         ("handle_during_Nm", np.float64),
         ("handle_samples", np.int64),
         ("emcy", np.int64),  # a trip that an EMCY asks for
+        (
+            "foreign_id",
+            np.int64,
+        ),  # identifier of a frame that only the host sends, and that somebody else sent; -1: none
         # watches
         ("still", np.int64),
         ("missed_in_a_row", np.int64),
@@ -321,21 +334,28 @@ HOST = np.dtype(
         ),  # closed since each of the TPDOs by timer came: 1 in the cycle in which it came
         ("oldest_tpdo", np.int64),  # the largest of them
         ("voltage_low", np.int64),
+        ("commanded_high_Nm", np.float64),  # envelope of the motor's commands, which decays to 0 ...
+        ("commanded_low_Nm", np.float64),
+        ("motor_mismatch", np.int64),  # cycles in a row in which the measured torque is outside
         ("mismatch", np.int64),
         ("coil_A2", np.float64),
         ("work_sum", np.float64),
         ("work_row", np.int64),
         ("work", np.float64, (WORK_WINDOW_CYCLES,)),
         # counters
+        ("clipped", np.int64),  # 1: a limit acts on what the law asks for in this cycle
+        ("clipped_balance", np.int64),  # clipped cycles less unclipped ones, not below 0
         ("display_cycles", np.int64),  # cycles since Operation Enabled, until SAFE
         ("lost_pdos", np.int64),
         ("missed_deadlines", np.int64),
         ("stray_frames", np.int64),
         ("malformed_pdos", np.int64),
+        ("malformed_services", np.int64),  # EMCYs, heartbeats, SDO responses of another length than CiA 301's
         ("clipped_torque", np.int64),  # the motor's torque was more than its limit
         ("slowed_torque", np.int64),  # ... was held back by its rate, or near the speed limit, in phase RUN
         ("limited_by_drive", np.int64),  # the drive told of a limit of its own (statusword bit 11) in phase RUN
         ("clipped_setpoints", np.int64),  # the brake's set-point was more than its limit
+        ("slowed_setpoints", np.int64),  # ... fell faster than its rate
         ("negative_setpoints", np.int64),
         ("withheld_compensation", np.int64),  # the observer let the motor give less than its compensation
         # what the host has told of itself (`host.cycle.inside`)

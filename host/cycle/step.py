@@ -30,6 +30,8 @@ __all__ = ["SOURCE_HOST", "begin", "brake_raw", "finish", "limit_torque", "on_fr
 SOURCE_HOST = -1
 """Station number of the host in a queue and in a log."""
 
+SDO_DOWNLOAD, SDO_BLOCK_DOWNLOAD = 1, 6
+"""Client command specifiers of a request that writes (CiA 301, 7.2.4.3)."""
 SPEED_TAPER = 0.8  # above this share of the speed limit the motor may only brake
 
 
@@ -42,10 +44,12 @@ def limit_torque(c: ControlRecord, h: HostRecord, torque_Nm: float) -> float:
         return 0.0
     if torque_Nm != torque_Nm:
         h.clipped_torque += 1
+        h.clipped = 1
         return 0.0
     limit_Nm, count_Nm = c.motor_limit_raw * abs(c.motor_Nm_raw), abs(c.motor_Nm_raw)
     if abs(torque_Nm) > limit_Nm + count_Nm:  # less than a count is rounding
         h.clipped_torque += 1
+        h.clipped = 1
     limited_Nm = min(max(torque_Nm, h.torque_Nm - c.motor_rate_Nm), h.torque_Nm + c.motor_rate_Nm)
     v = h.v_counts * c.rad_count * 1e9 / c.period_ns
     if abs(v) > SPEED_TAPER * c.speed_limit and limited_Nm * v > 0.0:
@@ -53,6 +57,7 @@ def limit_torque(c: ControlRecord, h: HostRecord, torque_Nm: float) -> float:
     limited_Nm = min(max(limited_Nm, -limit_Nm), limit_Nm)
     if h.phase == Phase.RUN and abs(limited_Nm - min(max(torque_Nm, -limit_Nm), limit_Nm)) > count_Nm:
         h.slowed_torque += 1
+        h.clipped = 1
     return limited_Nm
 
 
@@ -107,6 +112,52 @@ def begin(axis: AxisRecord, t_ns: int, out: Queue) -> None:
 
 
 @kernel
+def _only_of_host(axis: AxisRecord, can_id: int, length: int, data: int) -> bool:
+    """Tell whether nobody but the host sends such a frame while it displays: a set-point (RPDO), or
+    a request that writes an object of one of the axis' nodes (SDO download, block download).
+
+    The host's own frames do not come back to it, and it writes no object between arming and the
+    safe state.
+    """
+    for k in range(axis.control.rpdos):
+        if axis.rpdos[k].cob_id == can_id:
+            return True
+    writes = length > 0 and (data >> 5 & 7 == SDO_DOWNLOAD or data >> 5 & 7 == SDO_BLOCK_DOWNLOAD)
+    return can_id & 0x780 == CobId.SDO_RX and writes and _node(axis.control, can_id & 0x7F) >= 0
+
+
+@kernel
+def _on_emergency(h: HostRecord, k: int, length: int, data: int) -> None:
+    """Take an EMCY of node `k`: any code trips, whatever the frame's length, and so does a frame
+    without one. Only an error reset (code 0000h) does not.
+    """
+    if length != 8:
+        h.malformed_services += 1
+    code = data & 0xFFFF
+    if (code != 0 or length < 2) and h.emcy == Trip.NONE:
+        h.emcy = Trip.EMCY_MOTOR if k == 0 else Trip.EMCY_BRAKE if k == 1 else Trip.EMCY_SENSOR
+        h.emcy_code = code
+        h.doubtful = k
+
+
+@kernel
+def _on_heartbeat(h: HostRecord, k: int, t_ns: int, length: int, state: int) -> int:
+    """Take a heartbeat of node `k` (-1: of none of the axis'); 2 when the control plane wants it.
+
+    One of another length than a byte counts as no sign of life.
+    """
+    if length != 1:
+        h.malformed_services += 1
+        return 0
+    if k < 0:
+        return 2
+    known = h.nmt[k] == state
+    h.nmt[k] = state
+    h.heard_ns[k] = t_ns
+    return 0 if known else 2
+
+
+@kernel
 def on_frame(axis: AxisRecord, t_ns: int, can_id: int, length: int, data: int) -> int:
     """Take a frame from the bus.
 
@@ -127,27 +178,36 @@ def on_frame(axis: AxisRecord, t_ns: int, can_id: int, length: int, data: int) -
     if can_id > 0x7FF:
         h.stray_frames += 1
         return 0
-    if function == CobId.HEARTBEAT and length == 1:
-        state = data & 0x7F
-        k = _node(c, node)
-        known = False
-        if k >= 0:
-            known = h.nmt[k] == state
-            h.nmt[k] = state
-            h.heard_ns[k] = t_ns
-        return 0 if known else 2
+    if _only_of_host(axis, can_id, length, data):
+        h.stray_frames += 1
+        if Phase.OFF < h.phase < Phase.SAFE and h.stop <= 1:
+            h.foreign_id = can_id
+            h.stop = Trip.SECOND_HOST
+        return 0
+    for k in range(c.nodes):
+        if c.emcy_id[k] == can_id:
+            _on_emergency(h, k, length, data)
+            return 2
+    if function == CobId.HEARTBEAT:
+        return _on_heartbeat(h, _node(c, node), t_ns, length, data & 0x7F)
     if function == CobId.SDO_TX:
-        return 2
-    if function == CobId.EMCY and length == 8 and _node(c, node) >= 0:
-        code = data & 0xFFFF
-        if code != 0 and h.emcy == Trip.NONE:
-            k = _node(c, node)
-            h.emcy = Trip.EMCY_MOTOR if k == 0 else Trip.EMCY_BRAKE if k == 1 else Trip.EMCY_SENSOR
-            h.emcy_code = code
-            h.doubtful = k
+        if length != 8:
+            h.malformed_services += 1
         return 2
     h.stray_frames += 1
     return 0
+
+
+@kernel
+def _doubt_clipped_law(c: ControlRecord, h: HostRecord) -> None:
+    """Ask for the safe state when limits act on the law in most cycles: it is not the law that the
+    hand feels.
+    """
+    if h.phase == Phase.RUN:
+        h.clipped_balance = max(h.clipped_balance + (1 if h.clipped else -1), 0)
+        if h.clipped_balance > c.clipped_cycles and h.stop <= 1:
+            h.stop = Trip.LAW_CLIPPED
+    h.clipped = 0
 
 
 @kernel
@@ -188,5 +248,6 @@ def finish(axis: AxisRecord, law_function: LawFunction, t_ns: int, out: Queue) -
     doubt = watch(c, h, jump, t_ns)
     torque_Nm = advance(axis, law_function, doubt, t_ns)
     h.torque_Nm = limit_torque(c, h, torque_Nm)
+    _doubt_clipped_law(c, h)
     send(axis, t_ns, out)
     h.arrived &= ~c.by_timer  # one that comes by its own timer counts from here on for the next cycle

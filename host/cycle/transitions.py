@@ -17,7 +17,7 @@ import numpy.typing as npt
 from coulombus.eds.cia402 import CONTROLWORD, CONTROLWORD_TO_ENABLE, Command, PowerState
 from coulombus.host.cycle.records import Phase, Trip
 
-__all__ = ["CONTROLWORDS", "TRANSITIONS", "Transition", "allowed", "diagram"]
+__all__ = ["BRAKE_CONTROLWORDS", "CONTROLWORDS", "TRANSITIONS", "Transition", "allowed", "diagram"]
 
 
 class Transition(NamedTuple):
@@ -35,7 +35,7 @@ class Transition(NamedTuple):
 ANY_TIME = (
     *(Trip.SPEED, Trip.ENCODER_JUMP, Trip.NET_WORK, Trip.HANDLE_TORQUE, Trip.TRAVEL, Trip.VOLTAGE, Trip.COIL_I2T),
     *(Trip.TPDO_LOST, Trip.EMCY_MOTOR, Trip.EMCY_BRAKE, Trip.HEARTBEAT_MOTOR, Trip.HEARTBEAT_BRAKE, Trip.NMT_STATE),
-    *(Trip.EMCY_SENSOR, Trip.HEARTBEAT_SENSOR),
+    *(Trip.EMCY_SENSOR, Trip.HEARTBEAT_SENSOR, Trip.MOTOR_TORQUE),
 )
 """Doubts of the watches that look in every phase."""
 
@@ -67,7 +67,9 @@ TRANSITIONS = (
         (Trip.SIGN_NO_MOTION, Trip.SIGN_ENCODER, Trip.SIGN_TRANSDUCER, Trip.SIGN_TRAVEL),
     ),
     Transition((Phase.SETTLE,), "not so in time", Phase.SAFE, (Trip.NOT_STILL,)),
-    Transition((Phase.RUN,), "the law returns no finite number", Phase.SAFE, (Trip.LAW,)),
+    Transition(
+        (Phase.RUN,), "the law returns no finite number, or is clipped", Phase.SAFE, (Trip.LAW, Trip.LAW_CLIPPED)
+    ),
     Transition(BEFORE_SAFE, "a watch doubts", Phase.SAFE, ANY_TIME),
     Transition((Phase.SIGN, Phase.SETTLE, Phase.RUN), "the drive is not enabled", Phase.SAFE, (Trip.DRIVE_STATE,)),
     Transition(BEFORE_SAFE[2:], "the switch is let go", Phase.SAFE, (Trip.DEADMAN,)),
@@ -78,22 +80,24 @@ TRANSITIONS = (
 """Every transition that the compiled step makes. A phase that no row leaves in a cycle goes on."""
 
 
-def _controlwords() -> npt.NDArray[np.int64]:
-    """Controlword by phase and by the drive's state.
+def _controlwords(disabled_from: Phase) -> npt.NDArray[np.int64]:
+    """Controlword by phase and by the drive's state; from phase `disabled_from` on 0.
 
     The last column is for a statusword of no state (-1).
     """
     table = np.zeros((len(Phase), len(PowerState) + 1), np.int64)
     table[[Phase.STILL, Phase.ENABLE], :-1] = CONTROLWORD_TO_ENABLE
     table[Phase.STILL, PowerState.SWITCHED_ON] = CONTROLWORD[Command.SWITCH_ON]  # and no further
-    table[Phase.SIGN : Phase.DISABLE, PowerState.OPERATION_ENABLED] = CONTROLWORD[Command.ENABLE_OPERATION]
+    table[Phase.SIGN : disabled_from, PowerState.OPERATION_ENABLED] = CONTROLWORD[Command.ENABLE_OPERATION]
     return table
 
 
-CONTROLWORDS = _controlwords()
-"""``CONTROLWORDS[phase, state of the drive]``: what the host sends; 0, disable voltage, wherever it
-does not want the drive enabled.
+CONTROLWORDS = _controlwords(Phase.SAFE)
+"""``CONTROLWORDS[phase, state of the drive]``: what the host sends to the motor's drive; 0, disable
+voltage, wherever it does not want the drive enabled.
 """
+BRAKE_CONTROLWORDS = _controlwords(Phase.DISABLE)
+"""The same for a brake that has power states: it is enabled until it is ramped off."""
 
 
 def allowed(phase: Phase, following: Phase, trip: Trip = Trip.NONE) -> bool:

@@ -53,8 +53,23 @@ def measure(c: ControlRecord, h: HostRecord) -> int:
 
 
 @kernel
+def _pushes_unasked(c: ControlRecord, h: HostRecord) -> bool:
+    """Tell whether the motor has given more torque than its commands of late explain, or in their
+    opposite sense, for `motor_mismatch_cycles`.
+
+    The commands' envelope decays to 0 with a drive's lag.
+    """
+    h.commanded_high_Nm = max(h.torque_Nm, h.commanded_high_Nm * c.motor_lag_decay)
+    h.commanded_low_Nm = min(h.torque_Nm, h.commanded_low_Nm * c.motor_lag_decay)
+    measured_Nm = h.image[Image.TORQUE] * c.torque_Nm_raw
+    beyond_Nm = max(measured_Nm - h.commanded_high_Nm, h.commanded_low_Nm - measured_Nm)
+    h.motor_mismatch = h.motor_mismatch + 1 if beyond_Nm > c.motor_mismatch_Nm else 0
+    return bool(h.motor_mismatch > c.motor_mismatch_cycles)
+
+
+@kernel
 def watch_motion(c: ControlRecord, h: HostRecord) -> int:
-    """Watch speed, travel, the motor's net work, the handle torque and the coil's heat."""
+    """Watch speed, travel, the motor's net work and torque, the handle torque and the coil's heat."""
     v = h.v_counts * c.rad_count * 1e9 / c.period_ns
     if abs(v) > c.speed_limit:
         return Trip.SPEED
@@ -71,6 +86,9 @@ def watch_motion(c: ControlRecord, h: HostRecord) -> int:
     h.work_row = row if row < c.net_work_cycles else 0
     if h.work_sum > c.net_work_J:
         return Trip.NET_WORK
+
+    if _pushes_unasked(c, h):
+        return Trip.MOTOR_TORQUE
 
     # I2t of the coil: a first-order lag of the squared current
     current = h.image[Image.COIL_CURRENT] * c.coil_A_raw + c.coil_A_Nm * h.brake_Nm

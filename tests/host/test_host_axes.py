@@ -157,10 +157,9 @@ def test_the_first_axis_says_when_the_next_cycle_begins(late_ns, cycle, begins):
     assert axes.host["waiting"].tolist() == [int(begins)] * 2
 
 
-def test_the_last_setpoints_disable_the_drives_and_bound_the_brakes():
+def test_the_last_setpoints_disable_the_drives_and_leave_the_brakes_to_their_drivers():
     axes = Axes()
     k = axes.k
-    k.control["safe_brake_Nm"] = 1.0
     k.host["torque_Nm"], k.host["brake_Nm"] = (0.5, -0.5), (3.0, 0.2506)
     k.host["image"][:, [Image.CONTROLWORD, Image.BRAKE_CONTROLWORD, Image.TARGET_TORQUE]] = 15
     safe_setpoints(k.axes, 77, axes.out)
@@ -172,10 +171,10 @@ def test_the_last_setpoints_disable_the_drives_and_bound_the_brakes():
     assert rows["length"][-1] == 0
     words = {int(row["can_id"]): int(row["word"]) for row in rows}
     assert words[0x201] == words[0x203] == 0
-    assert [words[0x202], words[0x204]] == [1000, 251]
+    assert [words[0x202], words[0x204]] == [3000, 251]
     assert words[0x80] == 0
     assert k.host["torque_Nm"].tolist() == [0.0, 0.0]
-    assert k.host["brake_Nm"].tolist() == [1.0, 0.2506]
+    assert k.host["brake_Nm"].tolist() == [3.0, 0.2506]
 
 
 @pytest.mark.parametrize("phase", Phase)
@@ -195,6 +194,6 @@ def test_the_end_waits_for_a_brake_that_only_the_host_ramps_off(phase, own, brak
 def test_the_last_set_point_is_never_negative_nor_above_its_objects_limit(brake, most, raw):
     axes = Axes()
     k = axes.k
-    k.host["brake_Nm"], k.control["brake_limit_raw"], k.control["safe_brake_Nm"] = brake, most, 1.0
+    k.host["brake_Nm"], k.control["brake_limit_raw"] = brake, most
     safe_setpoints(k.axes, 77, axes.out)
     assert k.host["image"][:, Image.BRAKE_SETPOINT].tolist() == [raw, raw]

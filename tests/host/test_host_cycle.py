@@ -5,6 +5,7 @@ sends; both senses, away from 0.
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import pytest
 
@@ -138,8 +139,8 @@ def test_a_heartbeat_of_another_node_or_of_no_length_is_none_of_ours():
     assert bench.frame(0x705, 1, 127) == 2  # not known: the control plane looks at it
     for length in (0, 2):
         assert bench.frame(0x701, length, 127) == 0
-    assert [bench.frame(can_id, 1, 127) for can_id in (0x081, 0x082, 0x101)] == [0, 0, 0]
-    assert bench.h.stray_frames == 5
+    assert [bench.frame(can_id, 1, 127) for can_id in (0x083, 0x101)] == [0, 0]
+    assert (bench.h.stray_frames, bench.h.malformed_services) == (2, 2)
     assert (bench.h.nmt[0], bench.h.nmt[1]) == (5, 5)
 
 
@@ -155,14 +156,76 @@ def test_an_emcy_asks_for_a_trip_and_the_first_code_stays(can_id, trip):
     h = bench.h
     assert bench.frame(can_id, 8, 0x11_0000) == 2  # an error reset
     assert h.emcy == Trip.NONE
-    assert [bench.frame(can_id, n, 0x11_8250) for n in (0, 7)] == [0, 0]
-    assert (h.emcy, h.stray_frames) == (Trip.NONE, 2)
     assert bench.frame(0x083, 8, 0x11_8250) == 0
-    assert (h.emcy, h.stray_frames) == (Trip.NONE, 3)
+    assert (h.emcy, h.stray_frames) == (Trip.NONE, 1)
+    assert bench.frame(can_id, 6, 0x11_0000) == 2  # a short error reset: counted, and no doubt of the device
+    assert (h.emcy, h.malformed_services) == (Trip.NONE, 1)
     assert bench.frame(can_id, 8, 0x11_0001) == 2
     assert (h.emcy, h.emcy_code) == (trip, 1)
     assert bench.frame(0x081, 8, 0x11_F250) == bench.frame(0x082, 8, 0x11_F250) == 2
     assert (h.emcy, h.emcy_code) == (trip, 1)
+
+
+@pytest.mark.parametrize("length", range(9))
+def test_an_emcy_trips_whatever_its_length(length):
+    bench = HostBench()
+    code = 0x2310 & (1 << 8 * min(length, 2)) - 1
+    assert bench.frame(0x082, length, 0x11_2310 & (1 << 8 * length) - 1) == 2
+    assert (bench.h.emcy, bench.h.emcy_code) == (Trip.EMCY_BRAKE, code)
+    assert bench.h.malformed_services == (length != 8)
+
+
+def test_an_emcy_is_heard_where_1014h_says_that_it_comes():
+    bench = HostBench()
+    bench.c.emcy_id[1] = 0x0A2
+    assert bench.frame(0x082, 8, 0x2310) == 0
+    assert bench.h.emcy == Trip.NONE
+    assert bench.frame(0x0A2, 8, 0x2310) == 2
+    assert bench.h.emcy == Trip.EMCY_BRAKE
+
+
+@pytest.mark.parametrize("length", [0, 1, 6, 7])
+def test_an_sdo_response_of_another_length_is_counted(length):
+    bench = HostBench()
+    assert bench.frame(0x582, length, 0) == 2
+    assert bench.h.malformed_services == 1
+
+
+STRANGERS = [
+    ((0x201, 4, 0x0064_000F), True),  # a set-point of the motor
+    ((0x202, 2, 4500), True),  # ... of the brake, in any length
+    ((0x202, 0, 0), True),
+    ((0x601, 8, 0x0064_6072_2B), True),  # an expedited download
+    ((0x602, 8, 0x0064_1016_21), True),  # a segmented one begins
+    ((0x602, 8, 0x0064_1016_C6), True),  # a block download begins
+    ((0x601, 8, 0x6041_40), False),  # an upload reads only
+    ((0x601, 0, 0), False),
+    ((0x603, 8, 0x0064_6072_2B), False),  # another node's
+    ((0x205, 4, 0x0064_000F), False),
+]
+
+
+@pytest.mark.parametrize("phase", Phase)
+@pytest.mark.parametrize(("frame", "doubtful"), STRANGERS)
+def test_what_only_the_host_sends_makes_the_axis_safe_when_it_comes_from_another(frame, doubtful, phase):
+    bench = HostBench("hybrid").enter(phase, counts=40)
+    assert bench.frame(*frame) == 0
+    watched = doubtful and Phase.OFF < phase < Phase.SAFE
+    assert bench.h.foreign_id == (frame[0] if watched else -1)
+    assert bench.h.stray_frames == 1
+    bench.cycle()
+    if watched:
+        assert (bench.phase, bench.h.trip, bench.controlword) == (Phase.SAFE, Trip.SECOND_HOST, 0)
+    else:
+        assert bench.h.trip == Trip.NONE
+
+
+def test_a_trip_of_before_is_not_written_over_by_a_stranger():
+    bench = HostBench("hybrid").enter(Phase.RUN, counts=40)
+    bench.h.stop = int(Trip.BUS_LOST)
+    bench.frame(0x201, 4, 0)
+    bench.cycle()
+    assert bench.h.trip == Trip.BUS_LOST
 
 
 @pytest.mark.parametrize("code", [0x8250, 0xFFFF, 0x7FFF])
@@ -391,6 +454,7 @@ def test_the_first_doubt_of_a_cycle_is_the_one_that_is_told():
 def test_a_wish_to_stop_leads_to_the_safe_state_once(phase, stop):
     bench = HostBench().enter(phase, counts=-300)
     bench.h.stop, bench.h.phase_cycle = stop, 40
+    bench.h.brake_Nm = bench.h.brake_lagged_Nm = 0.5
     bench.cycle()
     stops = stop and phase < Phase.SAFE
     assert bench.h.trip == (stop if stops and stop > 1 else Trip.NONE)
@@ -412,7 +476,7 @@ CONTROLWORDS = {
     Phase.SIGN: [0, 0, 0, 0, 0x0F, 0, 0, 0],
     Phase.SETTLE: [0, 0, 0, 0, 0x0F, 0, 0, 0],
     Phase.RUN: [0, 0, 0, 0, 0x0F, 0, 0, 0],
-    Phase.SAFE: [0, 0, 0, 0, 0x0F, 0, 0, 0],
+    Phase.SAFE: [0x00] * 8,
     Phase.DISABLE: [0x00] * 8,
     Phase.DONE: [0x00] * 8,
 }
@@ -451,9 +515,10 @@ def test_only_the_phases_of_an_enabled_drive_send_torque(phase):
 
 def test_the_safe_state_shows_the_brakes_torque_that_it_keeps():
     bench = HostBench().enter(Phase.SAFE, counts=50)
-    bench.h.brake_Nm, bench.h.safe_from_Nm = 3.0, 0.5
+    bench.h.brake_Nm, bench.h.handle_Nm, bench.c.release_Nm = 3.0, 2.0, 0.5
+    bench.c.still_handle_Nm = math.inf
     bench.cycle()
-    assert bench.brake_Nm == 0.5
+    assert bench.brake_Nm == 2.5
 
 
 def test_a_handle_that_was_still_for_long_enough_is_enabled():
@@ -656,4 +721,49 @@ def test_every_rpdo_goes_out_in_the_cycle_that_trips_too():
     pdos = [bench.k.rpdos[i] for i in range(bench.c.rpdos)]
     sent = [f for f in bench.frames() if f[1] not in (0x80, 0x77F)]
     assert [(f[0], f[1], f[2]) for f in sent] == [(bench.t_ns, int(p.cob_id), int(p.length)) for p in pdos]
-    assert sent[0][3] == 0x0F  # controlword, torque 0
+    assert sent[0][3] == 0  # controlword "disable voltage", torque 0
+
+
+# a law on which the limits act
+
+
+def clipping(law_Nm, cycles, mode="active"):
+    """Run a law that asks for these torques in turn; return the bench, with 10 cycles to a trip."""
+    bench = HostBench(mode).enter(Phase.RUN, counts=40)
+    bench.c.clipped_cycles, bench.c.gain_step, bench.c.friction_Nm, bench.h.gain = 10, 1.0, 0.0, 1.0
+    bench.c.compensation_Nm = 0.0
+    bench.c.passivity_J = math.inf
+    bench.k.law_function = lambda motion, law, state: _asks(state, law_Nm[int(bench.h.cycle) % len(law_Nm)])
+    for _ in range(cycles):
+        bench.cycle()
+    return bench
+
+
+def _asks(state, torque_Nm):
+    state.brake_Nm, state.motor_Nm = abs(torque_Nm), 0.0
+    return torque_Nm
+
+
+@pytest.mark.parametrize("law", [(1e300, -1e300), (9.0,), (1.0, 9.0, 9.0)])
+def test_a_law_that_limits_clip_in_most_cycles_trips(law):
+    bench = clipping(law, 60)
+    assert bench.h.trip == Trip.LAW_CLIPPED
+    assert "karnopp" in bench.k.trip
+
+
+@pytest.mark.parametrize("law", [(1.0,), (9.0, 1.4, 1.4), (1.0, -1.0)])
+def test_a_law_that_limits_clip_now_and_then_goes_on(law):
+    assert clipping(law, 60).h.trip == Trip.NONE
+
+
+def test_the_brakes_set_point_falls_at_its_rate_and_rises_at_once():
+    bench = clipping((4.0, 4.0, 4.0, 0.0, 0.0, 0.0), 0, "passive")
+    bench.c.brake_fall_Nm = 0.5
+    shown = []
+    for _ in range(6):
+        bench.cycle()
+        shown.append(float(bench.h.brake_Nm))
+    falls = [before - after for before, after in pairwise(shown)]
+    assert max(falls) == 0.5
+    assert min(falls) <= -2.5
+    assert bench.h.slowed_setpoints == 2

@@ -40,6 +40,12 @@ def standing(phase, counts=-640, mode="hybrid", **control):
     return bench
 
 
+def releasing(brake_Nm):
+    bench = standing(Phase.SAFE)
+    bench.h.brake_Nm = brake_Nm
+    return bench
+
+
 def followed(bench, torque_Nm, following):
     """Go on to the phase that a phase's function names, as the step does; return the torque."""
     if following == Phase.SAFE and bench.h.phase < Phase.SAFE:
@@ -103,62 +109,105 @@ def test_the_brake_has_the_controlword_of_its_own_state():
 
 
 @pytest.mark.parametrize("phase", Phase)
-@pytest.mark.parametrize(("brake", "held"), [(0.25, 0.25), (3.5, 1.0), (0.0, 0.0)])
-def test_the_safe_state_begins_once_with_its_reason_and_a_bounded_brake(phase, brake, held):
-    bench = standing(phase, counts=55, safe_brake_Nm=1.0)
+@pytest.mark.parametrize(
+    ("brake", "felt", "begins"), [(0.25, 0.5, 0.5), (3.5, 3.0, 3.0), (0.0, 9.0, 4.5), (1.0, 0.0, 0.0)]
+)
+def test_the_safe_state_begins_once_with_its_reason_and_the_torque_that_is_felt(phase, brake, felt, begins):
+    bench = standing(phase, counts=55, brake_limit_Nm=4.5)
     h = bench.h
-    h.brake_Nm, h.sign_result = brake, int(SignResult.NOT_RUN)
-    h.trip, h.trip_ns, h.phase_cycle, h.safe_from_Nm = int(Trip.NONE), 5, 40, 0.125
+    h.brake_Nm, h.brake_lagged_Nm, h.sign_result = brake, felt, int(SignResult.NOT_RUN)
+    h.trip, h.trip_ns, h.phase_cycle, h.torque_Nm = int(Trip.NONE), 5, 40, 0.125
     trip_to_safe(bench.c, h, int(Trip.SPEED), T)
     if phase >= Phase.SAFE:
-        assert (h.phase, h.trip, h.trip_ns, h.phase_cycle, h.safe_from_Nm) == (phase, Trip.NONE, 5, 40, 0.125)
+        assert (h.phase, h.trip, h.trip_ns, h.phase_cycle, h.brake_Nm) == (phase, Trip.NONE, 5, 40, brake)
         return
-    assert (h.phase, h.trip, h.trip_ns, h.phase_cycle, h.safe_from_Nm) == (Phase.SAFE, Trip.SPEED, T, 0, held)
+    assert (h.phase, h.trip, h.trip_ns, h.phase_cycle, h.brake_Nm) == (Phase.SAFE, Trip.SPEED, T, 0, begins)
     assert h.sign_result == (SignResult.REFUSED if phase is Phase.SIGN else SignResult.NOT_RUN)
 
 
-HOLD, RAMP = 6, 4
+@BOTH
+@pytest.mark.parametrize(
+    ("phase", "active", "begins"), [(Phase.RUN, 1, 1.25), (Phase.RUN, 0, 0.25), (Phase.SIGN, 1, 0.25)]
+)
+def test_the_brake_takes_over_what_the_motor_displayed(sign, phase, active, begins):
+    bench = standing(phase, counts=55, brake_limit_Nm=4.5, motor_active=active)
+    bench.h.brake_lagged_Nm, bench.h.torque_Nm = 0.25, sign * 1.0
+    trip_to_safe(bench.c, bench.h, int(Trip.NONE), T)
+    assert bench.h.brake_Nm == begins
 
 
-def safe_course(bench, counts):
+LONGEST, RELEASE, UNLOADED = 12, 0.125, 0.5
+LOAD = 1.0
+"""On the handle, above `still_handle_Nm`."""
+
+
+def safe_course(bench, counts=0, load=LOAD, longest=LONGEST):
     """The brake's torque in each cycle of SAFE, while the encoder counts `counts` a cycle."""
     c, h = bench.c, bench.h
-    c.safe_hold_cycles, c.safe_ramp_cycles = HOLD, RAMP
+    c.safe_longest_cycles, c.release_Nm, c.unloaded_Nm, c.release_counts = longest, RELEASE, UNLOADED, 4.0
+    c.still_handle_Nm, c.safe_brake_Nm = min(c.still_handle_Nm, 0.25), 0.25
     shown = []
     while h.phase == Phase.SAFE and len(shown) < 40:
         h.phase_cycle += 1
-        h.v_counts = counts
+        h.v_counts, h.handle_Nm = counts, load
         followed(bench, *safe(c, h))
         shown.append(h.brake_Nm)
     return shown
 
 
-@BOTH
-def test_the_brake_is_held_for_its_time_while_the_handle_moves_and_ramped(sign):
-    bench = standing(Phase.SAFE)
-    bench.h.safe_from_Nm, bench.h.brake_Nm = 0.5, 3.0
-    assert safe_course(bench, sign * 2) == [0.5] * HOLD + [0.375, 0.25, 0.125, 0.0]
+def line(first, longest=LONGEST):
+    """The latest release: a line that falls at the same rate to 0 in the last cycle."""
+    return [min(first, RELEASE * (longest - k)) for k in range(1, longest + 1)]
+
+
+@pytest.mark.parametrize("counts", [0, 4.0, -4.0, 0.5])
+def test_the_brake_of_a_loaded_hand_falls_at_its_rate_and_waits_at_the_end_for_the_load(counts):
+    bench = releasing(1.0)
+    shown = safe_course(bench, counts)
+    assert shown == [0.875, 0.75, 0.625, 0.5, 0.375, 0.25, 0.25, 0.25, 0.25, 0.25, 0.125, 0.0]
     assert bench.phase is Phase.DISABLE
     assert bench.h.phase_cycle == 0
 
 
-@pytest.mark.parametrize("counts", [0, 1, -1, 0.5, -0.5])
-def test_the_brake_of_a_still_handle_is_ramped_from_the_second_cycle_on(counts):
-    bench = standing(Phase.SAFE)
-    bench.h.safe_from_Nm = 0.5
-    assert safe_course(bench, counts) == [0.5, 0.5, 0.375, 0.25, 0.125, 0.0]
+@pytest.mark.parametrize("counts", [4.01, -4.01, 100])
+def test_the_release_pauses_while_the_handle_is_fast_but_not_for_ever(counts):
+    assert safe_course(releasing(0.5), counts) == line(0.5)
 
 
-def test_a_handle_whose_position_is_not_known_does_not_count_as_still():
-    bench = standing(Phase.SAFE)
-    bench.h.safe_from_Nm, bench.h.fresh = 0.5, 0
-    assert safe_course(bench, 0) == [0.5] * HOLD + [0.375, 0.25, 0.125, 0.0]
+def test_a_handle_whose_position_is_not_known_is_not_held_as_a_fast_one():
+    bench = releasing(0.5)
+    bench.h.fresh, bench.c.still_handle_Nm = 0, -math.inf
+    bench.h.missed_in_a_row = 1
+    assert safe_course(bench, 100) == [0.375, 0.25, 0.125, 0.0]
 
 
-def test_a_brake_without_torque_is_not_held():
-    bench = standing(Phase.SAFE)
-    bench.h.safe_from_Nm, bench.h.brake_Nm = 0.0, 2.0
-    assert safe_course(bench, 50) == [0.0] * 5
+@BOTH
+def test_a_handle_without_a_load_is_let_go_soon(sign):
+    assert safe_course(releasing(1.75), 100, sign * 0.25, 30) == [1.25, 0.75, 0.25, 0.0]
+    assert safe_course(releasing(1.0), 0, sign * 0.26, 30)[:2] == [0.875, 0.75]
+
+
+@pytest.mark.parametrize("doubt", ["none there", "stale", "doubted"])
+def test_a_transducer_that_cannot_be_believed_lets_nobody_go_soon(doubt):
+    bench = releasing(0.5)
+    if doubt == "none there":
+        bench.c.still_handle_Nm = math.inf
+        shown = []
+        c, h = bench.c, bench.h
+        c.safe_longest_cycles, c.release_Nm, c.unloaded_Nm, c.release_counts = LONGEST, RELEASE, UNLOADED, 4.0
+        while h.phase == Phase.SAFE:
+            h.phase_cycle += 1
+            followed(bench, *safe(c, h))
+            shown.append(h.brake_Nm)
+    else:
+        bench.h.missed_in_a_row = int(doubt == "stale")
+        bench.h.trip = int(Trip.HANDLE_TORQUE if doubt == "doubted" else Trip.NONE)
+        shown = safe_course(bench, 0, 0.0)
+    assert shown == [0.375, 0.25, 0.125, 0.0]
+
+
+def test_a_brake_without_torque_is_not_held_and_safe_lasts_a_cycle():
+    assert safe_course(releasing(0.0), 50) == [0.0, 0.0]
 
 
 # still
@@ -298,8 +347,8 @@ def test_the_torque_never_exceeds_the_modes_limit(sign, motor, encoder):
 
 
 @BOTH
-@pytest.mark.parametrize(("moved", "torque"), [(9, 0.3125), (10, 0.3125), (39, 0.3125), (40, 0.25), (41, 0.25)])
-def test_the_ramp_goes_on_to_four_times_the_counts_of_the_verdict(sign, moved, torque):
+@pytest.mark.parametrize(("moved", "torque"), [(9, 0.3125), (10, 0.3125), (39, 0.3125), (40, 0.0), (41, 0.0)])
+def test_the_ramp_goes_on_to_four_times_the_counts_and_is_taken_back(sign, moved, torque):
     assert asked(checking(sign), moved, 0.25) == torque
 
 
@@ -390,14 +439,14 @@ def test_the_hands_mean_torque_tells_the_transducers_sign(sign, motor, encoder, 
     for change in changes[:-1]:
         assert asked(bench, COUNTS, 0.25, handle=-0.125 + sign * change) == 0.3125
         assert bench.phase is Phase.SIGN
-    torque = asked(bench, COUNTS + 30, 0.25, handle=-0.125 + sign * changes[-1])
+    torque = asked(bench, COUNTS + 29, 0.25, handle=-0.125 + sign * changes[-1])
     assert h.sign_result == result
     if result is SignResult.REFUSED:
         assert h.trip == Trip.SIGN_TRANSDUCER
         assert (torque, h.trip_ns) == (0.0, T)
     else:
         assert bench.phase is Phase.SETTLE
-        assert torque == 0.25
+        assert torque == 0.3125
 
 
 # the law
@@ -523,20 +572,21 @@ def test_the_law_begins_with_run_only(phase):
 
 def test_a_law_that_is_no_number_makes_brake_and_controlword_safe_in_the_same_cycle():
     bench = HostBench("hybrid").enter(Phase.RUN, counts=40)
-    bench.c.safe_brake_Nm, bench.h.brake_Nm = 1.0, 3.0
+    bench.c.brake_lag_decay, bench.c.release_Nm, bench.c.unloaded_Nm, bench.h.brake_Nm = 0.0, 0.25, 0.25, 3.0
     bench.k.law_function = NO_NUMBER
     bench.cycle()
     assert (bench.phase, bench.h.trip) == (Phase.SAFE, Trip.LAW)
-    assert bench.h.brake_Nm == bench.h.safe_from_Nm == 1.0
-    assert bench.brake_Nm == pytest.approx(1.0)
+    assert bench.h.brake_Nm == 2.75
+    assert bench.brake_Nm == pytest.approx(2.75)
+    assert bench.controlword == 0
 
 
 def test_the_safe_states_ramp_goes_on_by_one_step_a_cycle():
     bench = HostBench("hybrid").enter(Phase.SAFE, counts=40)
-    bench.h.safe_from_Nm, bench.h.ramp_cycle, bench.h.stop = 1.0, 1, 1
-    for ramp_cycle in range(2, 7):
+    bench.h.brake_Nm, bench.h.stop, bench.c.release_Nm, bench.c.unloaded_Nm = 1.0, 1, 0.125, 0.125
+    for steps in range(1, 6):
         bench.cycle()
-        assert (bench.phase, bench.h.ramp_cycle) == (Phase.SAFE, ramp_cycle)
+        assert (bench.phase, bench.h.brake_Nm) == (Phase.SAFE, 1.0 - 0.125 * steps)
 
 
 @pytest.mark.parametrize("phase", [Phase.STILL, Phase.RUN])

@@ -30,7 +30,7 @@ def binary(**control):
         2.0**-7,
         2.0**-4,
     )
-    c.speed_limit = c.travel_rad = c.net_work_J = c.coil_limit_A2 = c.mismatch_Nm = FAR
+    c.speed_limit = c.travel_rad = c.net_work_J = c.coil_limit_A2 = c.mismatch_Nm = c.motor_mismatch_Nm = FAR
     c.brake_lag_decay = c.coil_decay = 0.5
     c.friction_Nm, c.viscous, c.velocity_band_counts = 0.25, 0.125, 2.0
     c.net_work_cycles = 4
@@ -418,3 +418,49 @@ def test_from_enabling_on_motor_and_brake_have_to_stay_enabled(motor, brake, pha
     h.phase, h.deadman_ok = int(phase), 1
     leaves = Phase.ENABLE < phase < Phase.SAFE and not (motor and brake)
     assert watch(bench.c, h, Trip.NONE, T0) == (Trip.DRIVE_STATE if leaves else Trip.NONE)
+
+
+# the motor's torque beside its commands
+
+
+def pushing(commands, measured_Nm, **control):
+    """The trips of cycles in which the motor's commands were these, and 6077h told `measured_Nm`."""
+    bench = binary(**{"motor_mismatch_Nm": 0.25, "motor_mismatch_cycles": 2, "motor_lag_decay": 0.5} | control)
+    c, h = bench.c, bench.h
+    h.image[Image.TORQUE] = round(measured_Nm / c.torque_Nm_raw)
+    trips = []
+    for torque_Nm in commands:
+        h.torque_Nm = torque_Nm
+        trips.append(Trip(int(watch_motion(c, h))))
+    return trips
+
+
+QUIET, TRIPPED = Trip.NONE, Trip.MOTOR_TORQUE
+
+
+@BOTH
+def test_a_motor_that_pushes_when_none_is_asked_for_trips_after_its_time(sign):
+    assert pushing([0.0] * 4, sign * 0.2578125) == [QUIET, QUIET, TRIPPED, TRIPPED]
+    assert pushing([0.0] * 4, sign * 0.25) == [QUIET] * 4
+
+
+@BOTH
+def test_a_motor_that_pushes_against_its_command_trips(sign):
+    assert pushing([sign * 0.5] * 4, sign * 0.75) == [QUIET] * 4
+    assert pushing([sign * 0.5] * 4, sign * -0.5) == [QUIET, QUIET, TRIPPED, TRIPPED]
+
+
+@BOTH
+def test_a_command_of_just_now_explains_the_torque_for_the_drives_lag(sign):
+    assert pushing([sign * 1.0, 0, 0, 0, 0, 0], sign * 0.5) == [QUIET] * 5 + [TRIPPED]
+
+
+def test_one_cycle_that_fits_begins_the_count_anew():
+    bench = binary(motor_mismatch_Nm=0.25, motor_mismatch_cycles=2)
+    bench.h.motor_mismatch, bench.h.torque_Nm = 2, 0.0
+    assert watch_motion(bench.c, bench.h) == Trip.NONE
+    assert bench.h.motor_mismatch == 0
+
+
+def test_a_motor_whose_torque_is_not_measured_is_not_watched():
+    assert pushing([0.0] * 9, 3.0, motor_mismatch_Nm=FAR)[-1] is QUIET

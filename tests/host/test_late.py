@@ -104,13 +104,13 @@ def test_a_trip_a_stop_and_the_switch_wait_for_nothing(n, way):
         bench.h.deadman_ok = 0
     else:
         bench.h.stop = 1
-    held = min(bench.brake_Nm, float(bench.c.safe_brake_Nm))
+    felt = float(bench.h.brake_lagged_Nm) + (abs(float(bench.h.torque_Nm)) if bench.c.motor_active else 0.0)
     bench.cycle()
     assert bench.phase is Phase.SAFE
     assert bench.motor_pm == 0
-    assert bench.brake_Nm == pytest.approx(held, abs=2e-3)
+    assert bench.brake_Nm == pytest.approx(felt, abs=0.25)
     brakes = []
-    for _ in range(int(bench.c.safe_hold_cycles + bench.c.safe_ramp_cycles) + 20):
+    for _ in range(int(bench.c.safe_longest_cycles) + 20):
         bench.cycle()
         assert bench.motor_pm == 0
         brakes.append(bench.brake_Nm)

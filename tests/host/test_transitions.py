@@ -103,6 +103,10 @@ ANYWHERE = {
     Trip.HEARTBEAT_BRAKE: unheard(1),
     Trip.HEARTBEAT_SENSOR: unheard(2),
     Trip.EMCY_SENSOR: set_host("emcy", int(Trip.EMCY_SENSOR)),
+    Trip.MOTOR_TORQUE: lambda bench: (
+        setattr(bench.c, "motor_mismatch_Nm", -1.0),
+        setattr(bench.c, "motor_mismatch_cycles", 0),
+    ),
     Trip.NMT_STATE: lambda bench: bench.h.nmt.__setitem__(1, 127),
     Trip.DRIVE_STATE: lambda bench: setattr(bench, "state", int(PowerState.SWITCHED_ON)),
     Trip.NONE: set_host("stop", 1),
@@ -136,7 +140,10 @@ OWN = {
     (Phase.SETTLE, Phase.RUN, Trip.NONE): settled,
     (Phase.SETTLE, Phase.SAFE, Trip.NOT_STILL): late,
     (Phase.RUN, Phase.SAFE, Trip.LAW): lambda bench: setattr(bench.k, "law_function", NO_NUMBER),
-    (Phase.SAFE, Phase.DISABLE, Trip.NONE): lambda bench: setattr(bench.h, "ramp_cycle", bench.c.safe_ramp_cycles),
+    (Phase.SAFE, Phase.DISABLE, Trip.NONE): lambda bench: (
+        setattr(bench.h, "phase_cycle", 1),
+        setattr(bench.h, "brake_Nm", 0.0),
+    ),
     (Phase.DISABLE, Phase.DONE, Trip.NONE): lambda bench: setattr(bench, "state", int(PowerState.SWITCH_ON_DISABLED)),
 }
 """What makes a phase itself go on, or refuse."""
@@ -181,7 +188,7 @@ def test_every_row_happens(phase, following, trip):
 @pytest.mark.parametrize("phase", Phase)
 def test_without_a_reason_a_phase_goes_on(phase):
     bench = HostBench("active").enter(phase, counts=40)
-    bench.h.brake_Nm = bench.h.safe_from_Nm = 0.5
+    bench.h.brake_Nm = 2.0
     bench.cycle()
     assert bench.phase is phase
 
@@ -195,8 +202,8 @@ def test_whatever_happens_the_phases_change_as_the_table_says(seed):
     draw = random.Random(seed)
     bench = HostBench(draw.choice(("active", "hybrid", "passive"))).enter(draw.choice(list(Phase)), counts=40)
     bench.c.still_cycles, bench.c.settle_cycles, bench.c.still_timeout_cycles = 3, 3, 20
-    bench.c.enable_timeout_cycles, bench.c.sign_hand_cycles, bench.c.safe_hold_cycles = 5, 4, 5
-    bench.c.safe_ramp_cycles = 4
+    bench.c.enable_timeout_cycles, bench.c.sign_hand_cycles, bench.c.safe_longest_cycles = 5, 4, 9
+    bench.c.release_Nm = 0.5
     happenings = [
         *ANYWHERE.values(),
         *(act for (phase, *_), act in OWN.items() if phase is not Phase.SAFE),

@@ -130,7 +130,7 @@ class Plane:
         self.shared.owner[:] = self.k.owner
         control = self.shared.axes["control"]
         control["sign_check"], control["still_cycles"], control["gain_step"] = 0, 3, 1.0
-        control["safe_hold_cycles"], control["safe_ramp_cycles"] = 10, 10
+        control["safe_longest_cycles"], control["release_Nm"] = 20, 0.25
         control["missed_cycles"] = 200  # of a machine that others use, too
         control["heartbeat_timeout_ns"] = 0
         self.plane = self.shared.plane
@@ -230,7 +230,7 @@ def plane_case(moment, function, number, error):
         wrong.append(f"the motor's last set-point is {last[0x201]:#x}")
     c = plane.k.each[0].control[0]
     if (
-        last.get(0x202, 0) > math.ceil(c["safe_brake_Nm"] / c["brake_Nm_raw"])
+        last.get(0x202, 0) > math.ceil(c["brake_limit_Nm"] / c["brake_Nm_raw"])
         or plane.shared.axes["host"]["torque_Nm"].any()
     ):
         wrong.append(f"the brake's last set-point is {last.get(0x202):#x}")
