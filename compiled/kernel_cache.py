@@ -7,8 +7,9 @@ which of them are removed.
     BASE/coulombus/kernels-0123456789abcdef/compiling              locked byte by byte by who compiles
     BASE/coulombus/kernels-0123456789abcdef/host_1a2b.../*.nbi     what numba keeps
 
-BASE is ``NUMBA_CACHE_DIR``, else ``$XDG_CACHE_HOME``, else ``~/.cache``. What is kept there is run,
-so a directory of another user is not used. Nothing is removed that was not made here: the name has
+BASE is ``NUMBA_CACHE_DIR``, else ``$XDG_CACHE_HOME``, else ``~/.cache``. What is kept there is run:
+a directory that another user may enter is refused, so is one above it in which another user could
+exchange it, and the next place is taken (`coulombus.private_folder`). Nothing is removed that was not made here: the name has
 our form, the marker stands in it and says the same name, no process uses it, and of its content
 only the marker and files with numba's endings go. No link is followed.
 """
@@ -27,7 +28,9 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
-__all__ = ["COMPILING", "KEPT", "MARKER", "choose", "others", "say"]
+from coulombus.private_folder import make_private, reason_against, reason_against_above
+
+__all__ = ["COMPILING", "KEPT", "MARKER", "choose", "others", "say", "trusted"]
 
 OURS = "coulombus"
 MARKER = "coulombus-kernels"
@@ -97,10 +100,13 @@ def _places() -> Iterator[Path]:
         mine = Path(tempfile.gettempdir()) / f"coulombus-{os.getuid()}"
     except OSError:  # there is no place for temporary files
         return
-    with suppress(OSError):
-        mine.mkdir(mode=0o700)
-    if _own(mine) and not mine.lstat().st_mode & 0o077:
-        yield mine / OURS
+    with suppress(OSError):  # no folder can be made
+        make_private(mine)
+        why = reason_against(mine)  # in a folder that all may write to, anybody can make it, or place a link
+        if why:
+            say(f"refused for compiled code: {why}")
+        else:
+            yield mine / OURS
     with suppress(OSError):  # something else is there
         lost = Path(tempfile.mkdtemp(prefix="coulombus-"))
         _remove_at_exit(lost)
@@ -114,6 +120,20 @@ def _own(path: Path) -> bool:
         found = path.lstat()
         return stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid()
     return False
+
+
+def _reason_against(directory: Path) -> str:
+    """Return why what is kept in `directory` may come from another user; "" where it cannot."""
+    ours, base = directory.parent, directory.parent.parent
+    return reason_against(directory) or reason_against_above(ours) or reason_against_above(base)
+
+
+def trusted(directory: Path) -> bool:
+    """Tell whether nobody else can have written to a directory that is there."""
+    try:
+        return not _reason_against(directory)
+    except OSError:
+        return False
 
 
 def _first(places: Iterator[Path], name: str) -> Path | None:
@@ -137,8 +157,12 @@ def _usable(directory: Path) -> bool:
     """
     for _ in range(_TRIES):  # another process may remove it between two of these calls
         try:
-            directory.mkdir(parents=True, exist_ok=True)
-            lock = _marker(directory, create=True) if _own(directory) else None
+            make_private(directory)
+            why = _reason_against(directory)
+            if why:
+                say(f"refused for compiled code: {why}")
+                return False
+            lock = _marker(directory, create=True)
             if lock is None:
                 return False
             with suppress(OSError):  # a file system without locks: there nothing is ever removed

@@ -36,7 +36,7 @@ from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.runtime import rtsys
 from numba.np import linalg
 
-from coulombus.compiled.kernel_cache import COMPILING, others, say
+from coulombus.compiled.kernel_cache import COMPILING, others, say, trusted
 from coulombus.compiled.sources import ours, stamp
 
 __all__ = ["KernelCache", "interrupts_kept", "keep_interrupts"]
@@ -198,7 +198,7 @@ class KernelCache:
         """
         if not ours(self._file) or (place / f"{self._base}.nbi").exists():
             return
-        for other in others(place.parent):
+        for other in filter(trusted, others(place.parent)):
             with suppress(OSError, ValueError, EOFError, pickle.PickleError):
                 if _Files(str(other / place.name), self._base, self._stamp, any_stamp=False).give(place):
                     return

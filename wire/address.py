@@ -3,8 +3,8 @@ project, ``socketcan:can0`` an interface of Linux.
 
 A virtual bus is a socket in a private directory of the user: ``$XDG_RUNTIME_DIR/coulombus`` where
 the system provides one, else ``coulombus-UID`` in the directory for temporary files. Whoever can
-write to that directory can move the motor, so it has mode 0700 and is refused when it belongs to
-somebody else.
+enter that directory can move the motor, so it has mode 0700, and is refused with any other mode or
+owner (`coulombus.private_folder`).
 """
 
 from __future__ import annotations
@@ -12,11 +12,12 @@ from __future__ import annotations
 import os
 import re
 import socket
-import stat
 import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, TypeAlias, get_args
+
+from coulombus.private_folder import make_private, reason_against
 
 __all__ = [
     "AddressError",
@@ -127,7 +128,7 @@ def socket_path(name: str) -> Path:
     AddressError
         The name has a character that a name cannot have, or is too long for a socket's address.
     BusUnavailable
-        The directory belongs to somebody else or others may write to it.
+        The directory belongs to somebody else, or others may enter it.
     """
     _check_name(name)
     path = _directory() / name
@@ -182,14 +183,13 @@ def _directory() -> Path:
 
 def _make_private(directory: Path) -> None:
     try:
-        directory.mkdir(mode=0o700, exist_ok=True)
-        found = directory.lstat()  # not stat: in a directory that all may write to, anybody can place a link
+        make_private(directory)
+        why = reason_against(directory)
     except OSError as error:
         raise BusUnavailable(
             error.errno, f"cannot use {directory} for the sockets of virtual buses: {error.strerror}"
         ) from None
-    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.geteuid() or found.st_mode & 0o022:
+    if why:
         raise BusUnavailable(
-            f"{directory} is refused for the sockets of virtual buses: it must be a directory of user "
-            f"{os.geteuid()} that nobody else may write to; remove it, or set XDG_RUNTIME_DIR to a directory of yours"
+            f"refused for the sockets of virtual buses: {why}; or set XDG_RUNTIME_DIR to a folder of yours"
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import stat
 import subprocess
 import sys
 from pathlib import Path
@@ -30,7 +31,7 @@ def run(code, directory, **environment):
     return python(code, directory, **environment).stdout.strip()
 
 
-def python(code, directory, **environment):
+def python(code, directory, umask=-1, **environment):
     clean = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
     return subprocess.run(
         [sys.executable, "-c", code],
@@ -40,6 +41,7 @@ def python(code, directory, **environment):
         text=True,
         check=True,
         timeout=900,
+        umask=umask,
     )
 
 
@@ -52,6 +54,7 @@ def test_an_edited_callee_in_another_file_is_compiled_anew(tmp_path):
     for module in (ROOT / "compiled").glob("*.py"):
         name = module.name
         (rooms / "compiled" / name).write_text((ROOT / "compiled" / name).read_text())
+    (rooms / "private_folder.py").write_text((ROOT / "coulombus" / "private_folder.py").read_text())
     (rooms / "host" / "caller.py").write_text(CALLER)
     call = "from coulombus.host.caller import caller; print(caller(1), sum(caller.stats.cache_hits.values()))"
     cache = {"XDG_CACHE_HOME": str(tmp_path / "cache")}
@@ -64,6 +67,10 @@ def test_an_edited_callee_in_another_file_is_compiled_anew(tmp_path):
     assert run(call, tmp_path, **cache) == "30 1"
     (rooms / "host" / "callee.py").write_text(CALLEE.format(1))  # edited back: an older directory has it
     assert run(call, tmp_path, **cache) == "20 1"
+    for kept in (tmp_path / "cache" / "coulombus").iterdir():
+        kept.chmod(0o770)
+    (rooms / "host" / "other.py").write_text("edited = 2\n")  # nothing is taken from where others could write
+    assert run(call, tmp_path, **cache) == "20 0"
 
 
 LISTENED = "import sys; from numba.core import event; heard = event.RecordingListener(); event.register('numba:compile', heard)"
@@ -237,6 +244,52 @@ def test_a_place_that_cannot_be_written_is_told_or_has_a_substitute(tmp_path):
     private.unlink()
     private.symlink_to(tmp_path / "other")
     assert "every start compiles" in python(WHERE, ROOT, **no_base).stderr
+
+
+@pytest.mark.parametrize("umask", [0o000, 0o022, 0o077, 0o277])
+def test_the_cache_is_the_users_alone_whatever_the_umask(tmp_path, umask):
+    chosen = Path(python(WHERE, ROOT, umask, XDG_CACHE_HOME=str(tmp_path / "a" / "b")).stdout.strip())
+    assert chosen.parent == tmp_path / "a" / "b" / "coulombus"
+    for folder in (chosen, chosen.parent, tmp_path / "a" / "b", tmp_path / "a"):
+        assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+
+
+@pytest.mark.parametrize(
+    ("level", "mode", "mend"),
+    [
+        (0, 0o777, "chmod 700"),
+        (0, 0o770, "chmod 700"),
+        (0, 0o701, "chmod 700"),
+        (1, 0o777, "chmod go-w"),
+        (1, 0o720, "chmod go-w"),
+        (2, 0o702, "chmod go-w"),
+    ],
+)
+def test_a_cache_that_another_user_may_enter_or_exchange_is_refused_with_what_mends_it(tmp_path, level, mode, mend):
+    """What is kept there is run."""
+    given = {"XDG_CACHE_HOME": str(tmp_path / "cache"), "TMPDIR": str(tmp_path)}
+    chosen = Path(run(WHERE, ROOT, **given))
+    folder = (chosen, *chosen.parents)[level]
+    folder.chmod(mode)
+    done = python(WHERE, ROOT, **given)
+    assert done.stdout.startswith(str(tmp_path / f"coulombus-{os.getuid()}"))
+    assert f"refused for compiled code: {folder} has mode {mode:04o}" in done.stderr
+    assert f"{mend} {folder}\n" in done.stderr
+    subprocess.run([*mend.split(), str(folder)], check=True)
+    done = python(WHERE, ROOT, **given)
+    assert (done.stdout.strip(), done.stderr) == (str(chosen), "")
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root gives a folder away")
+@pytest.mark.parametrize("level", [0, 1, 2])
+def test_a_cache_of_another_user_is_refused(tmp_path, level):
+    given = {"XDG_CACHE_HOME": str(tmp_path / "cache"), "TMPDIR": str(tmp_path)}
+    chosen = Path(run(WHERE, ROOT, **given))
+    folder = (chosen, *chosen.parents)[level]
+    os.chown(folder, 65534, 65534)
+    done = python(WHERE, ROOT, **given)
+    assert done.stdout.startswith(str(tmp_path / f"coulombus-{os.getuid()}"))
+    assert f"refused for compiled code: {folder} belongs to user 65534" in done.stderr
 
 
 def test_without_any_place_to_write_everything_is_compiled_in_memory(tmp_path):

@@ -84,10 +84,33 @@ def test_without_a_runtime_directory_of_ours_a_private_temporary_one(tmp_path, m
         assert socket_path("bench") == tmp_path / f"coulombus-{os.geteuid()}" / "bench"
 
 
-def test_a_directory_that_others_may_write_to_is_refused(runtime):
+@pytest.mark.parametrize("umask", [0o000, 0o022, 0o277])
+def test_the_directory_is_private_whatever_the_umask(runtime, umask):
+    before = os.umask(umask)
+    try:
+        path = socket_path("bench")
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE(path.parent.stat().st_mode) == 0o700
+
+
+@pytest.mark.parametrize("mode", [0o777, 0o770, 0o755, 0o710, 0o701])
+def test_a_directory_that_others_may_enter_is_refused_with_what_mends_it(runtime, mode):
     (runtime / "coulombus").mkdir()
-    (runtime / "coulombus").chmod(0o777)
-    with pytest.raises(BusUnavailable, match="nobody else may write"):
+    (runtime / "coulombus").chmod(mode)
+    told = f"{runtime / 'coulombus'} has mode {mode:04o}, expected 0700: chmod 700 {runtime / 'coulombus'};"
+    with pytest.raises(BusUnavailable) as caught:
+        socket_path("bench")
+    assert told in str(caught.value)
+    (runtime / "coulombus").chmod(0o700)
+    assert socket_path("bench") == runtime / "coulombus" / "bench"
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root gives a folder away")
+def test_a_directory_of_another_user_is_refused(runtime):
+    (runtime / "coulombus").mkdir(mode=0o700)
+    os.chown(runtime / "coulombus", 65534, 65534)
+    with pytest.raises(BusUnavailable, match=r"belongs to user 65534, and not to user 0"):
         socket_path("bench")
 
 
