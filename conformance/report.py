@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import html
-import re
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
 from coulombus.conformance.runner import Outcome, Report
+from coulombus.wire.foreign_text import one_line, printable
+from coulombus.wire.quoting import xml
 
 __all__ = ["WORDS", "as_dict", "junit", "markdown", "summary", "write_junit", "write_report"]
 
 WORDS = {"pass": "pass", "fail": "FAIL", "not_applicable": "not applicable", "error": "ERROR of the tester"}
 _SHOWN = ("fail", "error")
-_ILLEGAL = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 def as_dict(report: Report) -> dict[str, Any]:
@@ -67,10 +67,10 @@ def junit(report: Report) -> ElementTree.Element:
         test = ElementTree.SubElement(suite, "testcase", classname="conformance", name=name, time=f"{one.seconds:.3f}")
         if one.result in _SHOWN:
             kind = "failure" if one.result == "fail" else "error"
-            failure = ElementTree.SubElement(test, kind, message=_legal(one.reason))
-            failure.text = _legal("\n".join((one.reason, *one.frames)))
+            failure = ElementTree.SubElement(test, kind, message=xml(one.reason))
+            failure.text = xml("\n".join((one.reason, *one.frames)))
         elif one.result == "not_applicable":
-            ElementTree.SubElement(test, "skipped", message=_legal(one.reason))
+            ElementTree.SubElement(test, "skipped", message=xml(one.reason))
     suites = ElementTree.Element("testsuites")
     suites.append(suite)
     return suites
@@ -130,7 +130,7 @@ def page(report: Report) -> str:
 def write_report(report: Report, path: Path) -> None:
     """Write the readable report; the ending says whether Markdown or HTML."""
     content = page(report) if path.suffix.lower() in (".html", ".htm") else markdown(report)
-    path.write_text(content, encoding="utf-8")
+    path.write_text(printable(content), encoding="utf-8")
 
 
 def _failures(report: Report) -> list[Outcome]:
@@ -138,8 +138,4 @@ def _failures(report: Report) -> list[Outcome]:
 
 
 def _cell(text: str) -> str:
-    return text.replace("|", "\\|").replace("\n", " ")
-
-
-def _legal(text: str) -> str:
-    return _ILLEGAL.sub("?", text)
+    return one_line(text).replace("|", "\\|")

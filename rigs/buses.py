@@ -6,13 +6,13 @@ the virtual bus ``coulombus:RIG``, or ``coulombus:RIG.CHANNEL`` where there are 
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from coulombus.rigs.rig import Rig, known_rigs, packaged_rig
 from coulombus.wire.address import AddressError, BusAddress, default_address, parse_address
+from coulombus.wire.quoting import shell
 
 __all__ = ["bus_addresses", "one_bus"]
 
@@ -73,7 +73,7 @@ def _all_addresses(rig: Rig, given: Sequence[str]) -> dict[str, BusAddress]:
         raise AddressError(
             f"two of the rig's buses have one address: {', '.join(f'{c}={a}' for c, a in found.items())}"
         )
-    start = f"coulombus sim --rig {shlex.quote(_given_name(rig))}"
+    start = f"coulombus sim --rig {shell(_given_name(rig))}"
     for channel in channels:
         if found[channel] != usual[channel]:
             start += f" --bus {channel}={found[channel]}" if several else f" --bus {found[channel]}"

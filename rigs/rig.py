@@ -36,6 +36,7 @@ from coulombus.rigs.signals import Node, RigPdo
 from coulombus.rigs.text import apply_override, emit
 from coulombus.rigs.toml_lines import MOST_CHARACTERS, Table, read_toml
 from coulombus.rigs.words import explain
+from coulombus.wire.quoting import shell
 
 __all__ = ["Rig", "RigError", "RigNode", "known_rigs", "load_rig", "load_rig_text", "packaged_rig"]
 
@@ -379,7 +380,7 @@ def load_rig(name_or_path: str | os.PathLike[str], overrides: Sequence[str] = ()
 def _meant(path: Path, known: Sequence[str]) -> str:
     """Return what to do where `path` names no rig file, but something else that there is."""
     if path.suffix.lower() in (".eds", ".dcf"):
-        return f"; an EDS file becomes a rig file by coulombus init --drive {path} --brake bench -o my-rig.toml"
+        return f"; an EDS file becomes a rig file by coulombus init --drive {shell(str(path))} --brake bench -o my-rig.toml"
     if path.suffix == ".pcapng":
         return "; this is the name of a recording, and its rig is attached to it"
     return f"; {path} is a folder" if path.is_dir() else nearest(str(path), known)

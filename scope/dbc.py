@@ -30,6 +30,7 @@ from coulombus.rigs.signals import RigPdo
 from coulombus.rigs.signals import Signal as RigSignal
 from coulombus.scope.names import fields, identifier
 from coulombus.scope.services import STATES
+from coulombus.wire.quoting import dbc
 
 __all__ = ["database", "dbc_text"]
 
@@ -55,7 +56,7 @@ def database(rig: Rig, *, bits: bool = False) -> Database:
     messages = [_pdo(pdo, period_ms, bits) for pdo in rig.pdos()]
     messages += _services(ids, rig, period_ms)
     nodes = [Node(name, f"node {number}") for name, number in ids.items()]
-    return Database(sorted(messages, key=lambda message: message.frame_id), nodes=nodes, version=rig.name)
+    return Database(sorted(messages, key=lambda message: message.frame_id), nodes=nodes, version=dbc(rig.name))
 
 
 def _word(name: str) -> str:
@@ -85,7 +86,7 @@ def _signals(
     signal: RigSignal, entry: Entry, start: int, receiver: str, parts: tuple[WordField, ...]
 ) -> Iterator[Signal]:
     name = identifier(signal)
-    comment = f"{entry.index:04X}h:{entry.subindex} {entry.name}"
+    comment = dbc(f"{entry.index:04X}h:{entry.subindex} {entry.name}")
     for field in parts:
         one = _field(f"{name}_{field.name}", start + field.start, field.bits, [receiver], field.values or None)
         one.comment = f"{comment}, bits {field.start} to {field.start + field.bits - 1}"

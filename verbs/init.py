@@ -14,6 +14,7 @@ from coulombus.verbs.bundle import bundle
 from coulombus.verbs.common import say, verdict
 from coulombus.verbs.failures import EXIT_STATUS, errors
 from coulombus.verbs.option_types import InputPath, OutputFile
+from coulombus.wire.quoting import shell
 
 if TYPE_CHECKING:
     from coulombus.rigs.draft.gather import Wanted
@@ -141,7 +142,9 @@ def init(
                 file.write(text)
         with verdict(0):
             count, name = text.count(f"# {CHECK}:"), "it" if output is None else str(output)
-            say(f"coulombus: guesses marked '# {CHECK}:' in {name}: {count}; then: coulombus check --rig {path}")
+            say(
+                f"coulombus: guesses marked '# {CHECK}:' in {name}: {count}; then: coulombus check --rig {shell(str(path))}"
+            )
 
 
 def _answered(bus_name: str) -> dict[int, dict[tuple[int, int], int]]:

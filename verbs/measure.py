@@ -15,6 +15,7 @@ from coulombus.verbs.failures import EXIT_STATUS, errors, print_json
 from coulombus.verbs.option_types import CPU
 from coulombus.verbs.rig_options import OneBusOptions, one_bus_options
 from coulombus.verbs.shown import table_console
+from coulombus.wire.quoting import shell
 
 if TYPE_CHECKING:
     from coulombus.host.run.measure import Measured
@@ -211,7 +212,7 @@ def _print(document: dict[str, Any], path: str) -> None:
         click.echo("ok: the plan fits with these times")
     else:
         words = " ".join(f"--set {key}={value!r}" for key, value in document["values"].items())
-        again = path if document["backup"] is not None else f"{path} {words}"
+        again = shell(str(path)) if document["backup"] is not None else f"{shell(str(path))} {words}"
         click.echo(f"FAIL: the plan does not fit with these times: coulombus plan --rig {again}")
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -32,6 +31,7 @@ from coulombus.verbs.option_types import OutputDirectory, OutputFile
 from coulombus.verbs.rig_options import RigOptions, rig_options
 from coulombus.verbs.run_table import print_runs, print_verdict
 from coulombus.verbs.shown import progress
+from coulombus.wire.quoting import shell
 
 if TYPE_CHECKING:
     from coulombus.lab.demo.demo import Demo
@@ -227,8 +227,8 @@ def span_of_interest(recording: Source) -> str:
 
 def next_steps(rig_name: str, out: Path, span: str = "") -> tuple[tuple[str, str], ...]:
     """Return the three commands that the demo ends with, each with what it is for."""
-    rig = "" if rig_name == "bench" else f"--rig {shlex.quote(rig_name)} "
-    active = shlex.quote(str(out / "active.pcapng"))
+    rig = "" if rig_name == "bench" else f"--rig {shell(rig_name)} "
+    active = shell(str(out / "active.pcapng"))
     return (
         (f"coulombus plot {active}{span}", "the motor's oscillation, sample by sample"),
         (f"coulombus simulate {rig}--law lugre --record lugre.pcapng", "another friction, in seconds: `coulombus law`"),

@@ -14,6 +14,7 @@ import click
 from coulombus.verbs.common import force_option, json_option, say, verdict
 from coulombus.verbs.failures import EXIT_STATUS, errors, print_json
 from coulombus.verbs.shown import running
+from coulombus.wire.quoting import shell
 
 if TYPE_CHECKING:
     from coulombus.lab.sweep.sweep import SweepResult
@@ -113,7 +114,7 @@ def _tell(result: SweepResult, seconds: float | None) -> None:
             for key, value in found["values"].items()
         )
         length = "" if seconds is None else f" --seconds {seconds:g}"
-        call = f"coulombus simulate --rig {found['file']} --mode {found['mode']}{length} --seed {found['seed']}"
+        call = f"coulombus simulate --rig {shell(found['file'])} --mode {found['mode']}{length} --seed {found['seed']}"
         click.echo(f"mildest rig that misses {name}: {values or 'the rig itself'} (of run {found['run']})\n  {call}")
     for path in (result.table, *result.maps.values()):
         click.echo(str(path))

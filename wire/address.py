@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Literal, TypeAlias, get_args
 
 from coulombus.private_folder import make_private, reason_against
+from coulombus.wire.quoting import INTERFACE
 
 __all__ = [
     "AddressError",
@@ -33,7 +34,6 @@ __all__ = [
 Kind: TypeAlias = Literal["coulombus", "socketcan"]
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
-_INTERFACE = re.compile(r"[^\s/:]{1,15}")  # IFNAMSIZ is 16 with the closing zero byte
 _SUN_PATH = 107  # bytes of a socket's path, without the closing zero byte: unix(7)
 _RESERVED = ".host"  # the control socket of the host on bus NAME is NAME.host
 
@@ -99,10 +99,11 @@ def parse_address(text: str) -> BusAddress:
             "SocketCAN interface"
         )
     if kind == "socketcan":
-        if not _INTERFACE.fullmatch(name):
+        if not INTERFACE.fullmatch(name):
             raise AddressError(
-                f"bus {text!r}: no name of a network interface (1 to 15 characters without space, '/' and ':'), "
-                "as in socketcan:can0"
+                f"bus {text!r}: expected the name of a network interface, as in socketcan:can0: 1 to 15 letters (A-Z, "
+                "a-z), digits, '_', '-' and '.', not starting with '-' or '.'; another name goes into files of a "
+                "shell and of systemd: ip link set NAME name can0"
             )
         return BusAddress("socketcan", name)
     _check_name(name)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import shlex
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -17,6 +16,7 @@ from coulombus.host.doctor.finding import Check, Outcome
 from coulombus.host.doctor.kernel import preempt_rt
 from coulombus.host.doctor.machine import Absent, CannotRead, Machine, nonsense
 from coulombus.host.doctor.rights import PRIORITY
+from coulombus.wire.quoting import comment, extended_regex, shell
 
 __all__ = ["Interface", "checks"]
 
@@ -48,7 +48,7 @@ class Interface:
     def setup(self) -> str:
         """The commands that set the interface up as it is wanted."""
         rate = self.bitrate_bit_s or "BITRATE"
-        link = f"sudo ip link set {shlex.quote(self.name)}"
+        link = f"sudo ip link set {shell(self.name)}"
         return (
             f"{link} down && {link} type can bitrate {rate} sample-point {BEST_SAMPLE_POINT} restart-ms {RESTART_MS}\n"
             f"{link} type can berr-reporting on || true  # not every card can\n"
@@ -146,7 +146,7 @@ def _missing(can: Interface) -> Outcome:
     there = [name for name in can.machine.names("/sys/class/net") if _is_can(can.machine, name)]
     others = f"CAN interfaces here: {', '.join(there)}" if there else "no CAN interface is here"
     fix = (
-        f"# name one of them: --bus socketcan:{there[0]}"
+        f"# name one of them: --bus socketcan:{comment(there[0])}"
         if there
         else "# plug the card in; see `lsusb`, `lspci`, `dmesg`"
     )
@@ -187,14 +187,14 @@ def up(can: Interface) -> Outcome:
         raise CannotRead(f"/sys/class/net/{can.name}/flags cannot be read: got {flags[:40]!r}") from None
     if is_up:
         return Outcome(True, "up")
-    fix = f"sudo ip link set {shlex.quote(can.name)} up" if can.virtual else can.setup
+    fix = f"sudo ip link set {shell(can.name)} up" if can.virtual else can.setup
     return Outcome(False, "down", fix)
 
 
 def txqueuelen(can: Interface) -> Outcome:
     """What waits to be sent: too little room loses frames, too much keeps old set-points."""
     length = can.machine.number(f"/sys/class/net/{can.name}/tx_queue_len")
-    fix = f"sudo ip link set {shlex.quote(can.name)} txqueuelen 64"
+    fix = f"sudo ip link set {shell(can.name)} txqueuelen 64"
     if can.virtual:
         return Outcome(True, f"{length} frames; nothing waits there: it is virtual")
     if length < SHORTEST_QUEUE:
@@ -223,7 +223,9 @@ def irq_thread(can: Interface) -> Outcome:
     if not found:
         return Outcome(True, f"no interrupt of {can.name} has a thread")
     text = ", ".join(f"{name}: SCHED_FIFO {priority}" for name, priority in sorted(found.items()))
-    fix = "\n".join(f"sudo chrt -f -p {IRQ_PRIORITY} $(pgrep -x {shlex.quote(name)})" for name in sorted(found))
+    fix = "\n".join(
+        f"sudo chrt -f -p {IRQ_PRIORITY} $(pgrep -x {shell(extended_regex(name))})" for name in sorted(found)
+    )
     if min(found.values()) > PRIORITY:
         return Outcome(True, text)
     return Outcome(False, f"{text}; the host polls at {PRIORITY}, and the receive buffer overflows meanwhile", fix)
@@ -281,7 +283,7 @@ def mode(can: Interface) -> Outcome:
     if not bad:
         return Outcome(True, "sends, and sends again what was destroyed")
     off = " ".join(f"{one.lower()} off" for one in bad)
-    name = shlex.quote(can.name)
+    name = shell(can.name)
     fix = f"sudo ip link set {name} down && sudo ip link set {name} type can {off} && sudo ip link set {name} up"
     return Outcome(False, f"{', '.join(bad)} is on", fix)
 

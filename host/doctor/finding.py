@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, NamedTuple, TypeAlias
 
 from coulombus.host.doctor.machine import CannotRead
+from coulombus.wire.quoting import comment
 
 __all__ = ["Check", "Finding", "Outcome", "examine", "script"]
 
@@ -76,8 +77,7 @@ def script(findings: Iterable[Finding]) -> str:
         if one.ok or one.fix in done:
             continue
         done.add(one.fix)
-        printable = "".join(c if c.isprintable() else "?" for c in one.found)
-        lines += [f"# {one.check}: {printable}", one.fix or "# no command mends it", ""]
+        lines += [f"# {one.check}: {comment(one.found)}", one.fix or "# no command mends it", ""]
     if not done:
         lines += ["# nothing has to be mended", ""]
     return "\n".join(lines)

@@ -6,11 +6,13 @@ The host's unit never restarts: after a trip nothing re-arms by itself, and a pe
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-__all__ = ["Service", "files", "quoted"]
+from coulombus.wire.address import parse_address
+from coulombus.wire.quoting import extended_regex, interface_name, shell, systemd_program, systemd_word, unit_name
+
+__all__ = ["Service", "files"]
 
 USER, GROUP = "coulombus", "realtime"
 WATCHDOG_S, SIM_WATCHDOG_S = 5, 10
@@ -85,27 +87,17 @@ class Service:
 
     @property
     def interface(self) -> str:
-        """The CAN interface: the host's, or can0 where that is on a virtual bus."""
-        kind, _, name = self.bus.partition(":")
-        return name if kind == "socketcan" else "can0"
+        """The CAN interface: the host's, or can0 where that is on a virtual bus.
+
+        AddressError: the bus has no name that can stand in these files.
+        """
+        address = parse_address(self.bus)
+        return interface_name(address.name) if address.kind == "socketcan" else "can0"
 
     def command(self, *words: str) -> str:
         """Return a value of ExecStart."""
-        return " ".join(quoted(word) for word in (*self.program, *words))
-
-
-def quoted(word: str) -> str:
-    """Return a word as systemd reads it: quoted where need be, no specifier, no variable."""
-    word = word.replace("%", "%%").replace("$", "$$")
-    if re.fullmatch(r"[A-Za-z0-9_@%+=:,./$-]+", word):
-        return word
-    escaped = word.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n").replace("\t", "\\t")
-    return f'"{escaped}"'
-
-
-def _escaped(name: str) -> str:
-    """Return a name as it stands in the name of a device's unit (systemd-escape)."""
-    return re.sub(r"[^A-Za-z0-9:_.]", lambda found: "".join(f"\\x{byte:02x}" for byte in found[0].encode()), name)
+        program, *first = self.program
+        return " ".join((systemd_program(program), *map(systemd_word, (*first, *words))))
 
 
 def files(service: Service) -> dict[str, str]:
@@ -118,6 +110,7 @@ def files(service: Service) -> dict[str, str]:
     if service.user:
         return units | {"INSTALL.txt": USER_INSTALL}
     name = service.interface
+    irqs = shell(f"^irq/[0-9]+-{extended_regex(name)}$")
     return units | {
         "coulombus-sysusers.conf": SYSUSERS,
         "coulombus-tmpfiles.conf": TMPFILES,
@@ -125,7 +118,7 @@ def files(service: Service) -> dict[str, str]:
         "90-coulombus.rules": RULES,
         f"80-coulombus-{name}.network": _network(name, service.bitrate_bit_s),
         f"80-coulombus-{name}.link": LINK.format(name=name),
-        f"{name}-up.sh": UP.format(name=name, rate=service.bitrate_bit_s),
+        f"{name}-up.sh": UP.format(name=shell(name), rate=service.bitrate_bit_s, irqs=irqs),
         "INSTALL.txt": INSTALL.format(name=name),
     }
 
@@ -168,9 +161,10 @@ def _unit(
 def _host(service: Service) -> str:
     after = raised = ""
     if service.bus.startswith("socketcan:") and not service.user:
-        device = f"sys-subsystem-net-devices-{_escaped(service.interface)}.device"
+        device = f"sys-subsystem-net-devices-{unit_name(service.interface)}.device"
         after = f"After={device}\nBindsTo={device}\n"
-        raised = RAISED.format(name=service.interface)
+        irqs = shell(f"^irq/[0-9]+-{extended_regex(service.interface)}$")
+        raised = RAISED.format(script=systemd_word(RAISE_SCRIPT.format(irqs=irqs)))
     else:
         after = "After=coulombus-sim.service\n"
     stop_s = round(SAFE_S + service.ending_s)
@@ -234,8 +228,9 @@ TransmitQueueLength=64
 """
 RAISED = """\
 # on a PREEMPT_RT kernel the card's interrupt is a thread, of priority 50 each time the interface comes up
-ExecStartPre=+-/bin/sh -c 'for pid in $$(pgrep "^irq/[0-9]+-{name}$$"); do chrt -f -p 90 $$pid; done'
+ExecStartPre=+-/bin/sh -c {script}
 """
+RAISE_SCRIPT = 'for pid in $(pgrep {irqs}); do chrt -f -p 90 "$pid"; done'
 UP = """\
 #!/bin/sh
 # made by `coulombus systemd`: the same by hand, where systemd-networkd does not run
@@ -244,7 +239,7 @@ ip link set {name} down
 ip link set {name} type can bitrate {rate} sample-point 0.875 restart-ms 100
 ip link set {name} type can berr-reporting on || true  # not every card can
 ip link set {name} txqueuelen 64 up
-for pid in $(pgrep '^irq/[0-9]+-{name}$'); do chrt -f -p 90 "$pid"; done  # PREEMPT_RT: before the host
+for pid in $(pgrep {irqs}); do chrt -f -p 90 "$pid"; done  # PREEMPT_RT: before the host
 """
 SYSUSERS = f"""\
 # made by `coulombus systemd`

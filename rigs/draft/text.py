@@ -17,6 +17,7 @@ from coulombus.rigs.axis import Sections
 from coulombus.rigs.mistakes import toml_value
 from coulombus.rigs.toml_lines import Key
 from coulombus.rigs.words import fields_of, kinds_of, named_in
+from coulombus.wire.quoting import comment
 
 __all__ = ["CHECK", "REHEARSAL", "RigText", "rehearsal_marks"]
 
@@ -128,7 +129,7 @@ def _is_section(value: Any) -> bool:
 
 
 def _comment(text: str) -> list[str]:
-    return [f"# {line}" for line in textwrap.wrap(text, COLUMNS, break_on_hyphens=False)] or ["#"]
+    return [f"# {line}" for line in textwrap.wrap(comment(text), COLUMNS, break_on_hyphens=False)] or ["#"]
 
 
 def rehearsal_marks(text: str) -> tuple[int, ...]:

@@ -6,6 +6,7 @@ from coulombus.rigs.rig import Rig
 from coulombus.scope.dbc import database
 from coulombus.scope.tools.layouts import foxglove, plotjuggler
 from coulombus.scope.tools.wireshark import dissector, profile
+from coulombus.wire.address import default_address
 
 __all__ = ["tool_files"]
 
@@ -66,7 +67,7 @@ def tool_files(rig: Rig) -> dict[str, str]:
     """Return the text of each file by its path within the folder."""
     split = database(rig, bits=True)
     example = next((f"coulombus.{a.prefix}motor.position" for a in rig.axes), "coulombus.motor.position")
-    name = rig.name.replace("/", "_")
+    name = default_address(rig.name).name  # a file's name on any system, and a word in the commands of README.md
     files = {
         f"{name}.dbc": database(rig).as_dbc_string(),
         f"{name}-bits.dbc": split.as_dbc_string(),

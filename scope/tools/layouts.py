@@ -14,6 +14,7 @@ from coulombus.eds.cia402 import word_fields
 from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo, Signal
 from coulombus.scope.names import signals
+from coulombus.wire.quoting import xml
 
 __all__ = ["foxglove", "plotjuggler"]
 
@@ -32,7 +33,7 @@ def plotjuggler(rig: Rig) -> str:
     """Return a PlotJuggler layout (version 2.3, as PlotJuggler 3 writes it)."""
     root = ElementTree.Element("root")
     widget = ElementTree.SubElement(root, "tabbed_widget", {"name": "Main Window", "parent": "main_window"})
-    tab = ElementTree.SubElement(widget, "Tab", containers="1", tab_name=rig.name)
+    tab = ElementTree.SubElement(widget, "Tab", containers="1", tab_name=xml(rig.name))
     container = ElementTree.SubElement(tab, "Container")
     groups = _by_unit(rig)
     sizes = ";".join(f"{1 / len(groups):.6f}" for _ in groups)
@@ -41,7 +42,7 @@ def plotjuggler(rig: Rig) -> str:
         area = ElementTree.SubElement(splitter, "DockArea", name=f"[{unit or '1'}]")
         plot = ElementTree.SubElement(area, "plot", mode="TimeSeries", style="Lines", flip_x="false", flip_y="false")
         for number, (_, signal) in enumerate(found):
-            ElementTree.SubElement(plot, "curve", name=signal.name, color=COLOURS[number % len(COLOURS)])
+            ElementTree.SubElement(plot, "curve", name=xml(signal.name), color=COLOURS[number % len(COLOURS)])
     ElementTree.SubElement(widget, "currentTabIndex", index="0")
     ElementTree.SubElement(root, "use_relative_time_offset", enabled="1")
     ElementTree.indent(root)

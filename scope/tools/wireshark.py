@@ -17,6 +17,7 @@ from coulombus.rigs.rig import Rig
 from coulombus.rigs.signals import RigPdo
 from coulombus.scope.names import fields, plain, signals
 from coulombus.scope.services import STATES
+from coulombus.wire.quoting import lua, uat_cell
 
 __all__ = ["dissector", "profile"]
 
@@ -54,11 +55,11 @@ def dissector(rig: Rig) -> str:
     services |= {CobId.HEARTBEAT + number: ("heartbeat", name) for number, name in nodes.items()}
     services |= {node.emcy_id: ("emcy", node.name) for node in rig.nodes}
     rows = (
-        f"    [{can_id:#05x}] = {{name = {_quoted(name)}{', node = ' + _quoted(node) if node else ''}}},"
+        f"    [{can_id:#05x}] = {{name = {lua(name)}{', node = ' + lua(node) if node else ''}}},"
         for can_id, (name, node) in sorted(services.items())
     )
     lines = (
-        f"local RIG = {_quoted(rig.name)}",
+        f"local RIG = {lua(rig.name)}",
         f"local NODES = {_table(nodes)}",
         f"local EMCY = {_table({int(code): text for code, text in EMCY_TEXT.items()})}",
         f"local STATES = {_table(STATES)}",
@@ -77,14 +78,14 @@ def dissector(rig: Rig) -> str:
 
 
 def _pdo(pdo: RigPdo, name: str) -> str:
-    head = f"node = {_quoted(pdo.node)}, pdo = {_quoted(name)}, length = {pdo.layout.length}"
+    head = f"node = {lua(pdo.node)}, pdo = {lua(name)}, length = {pdo.layout.length}"
     rows = []
     for signal, entry, start in fields(pdo):
         words = {
-            "key": _quoted(plain(signal)),
-            "label": _quoted(plain(signal).rpartition(".")[2]),
-            "unit": _quoted(signal.unit),
-            "object": _quoted(f"{entry.index:04X}h:{entry.subindex}" if entry.index else "no object"),
+            "key": lua(plain(signal)),
+            "label": lua(plain(signal).rpartition(".")[2]),
+            "unit": lua(signal.unit),
+            "object": lua(f"{entry.index:04X}h:{entry.subindex}" if entry.index else "no object"),
             "start": str(start),
             "bits": str(entry.bits),
             "signed": str(entry.signed).lower(),
@@ -95,7 +96,7 @@ def _pdo(pdo: RigPdo, name: str) -> str:
         parts = word_fields(entry.index)
         if parts and entry.bits == 16:
             shown = (
-                f"{{key = {_quoted(part.name)}, mask = {part.mask:#x}, flag = {str(part.bits == 1).lower()}"
+                f"{{key = {lua(part.name)}, mask = {part.mask:#x}, flag = {str(part.bits == 1).lower()}"
                 + (f", values = {_table(part.values)}" if part.values else "")
                 + "}"
                 for part in parts
@@ -106,13 +107,7 @@ def _pdo(pdo: RigPdo, name: str) -> str:
 
 
 def _table(values: Mapping[int, str]) -> str:
-    return "{" + ", ".join(f"[{key}] = {_quoted(text)}" for key, text in values.items()) + "}"
-
-
-def _quoted(text: str) -> str:
-    r"""Return a Lua string; what is no plain character is written as ``\ddd``."""
-    plain_bytes = (chr(b) if 32 <= b < 127 and b not in b'"\\' else f"\\{b:03d}" for b in text.encode())
-    return '"' + "".join(plain_bytes) + '"'
+    return "{" + ", ".join(f"[{key}] = {lua(text)}" for key, text in values.items()) + "}"
 
 
 def profile(rig: Rig) -> dict[str, str]:
@@ -135,7 +130,7 @@ def profile(rig: Rig) -> dict[str, str]:
     return {
         "preferences": f"gui.column.format:\n\t{shown}\n",
         "colorfilters": "".join(f"@{name}@{rule}@[{back}][{text}]\n" for name, rule, text, back in COLOURS),
-        "dfilter_buttons": "".join(f'"TRUE","{name}","{_doubled(rule)}",""\n' for name, rule in BUTTONS),
+        "dfilter_buttons": "".join(f'"TRUE",{uat_cell(name)},{uat_cell(rule)},""\n' for name, rule in BUTTONS),
         "io_graphs": "".join(graphs),
     }
 
@@ -145,9 +140,5 @@ def _graphs(rig: Rig) -> list[tuple[str, str]]:
     return [*found, ("time since SYNC [s]", "coulombus.sync_delay")]
 
 
-def _doubled(text: str) -> str:
-    return text.replace('"', "\\x22")
-
-
 def _row(enabled: str, *cells: str) -> str:
-    return ",".join(f'"{cell}"' for cell in (enabled, *cells, "None", "1")) + "\n"
+    return ",".join(uat_cell(cell) for cell in (enabled, *cells, "None", "1")) + "\n"

@@ -31,6 +31,7 @@ from coulombus.sim_bus.network.network import Heard, VirtualNetwork
 from coulombus.sim_bus.server.server import BusServer
 from coulombus.sim_bus.server.serving import PRIORITY, run_sim
 from coulombus.wire.address import BusAddress
+from coulombus.wire.quoting import shell
 from coulombus.wire.verdict import printed, say
 
 __all__ = ["LiveNodes", "NodeError", "run_nodes"]
@@ -93,7 +94,7 @@ class LiveNodes:
             if description.diagnoses:
                 number = len(description.diagnoses)
                 found = f"{number} diagnos{'i' if number == 1 else 'e'}s"
-                text = f"{found}, read tolerantly; see `coulombus eds check {path}`"
+                text = f"{found}, read tolerantly; see `coulombus eds check {shell(str(path))}`"
                 say(f"coulombus: {path}: {text}")
         if self.io is not None and len(ids) > 1:
             raise NodeError(f"--io {self.io}: one file is for one node; start a `coulombus node` for each")
@@ -133,7 +134,9 @@ class LiveNodes:
             self.node_ids.append(chosen)
             if chosen != description.node_id and description.node_id:
                 told = f"is a DCF for the node id {description.node_id} and is served as {chosen}"
-                say(f"coulombus: {path}: {told}; which identifiers go with it tells `coulombus eds check {path}`")
+                say(
+                    f"coulombus: {path}: {told}; which identifiers go with it tells `coulombus eds check {shell(str(path))}`"
+                )
         rates = {description.bit_rate for description in self.descriptions} - {0}
         if len(rates) > 1 and not self.bit_rate:
             wanted = " and ".join(map(str, sorted(rates)))

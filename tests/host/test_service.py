@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 import shutil
 import signal
 import socket
@@ -14,10 +15,11 @@ import pytest
 from click.testing import CliRunner
 
 from coulombus.compiled.decorator import JIT_DISABLED
-from coulombus.host.service.units import Service, files, quoted
+from coulombus.host.service.units import Service, files
 from coulombus.rigs.rig import load_rig
 from coulombus.verbs.main import main
 from real_bench import children, host, result, simulation
+from systemd_syntax import systemd_words
 
 ANALYZE = shutil.which("systemd-analyze")
 EXPOSURE = 2.0
@@ -90,20 +92,53 @@ def test_the_interface_is_the_hosts_with_the_rigs_bit_rate():
     assert subprocess.run(["sh", "-n"], input=made["can-a1-up.sh"], text=True, check=False).returncode == 0
 
 
-@pytest.mark.parametrize(
-    ("word", "written"),
-    [
-        ("/a/b-c.toml", "/a/b-c.toml"),
-        ("50%", "50%%"),
-        ("$HOME", "$$HOME"),
-        ("my rig", '"my rig"'),
-        ('a"b\\c', '"a\\"b\\\\c"'),
-        ("a\nExecStart=/bin/rm", '"a\\nExecStart=/bin/rm"'),
-        ("", '""'),
-    ],
+HOSTILE = (
+    "x;touch$IFS..P",
+    "x;y",
+    "$(touch P)",
+    "`id`",
+    "a%n",
+    "can*",
+    "[a]",
+    "!can0",
+    "-x",
+    ".x",
+    "a'b",
+    'a"b',
+    "a\\b",
 )
-def test_words_are_written_as_systemd_reads_them(word, written):
-    assert quoted(word) == written
+
+
+@pytest.mark.parametrize("name", [*HOSTILE, "x\x1b]52;c;", "x\u202e"])
+def test_a_bus_whose_name_another_program_would_read_is_refused_and_nothing_written(tmp_path, name):
+    for more in ((), ("--user",)):
+        words = ["systemd", "--bus", f"socketcan:{name}", "-o", str(tmp_path / "u"), *more]
+        done = CliRunner().invoke(main, words)
+        assert done.exit_code == 2
+        assert not list(tmp_path.glob("u/*"))
+    with pytest.raises(ValueError, match="network interface"):
+        files(service(bus=f"socketcan:{name}"))
+
+
+@pytest.mark.parametrize("name", ["can0", "can-a.1", "a" * 15, "0", "_"])
+def test_the_threads_of_this_interface_alone_are_raised(name):
+    made = files(service(bus=f"socketcan:{name}"))
+    _, _, script = systemd_words(values(made["coulombus-host.service"], "ExecStartPre")[0].removeprefix("+-"))
+    for text in (script, made[f"{name}-up.sh"]):
+        pattern = shlex.split(re.search(r"\$\(pgrep (.*?)\);", text)[1])[0]
+        told = subprocess.run(
+            ["grep", "-E", pattern], input=f"irq/45-{name}\nirq/45-{name}x\nirq/4-x\n", capture_output=True, text=True
+        )
+        assert told.stdout == f"irq/45-{name}\n"
+        assert subprocess.run(["sh", "-n"], input=text, text=True, check=False).returncode == 0
+
+
+def test_the_rigs_path_and_the_program_come_to_the_host_as_they_are(tmp_path):
+    rig = tmp_path / "my $x %n; rig's\t.toml"
+    program = tmp_path / "50 % $HOME" / "coulombus"
+    made = files(service(rig=str(rig), program=(str(program),)))
+    words = systemd_words(values(made["coulombus-host.service"], "ExecStart")[0])
+    assert words[:4] == [str(program), "run", "--rig", str(rig)]
 
 
 def test_no_file_is_replaced_and_then_none_is_written(tmp_path):

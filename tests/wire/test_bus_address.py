@@ -29,7 +29,7 @@ def runtime(tmp_path, monkeypatch):
         ("coulombus:bench", "coulombus", "bench"),
         ("coulombus:a.b-c_1", "coulombus", "a.b-c_1"),
         ("socketcan:vcan0", "socketcan", "vcan0"),
-        ("socketcan:can-éö", "socketcan", "can-éö"),
+        ("socketcan:can-a.1_B", "socketcan", "can-a.1_B"),
     ],
 )
 def test_addresses(text, kind, name):
@@ -52,6 +52,9 @@ def test_addresses(text, kind, name):
         ("socketcan:", "socketcan:", "socketcan:can0"),
         ("socketcan:a_name_too_long0", "socketcan:a_name_too_long0", "1 to 15"),
         ("socketcan:a b", "socketcan:a b", "socketcan:can0"),
+        ("socketcan:x;y", "socketcan:x;y", "'_', '-' and '.', not starting with '-' or '.'"),
+        ("socketcan:-a", "socketcan:-a", "ip link set NAME name can0"),
+        ("socketcan:can-é", "socketcan:can-é", "A-Z"),
     ],
 )
 def test_what_is_no_address_is_told_with_the_fix(text, shown, fix):

@@ -1,0 +1,40 @@
+"""Text of others - an EDS file's names, a rig's name, a device's strings - where people and programs
+read it.
+
+A terminal obeys the control characters of C0 and C1: with OSC 52 a file would write to the
+clipboard. The bidirectional controls of Unicode show a text in another order than it has. Here
+these become visible; `\\t` and `\\n` stay.
+"""
+
+from __future__ import annotations
+
+import re
+
+__all__ = ["first_control", "one_line", "printable"]
+
+_BIDI = "\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069"
+_CONTROL = re.compile(f"[\x00-\x08\x0b-\x1f\x7f-\x9f{_BIDI}\u2028\u2029\ud800-\udfff]")
+"""With the separators of lines and paragraphs, and what stands for an undecodable byte of a path."""
+
+
+def printable(text: str) -> str:
+    """Return a text whose control characters are written as ``\\x1b`` or ``\\u202e``."""
+    return _CONTROL.sub(_escaped, text)
+
+
+def one_line(text: str) -> str:
+    """Return a `printable` text with a space for each row of white space, line ends among it."""
+    return printable(re.sub(r"[ \t\r\n]+", " ", text))
+
+
+def first_control(text: str) -> str:
+    """Return the first character that `printable` changes, a tab or a line end as it writes it; ""
+    where there is none.
+    """
+    found = re.search(rf"[\t\n]|{_CONTROL.pattern}", text)
+    return "" if found is None else _escaped(found)
+
+
+def _escaped(found: re.Match[str]) -> str:
+    code = ord(found[0])
+    return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}"
