@@ -27,8 +27,10 @@ from coulombus.scope.screen import Screen, as_dict, as_lines
 from coulombus.scope.traces import Trace, Traces
 from coulombus.wire.address import BusAddress
 from coulombus.wire.client import BusDown, BusFull, BusGone, Client
+from coulombus.wire.foreign_text import printable
 from coulombus.wire.hello import Flags, Hello
 from coulombus.wire.keys import Keys, in_foreground
+from coulombus.wire.printable_console import PrintableConsole
 from coulombus.wire.stopping import StopSignals
 
 __all__ = ["LiveView", "ViewKeys", "look_once", "watch"]
@@ -83,7 +85,7 @@ def watch(
     coulombus.recording.signals.UnknownSignal
         the rig has no signal of ``view.scope``
     """
-    console = console or Console()
+    console = console or PrintableConsole()
     live = Live(rig)
     traces = Traces(rig, view.scope)
     begin_ns = time.time_ns()
@@ -252,7 +254,9 @@ def _line_by_line(console: Console, view: LiveView, begin_ns: int) -> Iterator[C
         if view.as_json:
             sys.stdout.write(json.dumps(as_dict(snapshot, facts, begin_ns), allow_nan=False) + "\n")
         else:
-            sys.stdout.write("".join(line + "\n" for line in as_lines(snapshot, facts, begin_ns, view.all_nodes)))
+            sys.stdout.write(
+                "".join(printable(line) + "\n" for line in as_lines(snapshot, facts, begin_ns, view.all_nodes))
+            )
         sys.stdout.flush()
 
     yield draw

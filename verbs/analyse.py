@@ -12,7 +12,7 @@ import click
 from coulombus.verbs.common import json_option, printed, rig_option, say, seed_option, set_option, verdict
 from coulombus.verbs.failures import EXIT_STATUS, errors, print_json
 from coulombus.verbs.option_types import OutputDirectory
-from coulombus.verbs.shown import on_terminal
+from coulombus.verbs.shown import echo, on_terminal
 
 if TYPE_CHECKING:
     from coulombus.analysis.loop.parameters import Parameters
@@ -99,7 +99,7 @@ def _tell(as_json: bool, value: Callable[[], Any], lines: Callable[[], Any]) -> 
             print_json(plain(value()))
             return
         for line in lines():
-            click.echo(on_terminal(line, 22))
+            echo(on_terminal(line, 22))
 
 
 def _tell_paths(paths: list[Path]) -> None:
@@ -112,10 +112,11 @@ def _bar(title: str) -> Iterator[Callable[[float], None]]:
     """Show a bar on stderr if it is a terminal: call what is yielded with the share that
     is done.
     """
-    from rich.console import Console
     from rich.progress import Progress
 
-    console = Console(stderr=True)
+    from coulombus.wire.printable_console import PrintableConsole
+
+    console = PrintableConsole(stderr=True)
     with Progress(console=console, disable=not console.is_terminal) as bars:
         task = bars.add_task(title, total=1.0)
         yield lambda share: bars.update(task, completed=share)
@@ -124,10 +125,11 @@ def _bar(title: str) -> Iterator[Callable[[float], None]]:
 @contextmanager
 def _steps(count: int) -> Iterator[Callable[[str], None]]:
     """Show which step runs: call what is yielded with its name."""
-    from rich.console import Console
     from rich.progress import Progress
 
-    console = Console(stderr=True)
+    from coulombus.wire.printable_console import PrintableConsole
+
+    console = PrintableConsole(stderr=True)
     with Progress(console=console, disable=not console.is_terminal, transient=True) as bars:
         task = bars.add_task("", total=count)
         done = iter(range(count + 1))
@@ -201,7 +203,7 @@ def study(folder: Path, figures: Path | None, exploration: bool, as_json: bool) 
             if as_json:
                 print_json(found)
             else:
-                click.echo("\n".join(lines(found)))
+                echo("\n".join(lines(found)))
 
 
 @analyse.command(epilog=EXIT_STATUS)

@@ -10,7 +10,7 @@ import click
 
 from coulombus.verbs.common import json_option, load, rig_option, set_option, verdict
 from coulombus.verbs.failures import EXIT_STATUS, errors, print_json
-from coulombus.verbs.shown import PROSE, on_terminal
+from coulombus.verbs.shown import PROSE, echo, on_terminal
 from coulombus.wire.folding import columns_of
 
 if TYPE_CHECKING:
@@ -190,15 +190,15 @@ class _Findings:
         from coulombus.host.laws.laws import OWN_LAWS
 
         for text in self.diagnoses:
-            click.echo(text)
+            echo(text)
         self._tell_pdos()
         self._tell_buses()
         if steps:
-            click.echo(f"\nbring-up in mode {self.rig.modes[-1]}:")
+            echo(f"\nbring-up in mode {self.rig.modes[-1]}:")
             for step in self._steps():
                 when = " if it differs" if step["only_if_different"] else ""
                 value = f"{step['value']:#x} ({step['bits']} bits){when}"
-                click.echo(on_terminal(f"  {step['device']:<12} {step['object']} := {value}  {step['why']}", 15))
+                echo(on_terminal(f"  {step['device']:<12} {step['object']} := {value}  {step['why']}", 15))
         self._tell_reactions()
         click.echo()
         for release in self.releases:
@@ -208,23 +208,23 @@ class _Findings:
         for text in self.meanings:
             click.echo(on_terminal(f"limit: {text}", 4))
         for mode, limit in self.limits.items():
-            click.echo(f"mode {mode}: drive torque limit 6072h = {limit} per mille")
+            echo(f"mode {mode}: drive torque limit 6072h = {limit} per mille")
         if self.rig.law_function.strip() not in OWN_LAWS:
             unknown = "what a limit cuts off of it is not known before it runs; the run tells"
-            click.echo(on_terminal(f"law {self.rig.law_function}: {unknown}", 4))
+            echo(on_terminal(f"law {self.rig.law_function}: {unknown}", 4))
         for text in self.rig.host.accept:
-            click.echo(on_terminal(f"accepted: {text}", 4))
+            echo(on_terminal(f"accepted: {text}", 4))
         for text in self.losses:
-            click.echo(on_terminal(f"lost: {text}", 4))
+            echo(on_terminal(f"lost: {text}", 4))
         for text in self.questions:
-            click.echo(on_terminal(f"open: {text}", 4))
+            echo(on_terminal(f"open: {text}", 4))
         for problem in (*self.problems, *self.cut):
-            click.echo(on_terminal(f"FAIL: {problem}", 4))
+            echo(on_terminal(f"FAIL: {problem}", 4))
         for planned in self.buses.values():
             if not planned.fits:
-                click.echo(on_terminal(f"FAIL: {planned.verdict()}", 4))
+                echo(on_terminal(f"FAIL: {planned.verdict()}", 4))
         if self.ok:
-            click.echo("ok, if the devices answer what is open above" if self.questions else "ok")
+            echo("ok, if the devices answer what is open above" if self.questions else "ok")
 
     def _tell_pdos(self) -> None:
         decided = {
@@ -235,31 +235,29 @@ class _Findings:
         }
         columns = columns_of(sys.stdout) or PROSE
         for pdo in self.rig.pdos():
-            click.echo(
+            echo(
                 f"\n{pdo.node} {pdo.name}, COB-ID {pdo.layout.cob_id:03X}h, transmission type {pdo.layout.transmission}"
                 + (", its map is fixed" if pdo.fixed else "")
             )
-            click.echo(pdo.layout.diagram(columns))
+            echo(pdo.layout.diagram(columns))
             for signal in pdo.signals:
                 unit = f" {signal.unit}" if signal.unit else ""
                 by = f"  by {decided[signal.name]}" if signal.name in decided else ""
-                click.echo(on_terminal(f"  {signal.name:<28} = raw x {signal.scale:.9g}{unit}{by}", 6, PROSE))
+                echo(on_terminal(f"  {signal.name:<28} = raw x {signal.scale:.9g}{unit}{by}", 6, PROSE))
 
     def _tell_buses(self) -> None:
         for planned in self.buses.values():
-            click.echo(f"\nworst case on the wire at {planned.timing.bitrate_bit_s / 1e6:g} Mbit/s:")
+            echo(f"\nworst case on the wire at {planned.timing.bitrate_bit_s / 1e6:g} Mbit/s:")
             for m in planned.cyclic:
-                click.echo(f"  {m.can_id:03X}h  {m.name:<14} {m.length} bytes  {m.bits:>4} bits")
+                echo(f"  {m.can_id:03X}h  {m.name:<14} {m.length} bytes  {m.bits:>4} bits")
             busy, period = planned.busy_ns, planned.timing.period_ns
-            click.echo(f"  together {busy / 1e3:.0f} us of each {period / 1e3:.0f} us: {busy / period:.1%}")
-            click.echo(
-                f"  the latest RPDO is through {planned.latest_rpdo_ns / 1e3:.0f} us after SYNC (coulombus plan)"
-            )
+            echo(f"  together {busy / 1e3:.0f} us of each {period / 1e3:.0f} us: {busy / period:.1%}")
+            echo(f"  the latest RPDO is through {planned.latest_rpdo_ns / 1e3:.0f} us after SYNC (coulombus plan)")
 
     def _tell_reactions(self) -> None:
         if self.reactions:
-            click.echo("\nwhen the host is lost:")
+            echo("\nwhen the host is lost:")
         for one in self.reactions:
             within = f"within {one.within_s:g} s by {one.who}" if one.who else "nobody notices"
             off = "" if one.safe_s is None else f" within {one.safe_s:g} s"
-            click.echo(on_terminal(f"  {one.device:<12} {one.fault:<10} {within}: {one.what}{off}", 26, PROSE))
+            echo(on_terminal(f"  {one.device:<12} {one.fault:<10} {within}: {one.what}{off}", 26, PROSE))

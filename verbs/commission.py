@@ -23,9 +23,9 @@ from coulombus.verbs.common import (
     shared_machine_option,
     verdict,
 )
-from coulombus.verbs.failures import EXIT_STATUS, errors, print_json, printable
+from coulombus.verbs.failures import EXIT_STATUS, errors, print_json
 from coulombus.verbs.option_types import OutputFile
-from coulombus.verbs.shown import progress, table_console
+from coulombus.verbs.shown import echo, progress, table_console
 
 if TYPE_CHECKING:
     from coulombus.host.commission.session import Done, Runner, Session
@@ -241,7 +241,7 @@ def _print_list(steps: tuple[Step, ...], rig_path: Path | None, axis: str | None
             print_json({"steps": rows})
         else:
             for row in rows:
-                click.echo(f"{row['step']:<12}{row['title']:<52}{row['done'] or '-'}")
+                echo(f"{row['step']:<12}{row['title']:<52}{row['done'] or '-'}")
 
 
 def _commission(session: Session, steps: tuple[Step, ...], doing: Doing, report: Path | None) -> list[Done]:
@@ -309,7 +309,7 @@ def _tell(one: Done) -> None:
         return
     say(f"{one.step}: done{', written: ' + ', '.join(one.written) if one.written else ', nothing to change'}")
     for text in one.outcome.remarks if one.outcome else ():
-        say(f"  note: {printable(text)}")
+        say(f"  note: {text}")
 
 
 def _report(session: Session, path: Path | None) -> None:

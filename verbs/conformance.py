@@ -157,10 +157,11 @@ def conformance(
 @contextmanager
 def _progress(total: int, enabled: bool) -> Iterator[Callable[[int, Case], None]]:
     """Show a bar on stderr, where that is a terminal."""
-    from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    console = Console(stderr=True)
+    from coulombus.wire.printable_console import PrintableConsole
+
+    console = PrintableConsole(stderr=True)
     if not enabled or not console.is_terminal:
         yield lambda number, case: None
         return
@@ -179,13 +180,13 @@ def _progress(total: int, enabled: bool) -> Iterator[Callable[[int, Case], None]
 
 
 def _print(report: Report) -> None:
-    from rich.console import Console
     from rich.markup import escape
     from rich.table import Table
 
     from coulombus.conformance.report import WORDS, summary
+    from coulombus.wire.printable_console import PrintableConsole
 
-    console = Console()
+    console = PrintableConsole()
     table = Table(box=None, pad_edge=False)
     for head in ("case", "", "result", "reason"):
         table.add_column(head, overflow="fold")

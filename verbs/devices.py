@@ -14,6 +14,7 @@ import click
 from coulombus.verbs.bundle import bundle
 from coulombus.verbs.common import load, say
 from coulombus.verbs.option_types import SECONDS, InputPath
+from coulombus.wire.foreign_text import printable
 
 if TYPE_CHECKING:
     from coulombus.host.devices.device import Device
@@ -85,9 +86,9 @@ class LiveLine:
     """One line on a terminal's stderr that tells how far a service is; nothing elsewhere."""
 
     def __init__(self) -> None:
-        from rich.console import Console
+        from coulombus.wire.printable_console import PrintableConsole
 
-        self._console = Console(stderr=True)
+        self._console = PrintableConsole(stderr=True)
         self._last_s, self._shown = 0.0, False
 
     def __enter__(self) -> LiveLine:
@@ -105,7 +106,7 @@ class LiveLine:
 
     def _write(self, text: str) -> None:
         if self._console.is_terminal:
-            self._console.file.write(f"\r\x1b[2K{text[: self._console.width - 1]}")
+            self._console.file.write(f"\r\x1b[2K{printable(text)[: self._console.width - 1]}")
             self._console.file.flush()
 
 

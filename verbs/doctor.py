@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import click
 
 from coulombus.verbs.common import buses_option, json_option, load, rig_option, say, set_option, verdict
-from coulombus.verbs.failures import EXIT_STATUS, errors, print_json, printable
+from coulombus.verbs.failures import EXIT_STATUS, errors, print_json
 from coulombus.verbs.option_types import CPU, SECONDS
-from coulombus.verbs.shown import progress, table_console
+from coulombus.verbs.shown import echo, progress, table_console
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -78,7 +78,7 @@ def doctor(
             findings.append(finding)
         with verdict(0 if all(one.ok for one in findings) else 1):
             if fix:
-                click.echo(script(findings), nl=False)
+                echo(script(findings), nl=False)
             elif as_json:
                 print_json([one.as_dict() for one in findings])
             else:
@@ -110,15 +110,15 @@ def _tell(findings: Sequence[Finding]) -> None:
     width = max(len(one.check) for one in findings)
     for one in findings:
         head = f"{'ok' if one.ok else 'MEND':<6}{one.check:<{width}}  "
-        text = printable(one.found)
-        click.echo(textwrap.fill(text, WIDTH, initial_indent=head, subsequent_indent=" " * len(head)))
+        text = one.found
+        echo(textwrap.fill(text, WIDTH, initial_indent=head, subsequent_indent=" " * len(head)))
         for line in one.fix.splitlines():
-            click.echo(" " * INDENT + line)  # to be copied: not wrapped
+            echo(" " * INDENT + line)  # to be copied: not wrapped
     bad = sum(not one.ok for one in findings)
     if bad:
-        click.echo(f"{bad} of {len(findings)} to mend; `coulombus doctor --fix` prints all commands as a script")
+        echo(f"{bad} of {len(findings)} to mend; `coulombus doctor --fix` prints all commands as a script")
     else:
-        click.echo("ok")
+        echo("ok")
 
 
 def _draw(measured: Latency) -> None:

@@ -11,6 +11,7 @@ import click
 
 from coulombus.verbs.common import json_option, verdict
 from coulombus.verbs.failures import EXIT_STATUS, errors
+from coulombus.verbs.shown import echo
 
 if TYPE_CHECKING:
     from coulombus.eds.pdo import PdoLayout
@@ -50,7 +51,7 @@ def check_command(files: Sequence[str], node_id: int, pdos: bool, as_json: bool)
         with verdict(READABLE if all(result["readable"] for result in results) else REFUSED):
             if as_json:
                 kept = [{key: result[key] for key in result if key != "drawn"} for result in results]
-                click.echo(json.dumps(kept, indent=2))
+                echo(json.dumps(kept, indent=2))
             else:
                 for result in results:
                     _print(result, pdos)
@@ -103,20 +104,20 @@ def _refusal(file: str, text: str) -> dict[str, Any]:
 def _print(result: dict[str, Any], pdos: bool) -> None:
     file = result["file"]
     for d in result["diagnoses"]:
-        click.echo(f"{file}:{d['line']}: {d['severity']}: {d['text']}; assumed {d['assumed']}")
+        echo(f"{file}:{d['line']}: {d['severity']}: {d['text']}; assumed {d['assumed']}")
     without = "; the PDO is not valid at start" if result["readable"] else ""
     for r in result["refused"]:
-        click.echo(f"{file}:{r['line']}: refused: {r['text']}{without}")
+        echo(f"{file}:{r['line']}: refused: {r['text']}{without}")
     if pdos:
         for drawing in result["drawn"]:
-            click.echo(f"\n{drawing}")
+            echo(f"\n{drawing}")
     count = Counter(d["severity"] for d in result["diagnoses"])
     verdict = "readable" if result["readable"] else "refused"
     if result["readable"] and result["refused"]:
         verdict += f" but for {_number(len(result['refused']), 'PDO')}"
     told = f"{_number(count['error'], 'error')}, {_number(count['warning'], 'warning')}"
     size = f"{_number(result['objects'], 'object')}, {_number(result['pdos'], 'PDO')}"
-    click.echo(f"{file}: {verdict}: {size}, {told}")
+    echo(f"{file}: {verdict}: {size}, {told}")
 
 
 def _number(count: int, noun: str) -> str:

@@ -20,6 +20,7 @@ import click
 from coulombus.verbs.bundle import bundle
 from coulombus.verbs.common import bus_option, check_shared_machine, json_option, say, shared_machine_option, verdict
 from coulombus.verbs.failures import EXIT_STATUS, errors, print_json
+from coulombus.verbs.shown import echo
 from coulombus.wire.keys import in_foreground
 
 if TYPE_CHECKING:
@@ -211,7 +212,7 @@ def _tell(session: Session, out: Path, as_json: bool) -> None:
         print_json(session.as_dict())
     else:
         left = "complete" if session.complete else "not complete"
-        click.echo(f"{session.subject}: {session.trials} trials answered, {left}: {out}")
+        echo(f"{session.subject}: {session.trials} trials answered, {left}: {out}")
 
 
 def _felt(folder: SubjectFolder) -> Callable[[Trial], list[float]]:
@@ -257,7 +258,7 @@ def _key(text: str, keys: str) -> str | None:
     """Return what is typed: one of `keys` as it is struck at a terminal, else a line; None at the end
     of the input. What was struck before the question is no answer to it.
     """
-    click.echo(f"{text} ", err=True, nl=False)
+    echo(f"{text} ", err=True, nl=False)
     if not (keys and in_foreground()):
         given = sys.stdin.readline()
         return given.strip() if given else None
@@ -270,7 +271,7 @@ def _key(text: str, keys: str) -> str | None:
             if struck in ("", "\x04"):
                 return None
             if struck in keys:
-                click.echo(struck, err=True)
+                echo(struck, err=True)
                 return struck
     finally:
         termios.tcsetattr(fd, termios.TCSADRAIN, before)

@@ -18,7 +18,9 @@ from typing import Any, NoReturn
 import click
 
 from coulombus.verbs.exit_status import FAULT, STATUSES
+from coulombus.verbs.shown import echo
 from coulombus.wire.folding import hanging
+from coulombus.wire.foreign_text import printable
 from coulombus.wire.stopping import Stopped, as_exceptions, raised, status_of, told
 from coulombus.wire.verdict import abandon_stdout, say, verdict
 
@@ -28,7 +30,6 @@ __all__ = [
     "Verbs",
     "errors",
     "print_json",
-    "printable",
     "remark",
 ]
 
@@ -44,9 +45,6 @@ WORDS, RESULT, OUTPUTS = f"{__name__}.words", f"{__name__}.result", f"{__name__}
 """What a context keeps: the words after the verb, that the result has been printed, and which
 option writes which file.
 """
-
-
-_CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 
 
 class Failure(Exception):
@@ -78,6 +76,8 @@ class Verbs(click.Group):
                 return super().make_context(info_name, args, parent, **extra)
         except Failure as failure:
             _end(failure)
+        except click.ClickException as error:
+            raise _printable(error) from None
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -93,7 +93,7 @@ class Verbs(click.Group):
         def tell(text: str, status: int) -> None:
             if "--json" in ctx.meta.get(WORDS, ()) and RESULT not in ctx.meta:
                 with suppress(OSError):  # of a stdout that takes nothing, stderr tells
-                    click.echo(json.dumps({"event": "error", "error": text, "exit_status": status}))
+                    echo(json.dumps({"event": "error", "error": text, "exit_status": status}))
 
         try:
             try:
@@ -117,7 +117,13 @@ class Verbs(click.Group):
             _end(failure)
         except click.ClickException as error:
             tell(error.format_message(), error.exit_code)
-            raise
+            raise _printable(error) from None
+
+
+def _printable(error: click.ClickException) -> click.ClickException:
+    """Return the error that click tells by itself, without control characters in its text."""
+    error.message = printable(error.message)  # type: ignore[misc]  # Final to typeshed alone
+    return error
 
 
 def _option_meant(error: click.UsageError) -> str:
@@ -225,15 +231,8 @@ def _end(failure: Failure) -> NoReturn:
     with verdict(failure.status):
         if failure.status == FAULT and failure.__cause__ is not None:
             say("".join(traceback.format_exception(failure.__cause__)).rstrip())
-        say(f"coulombus: {printable(str(failure))}")
+        say(f"coulombus: {failure}")
     raise AssertionError("a verdict ends")
-
-
-def printable(text: str) -> str:
-    """Return a text without control characters, by which a stranger's file would command the
-    terminal.
-    """
-    return _CONTROL.sub(lambda found: f"\\x{ord(found[0]):02x}", text)
 
 
 def _open_all_streams() -> None:
@@ -254,12 +253,12 @@ def remark(texts: Iterable[str]) -> None:
     (`recording.signals.Recording.remarks`, `RunResult.losses`).
     """
     for text in texts:
-        say(f"coulombus: {printable(text)}")
+        say(f"coulombus: {text}")
 
 
 def print_json(value: Any) -> None:
     """Print a result to stdout; what goes wrong after it is told on stderr only."""
-    click.echo(json.dumps(value, indent=2, allow_nan=False))
+    echo(json.dumps(value, indent=2, allow_nan=False))
     context = click.get_current_context(silent=True)
     if context is not None:
         context.meta[RESULT] = True

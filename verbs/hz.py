@@ -13,6 +13,7 @@ from coulombus.verbs.common import json_option, load, printed, rig_option, say, 
 from coulombus.verbs.failures import EXIT_STATUS, errors, print_json, remark
 from coulombus.verbs.option_types import SECONDS, InputPath
 from coulombus.verbs.rig_options import OneBusOptions, one_bus_options, one_channel_option
+from coulombus.verbs.shown import echo
 
 if TYPE_CHECKING:
     from coulombus.scope.live import PdoRow
@@ -71,9 +72,9 @@ def hz(
             print_json({"of": where, "stamps": source, "lost": lost, "identifiers": [as_dict(row) for row in rows]})
             return
         with printed():
-            click.echo(f"{where}\nstamps: {source}" + ("" if lost is None else f"\nlost {lost}"))
+            echo(f"{where}\nstamps: {source}" + ("" if lost is None else f"\nlost {lost}"))
             for line in as_lines(rows):
-                click.echo(line)
+                echo(line)
 
 
 @click.command(epilog=EXIT_STATUS)
@@ -116,4 +117,4 @@ def pdo(
         with printed():
             for one in rig.pdos():
                 for line in as_lines(one, now.get(one.layout.cob_id)):
-                    click.echo(line)
+                    echo(line)

@@ -11,7 +11,7 @@ import click
 from coulombus.verbs.common import force_option, json_option, printed, say
 from coulombus.verbs.failures import EXIT_STATUS, errors, print_json, remark
 from coulombus.verbs.option_types import PICTURE, InputPath
-from coulombus.verbs.shown import on_terminal
+from coulombus.verbs.shown import echo, on_terminal
 
 __all__ = ["identify"]
 
@@ -92,7 +92,7 @@ def identify(
 
 def _print(lines: Iterable[str]) -> None:
     for line in "\n".join(lines).split("\n"):
-        click.echo(on_terminal(line, 6 if line.startswith("note: ") else 23))
+        echo(on_terminal(line, 6 if line.startswith("note: ") else 23))
 
 
 def _identify_iron(file: Path, rig_name: str | None, axis: str | None, *, as_json: bool) -> None:

@@ -14,6 +14,7 @@ from coulombus.verbs.bundle import bundle
 from coulombus.verbs.common import say, verdict
 from coulombus.verbs.failures import EXIT_STATUS, errors
 from coulombus.verbs.option_types import InputPath, OutputFile
+from coulombus.verbs.shown import echo
 from coulombus.wire.quoting import shell
 
 if TYPE_CHECKING:
@@ -136,7 +137,7 @@ def init(
             draft.acknowledge(_acknowledgements(draft.rig))
         text = str(draft)
         if output is None:
-            click.echo(text, nl=False)
+            echo(text, nl=False)
         else:
             with output.open("x", encoding="utf-8") as file:  # `x`: whoever made one meanwhile keeps it
                 file.write(text)

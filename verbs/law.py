@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from coulombus.verbs.common import force_option, json_option, printed, say
-from coulombus.verbs.failures import EXIT_STATUS, errors, print_json, printable
+from coulombus.verbs.failures import EXIT_STATUS, errors, print_json
 from coulombus.verbs.option_types import PICTURE, SECONDS, OutputFile
-from coulombus.verbs.shown import on_terminal, table_console
+from coulombus.verbs.shown import echo, on_terminal, print_table, table_console
 
 if TYPE_CHECKING:
     from coulombus.host.laws.along import Driven, GivenLaw
@@ -149,9 +149,9 @@ def _tell(given: GivenLaw, driven: Driven, options: dict[str, Any]) -> None:
     if options["as_json"]:
         print_json(found)
         return
-    click.echo(f"law {printable(given.name)}: {found['samples']} samples in {found['seconds']:g} s")
-    click.echo(f"largest torque  {found['peak_Nm']:.6g} Nm")
-    click.echo(f"work taken up   {found['work_J']:.6g} J, at least {found['least_work_J']:.6g} J on the way")
+    echo(f"law {given.name}: {found['samples']} samples in {found['seconds']:g} s")
+    echo(f"largest torque  {found['peak_Nm']:.6g} Nm")
+    echo(f"work taken up   {found['work_J']:.6g} J, at least {found['least_work_J']:.6g} J on the way")
     for key in ("csv", "plot"):
         if found[key] is not None:
             say(f"{key}: {found[key]}")
@@ -173,8 +173,8 @@ def _list(as_json: bool) -> None:
             return
         width = max(len(one["law"]) for one in laws)
         for one in laws:
-            click.echo(on_terminal(f"{one['law']:<{width}}  {one['title']}", width + 2))
-        click.echo("`coulombus law NAME` lists a law's parameters; docs/laws.md has its equation")
+            echo(on_terminal(f"{one['law']:<{width}}  {one['title']}", width + 2))
+        echo("`coulombus law NAME` lists a law's parameters; docs/laws.md has its equation")
 
 
 def _describe(given: GivenLaw, as_json: bool) -> None:
@@ -183,9 +183,9 @@ def _describe(given: GivenLaw, as_json: bool) -> None:
         if as_json:
             print_json(one)
             return
-        click.echo(f"{printable(given.name)}: {one.get('title') or 'a law without named parameters'}")
+        echo(f"{given.name}: {one.get('title') or 'a law without named parameters'}")
         for doi in one.get("doi", ()):
-            click.echo(f"doi:{doi}")
+            echo(f"doi:{doi}")
         if one.get("parameters"):
             _print_parameters(one["parameters"])
 
@@ -199,6 +199,4 @@ def _print_parameters(parameters: list[dict[str, Any]]) -> None:
     for one in parameters:
         table.add_row(one["name"], str(one["default"]), one["unit"], one["accepted"], one["meaning"])
     console = table_console(100)
-    with console.capture() as text:
-        console.print(table, markup=False)
-    click.echo(text.get(), nl=False)
+    print_table(console, table)

@@ -13,9 +13,10 @@ from click.core import ParameterSource
 
 from coulombus.verbs.bundle import bundle
 from coulombus.verbs.common import force_option, listed, printed, rig_option, say, set_option
-from coulombus.verbs.failures import EXIT_STATUS, errors, printable, remark
+from coulombus.verbs.failures import EXIT_STATUS, errors, remark
 from coulombus.verbs.option_types import SECONDS, InputPath, OutputFile
 from coulombus.verbs.rig_options import OneBusOptions, one_bus_options, one_channel_option
+from coulombus.verbs.shown import echo
 from coulombus.verbs.web import PageOptions, page_options, serve_page
 from coulombus.wire.folding import columns_of
 
@@ -52,7 +53,7 @@ def decode(file: Path, rig_name: str | None, as_json: bool) -> None:
         width = columns_of(out)
 
         def line(row: dict[str, Any]) -> str:
-            text = as_json_line(row) if as_json else printable(as_text(row))
+            text = as_json_line(row) if as_json else as_text(row)
             return text if as_json or width is None else fitted(text, width)
 
         for row in rows(recording):
@@ -72,7 +73,7 @@ def host_text(address: BusAddress) -> str | None:
     text = f"host: mode {found['mode']}" if "mode" in found else f"host: {found.get('error')}"
     for axis in found.get("axes") or ():
         text += f"  {axis.get('axis') or 'phase'} {axis.get('phase')}"
-    return printable(text + (f"  trip: {found['trip']}" if found.get("trip") else ""))
+    return text + (f"  trip: {found['trip']}" if found.get("trip") else "")
 
 
 @dataclass(frozen=True)
@@ -221,7 +222,7 @@ def _forward(rig: Rig, address: BusAddress, view: View, *, seconds: float | None
 
     def ready(url: str) -> None:
         if as_json:
-            click.echo(json.dumps({"event": "ready", "url": url}))
+            echo(json.dumps({"event": "ready", "url": url}))
         else:
             say(f"{address} at {url}; Ctrl-C ends it")
 
@@ -231,7 +232,7 @@ def _forward(rig: Rig, address: BusAddress, view: View, *, seconds: float | None
     finally:
         sink.close()
     if as_json:
-        click.echo(json.dumps({"event": "end", **found}))
+        echo(json.dumps({"event": "end", **found}))
     else:
         say(f"{found['pdos']} PDOs handed on, {found['unheard']} unheard, {found['lost']} lost")
 

@@ -13,6 +13,7 @@ from coulombus.verbs.common import json_option, verdict
 from coulombus.verbs.devices import LiveLine, beside_option, devices_bus_option, eds_folder_option, open_link
 from coulombus.verbs.failures import EXIT_STATUS, errors, print_json
 from coulombus.verbs.option_types import BIT_RATE
+from coulombus.verbs.shown import echo
 
 if TYPE_CHECKING:
     from coulombus.host.devices.lss import Identity
@@ -146,9 +147,9 @@ def lss(
                 print_json({"unconfigured": rows, "set": [one.as_dict() for one in numbered]})
             elif wanted.changes:
                 for done in numbered:
-                    click.echo(str(done))
+                    echo(str(done))
             else:
                 for one, row in zip(found, rows, strict=True):
-                    click.echo(f"{one}  {Path(row['eds']).name if row['eds'] else 'no EDS file'}")
+                    echo(f"{one}  {Path(row['eds']).name if row['eds'] else 'no EDS file'}")
                 count = len(found) or "no"
-                click.echo(f"{count} device{'s' * (len(found) != 1)} without a node id on {bus_name}")
+                echo(f"{count} device{'s' * (len(found) != 1)} without a node id on {bus_name}")

@@ -5,7 +5,8 @@ from __future__ import annotations
 import click
 
 from coulombus.verbs.common import buses_option, json_option, rig_option, verdict
-from coulombus.verbs.failures import EXIT_STATUS, errors, print_json, printable
+from coulombus.verbs.failures import EXIT_STATUS, errors, print_json
+from coulombus.verbs.shown import echo
 
 __all__ = ["mark"]
 
@@ -41,4 +42,4 @@ def mark(text: str, rig_name: str, bus_names: tuple[str, ...], as_json: bool) ->
                 print_json(found[0] if len(found) == 1 else found)
             else:
                 for one in found:
-                    click.echo(printable(f"{one.get('recording')}: {one.get('marker')}"))
+                    echo(f"{one.get('recording')}: {one.get('marker')}")

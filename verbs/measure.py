@@ -14,7 +14,7 @@ from coulombus.verbs.common import json_option, say, verdict
 from coulombus.verbs.failures import EXIT_STATUS, errors, print_json
 from coulombus.verbs.option_types import CPU
 from coulombus.verbs.rig_options import OneBusOptions, one_bus_options
-from coulombus.verbs.shown import table_console
+from coulombus.verbs.shown import echo, table_console
 from coulombus.wire.quoting import shell
 
 if TYPE_CHECKING:
@@ -192,37 +192,38 @@ def _print(document: dict[str, Any], path: str) -> None:
     figures = [str(host["count"]), *(f"{host[key]:.0f}" for key in ("p50_us", "p99_us", "max_us"))]
     table.add_row("host", "", *figures, f"{host['before_s'] * 1e6:.0f}", f"{host['compute_s'] * 1e6:.0f}")
     table_console(WIDTH).print(table)
-    click.echo("times in us; devices: from SYNC to their TPDOs; host: from the last TPDO to its RPDOs")
+    echo("times in us; devices: from SYNC to their TPDOs; host: from the last TPDO to its RPDOs")
     for device in document["devices"]:
         if device["why_not"]:
-            click.echo(f"{device['node']}: not measured, {device['why_not']}")
+            echo(f"{device['node']}: not measured, {device['why_not']}")
         for pdo in device["tpdos"]:
             if pdo["missed"]:
-                click.echo(f"{device['node']}: {pdo['pdo']} did not come after {pdo['missed']} SYNCs")
+                echo(f"{device['node']}: {pdo['pdo']} did not come after {pdo['missed']} SYNCs")
         for code in device["emergencies"]:
-            click.echo(f"{device['node']}: EMCY {code:04X}h while it was measured")
+            echo(f"{device['node']}: EMCY {code:04X}h while it was measured")
     for right in document["real_time"]:
         if not right["granted"]:
-            click.echo(f"{right['name']}: refused ({right['detail']}); to have it: {right['remedy']}")
+            echo(f"{right['name']}: refused ({right['detail']}); to have it: {right['remedy']}")
     if document["backup"] is None:
-        click.echo("\n".join(_lines(document)))
+        echo("\n".join(_lines(document)))
     else:
-        click.echo(f"written into {path}; the old file is {document['backup']}")
+        echo(f"written into {path}; the old file is {document['backup']}")
     if document["fits"]:
-        click.echo("ok: the plan fits with these times")
+        echo("ok: the plan fits with these times")
     else:
         words = " ".join(f"--set {key}={value!r}" for key, value in document["values"].items())
         again = shell(str(path)) if document["backup"] is not None else f"{shell(str(path))} {words}"
-        click.echo(f"FAIL: the plan does not fit with these times: coulombus plan --rig {again}")
+        echo(f"FAIL: the plan does not fit with these times: coulombus plan --rig {again}")
 
 
 @contextmanager
 def _progress(enabled: bool, rounds: int, cycles: int) -> Iterator[Callable[[str, int], None]]:
     """Show a bar for each device and for the host, on a terminal."""
-    from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn
 
-    console = Console(stderr=True)
+    from coulombus.wire.printable_console import PrintableConsole
+
+    console = PrintableConsole(stderr=True)
     if not enabled or not console.is_terminal:
         if enabled:
             say("coulombus: measuring, which takes some seconds a device; only SYNC is sent")

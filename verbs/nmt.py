@@ -10,6 +10,7 @@ from coulombus.verbs.common import json_option, say, verdict
 from coulombus.verbs.devices import beside_option, devices_bus_option, open_link
 from coulombus.verbs.failures import EXIT_STATUS, errors, print_json
 from coulombus.verbs.option_types import SECONDS
+from coulombus.verbs.shown import echo
 
 __all__ = ["nmt"]
 
@@ -59,6 +60,6 @@ def nmt(word: str, node_id: int, bus_name: str, timeout_s: float, beside: bool, 
                 states = [(one.node_id, None if one.state is None else one.state.name, one.well) for one in told]
                 print_json({"nodes": [{"node_id": n, "state": state, "followed": well} for n, state, well in states]})
             for one in () if as_json else told:
-                click.echo(str(one))
+                echo(str(one))
             if not told:
                 say(f"coulombus: sent to all; no heartbeat came within {timeout_s:g} s")

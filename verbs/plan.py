@@ -14,7 +14,7 @@ from coulombus.verbs.common import force_option, json_option, say, verdict
 from coulombus.verbs.failures import EXIT_STATUS, errors, print_json
 from coulombus.verbs.option_types import BIT_RATE, PICTURE
 from coulombus.verbs.rig_options import RigOptions, rig_options
-from coulombus.verbs.shown import print_fitting, table_console
+from coulombus.verbs.shown import echo, print_fitting, table_console
 from coulombus.wire.folding import hanging
 
 if TYPE_CHECKING:
@@ -166,13 +166,13 @@ def _print(found: dict[str, Any]) -> None:
         f"at most {would['axes']} of such axes",
     )
     if found["bus"]:
-        click.echo(f"\nbus {found['bus']}")
-    click.echo("\n" + "\n".join(hanging(line, PROSE, 11) for line in lines))
+        echo(f"\nbus {found['bus']}")
+    echo("\n" + "\n".join(hanging(line, PROSE, 11) for line in lines))
     for reason in found["reasons"]:
-        click.echo(hanging(f"  {reason}", PROSE, 4))
+        echo(hanging(f"  {reason}", PROSE, 4))
     if not found["fits"]:
         _print_changes(would)
-    click.echo("ok: the plan fits" if found["fits"] else "FAIL: the plan does not fit")
+    echo("ok: the plan fits" if found["fits"] else "FAIL: the plan does not fit")
 
 
 def _print_roles(rows: list[dict[str, Any]]) -> None:
@@ -188,7 +188,7 @@ def _print_roles(rows: list[dict[str, Any]]) -> None:
         name = row["role"] or "(not used)"
         cells = (name, row["node"], row["object"], row["pdo"], str(row["bits"]), f"{row['wire_us']:.1f}")
         table.add_row(*cells, saved if row["role"] else "")
-    click.echo()
+    echo()
     table_console(WIDTH).print(table)
 
 
@@ -196,19 +196,19 @@ def _print_changes(would: dict[str, Any]) -> None:
     """Tell what to change so that the plan fits: the period, or the roles."""
     period, without = would["period"], would["without"]
     if period is not None:
-        click.echo(f"a period of {period['period_us']:g} us fits:")
-        click.echo(f"  --set {' --set '.join(period['set'])}")
+        echo(f"a period of {period['period_us']:g} us fits:")
+        echo(f"  --set {' --set '.join(period['set'])}")
     elif would["shortest_period_us"] is not None:
         told = f"{would['shortest_period_us']:g} us fits only with longer watches of SYNC and PDOs"
-        click.echo(f"a period of {told} ({WATCHES})")
+        echo(f"a period of {told} ({WATCHES})")
     if without is None:
-        click.echo("without the optional roles, too, this period does not fit")
+        echo("without the optional roles, too, this period does not fit")
         return
-    click.echo(f"this period fits without {', '.join(without['roles'])}:")
+    echo(f"this period fits without {', '.join(without['roles'])}:")
     for text in without["set"]:
-        click.echo(f"  --set '{text}'")
+        echo(f"  --set '{text}'")
     for text in without["lost"]:
-        click.echo(f"  lost: {text}")
+        echo(f"  lost: {text}")
 
 
 def _draw(path: Path, found: dict[str, Plan], *, force: bool) -> None:

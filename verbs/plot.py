@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from coulombus.verbs.common import force_option, json_option, recording_argument, say, signals_option, verdict
-from coulombus.verbs.failures import EXIT_STATUS, errors, print_json, printable, remark
+from coulombus.verbs.failures import EXIT_STATUS, errors, print_json, remark
 from coulombus.verbs.option_types import PICTURE, InputPath
-from coulombus.verbs.shown import table_console
+from coulombus.verbs.shown import echo, print_table, table_console
 
 if TYPE_CHECKING:
     from coulombus.recording.difference import Comparison, Difference
@@ -165,15 +165,11 @@ def _tell(found: Comparison) -> None:
     table.add_column("verdict", no_wrap=True)
     for one in found.signals:
         when = "" if one.at_s is None else f"{one.at_s:.3f}"
-        table.add_row(
-            printable(one.name), f"{one.max:.4g}", f"{one.rms:.4g}", when, printable(one.phase), _verdict(one)
-        )
+        table.add_row(one.name, f"{one.max:.4g}", f"{one.rms:.4g}", when, one.phase, _verdict(one))
     if found.signals:
         console = table_console(80)
-        with console.capture() as text:  # rich would end the verb itself, where the reader has gone
-            console.print(table, markup=False)
-        click.echo(text.get(), nl=False)
-    click.echo("the same bytes" if found.same_bytes else "equal" if found.equal else "not equal")
+        print_table(console, table)
+    echo("the same bytes" if found.same_bytes else "equal" if found.equal else "not equal")
 
 
 def _verdict(one: Difference) -> str:

@@ -15,7 +15,7 @@ from coulombus.verbs.bundle import bundle
 from coulombus.verbs.common import json_option, printed, say, verdict
 from coulombus.verbs.failures import EXIT_STATUS, errors, remark
 from coulombus.verbs.option_types import InputPath
-from coulombus.verbs.shown import progress
+from coulombus.verbs.shown import echo, progress
 
 if TYPE_CHECKING:
     from coulombus.lab.replay.host_replay import HostReplay
@@ -197,7 +197,7 @@ def _check(file: Path, otherwise: Otherwise, as_host: bool, as_json: bool) -> No
         lines = found.lines()
     remark(found.remarks)
     with verdict(found.exit_status):
-        click.echo(json.dumps(found.as_dict(), indent=2, allow_nan=False) if as_json else "\n".join(lines))
+        echo(json.dumps(found.as_dict(), indent=2, allow_nan=False) if as_json else "\n".join(lines))
 
 
 def _host_lines(found: HostReplay) -> list[str]:
@@ -275,7 +275,7 @@ def _play(file: Path, bus_name: str, rig_name: str | None, playing: Playing, cho
     cut_short = not played.complete and number and playing.loops
     with printed(1 if cut_short else 0):
         if as_json:
-            click.echo(
+            echo(
                 json.dumps(
                     {
                         "file": str(file),
@@ -297,7 +297,7 @@ def _play(file: Path, bus_name: str, rig_name: str | None, playing: Playing, cho
                 else f", late by {late['p50']:.0f} / {late['p99']:.0f} / {late['max']:.0f} us (p50 / p99 / max)"
             )
             full = f", {played.full} of them waited for a full bus" if played.full else ""
-            click.echo(f"{played.frames} frames onto {address} in {played.seconds:.3f} s{times}{full}")
+            echo(f"{played.frames} frames onto {address} in {played.seconds:.3f} s{times}{full}")
     if cut_short:
         raise Stopped(number, f"after {played.frames} frames")
 
@@ -383,7 +383,7 @@ def bridge(
         def ready() -> None:
             text = f"{a} and {b} are joined; Ctrl-C ends it"
             with printed():  # the buses are joined, whoever reads of it
-                click.echo(json.dumps({"event": "ready", "a": a, "b": b}) if as_json else text)
+                echo(json.dumps({"event": "ready", "a": a, "b": b}) if as_json else text)
 
         result = join(
             *ends,
@@ -398,13 +398,13 @@ def bridge(
             say(f"coulombus: {result.gone}")
         with verdict(result.exit_status):
             if as_json:
-                click.echo(json.dumps({"event": "end", **result.as_dict()}))
+                echo(json.dumps({"event": "end", **result.as_dict()}))
             else:
                 for way, counts in result.as_dict()["ways"].items():
                     rest = ", ".join(
                         f"{n} {name}" for name, n in counts.items() if n and name not in ("received", "forwarded")
                     )
-                    click.echo(
+                    echo(
                         f"{way}: {counts['received']} received, {counts['forwarded']} forwarded"
                         + (f", {rest}" if rest else "")
                     )

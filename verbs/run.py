@@ -25,7 +25,7 @@ from coulombus.verbs.option_types import CPU, SECONDS
 from coulombus.verbs.outputs import OutputOptions, outputs_options
 from coulombus.verbs.rig_options import BusesOptions, buses_options
 from coulombus.verbs.run_table import print_runs
-from coulombus.verbs.shown import progress
+from coulombus.verbs.shown import echo, progress
 from coulombus.verbs.web import PageOptions, page_options
 
 if TYPE_CHECKING:
@@ -193,7 +193,7 @@ def stop(rig_name: str, bus_names: tuple[str, ...]) -> None:
             raise NoHost("; ".join(failures))
         with verdict(0):
             for text in told:
-                click.echo(text)
+                echo(text)
 
 
 def _what_came(address: BusAddress, result: Mapping[str, Any]) -> str:

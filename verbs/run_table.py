@@ -6,7 +6,7 @@ import sys
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from coulombus.verbs.shown import table_console
+from coulombus.verbs.shown import echo, table_console
 from coulombus.wire.folding import folded
 
 if TYPE_CHECKING:
@@ -84,7 +84,7 @@ def print_runs(results: dict[str, RunResult]) -> None:
             table.add_row(label, *cells)
     console.print(table)
     for line in beneath:  # paths and sentences, whole
-        print(folded(line, sys.stdout))
+        echo(folded(line, sys.stdout))
     for title, texts in remarks.items():
         for text in texts:
             print_remark(f"{title}: {text}")
@@ -102,8 +102,9 @@ def print_verdict(holds: bool | None, text: str) -> None:
 
 
 def _print_marked(colour: str, mark: str, text: str) -> None:
-    from rich.console import Console
     from rich.markup import escape
 
+    from coulombus.wire.printable_console import PrintableConsole
+
     rest = folded(mark + text, sys.stdout, len(mark) + 1)[len(mark) :]
-    Console(highlight=False).print(f"[{colour}]{mark}[/]{escape(rest)}", soft_wrap=True)
+    PrintableConsole(highlight=False).print(f"[{colour}]{mark}[/]{escape(rest)}", soft_wrap=True)

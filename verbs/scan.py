@@ -9,8 +9,8 @@ import click
 
 from coulombus.verbs.common import json_option, say, verdict
 from coulombus.verbs.devices import LiveLine, beside_option, devices_bus_option, eds_folder_option, open_link
-from coulombus.verbs.failures import EXIT_STATUS, errors, print_json, printable
-from coulombus.verbs.shown import table_console
+from coulombus.verbs.failures import EXIT_STATUS, errors, print_json
+from coulombus.verbs.shown import echo, table_console
 
 if TYPE_CHECKING:
     from coulombus.eds.reader import Description
@@ -107,7 +107,7 @@ def scan(
             else:
                 _print(rows, without, files)
                 for text in remarks:
-                    say(f"coulombus: {printable(text)}")
+                    say(f"coulombus: {text}")
 
 
 def _nobody(bus_name: str, listen_s: float) -> str:
@@ -154,17 +154,15 @@ def _print(rows: list[dict[str, Any]], without: list[Identity], files: list[Desc
         told = [hexed(row[key]) for key in ("vendor_id", "product_code", "revision", "serial")]
         state = (row["state"] or "-").lower().replace("_", "-")
         eds = "-" if row["eds"] is None else Path(row["eds"]).name
-        table.add_row(
-            str(row["node_id"]), state, escape(printable(", ".join(what))), " ".join(told), escape(printable(eds))
-        )
+        table.add_row(str(row["node_id"]), state, escape(", ".join(what)), " ".join(told), escape(eds))
     for one in without:
         file = fitting(files, one[:2], one.revision)
         eds = "-" if file is None else Path(file.path).name
-        table.add_row("none", "no node id", "waits for LSS", " ".join(map(hexed, one)), escape(printable(eds)))
+        table.add_row("none", "no node id", "waits for LSS", " ".join(map(hexed, one)), escape(eds))
     if rows or without:
         table_console(WIDTH).print(table)
     if without:
-        click.echo("devices without a node id: give them one with `coulombus lss --set-id N`")
+        echo("devices without a node id: give them one with `coulombus lss --set-id N`")
 
 
 def _choose_bit_rate(bus_name: str) -> None:

@@ -18,9 +18,10 @@ from coulombus.verbs.devices import (
     open_link,
     timeout_option,
 )
-from coulombus.verbs.failures import EXIT_STATUS, errors, print_json, printable
+from coulombus.verbs.failures import EXIT_STATUS, errors, print_json
 from coulombus.verbs.option_types import OutputFile
-from coulombus.verbs.shown import table_console
+from coulombus.verbs.shown import echo, table_console
+from coulombus.wire.foreign_text import printable
 
 if TYPE_CHECKING:
     from coulombus.host.devices.configuration import Difference
@@ -110,7 +111,7 @@ def get(
             if as_json:
                 print_json(reading.as_dict(node_id))
             elif output is None:
-                click.echo(printable(str(reading)))
+                echo(reading)
             else:
                 say(f"{len(reading.data)} bytes are in {output}")
 
@@ -153,7 +154,7 @@ def set_command(
             if as_json:
                 print_json(None if back is None else back.as_dict(node_id))
             else:
-                click.echo("written; it can only be written" if back is None else printable(str(back)))
+                echo("written; it can only be written" if back is None else str(back))
             if not kept:
                 say(f"coulombus: {data.hex(' ')} was written, and the device holds another value")
 
@@ -201,7 +202,7 @@ def dump(
             if as_json:
                 print_json({"values": len(found.values), "left_out": left_out, "aborted": list(found.aborted)})
             else:
-                click.echo(f"{len(found.values)} values are in {output}")
+                echo(f"{len(found.values)} values are in {output}")
                 for text in found.aborted:
                     say(f"coulombus: not in it: {text}")
                 if left_out:
@@ -272,16 +273,16 @@ def restore(node_id: int, dcf: Path, bus_name: str, timeout_s: float, beside: bo
                 print_json({"differences": rows, "written": len(told.written), "failed": told.failed})
             else:
                 done = f"{len(told.written)} of {len(found)} values written; " if found else ""
-                click.echo(f"{done}{len(values) - len(found)} were right already")
+                echo(f"{done}{len(values) - len(found)} were right already")
                 for text in told.failed:
-                    say(f"coulombus: {printable(text)}")
+                    say(f"coulombus: {text}")
 
 
 def _agreed(question: str) -> bool:
     """Ask on the terminal; without one nothing is written."""
     if not sys.stdin.isatty():
         raise click.UsageError("say --yes: there is no terminal to ask on")
-    return click.confirm(question, err=True)
+    return click.confirm(printable(question), err=True)
 
 
 def _print_differences(found: list[Difference]) -> None:
@@ -299,7 +300,7 @@ def _print_differences(found: list[Difference]) -> None:
         held, wanted = (
             "-" if v is None else v.hex(" ") if isinstance(v, bytes) else str(v) for v in (one.held, one.wanted)
         )
-        table.add_row(where(*one.place), *(escape(printable(text)) for text in (one.variable.name, held, wanted)))
+        table.add_row(where(*one.place), *(escape(text) for text in (one.variable.name, held, wanted)))
     table_console(WIDTH).print(table)
 
 
@@ -321,7 +322,7 @@ def store(node_id: int, bus_name: str, part: int, beside: bool) -> None:
         with open_link(bus_name, beside=beside) as link:
             store_parameters(link, node_id, part)
         with verdict(0):
-            click.echo(f"node {node_id} has stored its parameters (1010h:{part:02X})")
+            echo(f"node {node_id} has stored its parameters (1010h:{part:02X})")
 
 
 @sdo.command("restore-defaults", epilog=EXIT_STATUS)
@@ -342,7 +343,7 @@ def restore_defaults(node_id: int, bus_name: str, part: int, beside: bool) -> No
         with open_link(bus_name, beside=beside) as link:
             load_defaults(link, node_id, part)
         with verdict(0):
-            click.echo(f"node {node_id} has its defaults after: coulombus nmt reset {node_id} --bus {bus_name}")
+            echo(f"node {node_id} has its defaults after: coulombus nmt reset {node_id} --bus {bus_name}")
 
 
 @sdo.command(epilog=EXIT_STATUS)

@@ -20,7 +20,7 @@ from coulombus.host.devices.nmt import COMMANDS, command
 from coulombus.host.devices.sdo import store_parameters
 from coulombus.host.errors import HostError
 from coulombus.verbs.common import say
-from coulombus.verbs.failures import printable
+from coulombus.verbs.shown import echo
 from coulombus.wire.address import BusUnavailable
 from coulombus.wire.bus_link import BusLink
 from coulombus.wire.stopping import Stopped, forget
@@ -49,7 +49,7 @@ class Shell(cmd.Cmd):
     def do_get(self, line: str) -> None:
         """Read an object by number (6041h, 1018h:01) or name: get OBJECT."""
         (name,) = self._words(line, 1)
-        click.echo(printable(str(self.device.read(self.device.find(name)))))
+        echo(str(self.device.read(self.device.find(name))))
 
     def do_set(self, line: str) -> None:
         """Write an object and read it back: set OBJECT VALUE.
@@ -61,7 +61,7 @@ class Shell(cmd.Cmd):
         data = self.device.parse(variable, value)
         self._alone()
         back = self.device.write(variable, data)
-        click.echo("written" if back is None else printable(str(back)))
+        echo("written" if back is None else str(back))
 
     def do_ls(self, line: str) -> None:
         """List the objects whose number or name has a text: ls [TEXT]."""
@@ -70,15 +70,15 @@ class Shell(cmd.Cmd):
         rows = [row for row in rows if wanted in f"{row[0]} {row[2]}".lower()]
         shown = rows if not self.interactive else rows[:MOST_LISTED]
         for place, access, name in shown:
-            click.echo(f"{place}  {access:<5}  {printable(name)}")
+            echo(f"{place}  {access:<5}  {name}")
         if len(shown) < len(rows):
-            click.echo(f"... and {len(rows) - len(shown)} more: ls TEXT lists those with the text")
+            echo(f"... and {len(rows) - len(shown)} more: ls TEXT lists those with the text")
 
     def do_store(self, line: str) -> None:
         """Let the device keep its parameters when it is switched off (1010h:01): store."""
         self._alone()
         store_parameters(self._link, self.device.node_id)
-        click.echo("stored")
+        echo("stored")
 
     def do_nmt(self, line: str) -> None:
         """Send the node a command: nmt start|stop|preop|reset|reset-communication."""
@@ -87,7 +87,7 @@ class Shell(cmd.Cmd):
             raise click.UsageError(f"{word!r}: expected one of {', '.join(COMMANDS)}")
         self._alone()
         for one in command(self._link, word, self.device.node_id, NMT_S):
-            click.echo(str(one))
+            echo(str(one))
 
     def do_quit(self, line: str) -> bool:
         """End (Ctrl-D, too): quit."""
@@ -96,7 +96,7 @@ class Shell(cmd.Cmd):
     def do_EOF(self, line: str) -> bool:
         """Ctrl-D: end."""
         if self.interactive:
-            click.echo()
+            echo()
         return True
 
     def emptyline(self) -> bool:
@@ -139,7 +139,7 @@ class Shell(cmd.Cmd):
         except (HostError, EdsError, OSError, ValueError, click.UsageError) as error:
             if not self.interactive:
                 raise
-            say(printable(error.format_message() if isinstance(error, click.UsageError) else str(error)))
+            say(error.format_message() if isinstance(error, click.UsageError) else str(error))
         except Stopped:
             raise
         except KeyboardInterrupt:
@@ -166,7 +166,7 @@ class Shell(cmd.Cmd):
 
 
 def _beginning(text: str, words: Iterable[str]) -> list[str]:
-    return [word for word in words if word.lower().startswith(text.lower())]
+    return [word for word in words if word.lower().startswith(text.lower()) and word.isprintable()]
 
 
 def _history() -> Path:
@@ -211,6 +211,6 @@ def run(shell: Shell) -> None:
                 raise
             except KeyboardInterrupt:  # at the prompt: the line is thrown away
                 forget()
-                click.echo()
+                echo()
     finally:
         write()

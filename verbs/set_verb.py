@@ -10,8 +10,8 @@ import click
 
 from coulombus.verbs.bundle import bundle
 from coulombus.verbs.common import bus_option, channel_option, json_option, rig_option, verdict
-from coulombus.verbs.failures import EXIT_STATUS, errors, print_json, printable
-from coulombus.verbs.shown import table_console
+from coulombus.verbs.failures import EXIT_STATUS, errors, print_json
+from coulombus.verbs.shown import echo, print_table, table_console
 
 __all__ = ["set_command"]
 
@@ -123,7 +123,7 @@ def set_command(
             if as_json:
                 print_json(found)
             elif "marker" in found:
-                click.echo(printable(str(found["marker"]).partition(" [")[0]))
+                echo(str(found["marker"]).partition(" [")[0])
             else:
                 _list(found)
 
@@ -139,13 +139,11 @@ def _list(found: dict[str, Any]) -> None:
     table.add_column("unit")
     for name, row in _rows(found):
         low = f"above {row['low']:g}" if row["above_low"] else f"{row['low']:g}"
-        table.add_row(printable(name), f"{row['value']:g}", low, f"{row['high']:g}", row["unit"])
+        table.add_row(name, f"{row['value']:g}", low, f"{row['high']:g}", row["unit"])
     console = table_console(80)
-    with console.capture() as text:  # rich would end the verb itself, where the reader has gone
-        console.print(table, markup=False)
-    click.echo(text.get(), nl=False)
+    print_table(console, table)
     if found.get("arm_key"):
-        click.echo("a change needs the arm key that coulombus run has printed: --key")
+        echo("a change needs the arm key that coulombus run has printed: --key")
 
 
 def _rows(found: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:

@@ -7,7 +7,10 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from typing import TYPE_CHECKING
 
+import click
+
 from coulombus.wire.folding import columns_of, hanging
+from coulombus.wire.foreign_text import printable
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -16,8 +19,10 @@ if TYPE_CHECKING:
 
 __all__ = [
     "PROSE",
+    "echo",
     "on_terminal",
     "print_fitting",
+    "print_table",
     "progress",
     "running",
     "table_console",
@@ -27,14 +32,31 @@ PROSE = 100
 """Columns of what is read in a file or a pipe."""
 
 
+def echo(text: object = "", *, nl: bool = True, err: bool = False) -> None:
+    """Print a text on stdout, or stderr, without control characters (`wire.foreign_text`).
+
+    Whatever a verb prints goes this way, or by `wire.verdict.say` and `table_console`.
+    """
+    click.echo(printable(str(text)), nl=nl, err=err)
+
+
+def print_table(console: Console, table: Table) -> None:
+    """Print a table whose cells have no markup; rich itself would end the verb where the reader
+    has gone.
+    """
+    with console.capture() as text:
+        console.print(table, markup=False)
+    click.echo(text.get(), nl=False)
+
+
 def table_console(width: int) -> Console:
     """Return the console for a table on stdout: the terminal, or so many columns of a file or a
     pipe.
     """
-    from rich.console import Console
+    from coulombus.wire.printable_console import PrintableConsole
 
-    console = Console()
-    return console if console.is_terminal else Console(width=width)
+    console = PrintableConsole()
+    return console if console.is_terminal else PrintableConsole(width=width)
 
 
 def print_fitting(console: Console, build: Callable[[Collection[str]], Table], leave: Sequence[str]) -> None:
@@ -66,10 +88,11 @@ def progress(enabled: bool, done: str = "displayed") -> Iterator[Callable[[str, 
     """Show live bars on stderr: call what is yielded with a label, the time reached and the whole
     time (None: nobody knows); `done` is what is said of it.
     """
-    from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
-    console = Console(stderr=True)
+    from coulombus.wire.printable_console import PrintableConsole
+
+    console = PrintableConsole(stderr=True)
     if not enabled or not console.is_terminal:
         yield lambda label, t, total: None
         return

@@ -14,6 +14,7 @@ from coulombus.verbs.common import MODES, faults_option, force_option, json_opti
 from coulombus.verbs.failures import EXIT_STATUS, errors
 from coulombus.verbs.option_types import CPU, SECONDS, OutputFile
 from coulombus.verbs.rig_options import BusesOptions, buses_options
+from coulombus.verbs.shown import echo
 from coulombus.verbs.web import PageOptions, page_options
 from coulombus.wire.verdict import abandon_stdout
 
@@ -179,7 +180,7 @@ def _sim_buses(words: list[str], addresses: dict[str, BusAddress]) -> int:
 def _pass_on(line: str) -> None:
     """Print a line of one bus; a reader that has gone, or a full disk, ends none of them."""
     try:
-        click.echo(line)
+        echo(line)
     except OSError:
         abandon_stdout()
 

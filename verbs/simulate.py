@@ -30,7 +30,7 @@ from coulombus.verbs.failures import EXIT_STATUS, errors, print_json, remark
 from coulombus.verbs.option_types import OutputDirectory, OutputFile
 from coulombus.verbs.rig_options import RigOptions, rig_options
 from coulombus.verbs.run_table import print_runs, print_verdict
-from coulombus.verbs.shown import progress
+from coulombus.verbs.shown import echo, progress
 from coulombus.wire.quoting import shell
 
 if TYPE_CHECKING:
@@ -144,7 +144,7 @@ def simulate_command(
             else:
                 print_runs({mode: result})
                 for line in injected_lines(result.faults, result.controllers):
-                    click.echo(line)
+                    echo(line)
 
 
 @click.command(epilog=EXIT_STATUS)
@@ -203,15 +203,15 @@ def demo(rig_name: str, overrides: tuple[str, ...], seed: int, out: Path, virtua
                 print_json(as_dict(result))
             else:
                 print_runs(result.results)
-                click.echo()
+                echo()
                 for criterion in result.criteria:
                     print_verdict(criterion.holds, f"{criterion.text}: {criterion.found}")
-                click.echo(
+                echo(
                     f"\nfigure and recordings: {out}/ (demo.png, demo.json, {', '.join(f'{name}.pcapng' for name in shown)})"
                 )
-                click.echo("\ntry next:")
+                echo("\ntry next:")
                 for command, why in next_steps(rig_name, out, span_of_interest(blocks(out / "active.pcapng"))):
-                    click.echo(f"  {command}\n      {why}")
+                    echo(f"  {command}\n      {why}")
 
 
 def span_of_interest(recording: Source) -> str:

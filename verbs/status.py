@@ -7,7 +7,8 @@ from typing import Any
 import click
 
 from coulombus.verbs.common import buses_option, json_option, rig_option, verdict
-from coulombus.verbs.failures import EXIT_STATUS, errors, print_json, printable
+from coulombus.verbs.failures import EXIT_STATUS, errors, print_json
+from coulombus.verbs.shown import echo
 
 __all__ = ["status"]
 
@@ -70,7 +71,7 @@ def _tell(found: dict[str, Any]) -> None:
     if found.get("trip"):
         rows.append(f"  trip: {found['trip']}")
     for row in rows:
-        click.echo(printable(row))
+        echo(row)
 
 
 def _number(value: Any) -> str:

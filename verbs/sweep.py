@@ -13,7 +13,7 @@ import click
 
 from coulombus.verbs.common import force_option, json_option, say, verdict
 from coulombus.verbs.failures import EXIT_STATUS, errors, print_json
-from coulombus.verbs.shown import running
+from coulombus.verbs.shown import echo, running
 from coulombus.wire.quoting import shell
 
 if TYPE_CHECKING:
@@ -104,10 +104,10 @@ def sweep_command(
 def _tell(result: SweepResult, seconds: float | None) -> None:
     """Print what a sweep came to."""
     for rate in result.rates.values():
-        click.echo(rate.text)
-    click.echo(f"{result.runs} runs, {result.failed} of them failed (column error)")
+        echo(rate.text)
+    echo(f"{result.runs} runs, {result.failed} of them failed (column error)")
     if result.simulated_s_per_core_s is not None:
-        click.echo(f"{result.simulated_s_per_core_s:.0f} s displayed for each second of one core")
+        echo(f"{result.simulated_s_per_core_s:.0f} s displayed for each second of one core")
     for name, found in result.worst.items():
         values = ", ".join(
             f"{key} = {value:.4g}" if isinstance(value, float) else f"{key} = {value}"
@@ -115,17 +115,17 @@ def _tell(result: SweepResult, seconds: float | None) -> None:
         )
         length = "" if seconds is None else f" --seconds {seconds:g}"
         call = f"coulombus simulate --rig {shell(found['file'])} --mode {found['mode']}{length} --seed {found['seed']}"
-        click.echo(f"mildest rig that misses {name}: {values or 'the rig itself'} (of run {found['run']})\n  {call}")
+        echo(f"mildest rig that misses {name}: {values or 'the rig itself'} (of run {found['run']})\n  {call}")
     for path in (result.table, *result.maps.values()):
-        click.echo(str(path))
+        echo(str(path))
 
 
 @contextmanager
 def _progress() -> Iterator[Callable[[str, int, int, int], None]]:
     """Show a bar on stderr, or tell a line now and then where that is no terminal."""
-    from rich.console import Console
+    from coulombus.wire.printable_console import PrintableConsole
 
-    console = Console(stderr=True)
+    console = PrintableConsole(stderr=True)
     if not console.is_terminal:
         yield _lines()
         return

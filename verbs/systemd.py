@@ -11,6 +11,7 @@ import click
 from coulombus.verbs.common import bus_option, check_mode, force_option, load, mode_option, printed, rig_option
 from coulombus.verbs.failures import EXIT_STATUS, errors
 from coulombus.verbs.option_types import OutputDirectory
+from coulombus.verbs.shown import echo
 
 __all__ = ["systemd"]
 
@@ -76,4 +77,4 @@ def systemd(rig_name: str, bus_name: str | None, mode: str, user: bool, folder: 
                 new.write_text(text)
         with printed():
             for path in made:
-                click.echo(str(path))
+                echo(str(path))

@@ -9,6 +9,7 @@ import click
 from coulombus.verbs.common import force_option, json_option, printed, rig_option, set_option
 from coulombus.verbs.failures import EXIT_STATUS, errors, print_json
 from coulombus.verbs.option_types import OutputDirectory
+from coulombus.verbs.shown import echo
 
 __all__ = ["tools"]
 
@@ -56,4 +57,4 @@ def tools(
             return
         with printed():
             for path in files:
-                click.echo(path)
+                echo(path)

@@ -16,6 +16,7 @@ import click
 
 from coulombus.verbs.bundle import bundle, repeated
 from coulombus.verbs.common import say
+from coulombus.verbs.shown import echo
 
 if TYPE_CHECKING:
     from coulombus.rigs.rig import Rig
@@ -132,7 +133,7 @@ def serve_page(
         raise WebError("the page needs Tornado: pip install 'coulombus[web]'") from None
 
     def ready(url: str) -> None:
-        click.echo(json.dumps({"event": "ready", "url": url}) if as_json else f"page: {url}")
+        echo(json.dumps({"event": "ready", "url": url}) if as_json else f"page: {url}")
 
     kept = f"{address.kind}-{address.name}".replace("/", "_") + ".web-token"
     door = HostDoor(

@@ -11,8 +11,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
 from coulombus.wire.folding import folded
+from coulombus.wire.foreign_text import printable
 
-__all__ = ["abandon_stdout", "printed", "say", "verdict"]
+__all__ = ["abandon_stdout", "printed", "say", "show", "verdict"]
 
 
 def abandon_stdout() -> None:
@@ -56,8 +57,13 @@ def printed(status: int = 0) -> Iterator[None]:
 
 
 def say(text: str) -> None:
-    """Say something on stderr, in a terminal broken between words; one that is closed keeps nothing
-    from its course.
+    """Say something on stderr, without control characters (`wire.foreign_text`), in a terminal
+    broken between words; one that is closed keeps nothing from its course.
     """
     with suppress(OSError):
-        print(folded(text, sys.stderr), file=sys.stderr, flush=True)
+        print(folded(printable(text), sys.stderr), file=sys.stderr, flush=True)
+
+
+def show(text: str) -> None:
+    """Print a result on stdout at once, without control characters."""
+    print(printable(text), flush=True)

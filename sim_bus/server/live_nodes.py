@@ -32,7 +32,7 @@ from coulombus.sim_bus.server.server import BusServer
 from coulombus.sim_bus.server.serving import PRIORITY, run_sim
 from coulombus.wire.address import BusAddress
 from coulombus.wire.quoting import shell
-from coulombus.wire.verdict import printed, say
+from coulombus.wire.verdict import printed, say, show
 
 __all__ = ["LiveNodes", "NodeError", "run_nodes"]
 
@@ -206,7 +206,7 @@ class LiveNodes:
             assert self.pump is not None
             line = {"event": "hardware", "ok": not self.pump.failure, "text": text}
             with printed():
-                print(json.dumps(line), flush=True)
+                show(json.dumps(line))
         say(f"coulombus: {text}")
 
     def _heard(self, device: Device, row: int, frame: Heard) -> None:
@@ -238,10 +238,10 @@ class LiveNodes:
             else:
                 line |= {"can_id": frame.can_id, "data": frame.data.hex()}
             with printed():  # the node is there, whoever reads of it
-                print(json.dumps(line), flush=True)
+                show(json.dumps(line))
         elif event == "ready":
             with printed():
-                print(f"node {node_id} ({path}) is on bus {server.address}; Ctrl-C ends it", flush=True)
+                show(f"node {node_id} ({path}) is on bus {server.address}; Ctrl-C ends it")
         if event == "duplicate":
             text = f"another node on bus {server.address} has the node id {node_id}: it sent {frame.can_id:03X}h"
             say(f"coulombus: {text} {frame.data.hex(' ')}; give one of them another id")

@@ -14,7 +14,7 @@ from coulombus.sim_bus.faults.lines import injected_lines
 from coulombus.sim_bus.server.server import BusServer, SimResult
 from coulombus.wire.notify import Notifier
 from coulombus.wire.stopping import end_at_once, taken
-from coulombus.wire.verdict import printed, say, verdict
+from coulombus.wire.verdict import printed, say, show, verdict
 
 __all__ = ["PRIORITY", "run_sim"]
 
@@ -91,10 +91,10 @@ def _tell_ready(server: BusServer, as_json: bool) -> None:
     if as_json:
         line = {"event": "ready", "bus": str(server.address), "bitrate_bit_s": server.bit_rate}
         line |= {"opened": server.world.opened}
-        print(json.dumps({**line, "real_time": server.real_time.as_dict()}), flush=True)
+        show(json.dumps({**line, "real_time": server.real_time.as_dict()}))
     else:
         rate = f" at {server.bit_rate / 1e6:g} Mbit/s" if server.bit_rate else ""
-        print(f"bus {server.address} is ready{rate}; Ctrl-C ends it", flush=True)
+        show(f"bus {server.address} is ready{rate}; Ctrl-C ends it")
 
 
 def _tell_end(result: SimResult, as_json: bool) -> None:
@@ -104,7 +104,7 @@ def _tell_end(result: SimResult, as_json: bool) -> None:
     if result.gone:
         say(f"coulombus: {result.gone}")
     if as_json:
-        print(json.dumps({"event": "end", **asdict(result)}), flush=True)
+        show(json.dumps({"event": "end", **asdict(result)}))
     else:
         lines = [f"{result.frames} frames in {result.seconds:.1f} s, {result.clients} clients"]
-        print("\n".join((*lines, *injected_lines(result.faults, result.controllers))), flush=True)
+        show("\n".join((*lines, *injected_lines(result.faults, result.controllers))))
