@@ -11,6 +11,7 @@ from typing import Any
 
 from coulombus.rigs.problem import Problem
 from coulombus.rigs.toml_lines import Document, Key
+from coulombus.wire.foreign_text import printable
 
 __all__ = ["RigError", "Source", "dotted", "nearest", "number_hint", "shown", "toml_value"]
 
@@ -162,7 +163,7 @@ def toml_value(value: Any) -> str:
 
 def shown(value: Any) -> str:
     """Spell a value as TOML, shortened for a message."""
-    text = toml_value(value)
+    text = printable(toml_value(value))
     return text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."
 
 

@@ -14,6 +14,8 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 from pydantic.config import JsonDict
 
+from coulombus.wire.foreign_text import first_control
+
 __all__ = [
     "MODES",
     "MS",
@@ -72,6 +74,12 @@ def _is_int(value: object) -> object:
     return value
 
 
+def _plain(text: str) -> str:
+    if first_control(text):
+        raise ValueError("a control character")
+    return text
+
+
 _MS, MS = _grid(1e-3, "milliseconds", "the device")
 _US, US = _grid(1e-6, "microseconds", "object 1006")
 _NS, NS = _grid(1e-9, "nanoseconds", "the simulation")
@@ -80,6 +88,8 @@ Milliseconds = Annotated[float, _MS]
 Microseconds = Annotated[float, _US]
 Nanoseconds = Annotated[float, _NS]
 Polarity = Annotated[Literal[1, -1], BeforeValidator(_is_int)]
+PlainText = Annotated[str, AfterValidator(_plain)]
+SAYS_PLAIN: JsonDict = {"range": "", "expected": "a text in double quotes, on one line, without control characters"}
 SAYS_POLARITY: JsonDict = {"expected": "1 or -1"}
 
 
@@ -94,8 +104,10 @@ class Section(BaseModel):
 class About(Section):
     """[rig]: what the rig is called."""
 
-    name: str = Field(min_length=1, description="short name, in titles and file names")
-    description: str = Field("", description="one line for people")
+    name: PlainText = Field(
+        min_length=1, description="short name, in titles and file names", json_schema_extra=SAYS_PLAIN
+    )
+    description: PlainText = Field("", description="one line for people", json_schema_extra=SAYS_PLAIN)
 
 
 class Bus(Section):

@@ -24,6 +24,7 @@ from coulombus.rigs.mistakes import RigError
 from coulombus.rigs.plan.rig_plan import plans
 from coulombus.rigs.rig import Rig, load_rig, load_rig_text
 from coulombus.rigs.roles import ROLES
+from coulombus.wire.foreign_text import one_line
 
 __all__ = ["Draft"]
 
@@ -107,7 +108,7 @@ class Draft:
         self.rig = self._loaded()
 
     def _about(self) -> None:
-        names = " and ".join(device.eds.rpartition("/")[2] for device in self.devices[:2])
+        names = " and ".join(one_line(device.eds.rpartition("/")[2]) for device in self.devices[:2])
         self.text.put("rig.name", "rehearsal" if self.rehearse else "draft")
         self.text.put("rig.description", f"Drafted for {names}, like the rig {self.like.rig.name}")
         self.text.head = [

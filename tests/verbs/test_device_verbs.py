@@ -20,31 +20,12 @@ from coulombus.rigs.rig import load_rig
 from coulombus.verbs import sdo_shell
 from coulombus.verbs.main import main
 from coulombus.wire.address import BusUnavailable, parse_address
-from devices_bench import UNCONFIGURED, DevicesLink, Server, eds
+from desk import BUS, put_on_desk
+from devices_bench import UNCONFIGURED, Server, eds
 
 ROOT = Path(__file__).resolve().parent.parent.parent
-BUS = ("--bus", "coulombus:desk")
 LATER_NS = 500_000_000
 """When it has been listened for a host."""
-
-
-class DeskLink(DevicesLink):
-    """Devices in virtual time in the place of a bus."""
-
-    address, error_frames, error_classes, bitrate_bit_s = parse_address("coulombus:desk"), 0, 0, 1_000_000
-    left = 10**9
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        """There is nothing to close."""
-
-    def send(self, can_id, data=b"", length=None):
-        self.left -= 1
-        if self.left < 0:
-            raise BusUnavailable("bus coulombus:desk is gone: its process ended")
-        super().send(can_id, data, length)
 
 
 class Terminal(io.StringIO):
@@ -52,16 +33,11 @@ class Terminal(io.StringIO):
         return True
 
 
-HOLDERS = ("coulombus.host.devices.bitrates", "coulombus.host.devices.scan", "coulombus.verbs.sdo_shell")
-
-
 @pytest.fixture
 def desk(private_sockets, monkeypatch, tmp_path):
-    link = DeskLink()
+    link = put_on_desk(monkeypatch)
     link.add(eds("motor"), 1)
     link.add(eds("mr_brake"), 2)
-    for module in (*HOLDERS, "coulombus.wire.bus_link"):  # whoever imports it first, now, holds the right one later
-        monkeypatch.setattr(f"{module}.BusLink", lambda address, filters=(): link)
     monkeypatch.chdir(tmp_path)
     return link
 
@@ -418,7 +394,7 @@ def test_at_a_terminal_the_shell_goes_on_and_completes_names(desk, monkeypatch, 
     assert shell.onecmd("get 1008h") is False
     assert capsys.readouterr().err == "interrupted\n"
     desk.left = 0
-    monkeypatch.setattr(desk, "receive", DeskLink.receive.__get__(desk))
+    monkeypatch.setattr(desk, "receive", type(desk).receive.__get__(desk))
     with pytest.raises(BusUnavailable):
         shell.onecmd("get 1008h")
     assert shell.onecmd("quit") is True
