@@ -19,6 +19,7 @@ from coulombus.verbs.rig_options import OneBusOptions, one_bus_options, one_chan
 from coulombus.verbs.shown import echo
 from coulombus.verbs.web import PageOptions, page_options, serve_page
 from coulombus.wire.folding import columns_of
+from coulombus.wire.foreign_text import printable
 
 if TYPE_CHECKING:
     from coulombus.rigs.rig import Rig
@@ -53,7 +54,7 @@ def decode(file: Path, rig_name: str | None, as_json: bool) -> None:
         width = columns_of(out)
 
         def line(row: dict[str, Any]) -> str:
-            text = as_json_line(row) if as_json else as_text(row)
+            text = as_json_line(row) if as_json else printable(as_text(row))
             return text if as_json or width is None else fitted(text, width)
 
         for row in rows(recording):
@@ -267,7 +268,7 @@ def dbc(rig_name: str, overrides: tuple[str, ...], channel: str | None, out: Pat
         text = dbc_text(one_bus(load_rig(rig_name, overrides), None, channel)[0])
         if out is None:
             with printed():
-                sys.stdout.write(text)
+                echo(text, nl=False)
             return
         with new_file(out, force=overwrite) as path:
             path.write_text(text, encoding="cp1252", errors="replace")  # what readers of DBC files expect

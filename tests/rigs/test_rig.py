@@ -346,14 +346,20 @@ def test_a_mistake_between_two_keys_is_shown_at_the_key_that_the_rule_is_about(o
 def test_effective_configuration_gives_an_equal_rig(name: str) -> None:
     rig = load_rig(
         name,
-        ["plant.coulomb_Nm=0.1", 'rig.description="quotes \\" \\\\ \\u007f \\n \N{MICRO SIGN}"', "limits.travel_rad=1"],
+        [
+            "plant.coulomb_Nm=0.1",
+            'rig.description="quotes \\" \\\\ \N{MICRO SIGN}"',
+            'host.accept=["\\u007f \\n"]',
+            "limits.travel_rad=1",
+        ],
     )
     again = load_rig_text(rig.effective(), name, rig.eds_texts)
     assert again == rig
     assert again.one_axis().model_dump() == rig.one_axis().model_dump()
     assert again.effective() == rig.effective()
     assert again.one_axis().simulation.plant.coulomb_Nm == 0.1
-    assert again.about.description == 'quotes " \\ \x7f \n \N{MICRO SIGN}'
+    assert again.about.description == 'quotes " \\ \N{MICRO SIGN}'
+    assert again.host.accept == ("\x7f \n",)
 
 
 # Schedules from CSV files.
