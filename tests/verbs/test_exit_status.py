@@ -417,7 +417,7 @@ def test_a_bridge_goes_on_whoever_reads_that_it_is_ready(monkeypatch):
         raise BrokenPipeError(errno.EPIPE, "Broken pipe")
 
     monkeypatch.setattr("coulombus.sim_bus.server.bridge.bridge", join)
-    monkeypatch.setattr("coulombus.verbs.replay.click.echo", refused)
+    monkeypatch.setattr("coulombus.verbs.replay.echo", refused)
     monkeypatch.setattr("coulombus.wire.verdict.abandon_stdout", lambda: reached.append("abandoned"))
     assert CliRunner().invoke(main, ["bridge", "coulombus:a", "coulombus:b", "--json"]).exit_code == 0
     assert reached[:2] == ["abandoned", "joined"]
@@ -541,7 +541,7 @@ def test_buses_are_served_on_whoever_reads_their_lines(monkeypatch, error):
         raise error
 
     abandoned = []
-    monkeypatch.setattr("coulombus.verbs.sim.click.echo", refused)
+    monkeypatch.setattr("coulombus.verbs.sim.echo", refused)
     monkeypatch.setattr("coulombus.verbs.sim.abandon_stdout", lambda: abandoned.append(1))
 
     def supervise(channels, words, tell):
