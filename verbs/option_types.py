@@ -92,11 +92,13 @@ class OutputFile(click.Path):
 class OutputDirectory(click.Path):
     """A directory, made where it is not there yet.
 
-    What forbids it is told before anything is run for it.
+    What forbids it is told before anything is run for it. With `make` false the verb makes it, as
+    soon as nothing is refused any more.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, make: bool = True) -> None:
         super().__init__(file_okay=False, path_type=Path)
+        self.make = make
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the path; BadParameter says what is wrong with it."""
@@ -104,6 +106,8 @@ class OutputDirectory(click.Path):
         if path.suffix.lower() == ".toml" and not path.is_dir():
             self.fail(f"{path}: expected a folder, and this is the name of a rig file: --rig {path}", param, ctx)
         super().convert(value, param, ctx)
+        if not self.make:
+            return path
         try:
             path.mkdir(parents=True, exist_ok=True)
         except FileExistsError:

@@ -25,7 +25,7 @@ __all__ = ["systemd"]
     "-o",
     "--out",
     "folder",
-    type=OutputDirectory(),
+    type=OutputDirectory(make=False),
     default=Path("coulombus-systemd"),
     show_default=True,
     metavar="DIR",
@@ -70,6 +70,7 @@ def systemd(rig_name: str, bus_name: str | None, mode: str, user: bool, folder: 
             user=user,
         )
         made = {folder / name: text for name, text in files(service).items()}
+        folder.mkdir(parents=True, exist_ok=True)
         for path in made:  # all or none
             check_output(path, force=overwrite)
         for path, text in made.items():
