@@ -3,13 +3,14 @@
 HostError
 +-- NodeMissing        5   a node does not answer
 +-- SdoAborted         6   a node refuses a value
++-- AnswerUntrusted    6   a node's answer is none, or a second device's (then 3)
 +-- DeviceMismatch     3   a node is not what the rig file says
 +-- SafetyTrip         7   arming was refused, or the safe state was entered
 """
 
 from __future__ import annotations
 
-__all__ = ["DeviceMismatch", "HostError", "NodeMissing", "SafetyTrip", "SdoAborted"]
+__all__ = ["AnswerUntrusted", "DeviceMismatch", "HostError", "NodeMissing", "SafetyTrip", "SdoAborted"]
 
 
 class HostError(Exception):
@@ -26,6 +27,14 @@ class NodeMissing(HostError):
 
 class SdoAborted(HostError):
     """A node aborted an SDO transfer."""
+
+    exit_status = 6
+
+
+class AnswerUntrusted(HostError):
+    """An SDO answer says nothing of the object that was asked for: it is malformed, about another
+    object, or two devices answer.
+    """
 
     exit_status = 6
 

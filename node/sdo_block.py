@@ -96,6 +96,11 @@ class BlockUpload:
         self._sent = 0  # segments of the block that is not acknowledged yet
         self._started = self._ended = False
 
+    @property
+    def waiting(self) -> int:
+        """Segments of the present block, which wait for their acknowledgement; -1 behind the last block."""
+        return -1 if self._ended else self._sent
+
     def start(self) -> Sequence[bytes]:
         """The client is ready: return the first block."""
         if self._started:

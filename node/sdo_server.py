@@ -6,6 +6,10 @@ answer), and in a block upload a `burst` of segments. What is read and written i
 so that the protocol is tested without a device. One transfer is open at most; a new initiation
 replaces it, as section 7.2.4.3 wants it, and an abort in either direction ends it. Block transfers
 have their state in `node.sdo_block`.
+
+CAN delivers a frame twice when the last bit of its end is disturbed. So a request that goes on with
+a transfer, and comes once more directly behind itself, is the same frame: it is ignored, as its
+answer is on the way. An initiation is served again.
 """
 
 from __future__ import annotations
@@ -68,9 +72,14 @@ class SdoServer:
         self._backend = backend
         self._open: _Segmented | BlockDownload | BlockUpload | None = None
         self._place: tuple[int, int] | None = None  # of the open transfer, while a request that continues it is served
+        self._last = b""  # the request before, if it may come once more
         self.block_size = block_size
+        self.again = False
+        """Whether the last request was the one before it once more."""
         self.burst: Sequence[bytes] = ()
         """Segments to be sent after the response of the last request, in their order."""
+        self.unsent = 0
+        """How many segments of the last burst still wait to be sent; whoever sends them tells it."""
 
     @property
     def transfer(self) -> tuple[int, int] | None:
@@ -88,16 +97,41 @@ class SdoServer:
         """Take the data of segments of a block download that came as
         `expected` says, before its last.
         """
+        self._last = b""
         if isinstance(self._open, BlockDownload):
             self._open.take(content)
 
     def drop(self) -> None:
         """Forget the open transfer (time-out, reset)."""
-        self._open, self.burst = None, ()
+        self._open, self.burst, self._last = None, (), b""
 
     def request(self, data: bytes) -> bytes | None:
         """Serve one request of 8 bytes and return the response."""
-        self.burst, self._place = (), None
+        self.burst, self._place, transfer = (), None, self._open
+        self.again = data == self._last and not self._acknowledges(data)
+        if self.again:
+            return None
+        self._last = data if self._goes_on(data) else b""
+        answer = self._serve(data)
+        if isinstance(self._open, BlockDownload) and self._open is not transfer:
+            self._last = data  # it begins: once more, its initiation would be a segment
+        return answer
+
+    def _goes_on(self, data: bytes) -> bool:
+        """Tell whether a request is of a transfer that is open, and no second one can be identical."""
+        if isinstance(self._open, BlockDownload) and self._open.receiving:
+            return self._open.expected != (1, 1)  # blocks of one segment may be all alike
+        initiates = data[0] >> 5 in (1, 2) or data[0] & 0xE3 == 0xA0 or data[0] & 0xE1 == 0xC0
+        return not initiates
+
+    def _acknowledges(self, data: bytes) -> bool:
+        """Tell whether a request acknowledges segments of an upload that have been sent."""
+        transfer = self._open
+        return (
+            data[0] & 0xE3 == 0xA2 and isinstance(transfer, BlockUpload) and data[1] <= transfer.waiting - self.unsent
+        )
+
+    def _serve(self, data: bytes) -> bytes | None:
         transfer = self._open
         try:
             if isinstance(transfer, BlockDownload) and transfer.receiving and data[0] != _ABORT:
@@ -105,7 +139,7 @@ class SdoServer:
                 return transfer.segment(data, self.block_size)
             return _SERVICES[data[0] >> 5](self, data, data[1] | data[2] << 8, data[3])
         except SdoAbort as abort:
-            self._open = None
+            self._open, self._last = None, b""
             index, subindex = self._place or (data[1] | data[2] << 8, data[3])
             return abort_frame(index, subindex, abort.code)
 

@@ -100,13 +100,14 @@ class SdoService:
         deadline_ns = int(self._deadlines[k])
         if was_open and (t_ns > deadline_ns or deadline_ns == FAR_FUTURE_NS):
             server.drop()  # the transfer that stood still: the core has told the client so, or would have now
-        if was_open and row["outbox_count"]:
-            outbox.forget(self._node, k)  # whatever it says, it waits for none of them any more
         if (data >> 8 & 0xFFFF) >= _MEASURED and data & 0x60 in (0x40, 0x20):
             self._refresh(self._node, t_ns)
         access = self._access
         access.written, access.carries = False, 0
+        server.unsent = self._unsent(k)
         response = server.request(data_bytes(data, 8))
+        if was_open and row["outbox_count"] and not server.again:
+            outbox.forget(self._node, k)  # whatever it says, it waits for none of them any more
         if response is not None:
             self._push(out, self._node["station"], t_ns + int(row["processing_ns"]), channel.tx, 8, data_word(response))
         if server.burst:
@@ -120,6 +121,14 @@ class SdoService:
             self._deadlines[k] = FAR_FUTURE_NS
         if access.written:
             core.written(self._node, t_ns, access.carries, out)
+
+    def _unsent(self, k: int) -> int:
+        """Return how many segments of one server wait in the outbox."""
+        row, count = self._node, int(self._node["outbox_count"])
+        if not count:
+            return 0
+        places = (int(row["outbox_first"]) + np.arange(count)) % len(row["outbox_channel"])
+        return int(np.count_nonzero(row["outbox_channel"][places] == k))
 
     def _take_segments(self, channel: _Channel) -> None:
         """Give the server what the core collected, and close the channel's row."""

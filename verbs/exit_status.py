@@ -28,7 +28,7 @@ STATUSES: Mapping[int, str] = MappingProxyType(
         3: "configuration: any file missing; rig, EDS, law, motion, fault or script file wrong; a device that is not what they say",
         4: "bus unavailable",
         5: "a node is missing",
-        6: "a node aborted an SDO transfer",
+        6: "a node aborted an SDO transfer, or its answer cannot be trusted",
         7: "safety: arming refused, or a trip led to the safe state (as when a recording can go on no more)",
         8: "deadlines or frames lost beyond the limit",
         FAULT: "a mistake of this program, told with a traceback: please report it",

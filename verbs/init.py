@@ -151,18 +151,21 @@ def init(
 def _answered(bus_name: str) -> dict[int, dict[tuple[int, int], int]]:
     """Ask who is on a bus; say it, and return what the objects of each node hold.
 
-    A node id that two devices have is refused: whose objects were read, nobody knows.
+    A node id that two devices have is refused, and an identity that cannot be trusted: whose
+    objects were read, nobody knows.
     """
     from coulombus.host.devices.scan import survey
-    from coulombus.host.errors import DeviceMismatch
+    from coulombus.host.errors import AnswerUntrusted, DeviceMismatch
     from coulombus.wire.address import parse_address
 
     found = survey(parse_address(bus_name))
     for answers in found:
-        say(f"coulombus: {answers}")
         if answers.twice:
             what_to_do = "take one off the bus, and give the other another id (coulombus lss)"
             raise DeviceMismatch(f"{answers.remark}; {what_to_do}")
+        if answers.doubt:
+            raise AnswerUntrusted(answers.remark)
+        say(f"coulombus: {answers}")
     if not found:
         look = f"coulombus scan --bus {bus_name} tells of devices without a node id, of silent ones and of the wire"
         say(f"coulombus: nobody on {bus_name} answers SDO: {look}")

@@ -81,6 +81,8 @@ def dump(device: Device, show: Show = lambda done, total: None) -> Dump:
     ------
     SdoSilent
         (exit status 5) it does not answer (any more)
+    AnswerUntrusted
+        (6, or 3 of two devices) an answer is none: what was read before may be another device's
     """
     wanted = [one for one in device.variables() if one.access in (*WRITABLE, "rww") and one.subindex <= 0xFE]
     values: dict[Place, Value] = {}

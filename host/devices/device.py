@@ -108,6 +108,8 @@ def identity_of(client: SdoClient) -> tuple[int, int, int]:
     ------
     SdoSilent
         (exit status 5) it does not answer
+    AnswerUntrusted
+        (6, or 3) its answer is none, or two devices answer
     """
     found = []
     for part in (1, 2, 3):

@@ -11,11 +11,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from coulombus.eds.cia301 import CobId, NmtState
+from coulombus.eds.sdo_answers import SdoAnswers
 from coulombus.eds.sdo_frames import head
 from coulombus.host.devices.guard import FILTERS, check_alone
 from coulombus.host.devices.sdo import talk_to_all
 from coulombus.host.devices.transfers import SdoSilent, Transfer, upload
-from coulombus.host.errors import HostError
+from coulombus.host.errors import AnswerUntrusted, HostError
 from coulombus.wire.address import BusAddress
 from coulombus.wire.bus_link import BusLink, Frame, FrameLink
 
@@ -52,7 +53,8 @@ class Answers:
     ----------
     state : its NMT state, None where no heartbeat told it
     answers_sdo : whether it answers at all; else it was heard by its heartbeat or boot-up
-    twice : it answered one request twice: two devices have this node id
+    twice : two devices have this node id (`eds.sdo_answers`)
+    doubt : why what it says of its type and identity cannot be trusted, "" where it can
     """
 
     node_id: int
@@ -61,6 +63,7 @@ class Answers:
     state: NmtState | None = None
     answers_sdo: bool = True
     twice: bool = False
+    doubt: str = ""
 
     @property
     def identity(self) -> tuple[int, int]:
@@ -81,7 +84,9 @@ class Answers:
     def remark(self) -> str:
         """What is wrong with it, "" where nothing is."""
         if self.twice:
-            return f"node {self.node_id} answered one request twice: two devices have this node id"
+            return f"node {self.node_id} answers requests twice, or differently: two devices have this node id"
+        if self.doubt:
+            return f"node {self.node_id}: {self.doubt}"
         if not self.answers_sdo:
             state = f"its heartbeat says {self.state.name}" if self.state is not None else "it was heard"
             return f"node {self.node_id} answers no SDO; {state}"
@@ -99,7 +104,8 @@ class _Heard:
     """What was heard on the bus, node by node."""
 
     states: dict[int, NmtState] = field(default_factory=dict)
-    answers: dict[int, int] = field(default_factory=dict)
+    asked: dict[int, SdoAnswers] = field(default_factory=dict)
+    answers: set[int] = field(default_factory=set)
 
     def hear(self, frame: Frame) -> None:
         """Take a frame: a heartbeat, a boot-up, or an SDO response."""
@@ -109,7 +115,9 @@ class _Heard:
             if state in tuple(NmtState):  # a boot-up is followed by PRE-OPERATIONAL
                 self.states[node_id] = NmtState(state) if state else NmtState.PRE_OPERATIONAL
         elif frame.can_id == CobId.SDO_TX + node_id and node_id and frame.length == 8:
-            self.answers[node_id] = self.answers.get(node_id, 0) + 1
+            self.answers.add(node_id)
+            if node_id in self.asked:
+                self.asked[node_id].take(frame.data)
 
     def listen(self, link: FrameLink, seconds: float) -> None:
         """Listen for so long."""
@@ -139,15 +147,17 @@ def scan(
     """
     heard, begin_ns = _Heard(), link.now_ns()
     for node_id in NODES:
+        heard.asked[node_id] = SdoAnswers()
+        heard.asked[node_id].ask(head(0x40, 0x1000, 0))
         link.send(CobId.SDO_RX + node_id, head(0x40, 0x1000, 0))
         heard.listen(link, PACE_S)
         progress("asking", node_id, NODES[-1])
     heard.listen(link, ANSWER_S)
-    twice = {node_id for node_id, count in heard.answers.items() if count > 1}
     found: dict[int, dict[tuple[int, int], bytes]] = {node_id: {} for node_id in sorted(heard.answers)}
     silent = dict.fromkeys(found, 0)
     asked = dict.fromkeys(found, (*numbers, *TOLD))
     current: dict[int, tuple[int, int]] = {}
+    doubts: dict[int, str] = {}
 
     def transfers(node_id: int) -> Iterator[Transfer[bytes]]:
         for place in asked[node_id]:
@@ -161,9 +171,11 @@ def scan(
             found[node_id][current[node_id]] = value
             silent[node_id] = 0
         else:
-            silent[node_id] += isinstance(value, SdoSilent)
+            if isinstance(value, AnswerUntrusted) and current[node_id] in IDENTITY:
+                doubts.setdefault(node_id, str(value))
+            silent[node_id] += isinstance(value, SdoSilent | AnswerUntrusted)
 
-    talk_to_all(link, {node_id: transfers(node_id) for node_id in found}, ANSWER_S, tell, heard.hear)
+    talk_to_all(link, {node_id: transfers(node_id) for node_id in found}, ANSWER_S, tell, heard.hear, heard.asked)
     while (left_s := listen_s - (link.now_ns() - begin_ns) / 1e9) > 0:
         progress("listening", listen_s - left_s, listen_s)
         heard.listen(link, min(left_s, 0.2))
@@ -174,9 +186,10 @@ def scan(
             {p: text for p, raw in said.items() if p in TOLD and (text := _text(raw))},
             heard.states.get(node_id),
             node_id in found,
-            node_id in twice,
+            node_id in found and heard.asked[node_id].duplicate_node_id,
+            doubts.get(node_id, ""),
         )
-        for node_id in sorted(heard.answers.keys() | heard.states.keys())
+        for node_id in sorted(heard.answers | heard.states.keys())
         for said in (found.get(node_id, {}),)
     )
 

@@ -6,23 +6,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from typing import Generic, TypeVar, cast
+from typing import Generic, TypeVar
 
 from coulombus.eds.cia301 import Abort, CobId
+from coulombus.eds.sdo_answers import SdoAnswers, named
 from coulombus.eds.sdo_frames import where
 from coulombus.host.devices.transfers import (
     APART,
     MOST_BYTES,
     Nonsense,
     Progress,
-    Refused,
     SdoSilent,
     Transfer,
     Turn,
     Twins,
     abort,
     download,
-    named,
     upload,
 )
 from coulombus.host.errors import HostError
@@ -47,8 +46,11 @@ class Talk(Generic[T]):
     deadline_ns : by which the node has to answer
     """
 
-    def __init__(self, link: FrameLink, node_id: int, transfer: Transfer[T], timeout_ns: int) -> None:
+    def __init__(
+        self, link: FrameLink, node_id: int, transfer: Transfer[T], timeout_ns: int, answers: SdoAnswers
+    ) -> None:
         self._link, self._node_id, self._transfer, self._timeout_ns = link, node_id, transfer, timeout_ns
+        self._answers = answers
         self._object: tuple[int, int] | None = None
         self.done, self.deadline_ns = False, 0
         self.error: HostError | None = None
@@ -57,13 +59,22 @@ class Talk(Generic[T]):
 
     def hear(self, message: bytes) -> None:
         """Take a message of the server."""
-        self._go_on(lambda: self._transfer.send(message))
+        if self._answers.take(message):
+            self._go_on(lambda: self._transfer.send(message))
 
     def look(self, now_ns: int) -> None:
         """End the transfer where the server's time is over."""
-        if not self.done and now_ns >= self.deadline_ns:
-            text = f"node {self._node_id} does not answer (SDO of {where(*self._place)})"
-            self._send(abort(*self._place, Abort.TIMEOUT))
+        if self.done or now_ns < self.deadline_ns:
+            return
+        if again := self._answers.again:  # nothing else came: it was no frame delivered twice
+            self._answers.again = b""
+            self._go_on(lambda: self._transfer.send(again))
+            return
+        text, stray = f"node {self._node_id} does not answer (SDO of {where(*self._place)})", self._answers.stray
+        self._send(abort(*self._place, Abort.TIMEOUT))
+        if stray:
+            self._end(Nonsense(f"{text}, but about {where(*named(stray))}: {APART}", Abort.TIMEOUT))
+        else:
             self._end(SdoSilent(text))
 
     def leave(self) -> None:
@@ -84,7 +95,7 @@ class Talk(Generic[T]):
             while True:
                 for message in turn.messages:
                     self._object = self._object or named(message)
-                    self._send(message)
+                    self._send(message, initiates=turn.initiates)
                 if turn.waits:
                     break
                 turn = self._transfer.send(b"")
@@ -100,7 +111,11 @@ class Talk(Generic[T]):
     def _end(self, error: HostError) -> None:
         self.error, self.done = error, True
 
-    def _send(self, message: bytes) -> None:
+    def _send(self, message: bytes, *, initiates: bool = False) -> None:
+        if initiates:
+            self._answers.ask(message)
+        else:
+            self._answers.sent()
         self._link.send(CobId.SDO_RX + self._node_id, message)
 
 
@@ -110,6 +125,7 @@ def talk_to_all(
     timeout_s: float,
     tell: Callable[[int, T | HostError], None],
     hear: Callable[[Frame], None] = lambda frame: None,
+    answers: Mapping[int, SdoAnswers] | None = None,
 ) -> None:
     """Do the transfers of each node one after the other, those of different nodes at a time.
 
@@ -118,7 +134,9 @@ def talk_to_all(
     transfers : the transfers of each node id
     tell : called with (node id, value or error) at the end of each transfer
     hear : takes the frames that are no SDO response
+    answers : what each node was asked and answered so far
     """
+    heard = {node_id: SdoAnswers() for node_id in transfers} if answers is None else answers
     waiting = {node_id: iter(row) for node_id, row in transfers.items()}
     talks: dict[int, Talk[T]] = {}
 
@@ -126,7 +144,7 @@ def talk_to_all(
         transfer = next(waiting[node_id], None)
         talks.pop(node_id, None)
         if transfer is not None:
-            talks[node_id] = Talk(link, node_id, transfer, round(timeout_s * 1e9))
+            talks[node_id] = Talk(link, node_id, transfer, round(timeout_s * 1e9), heard[node_id])
 
     try:
         for node_id in waiting:
@@ -166,7 +184,7 @@ class SdoClient:
         hear: Callable[[Frame], None] = lambda frame: None,
     ) -> None:
         self.link, self.node_id, self.timeout_s, self._hear = link, node_id, timeout_s, hear
-        self._ended: tuple[int, int] | None = None  # the object of the transfer before, which the node has answered
+        self._answers = SdoAnswers()
 
     def upload(
         self,
@@ -182,10 +200,12 @@ class SdoClient:
         ------
         SdoSilent
             (exit status 5) the node does not answer
-        SdoAborted
-            (6) it aborted the transfer, or answered nonsense
+        Refused
+            (6) it aborted the transfer
+        Nonsense
+            (6) its answer is none
         Twins
-            (3) it answered the transfer before once more: two devices have its node id
+            (3) two devices have its node id
         """
         return self._do(upload(index, subindex, most=most, progress=progress))
 
@@ -198,47 +218,27 @@ class SdoClient:
     def _do(self, transfer: Transfer[T]) -> T:
         while (stale := self.link.receive(self.link.now_ns())) is not None:
             if stale.can_id == CobId.SDO_TX + self.node_id and stale.length == LENGTH:
-                self._look(stale.data)
+                self._answers.take(stale.data)
             self._hear(stale)  # a late answer, too, which is nobody's any more
+        self._refuse_twins()
         found: list[T | HostError] = []
         talk_to_all(
             self.link,
-            {self.node_id: iter((self._watched(transfer),))},
+            {self.node_id: iter((transfer,))},
             self.timeout_s,
             lambda _, one: found.append(one),
             self._hear,
+            {self.node_id: self._answers},
         )
+        self._refuse_twins()
         if isinstance(found[0], HostError):
-            if isinstance(found[0], SdoSilent):  # what it answers late is no second answer
-                self._ended = None
             raise found[0]
         return found[0]
 
-    def _watched(self, transfer: Transfer[T]) -> Transfer[T]:
-        """Do a transfer, and look at each answer whether it is one to the transfer before."""
-        try:
-            turn = next(transfer)
-            place = named(turn.messages[0])
-            if place == self._ended:
-                self._ended = None
-            while True:
-                answer = yield turn
-                if answer:
-                    self._look(answer)
-                turn = transfer.send(answer)
-        except (StopIteration, Refused) as end:
-            self._ended = place
-            if isinstance(end, Refused):
-                raise
-            return cast("T", end.value)
-
-    def _look(self, answer: bytes) -> None:
-        """Refuse a second answer to the transfer before."""
-        if answer[0] >> 5 in (2, 3, 4) and named(answer) == self._ended:
-            raise Twins(
-                f"two devices answer as node {self.node_id} (SDO of {where(*named(answer))}): {APART}",
-                Abort.GENERAL,
-            )
+    def _refuse_twins(self) -> None:
+        if self._answers.duplicate_node_id:
+            place = where(*named(self._answers.second))
+            raise Twins(f"two devices answer as node {self.node_id} (SDO of {place}): {APART}", Abort.GENERAL)
 
 
 def store_parameters(link: FrameLink, node_id: int, part: int = 1) -> None:

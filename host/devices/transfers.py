@@ -14,8 +14,9 @@ from collections.abc import Callable, Generator, Sequence
 from typing import NamedTuple, TypeAlias, TypeVar
 
 from coulombus.eds.cia301 import Abort, abort_text
+from coulombus.eds.sdo_answers import named
 from coulombus.eds.sdo_frames import crc16, head, where
-from coulombus.host.errors import DeviceMismatch, NodeMissing, SdoAborted
+from coulombus.host.errors import AnswerUntrusted, DeviceMismatch, NodeMissing, SdoAborted
 
 __all__ = [
     "ABORT",
@@ -30,7 +31,6 @@ __all__ = [
     "Twins",
     "abort",
     "download",
-    "named",
     "upload",
 ]
 
@@ -38,10 +38,16 @@ T = TypeVar("T")
 
 
 class Turn(NamedTuple):
-    """Messages to the server, and whether its next one is waited for; if not, b"" comes back."""
+    """Messages to the server, and whether its next one is waited for; if not, b"" comes back.
+
+    Attributes
+    ----------
+    initiates : the message begins a transfer
+    """
 
     messages: Sequence[bytes] = ()
     waits: bool = True
+    initiates: bool = False
 
 
 Transfer: TypeAlias = Generator[Turn, bytes, T]
@@ -77,7 +83,7 @@ class Refused(SdoAborted):
         self.index, self.subindex, self.code = index, subindex, code
 
 
-class Nonsense(SdoAborted):
+class Nonsense(AnswerUntrusted):
     """The server's answer is none; `code` is with what the client aborts."""
 
     def __init__(self, text: str, code: int) -> None:
@@ -96,11 +102,6 @@ def abort(index: int, subindex: int, code: int = Abort.GENERAL) -> bytes:
     return head(ABORT, index, subindex, int(code).to_bytes(4, "little"))
 
 
-def named(message: bytes) -> tuple[int, int]:
-    """Return the object that an initiating message names."""
-    return int.from_bytes(message[1:3], "little"), message[3]
-
-
 def _nothing(done: int, total: int) -> None:
     pass
 
@@ -110,19 +111,23 @@ class _Answers:
 
     def __init__(self, what: str, index: int, subindex: int) -> None:
         self.what, self.index, self.subindex = what, index, subindex
+        self.refusal = b""
 
-    def next(self, *messages: bytes) -> Transfer[bytes]:
+    def next(self, *messages: bytes, initiates: bool = False) -> Transfer[bytes]:
         """Send messages; return the server's next one. An abort raises `Refused`."""
-        answer = yield Turn(messages)
+        answer = yield Turn(messages, initiates=initiates)
         while answer[0] == ABORT and named(answer) not in ((self.index, self.subindex), (0, 0)):
             answer = yield Turn()  # of a transfer before this one
+        if answer == self.refusal:  # delivered twice: this client asks in another way meanwhile
+            answer = yield Turn()
         if answer[0] == ABORT:
+            self.refusal = answer
             raise Refused(self.what, self.index, self.subindex, int.from_bytes(answer[4:8], "little"))
         return answer
 
     def first(self, message: bytes) -> Transfer[bytes]:
         """Initiate; what answers an earlier request (another object) is let pass."""
-        answer = yield from self.next(message)
+        answer = yield from self.next(message, initiates=True)
         for _ in range(BLOCK):
             if named(answer) == (self.index, self.subindex) and answer[0] >> 5 in (2, 3, 5, 6):
                 return answer
@@ -167,11 +172,15 @@ def upload(
         if LONG < told <= most:
             yield Turn((abort(index, subindex),), waits=False)  # the ordinary one
             try:
-                return (yield from _block_upload(say, most, progress))
+                content = yield from _block_upload(say, most, progress)
+                if content is not None:
+                    return content
             except Refused as refused:
                 if refused.code != Abort.COMMAND:
                     raise
             answer = yield from say.first(head(0x40, index, subindex))
+            if answer[0] >> 5 == 6:  # the block's: what came in its place was the first answer once more
+                answer = yield from say.next()
     return (yield from _ordinary(say, answer, most, progress))
 
 
@@ -202,10 +211,14 @@ def _ordinary(say: _Answers, answer: bytes, most: int, progress: Progress) -> Tr
     return data
 
 
-def _block_upload(say: _Answers, most: int, progress: Progress) -> Transfer[bytes]:
+def _block_upload(say: _Answers, most: int, progress: Progress) -> Transfer[bytes | None]:
+    """Return the object's bytes, None where the server begins an ordinary upload: it has no block
+    transfer, or its answer to the request before was delivered twice.
+    """
     answer = yield from say.first(head(0xA4, say.index, say.subindex, bytes((BLOCK, 0))))
-    if answer[0] >> 5 == 2:  # it has no block transfer, and says so by an ordinary upload
-        return (yield from _ordinary(say, answer, most, progress))
+    if answer[0] >> 5 == 2:
+        say.refusal = abort(say.index, say.subindex, Abort.COMMAND)  # may come yet
+        return None
     if answer[0] & 0xE1 != 0xC0:
         raise say.wrong(f"command {answer[0]:02X}h, expected C0h to C6h", Abort.COMMAND)
     crc = bool(answer[0] & 0x04)

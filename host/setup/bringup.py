@@ -9,7 +9,6 @@ is collected and told at once, too. With any of them the host refuses to go on.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from typing import Protocol
@@ -22,10 +21,12 @@ from coulombus.eds.cia301 import NmtCommand, NmtState, abort_text
 from coulombus.eds.cia402 import STATE_OF_STATUSWORD, PowerState
 from coulombus.eds.own_devices import MANUFACTURER, is_own
 from coulombus.eds.reader import Value, Variable
+from coulombus.eds.sdo_answers import SdoAnswers, named
+from coulombus.eds.sdo_frames import where
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.demand import check_demand
 from coulombus.host.cycle.records import Image
-from coulombus.host.errors import DeviceMismatch, HostError, NodeMissing, SdoAborted
+from coulombus.host.errors import AnswerUntrusted, DeviceMismatch, HostError, NodeMissing, SdoAborted
 from coulombus.host.setup.device_plan import DevicePlan, device_plans, missing_mode
 from coulombus.host.setup.settings import Setting, encoded, number_of
 from coulombus.rigs.guarding import beats, is_guarded
@@ -65,39 +66,26 @@ class ControlPlane(Protocol):
         """
 
 
-class _Answers:
-    """Counts what a node is asked for and how often it answers that: once, or two devices have its
-    node id. Of the answers those that end a transfer are counted.
-    """
+class _Answers(SdoAnswers):
+    """What a node answers to canopen's client, which gets only what goes on with its transfer."""
 
-    def __init__(self, network: canopen.Network, client: canopen.sdo.SdoClient) -> None:
-        self._requests: Counter[bytes] = Counter()
-        self._answers: Counter[bytes] = Counter()
-        self._whole: dict[bytes, bool] = {}  # by object: the request that was sent last has the data in itself
-        self._send = client.send_request
-        client.send_request = self.send
-        network.subscribe(client.tx_cobid, self.hear)
+    def __init__(self, client: canopen.sdo.SdoClient) -> None:
+        super().__init__()
+        self._send, self._hear = client.send_request, client.on_response
+        client.send_request, client.on_response = self.send, self.hear
 
     def send(self, request: bytes) -> None:
+        """Send a request; canopen's client is not used for block transfers."""
         if request[0] >> 5 in (1, 2):
-            place = bytes(request[1:4])
-            self._requests[place] += 1
-            self._whole[place] = request[0] >> 5 == 1 and bool(request[0] & 0x02)
+            self.ask(bytes(request))
+        else:
+            self.sent()
         self._send(request)
 
     def hear(self, can_id: int, data: bytearray, stamp: float) -> None:
         """Take an SDO response."""
-        if len(data) != 8:
-            return
-        command, place = data[0] >> 5, bytes(data[1:4])
-        ends = command == 4 or (command == 2 and data[0] & 0x02) or (command == 3 and self._whole.get(place))
-        if ends and place in self._requests:
-            self._answers[place] += 1
-
-    @property
-    def twice(self) -> bool:
-        """Whether one request was answered twice."""
-        return any(count > self._requests[place] for place, count in self._answers.items())
+        if len(data) != 8 or self.take(bytes(data)):
+            self._hear(can_id, data, stamp)
 
 
 class _Device:
@@ -109,9 +97,9 @@ class _Device:
         self.node = canopen.RemoteNode(self.node_id, canopen.ObjectDictionary())
         self.identity = (0, 0)
         self.losses: list[str] = []
+        self.answers = _Answers(self.node.sdo)
         plane.network.add_node(self.node)
         self.node.sdo.RESPONSE_TIMEOUT = plane.sdo_timeout_s
-        self.answers = _Answers(plane.network, self.node.sdo)
 
     def _where(self, index: int, subindex: int) -> str:
         try:
@@ -123,8 +111,14 @@ class _Device:
     def _guard(self, index: int, subindex: int, error: Exception) -> Exception:
         if isinstance(error, SdoAbortedError):
             return SdoAborted(f"{self._where(index, subindex)}: abort {error.code:08X}h, {abort_text(error.code)}")
-        return NodeMissing(
-            f"{self.name} (node {self.node_id}) does not answer SDO: check power, cable, bit rate and node id"
+        if stray := self.answers.stray:
+            error = SdoCommunicationError(f"it answers about {where(*named(stray))}")
+        elif str(error) == "No SDO response received":
+            return NodeMissing(
+                f"{self.name} (node {self.node_id}) does not answer SDO: check power, cable, bit rate and node id"
+            )
+        return AnswerUntrusted(
+            f"{self._where(index, subindex)}: {error}: does another SDO client ask it now, or have two devices this node id?"
         )
 
     def upload(self, index: int, subindex: int) -> bytes:
@@ -304,7 +298,7 @@ def bring_up(controllers: Controllers, plane: ControlPlane) -> tuple[str, ...]:
 
     Raises
     ------
-    NodeMissing, SdoAborted, DeviceMismatch
+    NodeMissing, SdoAborted, AnswerUntrusted, DeviceMismatch
         nothing was armed; the nodes are left in PRE-OPERATIONAL, or nothing was sent where EDS and
         rig file do not fit
     coulombus.rigs.rig.RigError
@@ -347,7 +341,7 @@ def _refuse_twins(devices: Sequence[_Device]) -> None:
         f"two devices answer as node {device.node_id} ({device.name}): take one off the bus, and give the other "
         "another id (coulombus lss)"
         for device in devices
-        if device.answers.twice
+        if device.answers.duplicate_node_id
     )
 
 

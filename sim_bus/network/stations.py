@@ -110,6 +110,12 @@ class CanopenNetwork(canopen.Network):  # type: ignore[misc]  # canopen has no t
         """
         super().__init__()
         self._send, self._answer = send, answer
+        self._heard: set[int] = set()
+
+    def notify(self, can_id: int, data: bytearray, timestamp: float) -> None:
+        """Give a frame to whoever has subscribed to it."""
+        self._heard.add(can_id)
+        super().notify(can_id, data, timestamp)
 
     def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
         """Queue a frame; when it is an SDO request, run the bus until the node's response or the
@@ -117,7 +123,17 @@ class CanopenNetwork(canopen.Network):  # type: ignore[misc]  # canopen has no t
         """
         self._send(can_id, bytes(data), remote)
         if can_id & 0x780 == CobId.SDO_RX and data[0] != SDO_ABORT:  # nobody answers an abort
-            self._answer(CobId.SDO_TX + (can_id & 0x7F))
+            self._await(can_id & 0x7F)
+
+    def _await(self, node_id: int) -> None:
+        """Wait for a response that the node's client takes: of a frame that came twice it takes one."""
+        node = self.nodes.get(node_id)
+        again = True
+        while again:
+            self._heard.clear()
+            self._answer(CobId.SDO_TX + node_id)
+            remote = isinstance(node, canopen.RemoteNode)
+            again = remote and node.sdo.responses.empty() and CobId.SDO_TX + node_id in self._heard
 
     def send_periodic(self, can_id: int, data: bytes, period: float, remote: bool = False) -> Any:
         """Refused: periodic frames are the kernel's."""

@@ -252,7 +252,7 @@ def test_a_segment_that_has_no_number_in_the_block_is_refused(number):
         (("a40810000a", "a3", "a20180"), 0x05040002),
         (("a40810000a", "a3", "a2040a"), 0x05040003),  # three segments were sent
         (("a40810000a", "a3", "a2800a"), 0x05040003),
-        (("a40810000a", "a3", "a3"), 0x05040001),
+        (("a40810000a", "a3", "a300000000000001"), 0x05040001),
         (("a40810000a", "a2000a"), 0x05040001),  # acknowledged before it began
         (("a40810000a", "a1"), 0x05040001),
         (("a40810000a", "a3", "a1"), 0x05040001),
@@ -304,6 +304,39 @@ def test_every_phase_ends_in_a_time_out_or_with_the_client_s_abort_or_a_new_requ
             send(bench, bytes.fromhex(request))
         assert bench.number(0x1000) == 0x20192
         assert code(send(bench, b"\xa1")[0]) == 0x05040001
+
+
+def test_each_request_of_a_block_download_may_be_delivered_twice():
+    bench, text = powered(), bytes(65 + k % 26 for k in range(900))
+    (answer,) = [one for _ in range(2) for one in send(bench, bytes.fromhex("c604200084030000"))]
+    assert answer[0] == 0xA4
+    parts = [text[k : k + 7].ljust(7, b"\0") for k in range(0, 900, 7)]
+    for block in (parts[:127], parts[127:]):
+        for number, part in enumerate(block, 1):
+            last = 0x80 * (len(block) < 127 and number == len(block))
+            answers = [send(bench, bytes((number | last,)) + part) for _ in range(2)]
+        assert answers == [[bytes((0xA2, len(block), 127, 0, 0, 0, 0, 0))], []]
+    end = bytes((0xC1 | (-900 % 7) << 2,)) + crc_bitwise(text).to_bytes(2, "little")
+    assert [send(bench, end) for _ in range(2)] == [[b"\xa1" + bytes(7)], []]
+    assert bench.upload(0x2004) == text
+
+
+def test_each_request_of_a_block_upload_may_be_delivered_twice():
+    bench = powered()
+    content = bench.upload(0x1021)
+    send(bench, bytes.fromhex("a42110007f"))
+    got, request = b"", b"\xa3"
+    while True:
+        for _ in range(2):
+            bench.frame(0x601, request.ljust(8, b"\0"))
+        segments = frames(bench)
+        if segments[0][0] & 0xE3 == 0xC1 and len(got) >= len(content):
+            break
+        assert [one[0] & 0x7F for one in segments] == list(range(1, len(segments) + 1))
+        got += b"".join(one[1:] for one in segments)
+        request = bytes((0xA2, len(segments), 127))
+    assert len(segments) == 1
+    assert got[: len(content)] == content
 
 
 def test_a_small_object_may_go_by_the_other_protocols():

@@ -42,12 +42,17 @@ class DevicesLink:
     others : functions of a frame to the devices, which return frames (can_id, data) in answer
     tamper : of a frame of a device: what comes of it on the bus
     sent : frames that the link's user sent
+    doubled : numbers of the frames, counted from 0 both ways, that are delivered twice
+    again_ns : how long behind the first the second of a device's comes, before its next frame
+    count : frames so far
     """
 
     def __init__(self):
         self.t, self.devices, self.others, self.sent = 0, [], [], []
         self.out, self._rows, self._waiting, self._number = new_queue(), [], [], count()
         self.tamper = lambda frame: [frame]
+        self.doubled, self.again_ns, self.count = frozenset(), 0, 0
+        self._from_ns = {}  # the earliest time of the next frame of an identifier
 
     def add(self, description, node_id, kind=None):
         profile = of_identity(told_identity(description)) if kind is None else kind
@@ -70,13 +75,21 @@ class DevicesLink:
     def send(self, can_id, data=b"", length=None):
         self._until(self.t + DELAY_NS)
         self.sent.append((can_id, bytes(data)))
+        for _ in range(self._times()):
+            self._deliver(can_id, bytes(data), length)
+
+    def _times(self):
+        self.count += 1
+        return 2 if self.count - 1 in self.doubled else 1
+
+    def _deliver(self, can_id, data, length):
         for row, device in zip(self._rows, self.devices, strict=True):
             arguments = (self.t, can_id, len(data) if length is None else length, data_word(data), self.out)
             if core.on_frame(row[0], *arguments):
                 device.service(*arguments)
         self._collect()
         for other in self.others:
-            for answer in other(can_id, bytes(data)):
+            for answer in other(can_id, data):
                 self.put(*answer)
 
     def receive(self, until_ns):
@@ -107,7 +120,12 @@ class DevicesLink:
             can_id, length = int(row["can_id"]), int(row["length"])
             data = b"" if can_id & RTR else data_bytes(int(row["word"]), length)
             for frame in self.tamper(Frame(max(int(row["t_ns"]), self.t) + DELAY_NS, can_id, data, length)):
-                heapq.heappush(self._waiting, (frame.t_ns, next(self._number), frame))
+                times = self._times()
+                for again in range(times):
+                    t_ns = max(frame.t_ns + again * self.again_ns, self._from_ns.get(frame.can_id, 0))
+                    one = Frame(t_ns, frame.can_id, frame.data, frame.length)
+                    self._from_ns[frame.can_id] = t_ns
+                    heapq.heappush(self._waiting, (t_ns, next(self._number), one))
         self.out["count"] = 0
 
 

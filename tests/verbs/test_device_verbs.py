@@ -84,7 +84,7 @@ def test_scan_prints_a_table_of_80_columns(desk):
     assert max(map(len, result.stdout.splitlines())) <= 80
     for text in ("pre-operational", "4C0h 402h 10000h 1h", "mr_brake.eds", "no node id", "coulombus lss --set-id N"):
         assert text in " ".join(result.stdout.split()), text
-    assert "node 5 answered one request twice: two devices have this node id" in result.stderr
+    assert "node 5 answers requests twice, or differently: two devices have this node id" in result.stderr
     assert "node 99 answers no SDO; its heartbeat says STOPPED" in result.stderr
 
 
@@ -124,6 +124,56 @@ def test_init_refuses_two_devices_of_one_id(desk, tmp_path):
     assert result.exit_code == 3
     assert "two devices have this node id; take one off the bus, and give the other another id" in result.stderr
     assert not (tmp_path / "my.toml").exists()
+
+
+ABORT = b"\x80%b\0\0\x02\x06"
+BUSY = b"\x43%b\x11\0\0\0"
+
+
+def a_second_device(link, node_id, answer):
+    """Let another device answer each upload 0.3 ms later."""
+    Server(link, node_id, lambda request: [(answer % request[1:4], 300_000)] if request[0] == 0x40 else [])
+
+
+@pytest.mark.parametrize("answer", [ABORT, BUSY], ids=["abort", "value"])
+@pytest.mark.parametrize("words", [("dump", 1, "m.dcf"), ("get", 1, "1017h", "--eds", "m.eds")])
+def test_what_two_devices_answer_is_neither_a_configuration_nor_an_identity(desk, tmp_path, words, answer):
+    (tmp_path / "m.eds").write_text(eds("motor").text, encoding="utf-8")
+    a_second_device(desk, 1, answer)
+    result = call("sdo", *words, *BUS)
+    assert result.exit_code == 3
+    assert "two devices answer as node 1" in result.stderr
+    assert not (tmp_path / "m.dcf").exists()
+
+
+def endless(request):
+    return [b"\x41" + request[1:4] + b"\xff\xff\xff\xff"] if request[0] == 0x40 else []
+
+
+def test_an_answer_that_is_none_is_no_identity_of_zeros(desk, tmp_path):
+    Server(desk, 5, lambda request: endless(request) if request[1:3] == b"\x18\x10" else expedited(request))
+    for words in (("sdo", "get", 5, "1000h", "--eds", tmp_path), ("init", "-o", "my.toml")):
+        result = call(*words, *BUS)
+        assert result.exit_code == 6, words
+        assert "upload of 1018h:01: it has 4294967295 bytes" in result.stderr
+        assert "node 5 has 1018h" not in result.stderr
+    assert "node 5: upload of 1018h:0" in call("scan", *BUS).stderr
+
+
+def expedited(request):
+    return [b"\x43" + request[1:4] + b"\x92\x01\x02\0"] if request[0] == 0x40 else []
+
+
+def test_a_dump_with_an_answer_that_is_none_writes_no_file(desk, tmp_path):
+    desk.tamper = lambda frame: (
+        [type(frame)(frame.t_ns, frame.can_id, b"\x60" + frame.data[1:], 8)]
+        if frame.can_id == 0x581 and frame.data[1:4] == b"\x17\x10\0"
+        else [frame]
+    )
+    result = call("sdo", "dump", 1, "m.dcf", *BUS)
+    assert result.exit_code == 6
+    assert "1017h:00" in result.stderr
+    assert not (tmp_path / "m.dcf").exists()
 
 
 def test_init_on_a_bus_where_nobody_answers_says_who_tells_more(desk):

@@ -1,0 +1,137 @@
+"""The answers of one node to one SDO client: which frame is the same one again, and whether two
+devices answer.
+
+CAN delivers a frame twice when the last bit of its end is disturbed: its receivers have it already,
+and its sender sends it again. So an answer that is identical to the one before, and comes directly
+behind it, is the same frame; of a request that was delivered twice come two answers. Two devices of
+one node id show otherwise: one request has different answers, or several requests in a row have a
+second one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["SdoAnswers", "named"]
+
+IN_A_ROW = 3
+"""Second answers to so many requests in a row are those of a second device."""
+COMMUNICATION = range(0x1000, 0x2000)
+"""What stands here is the same when it is read twice; a measured value is not."""
+_UPLOAD, _DOWNLOAD, _ABORT = 2, 3, 4
+_ANSWERS = {1: (3, 4), 2: (2, 4), 5: (2, 4, 6), 6: (4, 5)}
+"""Command of an initiating request -> those of what may answer it (bits 7 to 5 of byte 0)."""
+
+
+def named(message: bytes) -> tuple[int, int]:
+    """Return the object that an initiating message names."""
+    return int.from_bytes(message[1:3], "little"), message[3]
+
+
+@dataclass
+class _Asked:
+    """A request, how often it was sent on end, how often it was answered, and how first."""
+
+    request: bytes
+    times: int = 1
+    answers: int = 0
+    first: bytes = b""
+
+    def ends(self, answer: bytes) -> bool:
+        """Tell whether an answer ends this request: of a longer transfer other frames do."""
+        command = answer[0] >> 5
+        if self.request[0] >> 5 == 2:
+            return command == _ABORT or (command == _UPLOAD and bool(answer[0] & 0x02))
+        if self.request[0] >> 5 == 1:
+            return command == _ABORT or (command == _DOWNLOAD and bool(self.request[0] & 0x02))
+        return False
+
+    def contradicts(self, answer: bytes) -> bool:
+        """Tell whether one device does not give this answer behind the first: a second write may be
+        refused, and a measured value changes.
+        """
+        if self.request[0] >> 5 != 2 or self.times > 1 or answer == self.first:
+            return False
+        return answer[0] != self.first[0] or named(answer)[0] in COMMUNICATION
+
+
+class SdoAnswers:
+    """What a node was asked by one client, and what it answered.
+
+    Attributes
+    ----------
+    again : the answer before once more, which came behind the last message of the client; b"" without one
+    stray : the last answer about another object than the one that is asked for, b"" without one
+    second : the last answer to a request that had been answered, b"" without one
+    """
+
+    def __init__(self) -> None:
+        self.again = self.stray = self.second = b""
+        self._request = self._last = b""  # the request is there while the client waits for its first answer
+        self._behind = 0  # messages sent behind the last answer
+        self._count = 0  # initiating requests
+        self._asked: dict[tuple[int, int], _Asked] = {}
+        self._place: tuple[int, int] | None = None  # of the last initiating request
+        self._twice: set[int] = set()  # numbers of the requests in whose time second answers came
+        self._differ = False
+
+    def ask(self, request: bytes) -> None:
+        """The client initiates a transfer."""
+        self.sent()
+        self._count += 1
+        self._request, self.stray = request, b""
+        place = named(request)
+        before = self._asked.pop(place, None)
+        if place != self._place:
+            self._asked[place] = _Asked(request)
+        elif before is not None and before.request == request:
+            before.times += 1
+            self._asked[place] = before
+        self._place = place
+
+    def sent(self) -> None:
+        """The client sends a message that goes on with a transfer, or ends it."""
+        self._request, self.again, self._behind = b"", b"", self._behind + 1
+
+    def take(self, answer: bytes) -> bool:
+        """Take a message of the server; tell whether it goes on with the transfer.
+
+        What is the frame before once more does not, nor does an answer to an earlier request.
+        """
+        self._judge(answer)
+        if answer == self._last and not self._repeats(answer):
+            self.again = answer if self._behind else b""
+            return False
+        self._last = answer
+        if self._request and answer[0] >> 5 > 1 and named(answer) not in (self._place, (0, 0)):
+            self.stray = answer
+            return False
+        self._behind = 0
+        return True
+
+    @property
+    def duplicate_node_id(self) -> bool:
+        """Whether two devices have answered."""
+        return self._differ or any(
+            all(number + k in self._twice for k in range(IN_A_ROW)) for number in tuple(self._twice)
+        )
+
+    def _repeats(self, answer: bytes) -> bool:
+        """Tell whether a new answer may be identical to the one before."""
+        if self._request:
+            return (
+                self._behind > 0 and named(answer) == self._place and answer[0] >> 5 in _ANSWERS[self._request[0] >> 5]
+            )
+        return answer[0] & 0xE3 == 0xA2 and answer[1] <= self._behind  # blocks of the same length
+
+    def _judge(self, answer: bytes) -> None:
+        asked = self._asked.get(named(answer))
+        if asked is None or not asked.ends(answer):
+            return
+        asked.answers += 1
+        asked.first = asked.first or answer
+        if asked.answers <= asked.times:
+            return
+        self.second = answer
+        self._twice.add(self._count)
+        self._differ = self._differ or asked.contradicts(answer)
