@@ -18,6 +18,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -30,6 +31,7 @@ from mutants import Mutant, Source
 __all__ = ["Verdict", "run"]
 
 SHORTEST_LIMIT_S = 2.0
+SHORTEST_WAIT_S = 20.0  # of wall clock: a mutant that waits for ever takes no processor time
 HEADROOM = 1 << 30  # bytes that a mutant may allocate beyond what the tests have
 
 
@@ -49,7 +51,23 @@ class _Child:
     number: int
     pid: int
     pipe: int
+    until: float  # [s, time.monotonic] it is ended then
     said: bytes = b""
+    hangs: bool = False
+
+    def end(self) -> None:
+        """End it, and what it has started."""
+        with suppress(ProcessLookupError):
+            os.killpg(self.pid, signal.SIGKILL)
+
+
+@dataclass(frozen=True)
+class _Base:
+    """What each test takes without a mutant, and the lines that it covers."""
+
+    seconds: list[float]  # of processor time
+    waits: list[float]  # of wall clock
+    lines: list[set[int]]
 
 
 class _Failure:
@@ -87,7 +105,7 @@ class _Runner:
             self.space = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE") + HEADROOM
             self._control()
         if not self.error:
-            self._run_all(base["seconds"], [set(lines) for lines in base["lines"]])
+            self._run_all(_Base(base["seconds"], base["waits"], [set(lines) for lines in base["lines"]]))
         return True
 
     def _control(self) -> None:
@@ -130,14 +148,17 @@ class _Runner:
         source = os.path.realpath(self.module.__file__ or "")  # the name of the import is a link
         measured = coverage.Coverage(data_file=None, include=[source], config_file=False)
         starts: list[float] = []
+        clock: list[float] = []
 
         def begin(item: pytest.Item) -> None:
             starts.append(time.process_time())
+            clock.append(time.monotonic())
             measured.switch_context(item.nodeid)
 
         measured.start()
         failed = self._run_items(self.items, begin)
         starts.append(time.process_time())
+        clock.append(time.monotonic())
         measured.stop()
         answer: dict[str, Any] = {"failed": failed}
         if not failed:
@@ -149,17 +170,24 @@ class _Runner:
                         covered[context].add(line)
             answer["lines"] = [sorted(covered[item.nodeid]) for item in self.items]
             answer["seconds"] = [b - a for a, b in pairwise(starts)]
+            answer["waits"] = [b - a for a, b in pairwise(clock)]
         _write_all(pipe, json.dumps(answer).encode())
 
-    def _chosen(self, mutant: Mutant, seconds: list[float], covered: list[set[int]]) -> list[int]:
+    def _chosen(self, mutant: Mutant, base: _Base) -> list[int]:
         lines = set(mutant.lines) if mutant.unit else set()
-        found = [k for k in range(len(self.items)) if not lines or lines & covered[k]]
-        return sorted(found, key=lambda k: seconds[k])
+        found = [k for k in range(len(self.items)) if not lines or lines & base.lines[k]]
+        return sorted(found, key=lambda k: base.waits[k])
 
-    def _run_all(self, seconds: list[float], covered: list[set[int]]) -> None:
+    def _run_all(self, base: _Base) -> None:
         running: dict[int, _Child] = {}
+        try:
+            self._run_each(base, running)
+        finally:
+            for child in running.values():
+                child.end()
+
+    def _run_each(self, base: _Base, running: dict[int, _Child]) -> None:
         waiting = iter(enumerate(self.mutants))
-        limits: dict[int, float] = {}
         done = False
         while running or not done:
             while not done and len(running) < self.jobs:
@@ -167,19 +195,20 @@ class _Runner:
                 if mutant is None:
                     done = True
                     break
-                chosen = self._chosen(mutant, seconds, covered)
+                chosen = self._chosen(mutant, base)
                 if not chosen:
                     self.tell(number, Verdict("survived", "no test covers it", 0.0))
                     continue
-                limit = max(SHORTEST_LIMIT_S, self.factor * sum(seconds[k] for k in chosen))
-                limits[number] = limit
+                limit = max(SHORTEST_LIMIT_S, self.factor * sum(base.seconds[k] for k in chosen))
+                wait = max(SHORTEST_WAIT_S, self.factor * sum(base.waits[k] for k in chosen))
                 pipe, pid = self._fork(self._mutant_run(mutant, [self.items[k] for k in chosen], limit))
-                running[pipe] = _Child(number, pid, pipe)
+                running[pipe] = _Child(number, pid, pipe, time.monotonic() + wait)
             if running:
                 self._collect(running)
 
     def _mutant_run(self, mutant: Mutant | None, items: list[pytest.Item], limit_s: float) -> Callable[[int], None]:
         def work(pipe: int) -> None:
+            os.setpgid(0, 0)  # what it starts ends with it
             signal.setitimer(signal.ITIMER_PROF, limit_s)
             signal.signal(signal.SIGPROF, signal.SIG_DFL)
             resource.setrlimit(resource.RLIMIT_AS, (self.space, self.space))
@@ -192,7 +221,14 @@ class _Runner:
         return work
 
     def _collect(self, running: dict[int, _Child]) -> None:
-        for pipe in select.select(list(running), [], [])[0]:
+        first = min(child.until for child in running.values())
+        found = select.select(list(running), [], [], min(max(first - time.monotonic(), 0.0), 1.0))[0]
+        for child in running.values():
+            if child.pipe not in found and child.until <= time.monotonic():
+                child.hangs = True
+                child.until = float("inf")
+                child.end()
+        for pipe in found:
             child = running[pipe]
             part = os.read(pipe, 65536)
             if part:
@@ -205,7 +241,7 @@ class _Runner:
             if child.said:
                 failed = child.said.decode().partition(" ")[2]
                 self.tell(child.number, Verdict("killed" if failed else "survived", failed, cpu_s))
-            elif os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGPROF:
+            elif child.hangs or (os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGPROF):
                 self.tell(child.number, Verdict("timeout", "", cpu_s))
             else:  # it could not even be loaded, or ended the process
                 self.tell(child.number, Verdict("killed", "the process ended", cpu_s))
@@ -225,11 +261,13 @@ def run(
     source: Source,
     mutants: list[Mutant],
     tests: tuple[str, ...],
+    left_out: str,
     jobs: int,
     factor: float,
     tell: Callable[[int, Verdict], None],
 ) -> str:
-    """Run `mutants` of `source` against `tests`; `tell` gets each one's number and verdict.
+    """Run `mutants` of `source` against `tests` without those that `left_out` chooses as pytest's
+    -k does; `tell` gets each one's number and verdict.
 
     Return what went wrong, or "".
     """
@@ -246,6 +284,7 @@ def run(
         "--tb=no",
         "--assert=plain",
         "-s",
+        *(["-k", f"not ({left_out})"] if left_out else []),
         *tests,
     ]
     with _silence():

@@ -46,9 +46,9 @@ def brake_limit_raw(axis: Axis) -> int:
     """
     one = axis.allocation.bound["brake_setpoint"]
     variable = axis.description(one.node).variable(one.entry.index, one.entry.subindex)
-    most = int(min(variable.largest, 0xFFFFFFFF))
-    least = 0 if variable.whole is None else variable.whole[0]
-    least = least if variable.low is None else max(least, int(variable.low))
+    assert variable.whole is not None  # the rig's reader takes integers of at most 32 bits alone
+    most = int(variable.largest)
+    least = variable.whole[0] if variable.low is None else int(variable.low)
     for raw, _ in one.table:
         if not least <= raw <= most:
             label = f"{one.entry.index:04X}h:{one.entry.subindex:02X}"

@@ -6,7 +6,8 @@ from __future__ import annotations
 
 import pytest
 
-from coulombus.host.cycle.live import SLOTS, Slot
+from coulombus.compiled.decorator import Entry
+from coulombus.host.cycle.live import LIVE, ORDER, SLOTS, Slot, follow, offer
 from coulombus.host.cycle.parameters import LiveParameters, NotTaken, Refused
 from coulombus.host.cycle.records import Phase
 from host_bench import HostBench
@@ -260,3 +261,70 @@ def test_what_is_on_its_way_is_told(bench):
     bench.cycles(50)
     row = next(one for one in bench.parameters.rows()[0] if one["name"] == "F_s_Nm")
     assert (row["value"], row["now"], row["low"], row["high"]) == (1.4, pytest.approx(1.3), 0.0, 1.5)
+
+
+# one order, cycle by cycle
+
+_follow = Entry(follow)
+LAW = ("K_p", "F_s", "F_d")
+
+
+def ordered(bench, number, cycles, *values):
+    """Order K_p, F_s, F_d and compensation, which begin at 100 Nm/rad, 1.2, 1 and 0 Nm."""
+    user = [float(number) for number in bench.axis.law.user]
+    offer(bench.k.live[0], number, [*values, *user], cycles)
+    bench.k.live["wanted"] = number
+
+
+def test_compiled_code_reads_two_orders_aligned():
+    assert LIVE.isalignedstruct
+    assert ORDER.isalignedstruct
+    assert LIVE["offered"].shape == (2,)
+
+
+def test_every_value_begins_where_it_stands(bench):
+    bench.c.compensation_Nm = 0.02
+    ordered(bench, 1, 4, 60.0, 0.8, 0.6, 0.1)
+    _follow(bench.axis)
+    assert [float(bench.axis.law[name]) for name in LAW] == [90.0, 1.2 + (0.8 - 1.2) / 4, 1.0 + (0.6 - 1.0) / 4]
+    assert float(bench.c.compensation_Nm) == 0.02 + (0.1 - 0.02) / 4
+
+
+@pytest.mark.parametrize("cycles", [0, -1, 1])
+def test_an_order_without_a_way_is_taken_in_one_cycle(bench, cycles):
+    ordered(bench, 1, cycles, 60.0, 0.8, 0.6, 0.0)
+    _follow(bench.axis)
+    assert [float(bench.axis.law[name]) for name in LAW] == [60.0, 0.8, 0.6]
+
+
+def test_the_last_cycle_has_the_ordered_value_to_its_last_bit(bench):
+    """1.2 + (0.1 - 1.2) is not 0.1."""
+    ordered(bench, 1, 3, 100.0, 0.1, 0.1, 0.0)
+    assert 1.2 + (0.1 - 1.2) != 0.1
+    for _ in range(3):
+        _follow(bench.axis)
+    assert float(bench.axis.law.F_s) == 0.1
+
+
+@pytest.mark.parametrize(
+    ("stuck", "phase", "K_p", "moved"),
+    [
+        (1, Phase.RUN, 50.0, True),
+        (1, Phase.RUN, 100.0, False),
+        (0, Phase.RUN, 50.0, False),
+        (1, Phase.SAFE, 50.0, False),
+        (0, Phase.SAFE, 50.0, False),
+    ],
+)
+def test_only_of_a_stuck_handle_in_the_law_is_the_spring_moved(bench, stuck, phase, K_p, moved):
+    """A force of 0.3 Nm at 100 Nm/rad is one at 50 Nm/rad of twice the way."""
+    bench.axis.state.stuck, bench.h.phase = stuck, int(phase)
+    bench.axis.motion.x_rad, bench.axis.state.x_stuck = 0.4, 0.1
+    assert 0.4 - (0.4 - 0.1) != 0.1  # a spring that stays must not be computed again
+    ordered(bench, 1, 1, K_p, 1.1, 0.9, 0.0)
+    _follow(bench.axis)
+    assert float(bench.axis.law.K_p) == K_p
+    if moved:
+        assert float(bench.axis.state.x_stuck) == pytest.approx(-0.2)
+    else:
+        assert float(bench.axis.state.x_stuck) == 0.1
