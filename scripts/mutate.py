@@ -82,7 +82,7 @@ TARGETS = {
     ),
     "host/cycle/live.py": Target(("test_live_parameters",)),
     "host/run/deadman.py": Target(("test_deadman_edges", "test_deadman", "test_keys")),
-    "host/run/deadman_outside.py": Target(("test_deadman",)),
+    "host/run/deadman_outside.py": Target(("test_deadman_edges", "test_deadman")),
     "host/setup/reactions.py": Target(("test_reactions_edges",)),
     "host/setup/settings.py": Target(("test_settings_edges",)),
     "host/setup/device_plan.py": Target(("test_device_plan_edges",)),

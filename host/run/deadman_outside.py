@@ -95,7 +95,7 @@ class HeldLine(Watcher):
         offsets = struct.pack("=I", number)
         wanted = LINE.pack(offsets, b"coulombus dead man", flags, 0, b"", b"", 1, 0, b"", -1)
         try:
-            device = os.open(chip, os.O_RDONLY | os.O_CLOEXEC)
+            device = os.open(chip, os.O_RDONLY)
             try:
                 self._line = LINE.unpack(ioctl(device, GET_LINE, wanted))[-1]
             finally:

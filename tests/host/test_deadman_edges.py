@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import os
 import pty
+import socket
 import termios
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from coulombus.host.errors import SafetyTrip
-from coulombus.host.run import deadman
+from coulombus.host.run import deadman, deadman_outside
 from coulombus.host.run.deadman import HeldKey, deadman_of
+from coulombus.host.run.deadman_outside import GET_LINE, GET_VALUES, LINE, VALUES, HeldLine, HeldSocket, switch_of
 from coulombus.rigs.rig import load_rig
 from coulombus.wire.address import parse_address
 
@@ -166,3 +170,158 @@ def test_a_motor_with_torque_needs_one_on_an_interface_of_linux(bus, limit_Nm, n
 def test_every_motor_with_torque_is_named():
     with pytest.raises(SafetyTrip, match=r"gives left\.motor, right\.motor torque"):
         deadman_of(load_rig("two_axes"), "hybrid", parse_address("socketcan:can0"))
+
+
+# a line and a socket
+
+
+class Ready:
+    """The switch's thread in the test's own: `found` has what is ready, one wait after the other."""
+
+    def __init__(self, *found):
+        self.found, self.asked = list(found), []
+
+    def ready(self, sources, timeout_s=None):
+        self.asked.append((len(sources), timeout_s))
+        found = self.found.pop(0)
+        return None if found is None else [sources[k] for k in found]
+
+
+class Chip:
+    """A GPIO chip in the kernel's place, which looks at descriptor, request and structure."""
+
+    def __init__(self, path):
+        self.path, self.bits, self.device, self.line, self.asked = path, 1, -1, -1, None
+        path.write_bytes(b"")
+
+    def ioctl(self, descriptor, request, given):
+        if request == 3 << 30 | LINE.size << 16 | 0xB4 << 8 | 0x07:  # _IOWR(0xB4, 0x07, struct gpio_v2_line_request)
+            assert os.path.samestat(os.fstat(descriptor), self.path.stat())
+            self.device, self.asked = descriptor, LINE.unpack(given)
+            self.line = os.open(os.devnull, os.O_RDONLY)
+            return LINE.pack(*self.asked[:-1], self.line)
+        assert request == 3 << 30 | VALUES.size << 16 | 0xB4 << 8 | 0x0E  # GPIO_V2_LINE_GET_VALUES_IOCTL
+        assert descriptor == self.line
+        assert given == VALUES.pack(0, 1)
+        return VALUES.pack(self.bits, 1)
+
+
+@pytest.fixture
+def chip(tmp_path):
+    return Chip(tmp_path / "gpiochip0")
+
+
+def is_open(descriptor, path):
+    try:
+        return os.path.samestat(os.fstat(descriptor), os.stat(path))
+    except OSError:
+        return False
+
+
+def test_the_requests_are_the_kernels():
+    assert (GET_LINE, GET_VALUES) == (0xC250B407, 0xC010B40E)
+
+
+@pytest.mark.parametrize(("low", "flags"), [(False, 1 << 2 | 1 << 9), (True, 1 << 1 | 1 << 2 | 1 << 8)])
+def test_one_line_is_asked_for_and_nothing_stays_open(chip, low, flags):
+    with HeldLine([].append, chip.path, 17, low=low, ioctl=chip.ioctl) as switch:
+        offsets = (17).to_bytes(4, "little").ljust(256, b"\0")
+        name = b"coulombus dead man".ljust(32, b"\0")
+        assert chip.asked == (offsets, name, flags, 0, b"\0" * 20, b"\0" * 240, 1, 0, b"\0" * 20, -1)
+        assert not is_open(chip.device, chip.path)
+        assert is_open(chip.line, os.devnull)
+        assert switch.name == "the switch at the GPIO line"
+    assert not is_open(chip.line, os.devnull)
+
+
+@pytest.mark.parametrize(("bits", "held"), [(1, True), (3, True), (0, False), (2, False)])
+def test_a_level_counts_for_30_ms_and_is_looked_at_every_2_ms(chip, clock, bits, held):
+    told = []
+    switch = HeldLine(told.append, chip.path, 17, ioctl=chip.ioctl)
+    switch._lookout = Ready([], [], None)
+    chip.bits, clock.now_ns = bits, 5000 * MS
+    switch._watch()
+    assert told == [5030 * MS if held else 0] * 2
+    assert switch._lookout.asked == [(0, 0.002)] * 3
+    os.close(chip.line)
+
+
+@pytest.fixture
+def clients(monkeypatch):
+    """The clients that come to a socket, None for one that has gone again."""
+    waiting = []
+    monkeypatch.setattr(deadman_outside, "_accepted", lambda listener: waiting.pop(0))
+    return waiting
+
+
+class Client:
+    """A client that has said these bytes, and then went."""
+
+    def __init__(self, *said):
+        self.said, self.closed = list(said), False
+
+    def fileno(self):
+        return 1000
+
+    def recv(self, size):
+        return self.said.pop(0)
+
+    def close(self):
+        self.closed = True
+
+
+@pytest.fixture
+def held(clock, short_path):
+    told = []
+    switch = HeldSocket(told.append, short_path / "hand")
+    clock.now_ns = 5000 * MS
+    yield SimpleNamespace(switch=switch, told=told)
+    switch._listener.close()
+
+
+def test_a_byte_counts_for_100_ms(held, clients):
+    clients.append(client := Client(b"x", b"y", b""))
+    held.switch._lookout = Ready([0], [1], [], [1], [1], None)
+    held.switch._watch()
+    assert held.told == [5100 * MS, 5100 * MS, 0]
+    assert held.switch._lookout.asked == [(1, 0.1), (2, 0.1), (2, 0.1), (2, 0.1), (2, 0.1), (1, 0.1)]
+    assert client.closed
+
+
+def test_a_second_client_that_has_gone_again_lets_nothing_go(held, clients):
+    clients += [client := Client(b"x"), None]
+    held.switch._lookout = Ready([0], [0], [1], None)
+    held.switch._watch()
+    assert held.told == [5100 * MS]
+    assert client.closed
+
+
+def test_a_client_never_blocks_the_watcher(short_path):
+    with HeldSocket([].append, short_path / "hand") as switch:
+        pass
+    assert switch._listener.fileno() == -1
+    listener = socket.socket(socket.AF_UNIX)
+    with listener, socket.socket(socket.AF_UNIX) as client:
+        listener.bind(str(short_path / "other"))
+        listener.listen()
+        client.connect(str(short_path / "other"))
+        with deadman_outside._accepted(listener) as accepted:
+            assert not accepted.getblocking()
+
+
+def test_each_kind_of_switch_is_made_of_its_text(terminal, short_path, monkeypatch):
+    others = []
+    key = switch_of("key", [].append, others.append)
+    assert isinstance(key, HeldKey)
+    key._struck(b"5")
+    assert others == [b"5"]
+    with switch_of(f"socket:{short_path}/hand", [].append) as made:
+        assert isinstance(made, HeldSocket)
+        assert made.path == Path(f"{short_path}/hand")
+    lines = []
+    monkeypatch.setattr(
+        deadman_outside, "HeldLine", lambda hold, chip, number, *, low: lines.append((chip, number, low))
+    )
+    switch_of("gpio:gpiochip1:3", [].append)
+    switch_of("gpio:gpiochip1:4:low", [].append)
+    assert lines == [(Path("/dev/gpiochip1"), 3, False), (Path("/dev/gpiochip1"), 4, True)]

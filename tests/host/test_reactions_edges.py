@@ -8,7 +8,9 @@ from coulombus.host.cycle.controller import Controller
 from coulombus.host.setup.reactions import FAULTS, Reaction, reactions_of
 from coulombus.host.setup.settings import Setting, settings_of
 from coulombus.rigs.rig import load_rig
-from foreign_rigs import brake, drive, rig_of
+from eds_edit import edit, fixed, mapped
+from foreign_eds import BRAKE, MOTOR
+from foreign_rigs import Part, brake, drive, rig_of
 
 NOTHING = ("", None, "its last set-point stays", None)
 DEADLINE, HEARTBEAT = ("RPDO deadline 1400h:05", 0.01), ("heartbeat consumer 1016h:01", 0.15)
@@ -141,3 +143,32 @@ def test_a_deadline_of_an_rpdo_that_is_not_used_is_no_watch():
         return [Setting(0x1401, 5, 10) if (one.index, one.subindex) == (0x1400, 5) else one for one in settings]
 
     assert one_of(found(rig, "motor", moved)) == watched(SYNC, DISABLED)
+
+
+def test_a_motor_is_a_drive_whatever_its_1000h_says():
+    part = Part(edit(MOTOR, "1000", DefaultValue="0x00020194"))
+    assert one_of(found(rig_of(part, brake("own")), "motor")) == watched(DEADLINE, DISABLED)
+
+
+def test_a_fault_value_needs_two_objects_and_no_more():
+    rig = rig_of(drive("own"), brake("404", "guarding"))
+
+    def two(settings):
+        return [one for one in settings if one.index in (0x6340, 0x7341)]
+
+    assert one_of(found(rig, "brake", two)) == watched(GUARDING, OFF)
+
+
+def test_the_deadline_of_another_devices_rpdo_or_of_a_tpdos_number_is_no_watch():
+    """The drive has its set-point in RPDO 2, the brake in RPDO 1; TPDO 3 of the drive is used."""
+    eds = fixed(MOTOR, *(base + k for base in (0x1600, 0x1A00) for k in range(4)))
+    eds = mapped(mapped(eds, 0x1600, 0x60600008), 0x1601, 0x60400010, 0x60710010)
+    eds = mapped(mapped(eds, 0x1A00, 0x60410010), 0x1A02, 0x60640020, 0x60770010)
+    rig = rig_of(Part(eds), Part(BRAKE))
+    assert one_of(found(rig, "motor")) == watched(("RPDO deadline 1401h:05", 0.01), DISABLED)
+    for index in (0x1400, 0x1402):
+
+        def instead(settings, index=index):
+            return [*(one for one in settings if one.index != 0x1401), Setting(index, 5, 10)]
+
+        assert one_of(found(rig, "motor", instead)) == watched(SYNC, DISABLED)

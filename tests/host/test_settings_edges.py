@@ -8,8 +8,8 @@ from __future__ import annotations
 import pytest
 
 from coulombus.host.setup.settings import Setting, encoded, number_of, settings_of, torque_limits
-from eds_edit import edit
-from foreign_eds import BRAKE, I16, MOTOR, with_variable
+from eds_edit import edit, fixed, mapped
+from foreign_eds import BRAKE, I16, MOTOR, with_variable, without
 from foreign_rigs import Part, brake, drive, rig_of
 
 HOW = {
@@ -254,4 +254,121 @@ def test_an_object_that_the_eds_file_lacks_is_of_the_type_that_the_rig_file_says
     assert (variable.index, variable.subindex, variable.bits, variable.access) == (0x2FFF, 3, 32, "rw")
     assert variable.whole == (-(1 << 31), (1 << 31) - 1)
     assert (variable.low, variable.high, variable.node_relative, variable.pdo_mappable) == (None, None, False, False)
+    assert variable.line == 1
     assert Setting(0x6072, 0, 1, type="INTEGER32").variable(description).bits == 16
+
+
+def test_a_real_is_no_number_of_a_setting():
+    eds = edit(MOTOR, "2001", DataType="0x8", LowLimit="", HighLimit="", DefaultValue="")
+    variable = rig_of(Part(eds), brake("own")).one_axis().description("motor").variable(0x2001, 0)
+    with pytest.raises(OverflowError):
+        encoded(variable, 1)
+    assert number_of(variable, b"\xff\xff") == 0xFFFF
+
+
+# times, and what is lost
+
+
+@pytest.mark.parametrize("node", ["motor", "brake"])
+def test_times_are_whole_milliseconds_of_the_rig_file(node):
+    times = {"setpoint_fault_s": 0.9, "heartbeat_timeout_s": 0.8, "heartbeat_s": 0.7, "sync_timeout_s": 0.6}
+    rig = rig_of(drive("own"), brake("own"), *(f"{node}.{key}={value}" for key, value in times.items()))
+    found = {(one.index, one.subindex): one for one in settings(rig, node)}
+    expected = {
+        (0x1400, 5): (900, "setpoint_fault_s"),
+        (0x1016, 1): (127 << 16 | 800, "heartbeat_timeout_s"),
+        (0x1017, 0): (700, "heartbeat_s"),
+        (0x2002, 0): (600_000, "sync_timeout_s"),
+    }
+    assert {place: (found[place].value, found[place].key) for place in expected} == {
+        place: (value, f"{node}.{key}") for place, (value, key) in expected.items()
+    }
+
+
+@pytest.mark.parametrize(("kind", "lost"), [("own", ""), ("A", "it does not notice that an RPDO stops coming")])
+def test_a_deadline_that_another_maker_lacks_is_a_loss(kind, lost):
+    found = settings(rig_of(drive(kind), brake("own")), "motor")
+    (deadline,) = (one for one in found if (one.index, one.subindex) == (0x1400, 5))
+    assert deadline.lost == lost
+    assert [one.key for one in found if one.subindex == 2 and one.index in (0x1400, 0x1800)] == ["bus.actuation", ""]
+
+
+@pytest.mark.parametrize(("node", "name"), [("motor", "drive"), ("brake", "brake")])
+def test_the_loss_of_sync_is_named_for_the_device(node, name):
+    (sync,) = (one for one in settings(rig_of(drive("own"), brake("own")), node) if one.index == 0x2002)
+    assert sync.lost == f"the {name} does not notice the loss of SYNC ({node}.sync_timeout_s)"
+
+
+def test_the_reaction_to_the_hosts_loss_is_the_one_that_is_lost():
+    found = [one for one in settings(rig_of(drive("A"), brake("own")), "motor") if one.index in range(0x6007, 0x605F)]
+    assert [one.index for one in found if one.lost] == [0x6007]
+
+
+@pytest.mark.parametrize(("access", "how"), [("rw", ""), ("ro", ""), ("wo", "/n")])
+def test_a_mode_that_cannot_be_read_is_not_read_back(access, how):
+    rig = rig_of(Part(edit(MOTOR, "6060", AccessType=access)), brake("own"))
+    assert only(rig, "motor", 0x6060) == [f"6060:0=A{how}"]
+
+
+def test_a_drive_in_profile_torque_without_a_slope_tells_the_loss():
+    part = drive("C")
+    rig = rig_of(Part(without(part.eds, "6087"), part.text, part.overrides), brake("own"))
+    (slope,) = (one for one in settings(rig, "motor") if one.index == 0x6087)
+    assert shown(slope) == "6087:0=0/o"
+    assert slope.lost == "nothing tells how fast the torque follows in mode 4"
+
+
+def test_a_drive_may_lack_every_limit_and_a_limit_may_have_no_least():
+    description = rig_of(Part(without(MOTOR, "6072", "60E0", "60E1", "6073")), brake("own")).one_axis()
+    assert torque_limits(description.description("motor")) == ()
+    assert only(rig_of(Part(edit(MOTOR, "6072", LowLimit="")), brake("own")), "motor", 0x6072) == ["6072:0=61"]
+
+
+@pytest.mark.parametrize(
+    ("gone", "by"),
+    [
+        (("1401sub5", "1402sub5", "1403sub5"), "only the RPDO deadline"),
+        (("1400sub5",), "an old one acts until the host's loss is noticed"),
+    ],
+)
+def test_the_deadline_that_counts_is_that_of_the_rpdo_that_is_used(gone, by):
+    (age,) = (
+        one for one in settings(rig_of(Part(without(MOTOR, *gone)), brake("own")), "motor") if one.index == 0x2001
+    )
+    assert by in age.lost
+
+
+@pytest.mark.parametrize(
+    ("gone", "by"),
+    [(("1400sub5", "1402sub5"), "only the RPDO deadline"), (("1401sub5",), "an old one acts")],
+)
+def test_the_deadline_that_counts_is_of_the_drives_own_rpdo(gone, by):
+    """The drive has its set-point in RPDO 2, the brake in RPDO 1; TPDO 3 of the drive is used."""
+    eds = fixed(MOTOR, *(base + k for base in (0x1600, 0x1A00) for k in range(4)))
+    eds = mapped(mapped(eds, 0x1600, 0x60600008), 0x1601, 0x60400010, 0x60710010)
+    eds = mapped(mapped(eds, 0x1A00, 0x60410010), 0x1A02, 0x60640020, 0x60770010)
+    rig = rig_of(Part(without(eds, *gone)), Part(BRAKE))
+    (age,) = (one for one in settings(rig, "motor") if one.index == 0x2001)
+    assert by in age.lost
+
+
+def test_the_slope_is_at_most_31_bits():
+    rig = rig_of(drive("C"), brake("own"), "limits.torque_rate_Nm_s=1e7", "motor.rated_torque_Nm=0.01")
+    assert only(rig, "motor", 0x6087) == ["6087:0=7FFFFFFF"]
+
+
+def test_an_unused_pdo_without_its_map_is_switched_off_where_its_identifier_is_read_only():
+    eds = without(edit(MOTOR, "1801sub1", AccessType="ro"), "1A01")
+    assert only(rig_of(Part(eds), brake("own")), "motor", 0x1801, 0x1A01) == ["1801:1=80000281/s"]
+
+
+def test_a_pdo_without_a_default_beyond_the_four_is_off_already():
+    eds = with_variable(without(MOTOR, "1801"), "15FFsub1", "0x7", "", "rw")
+    eds += "\n\n[15FF]\nParameterName=X\nObjectType=0x9\nSubNumber=1\n\n"
+    assert only(rig_of(Part(eds), brake("own")), "motor", 0x15FF) == []
+
+
+def test_the_last_of_512_pdos_is_looked_at_too():
+    eds = with_variable(without(MOTOR, "1801"), "15FFsub1", "0x7", "0x222", "rw")
+    eds += "\n\n[15FF]\nParameterName=X\nObjectType=0x9\nSubNumber=1\n\n"
+    assert only(rig_of(Part(eds), brake("own")), "motor", 0x15FF) == ["15FF:1=80000222/s"]
