@@ -8,7 +8,7 @@ from __future__ import annotations
 import pytest
 
 from coulombus.host.setup.settings import Setting, encoded, number_of, settings_of, torque_limits
-from eds_edit import edit, fixed, mapped
+from eds_edit import SENSOR, edit, fixed, mapped
 from foreign_eds import BRAKE, I16, MOTOR, with_variable, without
 from foreign_rigs import Part, brake, drive, rig_of
 
@@ -255,6 +255,8 @@ def test_an_object_that_the_eds_file_lacks_is_of_the_type_that_the_rig_file_says
     assert variable.whole == (-(1 << 31), (1 << 31) - 1)
     assert (variable.low, variable.high, variable.node_relative, variable.pdo_mappable) == (None, None, False, False)
     assert variable.line == 1
+    with pytest.raises(KeyError, match=r"motor\.eds describes no object 2FFFh"):
+        Setting(0x2FFF, 3, 1).variable(description)
     assert Setting(0x6072, 0, 1, type="INTEGER32").variable(description).bits == 16
 
 
@@ -372,3 +374,39 @@ def test_the_last_of_512_pdos_is_looked_at_too():
     eds = with_variable(without(MOTOR, "1801"), "15FFsub1", "0x7", "0x222", "rw")
     eds += "\n\n[15FF]\nParameterName=X\nObjectType=0x9\nSubNumber=1\n\n"
     assert only(rig_of(Part(eds), brake("own")), "motor", 0x15FF) == ["15FF:1=80000222/s"]
+
+
+@pytest.mark.parametrize("number", [0x1403, 0x1801])
+def test_a_pdo_without_an_identifier_is_left_alone(number):
+    assert only(rig_of(Part(without(MOTOR, f"{number:04X}sub1")), brake("own")), "motor", number) == []
+
+
+def test_a_map_needs_its_number_only_to_be_emptied():
+    eds = without(edit(MOTOR, "1801sub1", AccessType="ro"), *(f"1A01sub{k}" for k in range(1, 9)))
+    assert only(rig_of(Part(eds), brake("own")), "motor", 0x1801, 0x1A01) == ["1A01:0=0/sw"]
+
+
+@pytest.mark.parametrize("ms", [1, 7])
+def test_a_tpdo_that_does_not_follow_sync_has_an_event_timer(ms):
+    eds = edit(edit(MOTOR, "1800sub2", AccessType="ro", DefaultValue=255), "1800sub5", AccessType="ro", DefaultValue=ms)
+    rig = rig_of(Part(eds), brake("own"), "limits.missed_tpdo_cycles=20")
+    assert f"1800:5={ms:X}" in rows(rig, "motor")
+
+
+def test_the_mode_is_read_back_where_the_eds_file_says_nothing_of_it():
+    assert only(rig_of(Part(without(MOTOR, "6060")), brake("own")), "motor", 0x6060) == ["6060:0=A"]
+    eds = without(edit(MOTOR, "6060", AccessType="wo"), "6061")
+    assert only(rig_of(Part(eds), brake("own")), "motor", 0x6060) == ["6060:0=A/n"]
+
+
+def test_the_slope_has_no_sign_where_a_brakes_table_falls():
+    part = brake("402")
+    table = part.text.replace("scale_Nm = 0.002", "table = [[0, 0.0], [-2000, 4.0]]")
+    part = Part(part.eds, table, (*part.overrides[:2], "brake.mode=4"))
+    assert only(rig_of(drive("own"), part), "brake", 0x6087) == ["6087:0=2625A0"]
+
+
+def test_a_brake_that_does_not_take_the_set_point_gets_no_fault_value():
+    text = SENSOR + '\n[role.brake_setpoint]\nnode = "cell"\nobject = "7300:1"\nscale_Nm = 0.001\n'
+    rig = rig_of(drive("own"), brake("own"), text=text)
+    assert only(rig, "brake", 0x6340, 0x7341, 0x2001, 0x2005) == []
