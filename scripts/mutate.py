@@ -83,9 +83,15 @@ TARGETS = {
     "host/cycle/live.py": Target(("test_live_parameters",)),
     "host/run/deadman.py": Target(("test_deadman_edges", "test_deadman", "test_keys")),
     "host/run/deadman_outside.py": Target(("test_deadman_edges", "test_deadman")),
+    "host/realtime/loop.py": Target(
+        ("test_loop_edges",),
+        (
+            *("_stop", "_skip", "_look_after_parent", "_all_done", "_failed", "_count", "_obey", "_goes_on"),
+            "run_plane",
+        ),
+    ),
     "host/setup/reactions.py": Target(("test_reactions_edges",)),
     "host/setup/settings.py": Target(("test_settings_edges",)),
-    "host/setup/device_plan.py": Target(("test_device_plan_edges",)),
     "node/deadlines.py": Target(("test_node_watch_edges",)),
     "node/guarding.py": Target(("test_node_watch_edges",)),
     "node/reactions.py": Target(("test_node_behaviour",)),
