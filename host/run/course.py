@@ -147,7 +147,7 @@ class Course(ABC):
                 self.marks.begin(axis, start_ns)
         for marker in self.marks.due(min(before_ns, self._shown_ns() + 1)):
             self.mark(*marker)
-        if self.safe_ns is not None and not self._end_marked:
+        if self.safe_ns is not None:
             self.mark_end()
 
     def mark_end(self) -> None:
