@@ -82,7 +82,7 @@ TARGETS = {
     ),
     "host/cycle/live.py": Target(("test_live_parameters",)),
     "host/run/course.py": Target(("test_course_edges",)),
-    "host/run/control_socket.py": Target(("test_control_socket",)),
+    "host/run/control_socket.py": Target(("test_control_socket_edges", "test_control_socket")),
     "host/run/deadman.py": Target(("test_deadman_edges", "test_deadman", "test_keys")),
     "host/run/deadman_outside.py": Target(("test_deadman_edges", "test_deadman")),
     "host/realtime/loop.py": Target(
