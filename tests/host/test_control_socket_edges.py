@@ -6,11 +6,15 @@ from __future__ import annotations
 
 import json
 import socket
+from types import SimpleNamespace
 
 import pytest
 
 from coulombus.host.run import control_socket
 from coulombus.host.run.control_socket import (
+    ASKERS,
+    STATUS_TIMEOUT_S,
+    STOP_TIMEOUT_S,
     HostSocket,
     NoHost,
     NotChanged,
@@ -158,9 +162,10 @@ def test_a_change_that_is_to_be_asked_again_is_for_its_time(asker, clock):
 
 def test_a_change_at_its_last_moment_is_asked_once_more(asker, clock):
     clock.sleep = lambda seconds: setattr(clock, "now_s", 103.0)
-    one = asker(b'{"error": "wait", "again": true}', b'{"changed": 1}')
+    again = b'{"error": "wait", "again": true}'
+    one = asker(again, again, b'{"changed": 1}')
     assert ask_change(BUS, {}, 3.0) == {"changed": 1}
-    assert len(one.sent) == 2
+    assert len(one.sent) == 3
 
 
 # a stop
@@ -307,3 +312,44 @@ def test_a_host_is_there_while_it_listens(host):
     assert host_runs(BUS)
     assert not host_runs(parse_address("coulombus:y"))
     assert control_path(parse_address("socketcan:a+b")).name.startswith("socketcan-a_b.host")
+
+
+def test_the_times_are_those_that_the_documentation_has():
+    assert (STOP_TIMEOUT_S, STATUS_TIMEOUT_S, ASKERS) == (30.0, 3.0, 16)
+
+
+def test_when_all_have_asked_for_a_stop_a_further_one_is_closed_at_once(host):
+    askers = []
+    for _ in range(16):
+        askers.append(connected())
+        askers[-1].send(b"stop")
+        assert host.stop_wanted()
+    askers.append(connected())
+    assert not host.stop_wanted()
+    assert askers[-1].recv(100) == b""
+    assert len(host._askers) == 16
+    assert not any(asker.connection.fileno() < 0 for asker in host._askers)
+    for asker in askers:
+        asker.close()
+
+
+def test_who_has_not_asked_for_a_stop_hears_nothing_of_the_end(host):
+    with connected() as asker:
+        assert not host.stop_wanted()
+        host.close({"cycles": 1})
+        assert asker.recv(100) == b""
+    assert host._askers == []
+
+
+def test_a_path_that_a_dead_host_left_may_be_gone_meanwhile(monkeypatch):
+    monkeypatch.setattr(control_socket, "_heard_at", lambda path: False)
+    HostSocket(BUS).close()
+
+
+def test_a_host_whose_standard_input_was_closed_lets_go_of_its_bus_too(host):
+    real, closed = host._listener, []
+    host._listener = SimpleNamespace(fileno=lambda: 0, close=lambda: closed.append(True))
+    host.close()
+    assert closed
+    assert not control_path(BUS).exists()
+    host._listener = real
