@@ -57,8 +57,9 @@ class _Child:
 
     def end(self) -> None:
         """End it, and what it has started."""
-        with suppress(ProcessLookupError):
-            os.killpg(self.pid, signal.SIGKILL)
+        for kill in (os.killpg, os.kill):  # it may not have its group yet; only we reap it, so the number is its own
+            with suppress(ProcessLookupError):
+                kill(self.pid, signal.SIGKILL)
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import signal
 import subprocess
 import sys
+import time
 import types
 from pathlib import Path
 
@@ -22,6 +24,7 @@ def load(name):
 
 
 Source = load("mutants").Source
+mutant_runs = load("mutant_runs")
 
 TEXT = '''"""A module."""
 
@@ -116,3 +119,20 @@ def test_a_sample_is_run_against_the_tests_of_its_module_and_found_again(tmp_pat
         assert done.returncode == 0, done.stdout + done.stderr
         assert "| `host/laws/karnopp.py` | 4 |" in done.stdout
         assert 1 <= len(results.read_text().splitlines()) <= 4
+
+
+@pytest.mark.parametrize("own_group", [True, False])
+def test_a_mutant_that_waits_for_ever_is_ended_by_the_clock(own_group):
+    def wait(pipe):
+        if own_group:
+            os.setpgid(0, 0)
+        signal.pause()
+
+    runner = mutant_runs._Runner(None, [], 1, 10.0)
+    told = []
+    runner.tell = lambda number, verdict: told.append((number, verdict.status))
+    pipe, pid = runner._fork(wait)
+    running = {pipe: mutant_runs._Child(0, pid, pipe, time.monotonic())}
+    while running:
+        runner._collect(running)
+    assert told == [(0, "timeout")]
