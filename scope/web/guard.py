@@ -1,16 +1,19 @@
-"""Who may do what at the page: the token, the origin, and the one who controls."""
+"""Who may do what at the page: the token, the address, the origin, and the one who controls."""
 
 from __future__ import annotations
 
 import hmac
+import ipaddress
 import os
 import re
 import secrets
 import stat
 from pathlib import Path
 
-__all__ = ["Seat", "kept_token", "new_token", "right_token", "same_origin"]
+__all__ = ["Seat", "kept_token", "new_token", "right_token", "same_origin", "served_as"]
 
+HTTP_PORT = 80
+"""Which a browser leaves out."""
 TOKEN = re.compile(r"[A-Za-z0-9_-]{32,64}")
 
 
@@ -54,6 +57,27 @@ def same_origin(origin: str | None, host: str | None) -> bool:
     asked. None of either is no.
     """
     return bool(host) and origin in (f"http://{host}", f"https://{host}")
+
+
+def served_as(host: str | None, address: str, port: int, name: str = "") -> bool:
+    """Tell whether a request's header Host names the address that is served.
+
+    A stranger's page may let its own name point to this machine, so that the browser takes the two
+    for one (DNS rebinding); the header has that name then.
+
+    Parameters
+    ----------
+    address, port : of this end of the connection
+    name : by which the server was told to listen, or this machine's own
+    """
+    here = ipaddress.ip_address(address.partition("%")[0])
+    if isinstance(here, ipaddress.IPv6Address):
+        here = here.ipv4_mapped or here
+    names = {name.lower(), f"[{here}]" if here.version == 6 else str(here)} - {""}
+    if here.is_loopback:
+        names |= {"localhost", "127.0.0.1", "[::1]"}
+    given = (host or "").lower()
+    return given in {f"{one}:{port}" for one in names} or (port == HTTP_PORT and given in names)
 
 
 class Seat:

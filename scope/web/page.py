@@ -1,6 +1,7 @@
 """The page: what all who look at it share, and what it answers over HTTP and WebSocket.
 
-All addresses begin with the token; all others are 403::
+All addresses begin with the token; all others are 403. A request for another host than the one that
+is served is 421::
 
     GET  /TOKEN/            the page (?axis=NAME of a rig that has several)
     GET  /TOKEN/static/F    its style and its scripts
@@ -36,7 +37,7 @@ from coulombus.rigs.axis import Axis
 from coulombus.scope.live import Snapshot
 from coulombus.scope.web.batch import Flow, batch, layout
 from coulombus.scope.web.capture import Capture, Curve
-from coulombus.scope.web.guard import Seat, right_token, same_origin
+from coulombus.scope.web.guard import Seat, right_token, same_origin, served_as
 from coulombus.scope.web.state import HostDoor, HostView, document
 
 __all__ = ["Page", "application", "order_of"]
@@ -62,6 +63,11 @@ POLICY = "; ".join(
     )
 )
 """Nothing is loaded from anywhere else."""
+FORBIDDEN, MISDIRECTED = 403, 421
+REFUSALS = {
+    FORBIDDEN: "the address needs the page's token: open the URL that the command printed",
+    MISDIRECTED: "this page is not served under that name and port: open the URL that the command printed",
+}
 
 
 class Page:
@@ -76,6 +82,8 @@ class Page:
         lock: threading.Lock,
     ) -> None:
         self.capture, self.door, self.token, self.facts, self.lock = capture, door, token, facts, lock
+        self.name = ""
+        """By which a browser asks for it, beside the address itself."""
         self.host = HostView(door.advice)
         self.curves: Mapping[str, Curve | None] = {}
         """Of the laws that have no plain one, by the axis' name."""
@@ -145,14 +153,41 @@ class Page:
             self.asking -= 1
 
 
-class _Handler(tornado.web.RequestHandler):
-    """A request whose address begins with the right token."""
+class _Guarded(tornado.web.RequestHandler):
+    """A request of who has the token, for the address that is served."""
 
     page: Page
 
     def initialize(self, page: Page) -> None:
         self.page = page
 
+    def admit(self) -> IOStream:
+        """Return the connection of a request that may be answered.
+
+        Raises
+        ------
+        tornado.web.HTTPError
+            its header Host names another server, or its address has not the token
+        """
+        stream: IOStream = self.request.connection.stream  # type: ignore[union-attr]  # it has one
+        address, port = stream.socket.getsockname()[:2]
+        if not served_as(self.request.headers.get("Host"), address, port, self.page.name):
+            raise tornado.web.HTTPError(MISDIRECTED)
+        if not right_token(self.path_args[0] if self.path_args else "", self.page.token):
+            raise tornado.web.HTTPError(FORBIDDEN)
+        return stream
+
+    def from_the_page(self) -> bool:
+        """Tell whether the page itself asks, and no other one."""
+        return same_origin(self.request.headers.get("Origin"), self.request.headers.get("Host"))
+
+    def write_error(self, status_code: int, **_: Any) -> None:
+        """Say why, as plain text."""
+        self.set_header("Content-Type", "text/plain; charset=utf-8")
+        self.finish(REFUSALS.get(status_code, self._reason) + "\n")
+
+
+class _Handler(_Guarded):
     def set_default_headers(self) -> None:
         for name, value in (
             ("Content-Security-Policy", POLICY),
@@ -165,26 +200,17 @@ class _Handler(tornado.web.RequestHandler):
             self.set_header(name, value)
 
     def prepare(self) -> None:
-        if not right_token(self.path_args[0] if self.path_args else "", self.page.token):
-            raise tornado.web.HTTPError(403)
-        if self.request.method == "POST" and not _from_the_page(self.request):
-            raise tornado.web.HTTPError(403)
-
-    def write_error(self, status_code: int, **_: Any) -> None:
-        texts = {403: "the address needs the page's token: open the URL that the command printed"}
-        self.set_header("Content-Type", "text/plain; charset=utf-8")
-        self.finish(texts.get(status_code, self._reason) + "\n")
-
-
-def _from_the_page(request: Any) -> bool:
-    return same_origin(request.headers.get("Origin"), request.headers.get("Host"))
+        self.admit()
+        if self.request.method == "POST" and not self.from_the_page():
+            raise tornado.web.HTTPError(FORBIDDEN)
 
 
 class _Nothing(_Handler):
     """What is nowhere: 403, also with the right token."""
 
     def prepare(self) -> None:
-        raise tornado.web.HTTPError(403)
+        self.admit()
+        raise tornado.web.HTTPError(FORBIDDEN)
 
 
 class _Html(_Handler):
@@ -221,25 +247,24 @@ class _Stop(_Handler):
         self.finish(await self.page.stop())
 
 
-class Data(tornado.websocket.WebSocketHandler):
+class Data(_Guarded, tornado.websocket.WebSocketHandler):
     """One page: what is sent to it, and the little that it says."""
-
-    page: Page
 
     def initialize(self, page: Page) -> None:
         """Keep what all pages share."""
-        self.page, self.flow = page, Flow()
+        super().initialize(page)
+        self.flow = Flow()
         self.number, self.rubbish, self.version, self.refused = next(page.numbers), 0, 0, False
         self.answers: deque[str] = deque(maxlen=ANSWERS)
         self._tasks: set[asyncio.Task[None]] = set()
 
     def prepare(self) -> None:
         """Refuse who has not the token, comes from another page, or is one too many."""
-        if not right_token(self.path_args[0], self.page.token) or not _from_the_page(self.request):
-            raise tornado.web.HTTPError(403)
+        self._stream = self.admit()
+        if not self.from_the_page():
+            raise tornado.web.HTTPError(FORBIDDEN)
         if len(self.page.sessions) >= SESSIONS:
             raise tornado.web.HTTPError(503)
-        self._stream: IOStream = self.request.connection.stream  # type: ignore[union-attr]  # it has one
 
     def check_origin(self, origin: str) -> bool:
         """`prepare` has looked at it."""

@@ -138,10 +138,11 @@ def serve(
     tornado_log.addHandler(logging.NullHandler())
     tornado_log.propagate = False
     sockets = listening(host, port)
-    url = f"http://{_named(host)}:{sockets[0].getsockname()[1]}/{shown.token}/"
+    name = _named(host)
+    url = f"http://{name}:{sockets[0].getsockname()[1]}/{shown.token}/"
     try:
         with StopSignals() as stop:
-            asyncio.run(_serve(shown, lambda: ready(url), sockets, seconds, parent, stop))
+            asyncio.run(_serve(shown, lambda: ready(url), name, sockets, seconds, parent, stop))
     except BusUnavailable:
         if parent is None:
             raise
@@ -153,6 +154,7 @@ def serve(
 async def _serve(
     shown: Shown,
     ready: Callable[[], None],
+    name: str,
     sockets: list[socket.socket],
     seconds: float | None,
     parent: int | None,
@@ -173,6 +175,7 @@ async def _serve(
         lock = threading.Lock()
         reader = BusReader(client, capture, lock)
         page = Page(capture, shown.door, shown.token, reader.facts, lock)
+        page.name = name
         server = Server(page)
         curves = CurveReader(shown.door, page.host, shown.rig, lock)
         page.curves = curves.curves

@@ -8,7 +8,7 @@ import pytest
 from coulombus.rigs.rig import load_rig
 from coulombus.scope.web.batch import IN_FLIGHT, Flow, batch, layout, unpacked
 from coulombus.scope.web.capture import Capture
-from coulombus.scope.web.guard import Seat, kept_token, new_token, right_token, same_origin
+from coulombus.scope.web.guard import Seat, kept_token, new_token, right_token, same_origin, served_as
 from coulombus.scope.web.state import HostView, arm_state, document
 from web_bench import BEGIN_NS, FACTS, MS, STATUS, cycles
 
@@ -154,6 +154,29 @@ def test_tokens_are_kept_private_and_compared_whole(tmp_path):
 def test_the_origin_is_the_page_itself(origin, right):
     assert same_origin(origin, "h:1") is right
     assert not same_origin("http://", None)
+
+
+@pytest.mark.parametrize(
+    ("host", "address", "port", "name", "right"),
+    [
+        ("192.168.1.7:8642", "192.168.1.7", 8642, "", True),
+        ("lab-pc:8642", "192.168.1.7", 8642, "Lab-PC", True),  # --web-host, or this machine's name
+        ("lab-pc:8642", "192.168.1.7", 8642, "", False),
+        ("localhost:8642", "192.168.1.7", 8642, "lab-pc", False),  # the network's address is no loopback
+        ("192.168.1.8:8642", "192.168.1.7", 8642, "", False),
+        ("[fe80::7]:8642", "fe80::7%eth0", 8642, "", True),
+        ("192.168.1.7:8642", "::ffff:192.168.1.7", 8642, "", True),
+        ("[::1]:8642", "127.0.0.1", 8642, "", True),
+        ("127.0.0.1:8642", "::1", 8642, "", True),
+        ("127.0.0.1", "127.0.0.1", 80, "", True),  # a browser leaves this port out
+        ("127.0.0.1", "127.0.0.1", 8642, "", False),
+        (":8642", "127.0.0.1", 8642, "", False),
+        ("", "127.0.0.1", 80, "", False),
+        (None, "127.0.0.1", 8642, "", False),
+    ],
+)
+def test_the_host_is_the_address_that_is_served(host, address, port, name, right):
+    assert served_as(host, address, port, name) is right
 
 
 def test_one_controls_and_the_others_look_on():

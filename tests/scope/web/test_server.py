@@ -86,6 +86,43 @@ def test_a_socket_from_another_page_is_refused():
     asyncio.run(run())
 
 
+@pytest.mark.parametrize("place", ["", "layout", "static/page.js", "stop", "data", "nowhere"])
+def test_a_request_for_another_host_is_refused_with_the_reason(place):
+    """A stranger's name that points here (DNS rebinding) has the right token and its own origin."""
+    door = Door()
+
+    async def run():
+        async with served(page(door=door)) as url:
+            port = url.split(":")[2].partition("/")[0]
+            for host in (f"evil.example:{port}", "127.0.0.1", "127.0.0.1:1", f"127.0.0.1.evil.example:{port}"):
+                headers = {"Host": host, "Origin": f"http://{host}"}
+                how = {"method": "POST", "body": ""} if place == "stop" else {}
+                if place == "data":
+                    asked = socket_of(url, **headers)
+                else:
+                    asked = AsyncHTTPClient().fetch(HTTPRequest(url + place, headers=headers, **how))
+                with pytest.raises(HTTPClientError) as refused:
+                    await asked
+                assert refused.value.code == 421
+                if place != "data":
+                    assert b"open the URL that the command printed" in refused.value.response.body
+
+    asyncio.run(run())
+    assert door.stops == 0
+
+
+def test_the_loopback_has_three_names():
+    async def run():
+        async with served(page()) as url:
+            port = url.split(":")[2].partition("/")[0]
+            for name in ("127.0.0.1", "localhost", "LOCALHOST", "[::1]"):
+                host = f"{name}:{port}"
+                assert await status(url, headers={"Host": host}) == 200
+                (await socket_of(url, Host=host, Origin=f"http://{host}")).close()
+
+    asyncio.run(run())
+
+
 def test_a_page_that_takes_nothing_is_sent_two_batches_and_blocks_nobody():
     async def run():
         shown = page()
