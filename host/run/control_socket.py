@@ -38,6 +38,9 @@ __all__ = [
 ]
 
 STOP_TIMEOUT_S = 30.0
+"""How long a stop that the host has taken may last."""
+LET_IN_S = 3.0
+"""How long the host may need to take it."""
 MESSAGE_BYTES = 1 << 16
 STOP, ACCEPTED, STATUS, MARK, SET = b"stop", b"accepted", b"status", b"mark ", b"set "
 STATUS_TIMEOUT_S = 3.0
@@ -236,19 +239,21 @@ class StopRequest:
 
     Parameters
     ----------
-    timeout_s : for all of it: to get in, to be heard, and the host's end
+    timeout_s : for all of it: to get in and be heard, which is `LET_IN_S` at most, and the host's end
     """
 
     def __init__(self, address: BusAddress, timeout_s: float = STOP_TIMEOUT_S) -> None:
         self.address, self._timeout_s = address, timeout_s
-        self._deadline = time.monotonic() + timeout_s
+        self._let_in_s = min(LET_IN_S, timeout_s)
+        now = time.monotonic()
+        self._heard_by, self._deadline = now + self._let_in_s, now + timeout_s
         self._failure: str | None = None
         self._socket = _new()
         try:
             self._connect()
             self._socket.send(STOP)
         except TimeoutError:
-            self._fail(f"does not let anybody in within {timeout_s:g} s: it does not look after its door any more")
+            self._fail(f"does not let anybody in within {self._let_in_s:g} s: it does not look after its door any more")
         except (FileNotFoundError, ConnectionRefusedError):
             self._failure = f"no host runs on bus {address}"
         except OSError as error:
@@ -263,12 +268,12 @@ class StopRequest:
             try:
                 return self._socket.connect(path)
             except BlockingIOError:  # no room among those who wait at its door: connect() would wait for ever
-                if time.monotonic() >= self._deadline:
+                if time.monotonic() >= self._heard_by:
                     raise TimeoutError from None
                 time.sleep(RETRY_S)
 
-    def _receive(self) -> bytes:
-        self._socket.settimeout(max(1e-3, self._deadline - time.monotonic()))
+    def _receive(self, deadline: float) -> bytes:
+        self._socket.settimeout(max(1e-3, deadline - time.monotonic()))
         return self._socket.recv(MESSAGE_BYTES)
 
     def result(self) -> dict[str, Any]:
@@ -292,13 +297,20 @@ class StopRequest:
         raise NoHost(self._failure)
 
     def _hear(self) -> dict[str, Any]:
-        first = self._receive()
+        try:
+            first = self._receive(self._heard_by)
+        except TimeoutError:
+            self._fail(
+                f"has not stopped within {self._let_in_s:g} s, nor taken the request: it starts (and takes it later), "
+                "it ends, or it does not look after its door any more"
+            )
+            raise NoHost(self._failure) from None
         if first != ACCEPTED:
             self._fail(
                 "closed the connection and did not take the request" if not first else "gave no answer that is one"
             )
             raise NoHost(self._failure)
-        message = self._receive()
+        message = self._receive(self._deadline)
         if not message:
             return {}
         try:

@@ -125,6 +125,47 @@ def test_a_full_backlog_does_not_hold_the_asker_for_ever():
         assert "does not let anybody in" in refused(StopRequest(BUS, SHORT_S))
 
 
+@pytest.fixture
+def clock(monkeypatch):
+    """Time that goes on by waiting alone; yields what was waited for."""
+    waited = []
+
+    class Patient(socket.socket):
+        def settimeout(self, seconds):
+            self.patience = seconds
+
+        def recv(self, size):
+            try:
+                return super().recv(size)
+            except BlockingIOError:
+                waited.append(self.patience)
+                raise TimeoutError from None
+
+    monkeypatch.setattr(control_socket.time, "monotonic", lambda: sum(waited))
+    monkeypatch.setattr(control_socket.time, "sleep", waited.append)
+    kind = socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK
+    monkeypatch.setattr(control_socket, "_new", lambda: Patient(socket.AF_UNIX, kind))
+    return waited
+
+
+@pytest.mark.parametrize("backlog", [0, 8])
+def test_a_stop_that_nobody_lets_in_gives_up_after_three_seconds(clock, backlog):
+    with listener(backlog), connected():
+        text = refused(StopRequest(BUS))
+    assert "within 3 s" in text
+    assert 2.9 < sum(clock) < 3.1
+
+
+def test_a_stop_that_is_taken_has_its_thirty_seconds(clock):
+    with listener() as door:
+        request = StopRequest(BUS)
+        connection, _ = door.accept()
+        connection.send(b"accepted")
+        assert "has not stopped within 30 s" in refused(request)
+        connection.close()
+    assert sum(clock) == 30
+
+
 def closes(connection):
     connection.recv(100)
 
