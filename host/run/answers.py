@@ -95,7 +95,7 @@ class Answers:
     def change(self, text: str) -> bytes:
         """Change parameters as somebody asks."""
         try:
-            return encoded(self._changes.answer(text))
+            return encoded(self._changes.answer(text, self._run.now_ns))
         except Exception as error:
             return encoded({"error": f"{type(error).__name__}: {error}"})
 

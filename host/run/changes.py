@@ -10,29 +10,22 @@ and ``again`` where it may be asked again at once.
 
 On a rig that is not simulated a hand may be on the handle. There a change needs the arm key, which
 the host prints where it was started: who changes what the hand feels stands beside the rig, or has
-it from who does.
+it from who does. The tries are limited (`host.run.arm_key`).
 """
 
 from __future__ import annotations
 
-import hmac
 import json
 import math
-import secrets
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from coulombus.host.cycle.parameters import OVER_S, Change, LiveParameters, NotTaken, Refused
-from coulombus.wire.address import BusAddress
+from coulombus.host.run.arm_key import ArmKey
 
-__all__ = ["Changes", "new_arm_key"]
+__all__ = ["Changes"]
 
 KEYS = ("values", "axis", "over_s", "undo", "key")
-
-
-def new_arm_key(address: BusAddress) -> str:
-    """Return the arm key of a run: six digits; none on a virtual bus, which moves nobody."""
-    return f"{secrets.randbelow(10**6):06d}" if address.kind == "socketcan" else ""
 
 
 class Changes:
@@ -41,7 +34,7 @@ class Changes:
     Parameters
     ----------
     parameters : of the run
-    arm_key : that a change needs; "": none
+    arm_key : that a change needs (`host.run.arm_key`); "": none
     apply : lets the step want a change, and marks it
     why_not : why nothing can be changed now; None where it can
     """
@@ -53,18 +46,23 @@ class Changes:
         apply: Callable[[Change], None],
         why_not: Callable[[], str | None],
     ) -> None:
-        self.parameters, self.arm_key = parameters, arm_key
+        self.parameters, self.arm_key, self._key = parameters, arm_key, ArmKey(arm_key)
         self._apply, self._why_not = apply, why_not
 
     def rows(self) -> list[list[dict[str, Any]]]:
         """Return the parameters of each axis as plain values."""
         return self.parameters.rows()
 
-    def answer(self, text: str) -> dict[str, Any]:
-        """Do what a JSON text asks for, and return the answer."""
+    def answer(self, text: str, now_ns: int) -> dict[str, Any]:
+        """Do what a JSON text asks for, and return the answer.
+
+        Parameters
+        ----------
+        now_ns : of a clock that is never set
+        """
         try:
             order = _order(text)
-            change = self._change(order) if order["values"] or order["undo"] else None
+            change = self._change(order, now_ns) if order["values"] or order["undo"] else None
         except NotTaken as error:
             return {"error": str(error), "again": True}
         except Refused as error:
@@ -72,16 +70,10 @@ class Changes:
         told = {} if change is None else change.as_dict()
         return {**told, "parameters": self.rows(), "arm_key": bool(self.arm_key)}
 
-    def _change(self, order: Mapping[str, Any]) -> Change:
-        reason = self._why_not()
+    def _change(self, order: Mapping[str, Any], now_ns: int) -> Change:
+        reason = self._why_not() or self._key.why_not(order["key"], now_ns)
         if reason is not None:
             raise Refused(reason)
-        key = order["key"].encode(errors="surrogatepass")  # JSON may carry half a character
-        if not hmac.compare_digest(key, self.arm_key.encode()) and self.arm_key:
-            wrong = (
-                "the arm key is wrong" if order["key"] else "a hand may be on the handle: a change needs the arm key"
-            )
-            raise Refused(f"{wrong}; the host has printed it where it was started (coulombus set --key)")
         if order["undo"]:
             change = self.parameters.undo(order["over_s"])
         else:

@@ -25,7 +25,8 @@ from coulombus.host.errors import SafetyTrip
 from coulombus.host.realtime.data_plane import DataPlane
 from coulombus.host.realtime.shared_memory import Status
 from coulombus.host.run.answers import Answers
-from coulombus.host.run.changes import Changes, new_arm_key
+from coulombus.host.run.arm_key import new_arm_key
+from coulombus.host.run.changes import Changes
 from coulombus.host.run.control_socket import HostSocket
 from coulombus.host.run.course import SAFE_TIMEOUT_NS, Course, Figures
 from coulombus.host.run.deadman import Switch, deadman_of

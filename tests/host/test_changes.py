@@ -11,7 +11,8 @@ from click.testing import CliRunner
 
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.parameters import LiveParameters
-from coulombus.host.run.changes import Changes, new_arm_key
+from coulombus.host.run.arm_key import LOCK_NS, LONGEST_NS, TRIES, WINDOW_NS, ArmKey, new_arm_key
+from coulombus.host.run.changes import Changes
 from coulombus.host.run.control_socket import HostSocket, NotChanged, StopRequest, ask_change, control_path
 from coulombus.rigs.rig import load_rig
 from coulombus.verbs.main import main
@@ -29,7 +30,7 @@ class Host:
         self.k = Controllers(load_rig(rig), "hybrid")
         self.applied, self.slow, self.why_not = [], slow, why_not
         self.changes = Changes(LiveParameters(self.k), arm_key, self._apply, lambda: self.why_not)
-        self.asked = 0
+        self.asked, self.now_ns = 0, 0
 
     def _apply(self, change):
         self.applied.append(change.marker.partition(" [")[0])
@@ -41,7 +42,7 @@ class Host:
 
     def _change(self, text):
         self.asked += 1
-        answer = self.changes.answer(text)
+        answer = self.changes.answer(text, self.now_ns)
         if "marker" in answer and not self.slow:
             self._take()
         if "again" in answer:
@@ -156,6 +157,56 @@ def test_only_a_rig_that_moves_somebody_has_an_arm_key():
     assert len(new_arm_key(parse_address("socketcan:can0"))) == 6
 
 
+def tries(key, count, now_ns):
+    return [key.why_not(f"{k:06d}", now_ns) for k in range(count)]
+
+
+def test_the_arm_key_has_a_limit_of_tries_and_then_the_right_one_is_refused_too():
+    key = ArmKey("004711")
+    told = tries(key, TRIES, 7)
+    assert all("is wrong" in text for text in told)
+    assert "none is taken for 60 s" in told[-1]
+    assert "none" not in "".join(told[:-1])
+    assert key.why_not("004711", 7 + LOCK_NS // 2) == (
+        "too many wrong arm keys: none is taken for another 30 s, the right one neither"
+    )
+    assert "another 1 s" in key.why_not("", 6 + LOCK_NS)
+    assert key.why_not("004711", 7 + LOCK_NS) is None
+
+
+def test_a_lock_of_the_arm_key_is_twice_as_long_as_the_one_before_until_it_is_right():
+    key, now_ns, locked = ArmKey("004711"), 0, []
+    for _ in range(8):
+        tries(key, TRIES, now_ns)
+        locked.append(next(k for k in range(1, 400) if key.why_not("", now_ns + k * LOCK_NS).startswith("a hand")))
+        now_ns += locked[-1] * LOCK_NS
+    assert locked == [1, 2, 4, 8, 16, 32, 60, LONGEST_NS // LOCK_NS]
+    assert key.why_not("004711", now_ns) is None
+    assert "for 60 s" in tries(key, TRIES, now_ns)[-1]
+
+
+def test_wrong_arm_keys_that_lie_long_apart_lock_nothing():
+    key = ArmKey("004711")
+    for k in range(20):
+        assert "none is taken" not in key.why_not("1", k * (WINDOW_NS // (TRIES - 1) + 1))
+    assert all(text.startswith("a hand") for text in [key.why_not("", 0)] * 20)  # no key given is no try
+    tries(key, TRIES - 1, 20 * WINDOW_NS)
+    assert key.why_not("004711", 20 * WINDOW_NS) is None  # and begins anew
+    assert "none is taken" not in tries(key, TRIES - 1, 20 * WINDOW_NS)[-1]
+
+
+def test_the_tries_of_all_who_come_to_the_socket_count_together():
+    with Host(arm_key="004711") as host:
+        for k in range(TRIES):
+            assert "the arm key is wrong" in " ".join(call(f"F_s=3.2 --key {k}").output.split())
+        host.now_ns = LOCK_NS - 1
+        done = call("F_s=3.2 --key 004711")
+        assert (done.exit_code, host.applied) == (2, [])
+        assert "for another 1 s" in " ".join(done.output.split())
+        host.now_ns = LOCK_NS
+        assert call("F_s=3.2 --key 004711").exit_code == 0
+
+
 def test_a_change_that_comes_before_the_last_was_taken_is_asked_again():
     with Host(slow=3) as host:
         assert call("F_s=3.2").exit_code == 0
@@ -186,7 +237,7 @@ def test_a_change_that_comes_before_the_last_was_taken_is_asked_again():
 )
 def test_nonsense_is_refused_and_changes_nothing(text):
     host = Host()
-    answer = host.changes.answer(text)
+    answer = host.changes.answer(text, 0)
     assert answer["error"].startswith("expected ")
     assert not host.applied
 
@@ -195,7 +246,7 @@ def test_refusals_do_not_hold_up_a_stop():
     """They are answered, and a stop that comes behind them is heard at the same look."""
     door = HostSocket(BUS)
     host = Host()
-    door.change = lambda text: json.dumps(host.changes.answer(text)).encode()
+    door.change = lambda text: json.dumps(host.changes.answer(text, 0)).encode()
     askers = []
     for _ in range(7):
         one = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)

@@ -61,7 +61,7 @@ class Door:
     """A host that runs until it is asked to stop, whose parameters are live."""
 
     def __init__(self, arm_key: str = "", mode: str = "hybrid", overrides: tuple[str, ...] = ()) -> None:
-        self.stops = 0
+        self.stops, self.now_ns = 0, 0
         self.marks: list[str] = []
         self.orders: list[dict[str, Any]] = []
         self.controllers = Controllers(load_rig("bench", overrides), mode)
@@ -85,7 +85,7 @@ class Door:
 
     def change(self, order: dict[str, Any]) -> dict[str, Any]:
         self.orders.append(order)
-        found = self.changes.answer(json.dumps(order))
+        found = self.changes.answer(json.dumps(order), self.now_ns)
         if "error" in found:
             raise OSError(found["error"])
         return found

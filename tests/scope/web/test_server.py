@@ -14,6 +14,7 @@ pytest.importorskip("tornado", reason="the page needs Tornado: pip install 'coul
 from tornado.httpclient import AsyncHTTPClient, HTTPClientError, HTTPRequest
 from tornado.websocket import WebSocketClosedError, websocket_connect
 
+from coulombus.host.run.arm_key import LOCK_NS, TRIES
 from coulombus.scope.web import WebError
 from coulombus.scope.web.batch import IN_FLIGHT, unpacked
 from coulombus.scope.web.page import QUESTIONS, RUBBISH, order_of
@@ -324,9 +325,33 @@ def test_rubbish_ends_its_session_and_nothing_else():
     asyncio.run(run())
 
 
+def test_the_pages_have_the_tries_of_the_arm_key_together_and_are_told_of_the_lock():
+    door = Door(arm_key="004711")
+
+    async def run():
+        shown = page(door=door)
+        async with served(shown) as url:
+            for k in range(TRIES):  # a page each
+                one = await socket_of(url)
+                assert "the arm key is wrong" in await answer_of(shown, one, set_to("123456"), k)
+                one.close()
+                while shown.sessions:
+                    await asyncio.sleep(0)
+            one = await socket_of(url)
+            door.now_ns = LOCK_NS - 1
+            assert "none is taken for another 1 s" in await answer_of(shown, one, set_to("004711"), TRIES)
+            one.close()
+
+    asyncio.run(run())
+
+
+def set_to(key):
+    return "set " + json.dumps({"values": {"F_s_Nm": 3.2}, "key": key})
+
+
 def test_an_arm_key_of_half_a_character_is_wrong():
     door = Door(arm_key="1234")
-    told = door.changes.answer('{"values": {"F_s_Nm": 3.2}, "key": "\\ud800"}')
+    told = door.changes.answer('{"values": {"F_s_Nm": 3.2}, "key": "\\ud800"}', 0)
     assert told["error"].startswith("the arm key is wrong")
 
 
