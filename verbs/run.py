@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +20,7 @@ from coulombus.verbs.common import (
     shared_machine_option,
     verdict,
 )
-from coulombus.verbs.failures import EXIT_STATUS, errors, print_json
+from coulombus.verbs.failures import EXIT_STATUS, errors, print_json, printable
 from coulombus.verbs.option_types import CPU, SECONDS
 from coulombus.verbs.outputs import OutputOptions, outputs_options
 from coulombus.verbs.rig_options import BusesOptions, buses_options
@@ -76,6 +76,7 @@ def run_command(
     with errors():
         from coulombus.host.run.buses import path_on
         from coulombus.host.run.real_run import real_run
+        from coulombus.host.run.runbook import anchor  # before the run: at its end no file may be opened any more
         from coulombus.recording.output_file import check as check_output
         from coulombus.rigs.overrides import SHARED_MACHINE
         from coulombus.wire.stopping import Signals
@@ -110,20 +111,18 @@ def run_command(
                 progress=lambda t: report(mode, t, seconds),
                 cpu=cpu,
             )
-        with verdict(result.exit_status):
-            _say_what_to_do(result.trip, shared_machine)
+        with verdict(result.exit_status, f"trip: {printable(result.trip)}" if result.trip else ""):
+            _say_what_to_do(result.trip, anchor, shared_machine)
             if as_json:
                 print_json(result.as_dict())
             else:
                 print_runs({mode: result})
 
 
-def _say_what_to_do(trip: str | None, shared_machine: bool) -> None:
-    """After a trip: where its causes stand; for want of TPDOs on a machine of one's own, what else
-    it may be.
+def _say_what_to_do(trip: str | None, anchor: Callable[[str], str | None], shared_machine: bool) -> None:
+    """After a trip: where its causes stand (`anchor`); for want of TPDOs on a machine of one's own,
+    what else it may be.
     """
-    from coulombus.host.run.runbook import anchor
-
     if trip is None:
         return
     if "TPDO_LOST" in trip and not shared_machine:
@@ -139,6 +138,7 @@ def _run_buses(
     """Run the host on several buses, a process each, and end with the status that they come to."""
     from coulombus.host.run.buses import merged, path_on, supervise
     from coulombus.host.run.result import RunResult
+    from coulombus.host.run.runbook import anchor
 
     def arguments(channel: str) -> list[str]:
         there = ((option, path_on(path, channel)) for option, path in files.items())
@@ -148,7 +148,7 @@ def _run_buses(
     buses = supervise(list(addresses), arguments)
     whole = merged({b.channel: b.result for b in buses}, {b.channel: b.status for b in buses})
     with verdict(whole["exit_status"]):
-        _say_what_to_do(whole.get("trip"), "--shared-machine" in words)
+        _say_what_to_do(whole.get("trip"), anchor, "--shared-machine" in words)
         if as_json:
             print_json(whole)
         elif "mode" in whole:

@@ -29,21 +29,25 @@ def abandon_stdout() -> None:
 
 
 @contextmanager
-def verdict(status: int) -> Iterator[None]:
+def verdict(status: int, gist: str = "") -> Iterator[None]:
     """End the verb with `status` behind what is printed inside, also
-    when nobody reads it (`printed`).
+    when nobody reads it; `gist` as in `printed`.
     """
-    with printed(status):
+    with printed(status, gist):
         yield
     sys.exit(status)
 
 
 @contextmanager
-def printed(status: int = 0) -> Iterator[None]:
+def printed(status: int = 0, gist: str = "") -> Iterator[None]:
     """Print what is printed inside; what follows is done, whoever reads it.
 
     A reader that has gone (`head`), or a terminal that was closed, hides no
     verdict `status`; nor does a full disk, but that makes an error of a 0.
+
+    Parameters
+    ----------
+    gist : what is said on stderr of a result that cannot be printed
     """
     try:
         yield
@@ -54,6 +58,8 @@ def printed(status: int = 0) -> Iterator[None]:
             raise
         if not isinstance(error, BrokenPipeError):
             say(f"coulombus: the result cannot be printed: {error.strerror}")
+            if gist:
+                say(f"coulombus: {gist}")
 
 
 def say(text: str) -> None:

@@ -126,7 +126,7 @@ TRIP_TEXT = {
     Trip.MOTOR_TORQUE: "the motor's measured torque (6077h) is off from its commands by more than limits.motor_mismatch_Nm",
     Trip.LAW_CLIPPED: "a limit acted on the friction law {law} in most cycles, so the hand did not feel this law: {clipped}",
     Trip.DEADMAN: "the dead man's switch was not held",
-    Trip.DATA_PLANE: "the data plane's process died",
+    Trip.DATA_PLANE: "the data plane's process ended, or stood still",
     Trip.HOST: "the host's own process failed, ended, or stood still",
     Trip.NOT_STILL: "arming refused: the handle was not still for limits.still_s within limits.still_timeout_s",
     Trip.HANDLE_LOADED: "arming refused: more than limits.still_handle_torque_Nm on the handle; let go of it, or check the transducer",

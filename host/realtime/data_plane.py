@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import os
 import select
+import signal
 import socket
 import subprocess
 import sys
@@ -194,6 +195,15 @@ class DataPlane:
     def alive(self) -> bool:
         """Whether the process exists."""
         return self._process.poll() is None
+
+    @property
+    def fate(self) -> str:
+        """What has become of a process that does not cycle any more, in words."""
+        status = self._process.poll()
+        if status is None:
+            stopped = os.waitid(os.P_PID, self.pid, os.WSTOPPED | os.WNOHANG | os.WNOWAIT)
+            return "stands still" if stopped is None else "is stopped, as by SIGSTOP"
+        return f"was ended by signal {-status}: {signal.strsignal(-status)}" if status < 0 else f"ended with {status}"
 
     @property
     def lost_text(self) -> str:

@@ -22,7 +22,7 @@ from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.parameters import Change, LiveParameters
 from coulombus.host.cycle.records import Phase, Trip
 from coulombus.host.errors import SafetyTrip
-from coulombus.host.realtime.data_plane import DataPlane
+from coulombus.host.realtime.data_plane import PARENT_NS, DataPlane
 from coulombus.host.realtime.shared_memory import Status
 from coulombus.host.run.answers import Answers
 from coulombus.host.run.arm_key import new_arm_key
@@ -57,7 +57,7 @@ LISTEN_S = 1.0
 LEAD_NS = 20_000_000
 FAILURES = 1000  # of this process while the rig is made safe: the data plane does that by itself meanwhile
 HAND_TIMEOUT_S = 30.0
-STUCK_S = 2.0  # a data plane that does not cycle for so long is dead
+STUCK_S = 2.0  # a data plane that does not cycle for so long stands still
 
 
 class RealCourse(Course):
@@ -81,6 +81,7 @@ class RealCourse(Course):
         self.zero_ns = time.monotonic_ns()
         super().__init__(Controllers(rig, mode), outputs.record, progress)
         self.error: str | None = None  # of this process, while the rig was armed
+        self._fate = ""  # of a data plane that cycles no more
         self.stopped_by: str | None = None
         self._order = StampOrder(self.zero_ns)
         self._keys = StruckKeys(time.monotonic_ns)
@@ -310,16 +311,17 @@ class RealCourse(Course):
         self.answers.tell(seen_ns)
         stuck = now - self._seen[1] > STUCK_S and self.plane.status is not Status.LOST
         if (stuck or not self.plane.alive) and self.plane.status not in (Status.LOST, Status.ENDED):
-            self._plane_died()
+            self._plane_gone()
             return False
         return True
 
-    def _plane_died(self) -> None:
+    def _plane_gone(self) -> None:
         """The nodes' own watchdogs have made the rig safe, or are about to."""
         h = self.k.host
         running = h["phase"] < Phase.SAFE
         h["trip"][running], h["trip_ns"][running] = Trip.DATA_PLANE, time.monotonic_ns()
         h["phase"] = Phase.DONE
+        self._fate = self._fate or self.plane.fate
 
     def _never_cycled(self) -> None:
         """The bus was lost between the last look at the data plane and its first cycle: that is a
@@ -366,11 +368,15 @@ class RealCourse(Course):
         trip, first = super().trip, self.k.tripped
         if self.failure is not None:
             return trip
-        if self.error is not None and (first is None or first.host["trip"][0] == Trip.HOST):
+        number = Trip.NONE if first is None else first.host["trip"][0]
+        if self.error is not None and number in (Trip.NONE, Trip.HOST):
             return f"HOST: {self.error}"
-        if first is not None and first.host["trip"][0] == Trip.BUS_LOST and trip is not None:
-            trip += f" ({self.plane.lost_text})"
-        return trip
+        details = {
+            Trip.HOST: f"it stood still for {PARENT_NS // 1_000_000_000} s",  # it has neither failed nor ended
+            Trip.DATA_PLANE: f"it {self._fate or 'is not there'}",
+            Trip.BUS_LOST: self.plane.lost_text,
+        }
+        return f"{trip} ({details[number]})" if number in details else trip
 
     def _lost_share(self) -> float:
         cycles = self.plane.cycles

@@ -9,12 +9,15 @@ import os
 import pty
 import re
 import resource
+import signal
 import socket
 import struct
+import subprocess
 import threading
 import time
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -29,6 +32,7 @@ from coulombus.host.realtime.process import new_buffers
 from coulombus.host.realtime.shared_memory import BINS, RING_FRAMES, Command, SharedPlane, Status
 from coulombus.host.run.deadman import HeldKey, deadman_of
 from coulombus.host.run.histogram import coarse
+from coulombus.host.run.real_course import RealCourse
 from coulombus.lab.simulate import simulate
 from coulombus.recording.trace import Moment
 from coulombus.rigs.rig import RigError, load_rig, load_rig_text
@@ -337,6 +341,43 @@ def test_no_bus_no_process():
 
 
 # Figures.
+
+
+def test_a_data_plane_that_is_stopped_has_not_died():
+    plane = DataPlane.__new__(DataPlane)
+    with subprocess.Popen(["sleep", "600"]) as process:
+        plane._process = process
+        assert plane.fate == "stands still"
+        process.send_signal(signal.SIGSTOP)
+        os.waitid(os.P_PID, process.pid, os.WSTOPPED | os.WNOWAIT)
+        assert plane.fate == "is stopped, as by SIGSTOP"
+        process.kill()
+        process.wait()
+        assert plane.fate == "was ended by signal 9: Killed"
+
+
+@pytest.mark.parametrize(
+    ("trip", "error", "told"),
+    [
+        (Trip.HOST, None, "HOST: the host's own process failed, ended, or stood still (it stood still for 2 s)"),
+        (Trip.HOST, "OSError: x (y.py:3)", "HOST: OSError: x (y.py:3)"),
+        (Trip.NONE, "OSError: x (y.py:3)", "HOST: OSError: x (y.py:3)"),
+        (Trip.DATA_PLANE, None, "DATA_PLANE: the data plane's process ended, or stood still (it is stopped)"),
+        (Trip.BUS_LOST, None, "BUS_LOST: the bus is gone: its process ended, or its interface went down (Broken pipe)"),
+        (Trip.NONE, None, None),
+    ],
+)
+def test_a_trip_says_what_became_of_whom(trip, error, told):
+    run = RealCourse.__new__(RealCourse)
+    run.k, run.failure, run.error, run._fate = Controllers(load_rig("bench"), "hybrid"), None, error, ""
+    run.plane = SimpleNamespace(fate="is stopped", lost_text="Broken pipe")
+    if trip is Trip.DATA_PLANE:
+        run._plane_gone()
+        run.plane.fate = "was ended by signal 9: Killed"  # at the end, by this process
+        run._plane_gone()
+    elif trip is not Trip.NONE:
+        run.k.host["trip"] = trip
+    assert run.trip == told
 
 
 def test_spread_of_a_histogram():

@@ -62,6 +62,7 @@ def test_the_host_is_killed(mode, phase, victim):
         if victim == "data plane":
             status, data, err = result(run)
             assert status == 7, err
+            assert data["trip"].endswith("(it was ended by signal 9: Killed)")
             assert data["trip"].startswith("DATA_PLANE")
         assert gone(plane)
         observer.watch(0.3)
@@ -120,6 +121,7 @@ def test_the_parent_alone_dies_or_stands_still(number):
                 status, data, err = result(run)
                 assert status == 7, err
                 assert data["trip"].startswith("HOST")
+                assert data["trip"].endswith("(it stood still for 2 s)")
         finally:
             run.kill()
 
@@ -214,6 +216,22 @@ def test_the_disk_is_full(tmp_path):
     assert "File too large" in data["trip"]
     assert len(read(record).frames) > 500
     assert record.stat().st_size <= size + 100_000
+
+
+def test_no_file_can_be_opened_any_more():
+    """The trip is told with its place, be there no descriptor for what prints the result."""
+    with (
+        simulation(BUS, mode="passive"),
+        Observer(BUS) as observer,
+        host(BUS, mode="passive") as run,
+    ):
+        observer.until_enabled(run)
+        observer.watch(0.3)
+        resource.prlimit(run.pid, resource.RLIMIT_NOFILE, (3, 3))
+        status, data, err = result(run)
+    assert status == 7, err
+    assert data is None or "HOST: OSError: [Errno 24] Too many open files (" in data["trip"]
+    assert data is not None or "trip: HOST: OSError: [Errno 24] Too many open files (" in " ".join(err.split())
 
 
 def drop_capabilities():

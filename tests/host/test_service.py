@@ -192,6 +192,8 @@ def test_a_host_gives_signs_of_life_while_its_cycle_goes_on(tmp_path):
                     late.append((time.monotonic() - begin, ear.recv(4096)))
                 except BlockingIOError:
                     time.sleep(0.01)
-            assert result(run)[0] == 7
+            status, data, err = result(run)
+            assert status == 7, err
+            assert data["trip"].endswith("(it is stopped, as by SIGSTOP)")
         assert not [t for t, message in late if message == b"WATCHDOG=1" and t > 0.5]
         assert any(message.startswith(b"STOPPING=1") for _, message in late)

@@ -4,11 +4,14 @@ to: each with a reader gone, closed, full.
 
 from __future__ import annotations
 
+import errno
 import os
 import shlex
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -17,6 +20,7 @@ from coulombus.verbs.main import main
 from coulombus.wire.frame import FRAME, new_records
 from warm_start import Warm, WithoutStdout
 
+real_run, run_verb = import_module("coulombus.host.run.real_run"), import_module("coulombus.verbs.run")
 ROOT = Path(__file__).resolve().parent.parent.parent
 EDS = ROOT / "eds" / "motor.eds"
 
@@ -132,6 +136,22 @@ def test_a_full_disk_is_an_error_and_hides_none(call, name):
     assert found == (status or 2), err
     if status == 0:
         assert "No space left on device" in err
+
+
+def test_a_trip_is_told_where_no_file_can_be_opened_for_its_table(monkeypatch, capsys):
+    trip = "HOST: OSError: [Errno 24] Too many open files (socket.py:293)"
+
+    def no_file(*_):
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+    monkeypatch.setattr(real_run, "real_run", lambda *_, **__: SimpleNamespace(trip=trip, exit_status=7))
+    monkeypatch.setattr(run_verb, "print_runs", no_file)
+    with pytest.raises(SystemExit) as ended:
+        main(["run", "--bus", "coulombus:none"])
+    assert ended.value.code == 7
+    told = " ".join(capsys.readouterr().err.split())
+    assert f"cannot be printed: Too many open files coulombus: trip: {trip}" in told
+    assert "docs/runbook.md#host" in told
 
 
 @pytest.mark.parametrize("words", ["--help", "run --help", "--version"])
