@@ -16,6 +16,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from coulombus.eds.regular_file import naming
+from coulombus.eds.unfinished_file import remove_unfinished, unfinished
 
 __all__ = ["check", "is_stream", "new_file", "open_new", "reason_against"]
 
@@ -76,7 +77,8 @@ def open_new(path: Path, *, force: bool) -> int:
 def new_file(path: Path, *, force: bool) -> Iterator[Path]:
     """Yield the name under which the file is to be written.
 
-    At the end of the block it gets its own, as a whole or not at all.
+    At the end of the block it gets its own, as a whole or not at all. What killed processes have
+    left unfinished in its folder is removed.
 
     Raises
     ------
@@ -89,7 +91,8 @@ def new_file(path: Path, *, force: bool) -> Iterator[Path]:
         with naming(path):
             yield path
         return
-    beside = path.with_name(f".{path.stem}-{os.getpid()}-{os.urandom(4).hex()}{path.suffix}")
+    remove_unfinished(path.absolute().parent)
+    beside = unfinished(path)
     try:
         with naming(path):
             yield beside

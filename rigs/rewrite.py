@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from coulombus.eds.regular_file import read_regular
+from coulombus.eds.unfinished_file import remove_unfinished, unfinished
 from coulombus.rigs.draft.text import CHECK
 from coulombus.rigs.mistakes import RigError, dotted, toml_value
 from coulombus.rigs.toml_lines import MOST_CHARACTERS, Document, Key, read_toml
@@ -200,7 +201,8 @@ def write_whole(path: Path, content: bytes, mode: int = 0o644, *, new: bool = Fa
     OSError
         it cannot be written; an old one is as it was
     """
-    beside = path.with_name(f".{path.stem}-{os.getpid()}-{os.urandom(4).hex()}{path.suffix}")
+    remove_unfinished(path.absolute().parent)
+    beside = unfinished(path)
     try:
         with beside.open("xb") as file:
             os.fchmod(file.fileno(), mode)

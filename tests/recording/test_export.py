@@ -5,6 +5,7 @@ import json
 import os
 import resource
 import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 
 from bench_recording import CYCLES, MS, STRANGE, record
+from coulombus.eds.unfinished_file import unfinished
 from coulombus.recording.export.errors import ExportError
 from coulombus.recording.export.export import FRAMES, KINDS, SIGNALS, export
 from coulombus.recording.export.hdf import _Place
@@ -321,6 +323,50 @@ def test_hdf5_outlives_a_full_disk_whatever_stands_in_memory(source, tmp_path, l
     done = subprocess.run(words, capture_output=True, text=True, env=dirty, timeout=300, check=False)
     assert (done.returncode, done.stdout) == (0, f"{errno.EFBIG}\n"), done.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+KILLED = """
+import os, sys
+from coulombus.recording.export import text_table
+from coulombus.verbs.main import main
+text_table.CsvWriter.close = lambda writer: os.kill(os.getpid(), int(sys.argv[3]))
+main(["export", sys.argv[1], "--to", "csv", "-o", sys.argv[2]])
+"""
+
+
+def killed(source: Path, out: Path, number: int) -> int:
+    words = [sys.executable, "-c", KILLED, source, out, str(int(number))]
+    return subprocess.run(words, capture_output=True, timeout=300, check=False).returncode
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
+def test_an_export_that_a_signal_ends_leaves_nothing(source, tmp_path, number):
+    assert killed(source, tmp_path / "x.csv", number) == 128 + number
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_a_killed_export_leaves_the_next_one_removes(source, tmp_path):
+    for _ in range(2):
+        assert killed(source, tmp_path / "x.csv", signal.SIGKILL) == -signal.SIGKILL
+        (left,) = tmp_path.iterdir()  # the first one's is gone
+        assert left.name.startswith(".x-")
+    machine, pid = left.name.split("-")[1:3]
+    kept = [
+        unfinished(tmp_path / "y.csv").name,  # of a process that lives
+        f".x-{pid}-0a1b2c3d.csv",
+        f".x-{int(machine, 16) ^ 1:08x}-{pid}-0a1b2c3d.csv",  # of another machine that has the folder, too
+        left.name + ".bak",
+        left.name[1:],
+    ]
+    for name in kept:
+        (tmp_path / name).touch()
+    (tmp_path / left.name.replace(".x-", ".folder-")).mkdir()
+    (tmp_path / left.name.replace(".x-", ".link-")).symlink_to("nowhere")
+    export(source, tmp_path / "z.csv", "csv")
+    found = {path.name for path in tmp_path.iterdir()}
+    assert left.name not in found
+    assert found > {*kept, "z.csv"}
+    assert len(found) == len(kept) + 3
 
 
 def test_a_library_that_is_absent_is_named_with_its_extra(source, tmp_path, monkeypatch):
