@@ -7,6 +7,7 @@ from __future__ import annotations
 import errno
 import os
 import socket
+import sys
 import threading
 import time
 
@@ -14,7 +15,7 @@ import pytest
 
 from coulombus.host.errors import SafetyTrip
 from coulombus.host.run import deadman_outside
-from coulombus.host.run.deadman_outside import GET_LINE, LINE, VALUES, HeldLine, HeldSocket, switch_of
+from coulombus.host.run.deadman_outside import GET_LINE, GET_VALUES, LINE, VALUES, HeldLine, HeldSocket, switch_of
 from coulombus.rigs.rig import RigError, load_rig
 
 PATIENCE_S = 10
@@ -121,23 +122,42 @@ def test_an_abandoned_socket_is_replaced_and_anything_else_is_refused(tmp_path, 
 
 
 class Chip:
-    """A GPIO chip of one free line, in the kernel's place."""
+    """A GPIO chip of one free line, in the kernel's place: each call is refused that the kernel
+    refuses, of a wrong descriptor, a wrong request, or a structure that it does not take.
+    """
 
     def __init__(self, folder):
         self.path, self.level, self.error, self.flags = folder / "gpiochip0", 0, None, 0
         self.path.write_bytes(b"")
+        self.line_path, self.line = folder / "line", -1
+        self.line_path.write_bytes(b"")
 
     def ioctl(self, fd, request, given):
-        if self.error is not None:
-            raise OSError(self.error, os.strerror(self.error))
+        number = self.error or self._why_not(fd, request, given)
+        if number is not None:
+            raise OSError(number, os.strerror(number))
         if request == GET_LINE:
-            offsets, name, self.flags, *rest = LINE.unpack(given)
-            assert offsets[:4] == b"\x11\x00\x00\x00"
-            assert name.rstrip(b"\0") == b"coulombus dead man"
-            assert rest[3] == 1
-            return LINE.pack(offsets, name, self.flags, *rest[:-1], os.open(self.path, os.O_RDONLY))
+            *same, _ = LINE.unpack(given)
+            self.flags = same[2]
+            self.line = os.open(self.line_path, os.O_RDONLY)
+            return LINE.pack(*same, self.line)
         active = self.level ^ (self.flags >> 1 & 1)
-        return VALUES.pack(active & VALUES.unpack(given)[1], 1)
+        return VALUES.pack(active, 1)
+
+    def _why_not(self, fd, request, given):
+        try:
+            here = os.fstat(fd)
+        except OSError as error:  # no descriptor at all
+            return error.errno
+        wanted = {GET_LINE: self.path, GET_VALUES: self.line_path}.get(request)
+        if wanted is None or not os.path.samestat(here, wanted.stat()):
+            return errno.ENOTTY
+        if request == GET_VALUES:
+            return None if given == VALUES.pack(0, 1) else errno.EINVAL
+        offsets, name, flags, *rest = LINE.unpack(given)
+        right = offsets == (17).to_bytes(4, sys.byteorder) + bytes(252)
+        right = right and name.rstrip(b"\0") == b"coulombus dead man" and flags in (0x204, 0x106)
+        return None if right and rest == [0, bytes(20), bytes(240), 1, 0, bytes(20), -1] else errno.EINVAL
 
 
 @pytest.fixture
@@ -150,7 +170,7 @@ def line(chip, plane, **options):
 
 
 def test_the_kernel_s_structures_have_their_sizes():
-    assert (LINE.size, VALUES.size) == (GET_LINE >> 16 & 0x3FFF, deadman_outside.GET_VALUES >> 16 & 0x3FFF)
+    assert (LINE.size, VALUES.size) == (GET_LINE >> 16 & 0x3FFF, GET_VALUES >> 16 & 0x3FFF)
 
 
 @pytest.mark.parametrize(("low", "held", "pull"), [(False, 1, 1 << 9), (True, 0, 1 << 8)])
@@ -164,6 +184,8 @@ def test_a_line_is_held_at_its_level_and_a_broken_cable_lets_go(chip, plane, mon
         chip.level = 1 - held  # the pull resistor does that to a cable that is open
         plane.wait_word()
     assert chip.flags & 0x304 == pull | 1 << 2
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        os.fstat(chip.line)  # given back
 
 
 def test_a_line_that_is_unplugged_is_let_go(chip, plane, monkeypatch):
