@@ -129,6 +129,20 @@ def test_the_first_line_has_the_address_and_a_signal_ends_it(bus):
     assert bus.frames == []
 
 
+def test_a_page_at_all_addresses_is_served_under_its_printed_name(bus):
+    with page_of("--web-host", "0.0.0.0") as (_, url):
+        name, port, token = re.fullmatch(r"http://([^:]+):(\d+)/([\w-]{32,})/", url).groups()
+        assert name == socket.gethostname()
+        here = f"http://127.0.0.1:{port}/{token}/"
+        for host, status in ((f"{name}:{port}", 200), (f"127.0.0.1:{port}", 200), (f"evil.example:{port}", 421)):
+            request = HTTPRequest(here, headers={"Host": host})
+            assert asyncio.run(fetched(request)).code == status
+
+
+async def fetched(request):
+    return await AsyncHTTPClient().fetch(request, raise_error=False)
+
+
 def test_a_new_start_has_the_same_token_and_a_port_in_use_ends_with_words(bus):
     with page_of() as (_, url):
         _, port, token = place(url)
