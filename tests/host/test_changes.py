@@ -193,6 +193,7 @@ def test_wrong_arm_keys_that_lie_long_apart_lock_nothing():
     tries(key, TRIES - 1, 20 * WINDOW_NS)
     assert key.why_not("004711", 20 * WINDOW_NS) is None  # and begins anew
     assert "none is taken" not in tries(key, TRIES - 1, 20 * WINDOW_NS)[-1]
+    assert "none is taken" in tries(key, TRIES, 22 * WINDOW_NS)[-1]  # the old ones hold no lock up
 
 
 def test_the_tries_of_all_who_come_to_the_socket_count_together():
