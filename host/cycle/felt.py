@@ -35,7 +35,8 @@ keeps the balance that the hand's port must not overdraw,
 
 with the transducer's :math:`f_h`, the brake's expected torque and :math:`s` the share that is
 compensated: what the hand gives must pay for brake, viscous friction, and half of what the
-compensation is meant to leave. :math:`D` is what has been paid and is still there: at most the
+compensation is meant to leave. In stick, where the motor compensates nothing, nothing is charged:
+what the encoder shows there is an elastic transmission that winds and unwinds. :math:`D` is what has been paid and is still there: at most the
 kinetic energy, so credit is not kept. What the law has for the motor - all of it in active, a wall's
 spring in hybrid - is no compensation: its work is taken off :math:`f_h`, in both directions. Law and
 brake count as they acted on the way that the newest position ends. In active the balance begins anew
@@ -152,6 +153,8 @@ def observe(c: ControlRecord, h: HostRecord) -> float:
         way = h.moved_counts * c.rad_count
         left_Nm = max(0.5 * (c.friction_Nm - c.compensation_Nm), 0.0)
         paid_J = (handle_Nm - h.port_pushed_Nm - c.viscous * v) * way - (h.port_brake_Nm + left_Nm) * abs(way)
+        if abs(h.slide_counts) <= c.slide_band_counts:  # no compensation: an elastic part gives back what it took
+            paid_J = max(paid_J, 0.0)
         h.port_J = min(h.port_J + paid_J, most_J)
         h.port_slid_ns += c.period_ns
         if way * h.port_way < 0.0:  # it turned back

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,8 +11,10 @@ import pytest
 from coulombus.host.cycle.felt import brake_level, expect, lead, slide_velocity
 from coulombus.host.cycle.phases import enter
 from coulombus.host.cycle.records import Image, Phase
+from coulombus.lab.simulate import simulate
 from tests.support.host_bench import HostBench
 
+ELASTIC = Path(__file__).parents[2] / "examples" / "elastic.toml"
 FELT = ('law.level="felt"', "law.velocity_window_cycles=32", "brake.coil_lag_s=0.003", "brake.fluid_lag_s=0.015")
 
 
@@ -162,6 +165,38 @@ def test_positions_that_are_lost_now_and_then_are_no_doubt():
 def test_an_uneven_velocity_hides_no_motion_that_nobody_pays_for():
     bench = kicked([25 + (10 if k % 2 else -10) for k in range(600)])
     assert bench.h.share == 0.0
+
+
+def test_an_elastic_transmission_that_winds_in_stick_is_no_doubt():
+    """The encoder moves by up to 2 counts a cycle, while the brake holds the hand with 3.5 Nm."""
+    bench = HostBench("hybrid", "law.gain_ramp_s=0")
+    bench.arm()
+    for k in range(4000):
+        bench.handle_Nm = 3.0 * math.sin(k / 40)
+        bench.counts = round(40 * math.sin(k / 40))
+        bench.cycle()
+    assert bench.h.port_J >= 0.0
+    assert bench.h.share == 1.0
+    assert bench.h.withheld_compensation == 0
+
+
+def test_a_debt_is_not_forgotten_in_stick():
+    bench = kicked([25] * 400 + [0] * 50)
+    assert bench.h.port_J < -2 * bench.c.passivity_J
+    assert bench.h.share == 0.0
+
+
+@pytest.mark.parametrize("cable", [900.0, 2500.0])
+def test_an_elastic_rig_that_is_believed_rightly_has_nothing_withheld(cable):
+    overrides = (f"plant.cable.stiffness_Nm_rad={cable}", "plant.handle.stiffness_Nm_rad=1500.0")
+    result = simulate(ELASTIC, "hybrid", 9.0, overrides=overrides)
+    assert (result.trip, result.counters["withheld_compensation"]) == (None, 0)
+
+
+def test_a_soft_cable_that_the_compensation_drives_is_withheld():
+    overrides = ("plant.cable.stiffness_Nm_rad=150.0", "plant.handle.stiffness_Nm_rad=600.0")
+    result = simulate(ELASTIC, "hybrid", 9.0, overrides=overrides)
+    assert result.counters["withheld_compensation"] > 500
 
 
 def test_a_balance_begins_anew_with_each_run():
