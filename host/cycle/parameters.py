@@ -296,12 +296,23 @@ class LiveParameters:
                 raise Refused(reason)
         if any(int(one.controller.live["taken"][0]) != one.number for one in self._axes):
             raise NotTaken("the change before has not been taken yet: the host does not cycle")
+        over_s = max(over_s, self._gentle_s(axis, wanted, old))
         number, cycles = self._number + 1, max(1, round(over_s / self._period_s))
         offer(axis.controller.live[0], number, axis.order(wanted), cycles)
         self._number = axis.number = number
         axis.value.update(wanted)
         values = tuple(Changed(name, axis.table[name].unit, old[name], value) for name, value in wanted.items())
         return Change(number, axis.name, index, values, over_s, cycles, undo)
+
+    def _gentle_s(self, axis: _Axis, wanted: Mapping[str, float], old: Mapping[str, float]) -> float:
+        """Return how long a torque that becomes less takes to fall at the safe state's rate [s]: a hand
+        may lean on it.
+        """
+        falls = [old[name] - value for name, value in wanted.items() if axis.table[name].unit == "Nm"]
+        rate_Nm_s = float(axis.controller.control["release_Nm"][0]) / self._period_s
+        if rate_Nm_s <= 0.0:
+            return 0.0
+        return min(math.ceil(max(falls, default=0.0) / rate_Nm_s * 1000 - 1e-6) / 1000, MOST_S)
 
     def _index(self, name: str) -> int:
         names = [axis.name for axis in self._axes]

@@ -20,6 +20,7 @@ class Live(HostBench):
         super().__init__(mode, *overrides)
         self.enter(Phase.RUN)
         self.control, self.each = self.k.control, (self.k,)
+        self.control["release_Nm"] = 1.0  # no change is made longer by it
         self.parameters = LiveParameters(self)
 
     def __iter__(self):
@@ -57,6 +58,29 @@ def test_a_change_is_ramped_in_so_many_cycles_and_then_stands(bench):
     assert found[98] != (0.7, 0.5)
     assert found[99:] == [(0.7, 0.5)] * 3
     assert (float(bench.axis.law.K_p), bench.phase) == (100.0, Phase.RUN)
+
+
+@pytest.mark.parametrize(
+    ("values", "cycles"),
+    [
+        ({"F_s_Nm": 0.7, "F_d_Nm": 0.5}, 250),  # 0.5 Nm at 0.002 Nm a cycle
+        ({"F_s_Nm": 1.1, "F_d_Nm": 0.4}, 300),  # the longer fall
+        ({"F_s_Nm": 1.15, "F_d_Nm": 1.0}, 100),
+        ({"F_s_Nm": 1.4}, 100),  # more torque throws nobody
+        ({"K_p_Nm_rad": 1.0}, 100),
+    ],
+)
+def test_a_torque_falls_no_faster_than_a_loaded_hand_is_let_go(bench, values, cycles):
+    bench.control["release_Nm"] = 0.002
+    change = bench.set(over_s=0.1, **values)
+    assert (change.cycles, change.over_s) == (cycles, cycles / 1000)
+
+
+def test_an_undo_falls_no_faster_either(bench):
+    bench.set(F_s_Nm=1.4)
+    bench.cycles(101)
+    bench.control["release_Nm"] = 0.001
+    assert bench.parameters.undo(over_s=0.1).cycles == 200
 
 
 def test_nothing_changes_before_the_next_cycle_begins(bench):

@@ -39,10 +39,10 @@ def test_the_changes_are_markers_of_the_recording(recorded):
     found = [text for _, text in read(recorded).markers if text.startswith("set ")]
     assert [text.partition(" [")[0] for text in found] == [
         "set F_s_Nm 1.2 -> 1.4 Nm, K_p_Nm_rad 100 -> 250 Nm/rad in 0.2 s",
-        "set F_d_Nm 1 -> 0.4 Nm, compensation 0.97 -> 0.3 in 0.15 s",
+        "set F_d_Nm 1 -> 0.4 Nm, compensation 0.97 -> 0.3 in 0.24 s",
         "set F_d_Nm 0.4 -> 1 Nm, compensation 0.3 -> 0.97 in 0.1 s (undo)",
     ]
-    assert f"compensation={(0.97).hex()}>{(0.1 + 0.2).hex()} in 150]" in found[1]
+    assert f"compensation={(0.97).hex()}>{(0.1 + 0.2).hex()} in 240]" in found[1]
 
 
 def test_a_replay_of_a_run_with_changes_is_bit_for_bit(recorded):
@@ -75,15 +75,15 @@ def test_a_change_of_one_axis_leaves_the_others_alone(tmp_path):
     path = tmp_path / "two.pcapng"
 
     def change(world):
-        world.at(1000 * MS, lambda w: w.set_parameters({"F_d": 0.25}, "right", over_s=0.1))
+        world.at(1000 * MS, lambda w: w.set_parameters({"F_d": 2.125}, "right", over_s=0.1))
         world.at(1200 * MS, lambda w: w.set_parameters({"F_s": 3.75}, "left", over_s=0.1))
         worlds.append(world)
 
     worlds = []
     simulate("two_axes", "passive", 0.8, record=path, script=change)
     law = worlds[0].controllers.axes["law"]
-    assert law["F_d"][1] == 0.25
-    assert law["F_d"][0] != 0.25
+    assert law["F_d"][1] == 2.125
+    assert law["F_d"][0] != 2.125
     assert law["F_s"][0] == 3.75
     assert law["F_s"][1] != 3.75
     assert host_replay(path).difference is None
@@ -160,8 +160,8 @@ def test_changes_of_both_axes_that_overlap_are_replayed(tmp_path):
     def change(world):
         for axis, at, values in (
             ("left", 1000, {"F_s": 3.4}),
-            ("right", 1050, {"F_d": 0.3}),
-            ("left", 1150, {"F_d": 0.6}),
+            ("right", 1050, {"F_d": 2.1}),
+            ("left", 1150, {"F_d": 2.9}),
         ):
             world.at(at * MS, lambda w, axis=axis, values=values: w.set_parameters(values, axis, over_s=0.1))
         world.at(1100 * MS, lambda w: w.undo_parameters(0.1))
