@@ -219,10 +219,11 @@ def _emergency(description: Description, node_id: int) -> Setting:
     """EMCY's identifier: read, and written where the device has another one."""
     mute, default = is_mute(description, node_id), emcy_default(description, node_id)
     off = default is not None and bool(default & EMCY_OFF)
+    refused = default == CobId.SYNC  # the planner says so
     return Setting(
         *(0x1014, 0, emcy_identifier(description, node_id)),
         optional=True,
-        soft=mute,
+        soft=mute or refused,
         unless_equal=True,
         why="EMCY's identifier",
         lost="the host hears none of its faults by EMCY" if mute else "",

@@ -103,6 +103,11 @@ def test_every_row_is_json_and_has_the_four_keys(decoded):
              "manufacturer": "0102030405"},
         ),
         (0x081, "00", {"node": "motor", "service": "emcy", "malformed": "1 bytes, expected 8"}),
+        (
+            0x081, "508211",
+            {"node": "motor", "service": "emcy", "malformed": "3 bytes, expected 8", "code": 0x8250,
+             "text": "0x8250: RPDO time-out", "register": 0x11, "manufacturer": ""},
+        ),
         (0x7E5, "0400000000000000", {"node": None, "service": "lss", "command": "switch state global", "state": "waiting"}),
         (0x700, "00", {"node": None, "service": "unknown"}),
         (0x123, "00", {"node": None, "service": "unknown"}),

@@ -110,6 +110,17 @@ def test_sync_that_stops_and_comes_back(rig):
     assert texts(live.snapshot(T0 + 3 * S)) == ["SYNC again"]
 
 
+def test_an_emergency_of_another_length_is_told_with_its_code(rig):
+    live = Live(rig)
+    live.take([frame(0, 0x082, bytes.fromhex("102301000000")), frame(0, 0x081, b"\x10"), frame(0, 0x081, bytes(2))])
+    assert texts(live.snapshot(T0)) == [
+        "brake: EMCY 0x2310: continuous over-current at the output (register 01h), 6 bytes, expected 8",
+        "motor: EMCY without a code, 1 bytes, expected 8",
+        "motor: EMCY error reset or no error, 2 bytes, expected 8",
+    ]
+    assert live.snapshot(T0).nodes[1].emergency.startswith("0x2310")
+
+
 def test_emergencies_nmt_commands_sdo_aborts_and_error_frames(rig):
     live = Live(rig)
     live.take([frame(0, 0x081, bytes.fromhex("5082110000000000")), frame(0, 0x082, bytes(8))])
