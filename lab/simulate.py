@@ -117,6 +117,10 @@ class _VirtualRun(Course):
         """Run in steps short enough to show progress and to write what was recorded."""
         world = self.world
         world.run_until(min(until_ns, world.t_ns + self._look_ns), done)
+        waiting = self.k.host["waiting"] != 0
+        if self.k.done and waiting.any():  # the run ends with a whole cycle of all axes
+            window_ns = int(self.k.host["next_ns"][waiting].max())
+            world.run_until(int(bus_ns(world.host_clock, window_ns)) + 1)
         self.mark_course(world.t_ns + (world.t_ns < until_ns))  # what begins at the display's end does not begin
         world.flush()
         enabled = self.enabled_ns

@@ -330,8 +330,8 @@ class Limits(Section):
     sign_check_travel_rad: float = Field(gt=0, le=1e3, description="the sign check aborts beyond this angle")
     safe_ramp_s: float = Field(ge=0, le=60, description="safe state: brake_torque_Nm is ramped to 0 in this time ...")
     safe_hold_s: float = Field(ge=0, le=60, description="... with pauses of this length in all, at most: ...")
-    safe_speed_rad_s: float = Field(0.5, gt=0, le=1e4, description="... while the handle is faster than this, ...")
-    safe_brake_Nm: float = Field(ge=0, le=1e4, description="... and from here down while the hand bears a load")
+    safe_speed_rad_s: float = Field(0.5, gt=0, le=1e4, description="... while the handle is faster than this")
+    safe_brake_Nm: float | None = Field(None, ge=0, le=1e4, description="of version 0.2: without effect")
 
     @property
     def brake_fall(self) -> float:

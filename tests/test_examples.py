@@ -48,8 +48,15 @@ def test_fault_script(tmp_path):
     out = run("fault_script.py", tmp_path)
     assert "exit status 7: TPDO_LOST" in out
     assert 0.0 < float(out.split("tripped ")[1].split(" ms")[0]) <= 5.0
-    assert "at most 1.0 Nm" in out
-    assert 0.5 <= float(out.split("0 after ")[1].split(" s")[0]) <= 0.75
+    assert "at most 3." in out
+    assert 0.0 < float(out.split("0 after ")[1].split(" s")[0]) <= 1.91
+
+
+def test_release_of_a_hand(tmp_path):
+    out = run("release.py", tmp_path)
+    at_once, released = (float(part.split(" rad/s")[0]) for part in out.split(": ")[1:3])
+    assert released <= 1.2 < at_once
+    assert (tmp_path / "release.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_every_example_is_run():
@@ -57,6 +64,7 @@ def test_every_example_is_run():
         "simulate_and_plot.py",
         "own_law.py",
         "fault_script.py",
+        "release.py",
         "two_axes.py",
         "virtual_network.py",
         "own_device.py",  # tests/sim_bus/test_own_device.py

@@ -200,13 +200,13 @@ class _Findings:
                 value = f"{step['value']:#x} ({step['bits']} bits){when}"
                 echo(on_terminal(f"  {step['device']:<12} {step['object']} := {value}  {step['why']}", 15))
         self._tell_reactions()
-        click.echo()
+        echo("")
         for release in self.releases:
-            click.echo(on_terminal(f"release: {release}", 4))
+            echo(on_terminal(f"release: {release}", 4, PROSE))
             if not release.is_gentle:
-                click.echo(on_terminal(f"  that throws the hand: {GENTLER}", 4))
+                echo(on_terminal(f"  that throws the hand: {GENTLER}", 4, PROSE))
         for text in self.meanings:
-            click.echo(on_terminal(f"limit: {text}", 4))
+            echo(on_terminal(f"limit: {text}", 4, PROSE))
         for mode, limit in self.limits.items():
             echo(f"mode {mode}: drive torque limit 6072h = {limit} per mille")
         if self.rig.law_function.strip() not in OWN_LAWS:

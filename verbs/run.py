@@ -20,13 +20,14 @@ from coulombus.verbs.common import (
     shared_machine_option,
     verdict,
 )
-from coulombus.verbs.failures import EXIT_STATUS, errors, print_json, printable
+from coulombus.verbs.failures import EXIT_STATUS, errors, print_json
 from coulombus.verbs.option_types import CPU, SECONDS
 from coulombus.verbs.outputs import OutputOptions, outputs_options
 from coulombus.verbs.rig_options import BusesOptions, buses_options
 from coulombus.verbs.run_table import print_runs
 from coulombus.verbs.shown import echo, progress
 from coulombus.verbs.web import PageOptions, page_options
+from coulombus.wire.foreign_text import printable
 
 if TYPE_CHECKING:
     from coulombus.wire.address import BusAddress

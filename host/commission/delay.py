@@ -147,7 +147,8 @@ def _answer(recording: Recording, asked: str, answered: str) -> _Answer:
         if target.t_s[edge] < begin_s or target.t_s[following] - target.t_s[edge] < 0.9 * HALF_S:
             continue
         first = int(np.searchsorted(sampled, sent[edge]))
-        last = int(np.searchsorted(sampled, target.t_s[following])) - 1
+        until_s = min(target.t_s[following], target.t_s[edge] + HALF_S)  # a brake that falls slowly has no edge down
+        last = int(np.searchsorted(sampled, until_s)) - 1
         if first < SETTLED or last - first < AFTER:
             continue
         before, after = np.mean(y[first - SETTLED : first]), np.mean(y[last - SETTLED : last])

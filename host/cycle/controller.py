@@ -364,7 +364,6 @@ class Controller:
         c["deadman_mask"] = deadman_mask(axis.host.deadman)
 
         c["law_keeps"] = sum(size for _, size in self.law_state)
-        c["safe_brake_Nm"] = limits.safe_brake_Nm
         ramp_cycles = _cycles(limits.safe_ramp_s, T)
         c["safe_longest_cycles"] = ramp_cycles + round(limits.safe_hold_s / T)
         c["release_Nm"] = c["brake_limit_Nm"] / ramp_cycles

@@ -163,8 +163,8 @@ def sign_check(c: ControlRecord, h: HostRecord) -> tuple[float, int]:
     """SIGN: ramp a small motor torque until the handle moves: the encoder must count with it, the
     hand must resist.
 
-    The encoder's verdict falls at `sign_counts`; the ramp goes on to a few times that, and is taken
-    back behind it. The hand's mean torque over `sign_hand_cycles` (a tremor's period) tells the
+    The encoder's verdict falls at `sign_counts`; the ramp goes on to a few times that. A handle
+    that is fast by then has its torque taken back. The hand's mean torque over `sign_hand_cycles` (a tremor's period) tells the
     transducer's sign. The
     positive sense is tried first. A hand that rests on the handle may hold it by friction against
     that; then the negative sense is tried, and nothing that moves before the torque has turned its
@@ -181,10 +181,10 @@ def sign_check(c: ControlRecord, h: HostRecord) -> tuple[float, int]:
     if moved <= -c.sign_counts:
         return _refuse(h, Trip.SIGN_ENCODER)
     limit = min(c.sign_torque_Nm, c.motor_limit_raw * abs(c.motor_Nm_raw))
-    if moved >= SIGN_TRAVEL_FACTOR * c.sign_counts:  # enough: a light handle would run away
-        u = max(u - SETTLE_STEPS * c.sign_step_Nm, 0.0)
-    elif u < limit:
+    if moved < SIGN_TRAVEL_FACTOR * c.sign_counts:
         u = min(u + c.sign_step_Nm, limit)
+    elif abs(h.v_counts) > c.release_counts:  # a light handle that nobody holds would run away
+        u = max(u - SETTLE_STEPS * c.sign_step_Nm, 0.0)
     if moved < c.sign_counts:
         h.handle_during_Nm = 0.0
         h.handle_samples = 0
@@ -309,20 +309,23 @@ def run(axis: AxisRecord, law_function: LawFunction, t_ns: int) -> tuple[float, 
 def safe(c: ControlRecord, h: HostRecord) -> tuple[float, int]:
     """SAFE: no motor torque; release the brake as slowly as a loaded hand needs it.
 
-    The set-point falls by `release_Nm` a cycle; by `unloaded_Nm` where a transducer that nobody
-    doubts sees no load on the handle. It pauses while the handle is faster than `release_counts`,
-    and at `safe_brake_Nm` while the hand still bears a load. A line that falls at the same rate to 0
-    at `safe_longest_cycles` bounds it, so a hand is free by then.
+    The set-point falls by at most `release_Nm` a cycle, and pauses while the handle is faster than
+    `release_counts`. A transducer that nobody doubts makes it gentler: once the set-point is near the
+    load, it falls to 0 in all of the time that is left; where there is no load, by `unloaded_Nm`. A
+    line that falls at the first rate to 0 at `safe_longest_cycles` bounds it, so a hand is free by
+    then.
     """
+    left = max(c.safe_longest_cycles - h.phase_cycle, 0)
+    load_Nm = abs(h.handle_Nm)
     believed = c.still_handle_Nm < math.inf and h.missed_in_a_row == 0 and h.trip != Trip.HANDLE_TORQUE
-    loaded = abs(h.handle_Nm) > c.still_handle_Nm
-    moving = h.fresh and abs(h.v_counts) > c.release_counts
-    level_Nm = h.brake_Nm
-    if believed and not loaded:
-        level_Nm -= c.unloaded_Nm
-    elif not moving and not (believed and loaded and level_Nm <= c.safe_brake_Nm):
-        level_Nm -= c.release_Nm
-    h.brake_Nm = max(min(level_Nm, c.release_Nm * (c.safe_longest_cycles - h.phase_cycle)), 0.0)
+    fall_Nm = c.release_Nm
+    if believed and load_Nm <= c.still_handle_Nm:
+        fall_Nm = c.unloaded_Nm
+    elif believed and h.brake_Nm <= load_Nm + c.still_handle_Nm:
+        fall_Nm = min(h.brake_Nm / (left + 1), c.release_Nm)
+    elif h.fresh and abs(h.v_counts) > c.release_counts:
+        fall_Nm = 0.0
+    h.brake_Nm = max(min(h.brake_Nm - fall_Nm, c.release_Nm * left), 0.0)
     return 0.0, Phase.SAFE if h.brake_Nm > 0.0 or h.phase_cycle <= 1 else Phase.DISABLE
 
 

@@ -234,7 +234,6 @@ CONTROL = np.dtype(
         ("deadman_slot", np.int64),  # slot of the process image that holds the switch; -1: none
         ("deadman_mask", np.int64),  # bits that are all 1 while the switch is held; 0: any bit
         # safe state
-        ("safe_brake_Nm", np.float64),  # at this level the release waits for the load to go
         ("safe_longest_cycles", np.int64),  # the brake is off at the latest after so many
         ("release_Nm", np.float64),  # by which the brake's set-point falls in a cycle of the safe state
         ("unloaded_Nm", np.float64),  # ... where no load is on the handle

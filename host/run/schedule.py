@@ -16,9 +16,11 @@ CLIPPED = {
     "clipped_torque": "the law asked more of the motor than its limit (mode.{mode}.motor_limit_Nm, the drive's 6072h)",
     "slowed_torque": "the law asked more of the motor than limits.torque_rate_Nm_s, or than it may near limits.speed_rad_s",
     "limited_by_drive": "the drive told of a limit of its own (statusword bit 11: 6072h, 6073h, 60E0h, 60E1h)",
-    "withheld_compensation": "the motor gave less than its compensation, or the handle would have gained energy: is there less "
-    "friction than mechanics.friction_Nm? coulombus commission --step friction",
+    "withheld_compensation": "the motor gave less than its compensation, because the hand and the stored energy did not pay for it: "
+    "there is less friction than mechanics.friction_Nm, a weaker brake than its scale says, or an elastic transmission; "
+    "coulombus commission --step friction and --step brake tell which",
     "clipped_setpoints": "the law asked more of the brake than its limit (limits.brake_torque_Nm, or 7300h:01 in its EDS file)",
+    "slowed_setpoints": "the law let the brake go faster than limits.brake_fall_Nm_s",
 }
 """Counters of cycles in which something cut the law off, and what."""
 

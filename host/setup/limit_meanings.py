@@ -24,6 +24,8 @@ def meanings_of(axis: Axis, mode: str) -> Iterator[str]:
         )
         step_rad_s = motor_Nm / axis.mechanics.inertia_kg_m2 * period_s
         yield axis.said(f"mode.{mode}.motor_limit_Nm: it moves a free handle by {step_rad_s:.2g} rad/s in a cycle")
+    if limits.safe_brake_Nm is not None:
+        yield axis.said("limits.safe_brake_Nm: it is of version 0.2 and without effect; delete it")
     if mode != "active" and brake_Nm > 0.0:
         fall = limits.brake_fall
         yield axis.said(

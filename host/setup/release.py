@@ -23,7 +23,9 @@ __all__ = ["GENTLE_RAD_S", "Release", "release_of", "speed_of_ramp", "speed_of_s
 
 GENTLE_RAD_S = 1.2
 """A release up to this speed does not throw a hand."""
-LIGHT_HAND = Operator(inertia_kg_m2=5e-4, damping_Nms_rad=0.1, stiffness_Nm_rad=5.0)
+LIGHT_HAND = Operator(
+    inertia_kg_m2=5e-4, damping_Nms_rad=0.1, stiffness_Nm_rad=5.0, tremor_Nm=0.0, tremor_Hz=0.0, population=0.0
+)
 """The hand that is assumed where the rig file has none."""
 
 

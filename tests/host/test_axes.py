@@ -224,7 +224,8 @@ def test_two_axes_on_one_bus_in_virtual_time(tmp_path):
     recording = read(record)
     syncs = int((recording.frames["can_id"] == 0x80).sum())
     setpoints = [len(recording[f"{axis}.brake.setpoint_Nm"]) for axis in ("left", "right")]
-    assert setpoints[0] == setpoints[1] == syncs  # one SYNC for both, and set-points for each
+    assert setpoints[0] == syncs  # one SYNC for both, and set-points for each; the run ends within a cycle
+    assert syncs - setpoints[1] in (0, 1)
     one, other = recording.axes
     np.testing.assert_array_equal(
         recording.one_axis("right")["motor.position_rad"].values, recording["right.motor.position_rad"].values

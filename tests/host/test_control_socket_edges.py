@@ -174,9 +174,9 @@ def test_a_change_at_its_last_moment_is_asked_once_more(asker, clock):
 def test_a_stop_is_asked_for_and_its_end_waited_for_with_one_deadline(asker, clock):
     one = asker(b"accepted", b'{"trip": null, "cycles": 7, "mode": "passive"}')
     request = StopRequest(BUS)
-    clock.now_s += 10.0
+    clock.now_s += 1.0
     assert request.result() == {"trip": None, "cycles": 7, "mode": "passive"}
-    assert (one.sent, one.timeouts, one.closed) == ([b"stop"], [20.0, 20.0], 1)
+    assert (one.sent, one.timeouts, one.closed) == ([b"stop"], [2.0, 29.0], 1)
 
 
 def test_a_wait_that_is_over_is_a_short_one_and_never_for_ever(asker, clock):
@@ -214,7 +214,7 @@ def test_the_deadline_itself_is_too_late(asker, clock):
         ((), [PermissionError(13, "Permission denied")], "cannot be asked to stop: Permission denied; it may be armed"),
         ((b"",), [], "closed the connection and did not take the request; it may be armed"),
         ((b"no",), [], "gave no answer that is one; it may be armed"),
-        ((TimeoutError(),), [], "has not stopped within 30 s; it may be armed"),
+        ((TimeoutError(),), [], "has not stopped within 3 s, nor taken the request: .* it may be armed"),
         ((b"accepted", TimeoutError()), [], "has not stopped within 30 s; it may be armed"),
         ((b"accepted", ConnectionResetError(104, "reset")), [], "broke off: reset; it may be armed"),
         ((b"accepted", b"x"), [], "what it told of its end cannot be read"),
@@ -311,7 +311,6 @@ def test_a_closed_host_leaves_the_path_to_the_next(host):
 def test_a_host_is_there_while_it_listens(host):
     assert host_runs(BUS)
     assert not host_runs(parse_address("coulombus:y"))
-    assert control_path(parse_address("socketcan:a+b")).name.startswith("socketcan-a_b.host")
 
 
 def test_the_times_are_those_that_the_documentation_has():

@@ -188,12 +188,12 @@ def test_the_time_from_sync_to_rpdo_is_not_counted_once_all_axes_are_done():
 @pytest.mark.parametrize(("kind", "ramped"), [("402", True), ("401", True), ("own", False)])
 def test_a_brake_that_does_not_ramp_by_itself_is_ramped_off_before_the_loop_ends(tmp_path, kind, ramped):
     file, overrides = written(tmp_path, drive("own"), brake(kind))
-    with running(*overrides, "limits.missed_tpdo_cycles=1000", "limits.safe_ramp_s=0.03", rig=str(file)) as plane:
+    with running(*overrides, "limits.missed_tpdo_cycles=1000", "limits.safe_ramp_s=0.2", rig=str(file)) as plane:
         h = plane.shared.axes["host"]
         h["image"][:, [Image.STATUSWORD, Image.BRAKE_STATUSWORD]] = 0x27
         plane.cycle()
         plane.wait(lambda: plane.plane["cycles"][0] > 0)
-        h["brake_Nm"], h["phase"] = 1.0, Phase.RUN
+        h["brake_Nm"], h["brake_lagged_Nm"], h["phase"] = 1.0, 1.0, Phase.RUN
         plane.plane["command"] = Command.QUIT
         plane.wait(lambda: not plane.thread.is_alive())
         plane.read()
@@ -206,8 +206,9 @@ def test_a_brake_that_does_not_ramp_by_itself_is_ramped_off_before_the_loop_ends
     if not ramped:  # its own driver does, from the safe state's torque
         assert raw[-1] > 0
         return
-    assert len(raw) - first >= 30
-    assert raw[first:] == sorted(raw[first:], reverse=True)
+    assert len(raw) - first >= 20
+    released = raw[first + 1 :]  # behind what RUN sent
+    assert released == sorted(released, reverse=True)
     assert raw[-1] == 0
     if kind == "402":  # enabled until it is off
         assert {word for setpoint, word in sent if setpoint} == {0x0F}

@@ -115,6 +115,8 @@ def test_what_goes_wrong_trips_in_the_same_cycle_in_either_sense(mode, speed, ha
     found = set()
     for polarity, sign in itertools.product(POLARITIES, (1, -1)):
         handle = running(mode, polarity, sign)
+        if trip is Trip.NET_WORK:
+            handle.c.motor_mismatch_Nm = 9.0
         for n in range(1, 400):
             handle.show(n * speed, handle_Nm, torque_Nm)
             if handle.phase >= Phase.SAFE:

@@ -39,8 +39,8 @@ def only(rig, node, *indices):
     return [shown(one) for one in settings(rig, node) if one.index in indices]
 
 
-OWN_HEAD = "1016:1=7F0096/o 1017:0=32/o 1005:0=80/o 2002:0=4E20/o"
-HEAD = "1016:1=7F0096/o 1017:0=32/o 1005:0=80/ou 2002:0=4E20/o 1006:0=3E8/osu 1029:1=0/osu"
+OWN_HEAD = "1016:1=7F0096/o 1017:0=32/o 1005:0=80/o 1014:0=8{}/ou 2002:0=4E20/o"
+HEAD = "1016:1=7F0096/o 1017:0=32/o 1005:0=80/ou 1014:0=8{}/ou 2002:0=4E20/o 1006:0=3E8/osu 1029:1=0/osu"
 SPARE = "1801:1=8000028{}/s"
 SPARE_1 = "1800:1=80000182/s"
 STOPS = "60C2:1=1/osu 60C2:2=-3/osu 6007:0=2/osu 605A:0=0/osu 605B:0=0/osu 605C:0=0/osu 605E:0=0/osu"
@@ -66,17 +66,44 @@ FIXED = (
 @pytest.mark.parametrize(
     ("kind", "expected"),
     [
-        ("own", (SPARE.format(1), OWN_HEAD, "6060:0=A 6071:0=0/l 6072:0=61", AGE, RPDO.format("60710010"), TPDO)),
-        ("A", (SPARE.format(1), HEAD, "6060:0=A 6071:0=0/l", STOPS, "6072:0=61", AGE, RPDO.format("60710010"), TPDO)),
-        ("B", (SPARE.format(1), HEAD, "6060:0=A 6071:0=0/l", STOPS, "6072:0=61", AGE, FIXED)),
+        (
+            "own",
+            (SPARE.format(1), OWN_HEAD.format(1), "6060:0=A 6071:0=0/l 6072:0=61", AGE, RPDO.format("60710010"), TPDO),
+        ),
+        (
+            "A",
+            (
+                SPARE.format(1),
+                HEAD.format(1),
+                "6060:0=A 6071:0=0/l",
+                STOPS,
+                "6072:0=61",
+                AGE,
+                RPDO.format("60710010"),
+                TPDO,
+            ),
+        ),
+        ("B", (SPARE.format(1), HEAD.format(1), "6060:0=A 6071:0=0/l", STOPS, "6072:0=61", AGE, FIXED)),
         (
             "C",
             (
-                *(SPARE.format(1), HEAD, "6060:0=4 6071:0=0/l 6087:0=2C3623", STOPS, "6072:0=61", AGE),
+                *(SPARE.format(1), HEAD.format(1), "6060:0=4 6071:0=0/l 6087:0=161B12", STOPS, "6072:0=61", AGE),
                 *(RPDO.format("60710010"), TPDO),
             ),
         ),
-        ("D", (SPARE.format(1), HEAD, "6060:0=-3 2030:0=0/l", STOPS, "6072:0=61", AGE, RPDO.format("20300010"), TPDO)),
+        (
+            "D",
+            (
+                SPARE.format(1),
+                HEAD.format(1),
+                "6060:0=-3 2030:0=0/l",
+                STOPS,
+                "6072:0=61",
+                AGE,
+                RPDO.format("20300010"),
+                TPDO,
+            ),
+        ),
     ],
 )
 def test_every_object_of_each_class_of_drive(kind, expected):
@@ -86,14 +113,14 @@ def test_every_object_of_each_class_of_drive(kind, expected):
 @pytest.mark.parametrize(
     ("kind", "expected"),
     [
-        ("own", (OWN_HEAD, "6340:1=1 7341:1=0", BRAKE_AGE, BRAKE_RPDO.format("73000110"), BRAKE_TPDO)),
-        ("404", (HEAD, "6340:1=1/os 7341:1=0/os", BRAKE_AGE, BRAKE_RPDO.format("73000110"), BRAKE_TPDO)),
-        ("401", (SPARE_1, HEAD, "6443:1=1/os 6444:1=0/os", BRAKE_AGE, BRAKE_RPDO.format("64110110"))),
-        ("8ao", (SPARE_1, HEAD, "6340:3=1/os 7341:3=0/os", BRAKE_AGE, BRAKE_RPDO.format("73000310"))),
+        ("own", (OWN_HEAD.format(2), "6340:1=1 7341:1=0", BRAKE_AGE, BRAKE_RPDO.format("73000110"), BRAKE_TPDO)),
+        ("404", (HEAD.format(2), "6340:1=1/os 7341:1=0/os", BRAKE_AGE, BRAKE_RPDO.format("73000110"), BRAKE_TPDO)),
+        ("401", (SPARE_1, HEAD.format(2), "6443:1=1/os 6444:1=0/os", BRAKE_AGE, BRAKE_RPDO.format("64110110"))),
+        ("8ao", (SPARE_1, HEAD.format(2), "6340:3=1/os 7341:3=0/os", BRAKE_AGE, BRAKE_RPDO.format("73000310"))),
         (
             "402",
             (
-                *(SPARE.format(2), HEAD, "6060:0=-3 2030:0=0/l", STOPS),
+                *(SPARE.format(2), HEAD.format(2), "6060:0=-3 2030:0=0/l", STOPS),
                 "1400:1=80000202 1600:0=0/w 1400:2=1/o 1400:5=A/o 1600:1=60400010/w 1600:2=20300010/w 1600:0=2/w",
                 "1400:1=202 1800:1=80000182 1A00:0=0/w 1800:2=1/o 1800:3=0/o 1800:5=0/o 1800:6=0/o 1A00:1=60410010/w",
                 "1A00:0=1/w 1800:1=182",
@@ -403,7 +430,7 @@ def test_the_slope_has_no_sign_where_a_brakes_table_falls():
     part = brake("402")
     table = part.text.replace("scale_Nm = 0.002", "table = [[0, 0.0], [-2000, 4.0]]")
     part = Part(part.eds, table, (*part.overrides[:2], "brake.mode=4"))
-    assert only(rig_of(drive("own"), part), "brake", 0x6087) == ["6087:0=2625A0"]
+    assert only(rig_of(drive("own"), part), "brake", 0x6087) == ["6087:0=1312D0"]
 
 
 def test_a_brake_that_does_not_take_the_set_point_gets_no_fault_value():

@@ -23,7 +23,7 @@ seed = 2
 design = "sobol"
 runs = 4
 [vary]
-limits.speed_rad_s = { values = [15.0, 0.002] }
+limits.net_work_J = { values = [0.15, 1e-9] }
 plant.coulomb_Nm = { low = 0.03, high = 0.09 }
 [rates]
 untripped = "trip == none"
@@ -67,7 +67,7 @@ def test_people_read_rates_and_the_command_that_repeats_the_worst_case(call, tmp
     out = call().stdout
     assert "untripped in 2 of 4 runs (6.76 to 93.24 %)" in out
     assert "4 runs, 2 of them failed" in out
-    assert "mildest rig that misses untripped: limits.speed_rad_s = 0.002" in out
+    assert "mildest rig that misses untripped: limits.net_work_J = 1e-09" in out
     words = next(line for line in out.splitlines() if "coulombus simulate" in line).split()[1:]
     result = CliRunner().invoke(main, words)
     assert result.exit_code == 7, result.output

@@ -257,7 +257,7 @@ design = "grid"
 seconds = 0.5
 [vary]
 mode.hybrid.F_s_Nm = { values = [3.5, 1000.0] }
-limits.speed_rad_s = { values = [15.0, 1e-3] }
+limits.net_work_J = { values = [0.15, 1e-9] }
 [rates]
 known = "cycles > 0"
 """
@@ -268,7 +268,7 @@ known = "cycles > 0"
     assert "1000" in rows[2]["error"]
     assert result.failed == 3
     assert (result.rates["known"].count, result.rates["known"].of) == (2, 4)
-    assert rows[1]["trip"].startswith("SPEED")
+    assert rows[1]["trip"].startswith("NET_WORK")
     assert (rows[2]["cycles"], rows[2]["rates.known"]) == (None, False)
 
 
@@ -318,7 +318,7 @@ def test_recordings_are_kept_as_asked(sweep_file, tmp_path, keep, kept, at_once)
 design = "grid"
 seconds = 0.5
 [vary]
-limits.speed_rad_s = { values = [0.002, 15.0, 0.003] }
+limits.net_work_J = { values = [1e-9, 0.15, 2e-9] }
 [rates]
 untripped = "trip == none"
 """
@@ -330,8 +330,10 @@ untripped = "trip == none"
     for row in rows:
         if row["recording"]:
             recording = read(tmp_path / "out" / row["recording"])
-            assert recording.rig.one_axis().limits.speed_rad_s == row["limits.speed_rad_s"]
-            assert any(text.startswith("trip SPEED") for _, text in recording.markers) == (not row["rates.untripped"])
+            assert recording.rig.one_axis().limits.net_work_J == row["limits.net_work_J"]
+            assert any(text.startswith("trip NET_WORK") for _, text in recording.markers) == (
+                not row["rates.untripped"]
+            )
 
 
 def test_the_worst_case_is_a_rig_that_simulate_takes_and_that_fails(sweep_file, tmp_path, at_once):
@@ -339,7 +341,7 @@ def test_the_worst_case_is_a_rig_that_simulate_takes_and_that_fails(sweep_file, 
 design = "grid"
 seconds = 0.8
 [vary]
-limits.speed_rad_s = { low = 0.002, high = 0.004, count = 2 }
+limits.net_work_J = { low = 1e-9, high = 2e-9, count = 2 }
 operator.tremor_Hz = { values = [8.5, 9.0] }
 operator.tremor_Nm = { values = [0.02, 0.04] }
 [rates]
@@ -349,11 +351,11 @@ untripped = "trip == none"
     result = run_sweep(sweep, tmp_path / "out")
     assert result.rates["untripped"].count < result.runs
     worst = result.worst["untripped"]
-    assert set(worst["values"]) == {"limits.speed_rad_s"}  # all others go back to the rig's own
-    assert worst["values"]["limits.speed_rad_s"] > 0.004
+    assert set(worst["values"]) == {"limits.net_work_J"}  # all others go back to the rig's own
+    assert worst["values"]["limits.net_work_J"] > 0.0
     again = simulate(load_rig(worst["file"]), worst["mode"], 0.8, seed=worst["seed"])
     assert again.trip is not None
-    milder = load_rig(worst["file"], [f"limits.speed_rad_s={worst['values']['limits.speed_rad_s'] + 15.0 / 60}"])
+    milder = load_rig(worst["file"], [f"limits.net_work_J={worst['values']['limits.net_work_J'] + 0.15 / 60}"])
     assert simulate(milder, worst["mode"], 0.8, seed=worst["seed"]).trip is None
 
 
@@ -397,7 +399,7 @@ def test_the_worst_case_of_a_rig_elsewhere_finds_its_files(tmp_path, at_once):
     )
     (tmp_path / "lab" / "sweep.toml").write_text(
         'rig = "rig.toml"\nseconds = 0.5\ndesign = "random"\nruns = 1\n'
-        "[vary]\nlimits.speed_rad_s = { values = [0.001] }\n[rates]\nuntripped = 'trip == none'\n"
+        "[vary]\nlimits.net_work_J = { values = [1e-9] }\n[rates]\nuntripped = 'trip == none'\n"
     )
     result = run_sweep(read_sweep(tmp_path / "lab" / "sweep.toml"), tmp_path / "elsewhere")
     file = result.worst["untripped"]["file"]
