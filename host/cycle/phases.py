@@ -315,14 +315,14 @@ def safe(c: ControlRecord, h: HostRecord) -> tuple[float, int]:
     line that falls at the first rate to 0 at `safe_longest_cycles` bounds it, so a hand is free by
     then.
     """
-    left = max(c.safe_longest_cycles - h.phase_cycle, 0)
+    left = c.safe_longest_cycles - h.phase_cycle
     load_Nm = abs(h.handle_Nm)
     believed = c.still_handle_Nm < math.inf and h.missed_in_a_row == 0 and h.trip != Trip.HANDLE_TORQUE
     fall_Nm = c.release_Nm
     if believed and load_Nm <= c.still_handle_Nm:
         fall_Nm = c.unloaded_Nm
     elif believed and h.brake_Nm <= load_Nm + c.still_handle_Nm:
-        fall_Nm = min(h.brake_Nm / (left + 1), c.release_Nm)
+        fall_Nm = h.brake_Nm / (left + 1)  # no more than release_Nm: the line holds it below that
     elif h.fresh and abs(h.v_counts) > c.release_counts:
         fall_Nm = 0.0
     h.brake_Nm = max(min(h.brake_Nm - fall_Nm, c.release_Nm * left), 0.0)

@@ -75,7 +75,7 @@ def call(words):
 def test_a_value_is_set_by_the_verb_and_told():
     with Host() as host:
         done = call("F_s=2.0 F_d=1.5 --over 200ms")
-        assert (done.exit_code, done.output) == (0, "set F_s_Nm 3.5 -> 2 Nm, F_d_Nm 3 -> 1.5 Nm in 0.567 s\n")
+        assert (done.exit_code, done.output) == (0, "set F_s_Nm 3.5 -> 2 Nm, F_d_Nm 3 -> 1.5 Nm in 0.6 s\n")
         done = call("--undo --json")
     told = json.loads(done.stdout)
     assert [(one["name"], one["old"], one["new"]) for one in told["changes"]] == [
@@ -213,7 +213,7 @@ def test_a_change_that_comes_before_the_last_was_taken_is_asked_again():
         assert call("F_s=3.2").exit_code == 0
         assert call("F_d=1.0").exit_code == 0
         assert host.asked == 5  # the second was put off three times
-    assert host.applied[1] == "set F_d_Nm 3 -> 1 Nm in 0.756 s"
+    assert host.applied[1] == "set F_d_Nm 3 -> 1 Nm in 0.8 s"
 
 
 @pytest.mark.parametrize(

@@ -98,6 +98,13 @@ def test_the_lead_brings_the_brake_to_its_level_sooner():
     assert fast[-1] == pytest.approx(2.0, rel=5e-3)
 
 
+def test_the_set_point_that_is_sent_leads():
+    bench = HostBench("passive", *FELT).enter(Phase.RUN)
+    bench.c.gain_step, bench.k.law[0].F_s = 1.0, 1.0
+    bench.cycles(2)
+    assert bench.h.brake_Nm > 1.5  # a level of 1 Nm less the device's own friction
+
+
 def test_a_lead_that_believes_in_wrong_lags_ends_at_the_level_all_the_same():
     assert course({"coil_lag_s": 0.006, "fluid_lag_s": 0.03}, 2.0)[-1] == pytest.approx(2.0, rel=0.01)
 

@@ -768,3 +768,20 @@ def test_the_brakes_set_point_falls_at_its_rate_and_rises_at_once():
         shown.append(float(bench.h.brake_Nm))
     assert shown == [4.0, 4.0, 4.0, 3.5, 3.0, 2.5, 4.0]
     assert bench.h.slowed_setpoints == 3
+
+
+def test_a_set_point_that_falls_at_its_rate_itself_is_not_slowed():
+    shown = []
+    for bench in clipping((4.0, 3.5, 3.0), 3, "passive"):
+        bench.c.brake_fall_Nm = 0.5
+        shown.append(float(bench.h.brake_Nm))
+    assert shown == [4.0, 3.5, 3.0]
+    assert (bench.h.slowed_setpoints, bench.h.clipped_balance) == (0, 0)
+
+
+@pytest.mark.parametrize("law", [(9.0,), (4.0, 0.0, 0.0, 0.0)])
+def test_a_law_that_the_brake_cannot_follow_trips(law):
+    for bench in clipping(law, 80, "passive"):
+        bench.c.brake_fall_Nm = 0.5
+    assert bench.h.trip == Trip.LAW_CLIPPED
+    assert ("clipped_setpoints" if law == (9.0,) else "slowed_setpoints") in bench.k.trip

@@ -150,7 +150,7 @@ def safe_course(bench, counts=0, load=LOAD, longest=LONGEST):
     while h.phase == Phase.SAFE and len(shown) < 40:
         h.phase_cycle += 1
         h.v_counts, h.handle_Nm = counts, load
-        followed(bench, *safe(c, h))
+        assert followed(bench, *safe(c, h)) == 0.0  # of the motor
         shown.append(h.brake_Nm)
     return shown
 
@@ -183,6 +183,12 @@ def test_the_release_pauses_while_the_handle_is_fast_but_not_for_ever(counts):
     bench = releasing(1.0)
     bench.h.missed_in_a_row = 1
     assert safe_course(bench, counts) == line(1.0)
+
+
+def test_the_release_goes_on_at_the_speed_itself():
+    bench = releasing(0.5)
+    bench.h.missed_in_a_row = 1
+    assert safe_course(bench, 4.0) == [0.375, 0.25, 0.125, 0.0]
 
 
 def test_a_handle_whose_position_is_not_known_is_not_held_as_a_fast_one():
@@ -363,6 +369,13 @@ def test_a_fast_handle_has_the_torque_taken_back_behind_the_ramp(sign, moved, co
 
 
 @BOTH
+def test_the_torque_is_taken_back_five_times_as_fast_as_it_came(sign):
+    bench = checking(sign)
+    bench.c.release_counts, bench.h.v_counts, bench.c.sign_step_Nm = 4.0, sign * 9.0, 2.0**-6
+    assert asked(bench, 40, 0.25) == 0.25 - 5 * 2.0**-6
+
+
+@BOTH
 @POLARITIES
 @pytest.mark.parametrize(("moved", "trip"), [(-9, 0), (-10, Trip.SIGN_ENCODER), (-11, Trip.SIGN_ENCODER)])
 def test_an_encoder_that_counts_the_other_way_is_refused(sign, motor, encoder, moved, trip):
@@ -414,6 +427,7 @@ def test_a_handle_that_does_not_move_is_tried_the_other_way_and_refused():
     for _ in range(HAND_CYCLES - 1):
         asked(bench, 3)
     assert (h.still, h.sign_direction) == (HAND_CYCLES, 1)
+    h.sign_moved = 1
     h.handle_samples, h.handle_during_Nm = 3, 3.0
     assert asked(bench, 3) == LIMIT
     assert (h.still, h.sign_direction) == (0, -1)
@@ -426,6 +440,8 @@ def test_a_handle_that_does_not_move_is_tried_the_other_way_and_refused():
     assert asked(bench, 3) == 0.0
     assert h.trip == Trip.SIGN_NO_MOTION
     assert (h.sign_result, h.trip_ns) == (SignResult.REFUSED, T)
+    assert h.sign_moved == 3
+    assert f"moved the handle by 3 of the {COUNTS} counts" in bench.k.trip
 
 
 @BOTH

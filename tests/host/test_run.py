@@ -301,7 +301,7 @@ def test_parameters_are_changed_while_the_law_displays_and_replayed(tmp_path):
     assert wanted == {"K_p_Nm_rad": 10000.0, "F_s_Nm": 2.5, "F_d_Nm": 2.0, "compensation": 0.97}
     told = [text.partition(" [")[0] for _, text in read(record).markers if text.startswith("set ")]
     assert told == [
-        "set F_s_Nm 3.5 -> 2.5 Nm, F_d_Nm 3 -> 2 Nm in 0.2 s",
+        "set F_s_Nm 3.5 -> 2.5 Nm, F_d_Nm 3 -> 2 Nm in 0.4 s",
         "set K_p_Nm_rad 10000 -> 500 Nm/rad in 0.5 s",
         "set K_p_Nm_rad 500 -> 10000 Nm/rad in 0.5 s (undo)",
     ]

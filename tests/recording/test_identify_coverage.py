@@ -77,8 +77,8 @@ def test_the_interval_of_each_parameter_holds_the_truth(found, name):
             off.append(2 * (estimate.value - true) / (estimate.high - estimate.low))
         print(f"{of} {name}: {sum(held)} of {len(held)}, RMS {np.sqrt(np.mean(np.square(off))):.2f} half widths")
         assert len(held) == RIGS
-        assert 0.90 <= np.mean(held) <= 1.0
-        assert 0.3 < np.sqrt(np.mean(np.square(off))) < 0.65  # 0.48 of 95 %: not so by being too wide
+        assert 0.85 <= np.mean(held) <= 1.0  # 33 of 40 or fewer come by chance once in 80 times
+        assert 0.3 < np.sqrt(np.mean(np.square(off))) < 0.7  # 0.48 of 95 %: not so by being too wide
 
 
 def test_no_stribeck_term_is_seen_in_a_rig_that_has_none(found):
