@@ -112,7 +112,7 @@ def begin(axis: AxisRecord, t_ns: int, out: Queue) -> None:
 
 
 @kernel
-def _only_of_host(axis: AxisRecord, can_id: int, length: int, data: int) -> bool:
+def _only_of_host(axis: AxisRecord, can_id: int, data: int) -> bool:
     """Tell whether nobody but the host sends such a frame while it displays: a set-point (RPDO), or
     a request that writes an object of one of the axis' nodes (SDO download, block download).
 
@@ -122,7 +122,8 @@ def _only_of_host(axis: AxisRecord, can_id: int, length: int, data: int) -> bool
     for k in range(axis.control.rpdos):
         if axis.rpdos[k].cob_id == can_id:
             return True
-    writes = length > 0 and (data >> 5 & 7 == SDO_DOWNLOAD or data >> 5 & 7 == SDO_BLOCK_DOWNLOAD)
+    command = data >> 5 & 7
+    writes = command in (SDO_DOWNLOAD, SDO_BLOCK_DOWNLOAD)
     return can_id & 0x780 == CobId.SDO_RX and writes and _node(axis.control, can_id & 0x7F) >= 0
 
 
@@ -178,7 +179,7 @@ def on_frame(axis: AxisRecord, t_ns: int, can_id: int, length: int, data: int) -
     if can_id > 0x7FF:
         h.stray_frames += 1
         return 0
-    if _only_of_host(axis, can_id, length, data):
+    if _only_of_host(axis, can_id, data):
         h.stray_frames += 1
         if Phase.OFF < h.phase < Phase.SAFE and h.stop <= 1:
             h.foreign_id = can_id

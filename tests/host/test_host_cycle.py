@@ -10,7 +10,7 @@ import pytest
 
 from coulombus.eds.cia402 import PowerState
 from coulombus.host.cycle.records import Image, Phase, Trip
-from coulombus.host.cycle.step import SOURCE_HOST, begin, limit_torque
+from coulombus.host.cycle.step import SOURCE_HOST, _doubt_clipped_law, begin, limit_torque
 from coulombus.host.laws.laws import compile_law
 from host_bench import MS, VELOCITY, HostBench
 
@@ -186,6 +186,8 @@ def test_an_emcy_is_heard_where_1014h_says_that_it_comes():
 @pytest.mark.parametrize("length", [0, 1, 6, 7])
 def test_an_sdo_response_of_another_length_is_counted(length):
     bench = HostBench()
+    assert bench.frame(0x582, 8, 0) == 2
+    assert bench.h.malformed_services == 0
     assert bench.frame(0x582, length, 0) == 2
     assert bench.h.malformed_services == 1
 
@@ -198,6 +200,8 @@ STRANGERS = [
     ((0x602, 8, 0x0064_1016_21), True),  # a segmented one begins
     ((0x602, 8, 0x0064_1016_C6), True),  # a block download begins
     ((0x601, 8, 0x6041_40), False),  # an upload reads only
+    ((0x601, 8, 0x6041_E0), False),  # no client command
+    ((0x401, 8, 0x0064_6072_2B), False),  # no SDO request
     ((0x601, 0, 0), False),
     ((0x603, 8, 0x0064_6072_2B), False),  # another node's
     ((0x205, 4, 0x0064_000F), False),
@@ -221,10 +225,58 @@ def test_what_only_the_host_sends_makes_the_axis_safe_when_it_comes_from_another
 
 def test_a_trip_of_before_is_not_written_over_by_a_stranger():
     bench = HostBench("hybrid").enter(Phase.RUN, counts=40)
-    bench.h.stop = int(Trip.BUS_LOST)
+    bench.h.stop = int(Trip.ENCODER_JUMP)
     bench.frame(0x201, 4, 0)
     bench.cycle()
-    assert bench.h.trip == Trip.BUS_LOST
+    assert bench.h.trip == Trip.ENCODER_JUMP
+
+
+def test_a_stranger_is_told_though_the_end_was_asked_for():
+    bench = HostBench("hybrid").enter(Phase.RUN, counts=40)
+    bench.h.stop = 1
+    bench.frame(0x201, 4, 0)
+    bench.cycle()
+    assert bench.h.trip == Trip.SECOND_HOST
+
+
+@pytest.mark.parametrize(
+    ("length", "trip"), [(0, Trip.EMCY_MOTOR), (1, Trip.EMCY_MOTOR), (2, Trip.NONE), (8, Trip.NONE)]
+)
+def test_an_emcy_without_a_code_is_a_doubt_and_an_error_reset_is_none(length, trip):
+    bench = HostBench()
+    bench.frame(0x081, length, 0)
+    assert bench.h.emcy == trip
+
+
+@pytest.mark.parametrize(
+    ("phase", "clipped", "balance", "stop", "after", "trip"),
+    [
+        (Phase.RUN, 1, 9, 0, 10, 0),
+        (Phase.RUN, 1, 10, 0, 11, Trip.LAW_CLIPPED),
+        (Phase.RUN, 1, 10, 1, 11, Trip.LAW_CLIPPED),
+        (Phase.RUN, 1, 10, 2, 11, 2),
+        (Phase.RUN, 0, 5, 0, 4, 0),
+        (Phase.RUN, 0, 0, 0, 0, 0),
+        (Phase.SIGN, 1, 10, 0, 10, 0),
+    ],
+)
+def test_clipped_cycles_are_weighed_against_the_others_in_run(phase, clipped, balance, stop, after, trip):
+    bench = HostBench("active").enter(phase)
+    h = bench.h
+    bench.c.clipped_cycles, h.clipped, h.clipped_balance, h.stop = 10, clipped, balance, stop
+    _doubt_clipped_law(bench.c, h)
+    assert (h.clipped, h.clipped_balance) == (0, after)
+    assert h.stop == (trip or stop)
+
+
+@pytest.mark.parametrize(
+    ("torque_Nm", "rate_Nm", "clipped"), [(math.nan, 9.0, 1), (1.6, 9.0, 1), (1.4, 1.0, 1), (1.4, 9.0, 0)]
+)
+def test_each_limit_of_the_torque_counts_as_clipped(torque_Nm, rate_Nm, clipped):
+    bench = HostBench("active").enter(Phase.RUN, counts=40)
+    bench.c.motor_rate_Nm, bench.h.torque_Nm = rate_Nm, 0.0
+    limit_torque(bench.c, bench.h, torque_Nm)
+    assert bench.h.clipped == clipped
 
 
 @pytest.mark.parametrize("code", [0x8250, 0xFFFF, 0x7FFF])
