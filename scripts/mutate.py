@@ -53,10 +53,11 @@ class Target:
 
 TARGETS = {
     "host/cycle/watch.py": Target(("test_host_watches", "test_host_cycle", "test_host_roles")),
-    "host/cycle/step.py": Target(("test_host_cycle", "test_host_roles")),
+    "host/cycle/step.py": Target(("test_host_cycle", "test_host_roles", "test_live_parameters")),
     "host/cycle/phases.py": Target(
         (
             "test_host_phases",
+            "test_felt",
             "test_host_mirrored",
             "test_host_cycle",
             "test_transitions",
