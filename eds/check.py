@@ -94,7 +94,7 @@ def _identifiers(description: Description, node_id: int) -> Iterator[Diagnosis]:
         elif isinstance(value, int) and index == 0x1014 and value & 0x1FFFFFFF == CobId.SYNC:
             text = f"{name} is 0x{value:X}, the identifier of SYNC: a host cannot tell whose fault it is"
             yield _warn(description, index, subindex, text, usual)
-        elif isinstance(value, int) and index == 0x1014 and value & 1 << 31:
+        elif isinstance(value, int) and index == 0x1014 and value & COB_ID_INVALID:
             yield _warn(description, index, subindex, f"{name} is 0x{value:X}: bit 31 switches EMCY off", "no EMCY")
         elif index == SDO and isinstance(value, int) and value != predefined(index, subindex, node_id):
             text = f"{name} is 0x{value:X} for node {node_id}, not {usual} as CiA 301 has {what}"

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from coulombus.eds.cia301 import CobId, restricted
+from coulombus.eds.pdo import COB_ID_INVALID
 from coulombus.eds.reader import Description
+from coulombus.rigs.pdo_maps import writable
 
-__all__ = ["EMCY_OFF", "emcy_default", "emcy_identifier", "is_mute"]
+__all__ = ["emcy_default", "emcy_identifier", "is_mute"]
 
-EMCY_OFF = 1 << 31
-"""Bit of 1014h: the node sends no EMCY."""
 _EXTENDED = 1 << 29
-_READ_ONLY = ("ro", "const")
 
 
 def emcy_default(description: Description, node_id: int) -> int | None:
@@ -26,7 +25,7 @@ def emcy_identifier(description: Description, node_id: int) -> int:
     of the pre-defined connection set, which bring-up writes.
     """
     usual, default = CobId.EMCY + node_id, emcy_default(description, node_id)
-    if default is None or default & (EMCY_OFF | _EXTENDED) or default == CobId.SYNC:
+    if default is None or default & (COB_ID_INVALID | _EXTENDED) or default == CobId.SYNC:
         return usual
     own = default & 0x7FF
     return own if own == usual or (own and not restricted(own)) else usual
@@ -39,5 +38,5 @@ def is_mute(description: Description, node_id: int) -> bool:
     if not description.has(0x1014, 0):
         return True
     default = emcy_default(description, node_id)
-    off = default is not None and (default & EMCY_OFF or not default & 0x7FF)
-    return bool(off) and description.variable(0x1014, 0).access in _READ_ONLY
+    off = default is not None and (default & COB_ID_INVALID or not default & 0x7FF)
+    return bool(off) and not writable(description.variable(0x1014, 0))

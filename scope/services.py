@@ -49,7 +49,7 @@ def heartbeat(data: bytes) -> Row:
 def emcy(data: bytes) -> Row:
     """Emergency: code with its text, error register 1001h, five manufacturer's bytes.
 
-    A frame of another length is malformed; what it has is told all the same.
+    A frame of another length is malformed; the fields that it has are decoded.
     """
     row: Row = {} if len(data) == 8 else {"malformed": f"{len(data)} bytes, expected 8"}
     if len(data) >= 2:

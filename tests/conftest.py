@@ -4,6 +4,8 @@ background job, too.
 Real-time tests are done again if the machine stood still when they failed.
 """
 
+import os
+import pty
 import signal
 import sys
 from pathlib import Path
@@ -113,3 +115,13 @@ def pytest_addoption(parser):
     parser.addoption(
         "--every-fault", action="store_true", help="fault injection: many calls of each place in the code, not one"
     )
+
+
+@pytest.fixture
+def terminal(monkeypatch):
+    """A pseudo-terminal as stdin; yield the end that a person types on."""
+    ours, theirs = pty.openpty()
+    with os.fdopen(theirs, "r") as file:
+        monkeypatch.setattr("sys.stdin", file)
+        yield ours
+    os.close(ours)

@@ -36,8 +36,8 @@ keeps the balance that the hand's port must not overdraw,
 with the transducer's :math:`f_h`, the brake's expected torque and :math:`s` the share that is
 compensated: what the hand gives must pay for brake, viscous friction, and half of what the
 compensation is meant to leave. In stick, where the motor compensates nothing, nothing is charged:
-what the encoder shows there is an elastic transmission that winds and unwinds. :math:`D` is what has been paid and is still there: at most the
-kinetic energy, so credit is not kept. What the law has for the motor - all of it in active, a wall's
+what the encoder shows there is an elastic transmission that winds and unwinds. :math:`D` is what
+has been paid and is still there: at most the kinetic energy, so credit is not kept. What the law has for the motor - all of it in active, a wall's
 spring in hybrid - is no compensation: its work is taken off :math:`f_h`, in both directions. Law and
 brake count as they acted on the way that the newest position ends. In active the balance begins anew
 where the handle turns back within 50 ms: the limit cycle of a law on the motor is no doubt of the

@@ -164,11 +164,10 @@ def sign_check(c: ControlRecord, h: HostRecord) -> tuple[float, int]:
     hand must resist.
 
     The encoder's verdict falls at `sign_counts`; the ramp goes on to a few times that. A handle
-    that is fast by then has its torque taken back. The hand's mean torque over `sign_hand_cycles` (a tremor's period) tells the
-    transducer's sign. The
-    positive sense is tried first. A hand that rests on the handle may hold it by friction against
-    that; then the negative sense is tried, and nothing that moves before the torque has turned its
-    sign is evidence.
+    that is fast by then has its torque taken back. The hand's mean torque over `sign_hand_cycles`
+    (a tremor's period) tells the transducer's sign. The positive sense is tried first. A hand that
+    rests on the handle may hold it by friction against that; then the negative sense is tried, and
+    nothing that moves before the torque has turned its sign is evidence.
     """
     u = h.torque_Nm * h.sign_direction  # torque in the sense that is tried
     if u < 0.0:

@@ -319,10 +319,7 @@ HOST = np.dtype(
         ("handle_during_Nm", np.float64),
         ("handle_samples", np.int64),
         ("emcy", np.int64),  # a trip that an EMCY asks for
-        (
-            "foreign_id",
-            np.int64,
-        ),  # identifier of a frame that only the host sends, and that somebody else sent; -1: none
+        ("foreign_id", np.int64),  # identifier of a host's frame that somebody else sent; -1: none
         # watches
         ("still", np.int64),
         ("missed_in_a_row", np.int64),

@@ -19,7 +19,7 @@ from coulombus.eds.own_devices import is_own, told_identity
 from coulombus.eds.reader import Description, Variable
 from coulombus.rigs.axis import Axis
 from coulombus.rigs.devices import Brake, Device, Motor
-from coulombus.rigs.emergency import EMCY_OFF, emcy_default, emcy_identifier, is_mute
+from coulombus.rigs.emergency import emcy_default, emcy_identifier, is_mute
 from coulombus.rigs.guarding import is_guarded, life_of
 from coulombus.rigs.pdo_maps import mode_of, writable
 from coulombus.rigs.roles import CIA401, CIA402, CIA404, Binding, profile_of
@@ -218,7 +218,7 @@ def _common_settings(axis: Axis, node: str, part: Device, ours: bool) -> Iterato
 def _emergency(description: Description, node_id: int) -> Setting:
     """EMCY's identifier: read, and written where the device has another one."""
     mute, default = is_mute(description, node_id), emcy_default(description, node_id)
-    off = default is not None and bool(default & EMCY_OFF)
+    off = default is not None and bool(default & INVALID)
     refused = default == CobId.SYNC  # the planner says so
     return Setting(
         *(0x1014, 0, emcy_identifier(description, node_id)),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import pty
 import socket
 import termios
 from pathlib import Path
@@ -37,15 +36,6 @@ def clock(monkeypatch):
     clock = Clock()
     monkeypatch.setattr(deadman, "time", clock)
     return clock
-
-
-@pytest.fixture
-def terminal(monkeypatch):
-    ours, theirs = pty.openpty()
-    with os.fdopen(theirs, "r") as file:
-        monkeypatch.setattr("sys.stdin", file)
-        yield ours
-    os.close(ours)
 
 
 class Key:

@@ -2,7 +2,6 @@
 
 import json
 import os
-import pty
 import termios
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,15 +15,6 @@ from coulombus.host.run.outputs import Outputs
 from coulombus.wire.keys import Keys, in_foreground
 
 RUN = SimpleNamespace(recorder=object(), failure=None, path=Path("r.pcapng"), now_ns=7)
-
-
-@pytest.fixture
-def terminal(monkeypatch):
-    ours, theirs = pty.openpty()
-    with os.fdopen(theirs, "r") as file:
-        monkeypatch.setattr("sys.stdin", file)
-        yield ours
-    os.close(ours)
 
 
 def wait_for(done):
