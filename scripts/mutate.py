@@ -57,7 +57,7 @@ TARGETS = {
     "host/cycle/phases.py": Target(
         (
             "test_host_phases",
-            "test_felt",
+            "host/test_felt",
             "test_host_mirrored",
             "test_host_cycle",
             "test_transitions",
@@ -94,6 +94,7 @@ TARGETS = {
         ),
     ),
     "host/setup/reactions.py": Target(("test_reactions_edges",)),
+    "host/setup/device_plan.py": Target(("test_device_plan_edges",)),
     "host/setup/settings.py": Target(("test_settings_edges",)),
     "node/deadlines.py": Target(("test_node_watch_edges",)),
     "node/guarding.py": Target(("test_node_watch_edges",)),
@@ -199,6 +200,14 @@ class Results:
             file.write(json.dumps(row) + "\n")
 
 
+def _file(test: str) -> str:
+    """Return the path of the tests that are called so, with a folder where two files are."""
+    found = [str(path.relative_to(ROOT)) for path in (ROOT / "tests").rglob(f"{test}.py")]
+    if len(found) != 1:
+        raise SystemExit(f"{test}: expected the name of one file of tests, there are {sorted(found)}")
+    return found[0]
+
+
 def _digest(paths: list[Path]) -> str:
     return hashlib.sha256(b"\0".join(path.read_bytes() for path in paths)).hexdigest()[:12]
 
@@ -220,9 +229,7 @@ def _keys(name: str, mutants: list[Mutant]) -> tuple[list[str], list[int]]:
 def mutate(name: str, options: argparse.Namespace, listed: Equivalents, results: Results) -> tuple[Tally, list[str]]:
     """Run the mutants of one module; return the tally, and what is wrong."""
     target, path = TARGETS[name], ROOT / name
-    tests = [
-        str(path.relative_to(ROOT)) for test in target.tests for path in sorted((ROOT / "tests").rglob(f"{test}.py"))
-    ]
+    tests = [_file(test) for test in target.tests]
     source = Source(name, path.read_text(encoding="utf-8"), target.units)
     mutants = source.mutants()
     keys, nths = _keys(name, mutants)

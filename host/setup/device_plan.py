@@ -79,7 +79,7 @@ def device_plans(controller: Controller) -> tuple[DevicePlan, ...]:
     """
     axis, limit_pm = controller.axis, controller.drive_limit_pm()
     plans = [_Planner(axis, node, controller.mode, limit_pm).plan() for node in axis.devices]
-    of_roles = tuple(f"{axis.prefix}{text}" if axis.prefix else text for text in axis.allocation.losses)
+    of_roles = tuple(f"{axis.prefix}{text}" for text in axis.allocation.losses)
     plans[0] = replace(plans[0], losses=(*of_roles, *plans[0].losses))
     return tuple(plans)
 
@@ -268,7 +268,7 @@ class _Planner:
                 "6072h, 60E0h and 60E1h, 6073h cannot be written; only the host limits",
                 self.limit_pm > 0,
             )
-        elif found[0] != 0x6072:
+        elif 0x6072 not in found:
             self.losses.append(
                 f"{self.who}: 6072h is not written, it is not described; {' and '.join(f'{index:04X}h' for index in found)} limit the torque"
             )

@@ -203,6 +203,15 @@ def test_a_balance_begins_anew_with_each_run():
     assert bench.h.share == 1.0
 
 
+def test_a_run_begins_with_the_hand_s_torque_of_now_and_a_window_without_positions():
+    bench = HostBench("hybrid", *FELT)
+    h = bench.h
+    h.handle_Nm, h.port_handle_Nm, h.track_length = 0.25, -0.5, 7
+    enter(bench.axis, Phase.RUN, 0)
+    assert h.port_handle_Nm == 0.25
+    assert h.track_length == 0
+
+
 def test_the_motor_s_net_work_counts_the_whole_way_across_a_lost_position():
     bench = HostBench("hybrid")
     bench.arm()

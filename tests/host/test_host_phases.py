@@ -444,6 +444,23 @@ def test_a_handle_that_does_not_move_is_tried_the_other_way_and_refused():
     assert f"moved the handle by 3 of the {COUNTS} counts" in bench.k.trip
 
 
+@pytest.mark.parametrize(("first", "second", "most"), [(3, 1, 3), (1, 3, 3), (-2, -1, 0)])
+def test_the_farther_of_both_senses_is_told(first, second, most):
+    bench = checking(1)
+    for moved in (first, second):
+        for _ in range(HAND_CYCLES + 1):
+            asked(bench, moved, LIMIT)
+    assert bench.h.trip == Trip.SIGN_NO_MOTION
+    assert bench.h.sign_moved == most
+
+
+def test_a_sign_check_knows_nothing_of_the_one_before():
+    bench = standing(Phase.ENABLE)
+    bench.h.sign_moved, bench.h.sign_direction = 3, -1
+    enter(bench.axis, int(Phase.SIGN), T)
+    assert (bench.h.sign_moved, bench.h.sign_direction) == (0, 1)
+
+
 @BOTH
 @POLARITIES
 @pytest.mark.parametrize(
