@@ -95,6 +95,22 @@ TARGETS = {
     ),
     "host/setup/reactions.py": Target(("test_reactions_edges",)),
     "host/setup/device_plan.py": Target(("test_device_plan_edges",)),
+    "host/setup/bringup.py": Target(("test_bringup_edges",)),
+    "host/realtime/data_plane.py": Target(
+        ("test_data_plane_edges",),
+        (
+            "Spread.of",
+            "rig_filters",
+            *(
+                f"DataPlane.{name}"
+                for name in (
+                    *("pid", "wait_ready", "status", "cycles", "alive", "fate", "lost_text", "start_cycle", "stop"),
+                    *("attend", "hold_deadman", "order", "end_cycle", "await_end", "take", "take_trace", "close"),
+                    *("wakeup", "latency", "cpu_us_per_cycle", "counters"),
+                )
+            ),
+        ),
+    ),
     "host/setup/settings.py": Target(("test_settings_edges",)),
     "node/deadlines.py": Target(("test_node_watch_edges",)),
     "node/guarding.py": Target(("test_node_watch_edges",)),

@@ -242,8 +242,10 @@ def _without_fill(data: bytes, variable: Variable | None) -> bytes:
     """Return an expedited upload of no told size without the bytes behind the object's own, if
     those only extend its number.
     """
-    size = (variable.bits + 7) // 8 if variable is not None else 0
-    if not 0 < size < len(data) or variable is None:
+    if variable is None:
+        return data
+    size = (variable.bits + 7) // 8
+    if not 0 < size < len(data):
         return data
     sign = _signed(variable) and data[size - 1] & 0x80
     return data[:size] if data[size:] == (b"\xff" if sign else b"\0") * (len(data) - size) else data
@@ -388,9 +390,10 @@ def release(controllers: Controllers, plane: ControlPlane) -> None:
     if not (controllers.done and controllers.trip is None and disabled):
         return
     for plan in plans_of(controllers):
-        if not any((setting.index, setting.subindex) == (0x1016, 1) for setting in plan.writes):
+        watch = next((one for one in plan.writes if (one.index, one.subindex) == (0x1016, 1)), None)
+        if watch is None:
             continue
-        data = encoded(plan.description.variable(0x1016, 1), 0)
+        data = encoded(watch.variable(plan.description), 0)
         with suppress(SdoAbortedError, SdoCommunicationError):  # then it says so: nothing is lost by that
             plane.network[plan.node_id].sdo.download(0x1016, 1, data)
 

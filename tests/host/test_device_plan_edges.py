@@ -6,13 +6,13 @@ from __future__ import annotations
 
 import pytest
 
-from coulombus.eds.reader import parse_eds
+from coulombus.eds.reader import Variable, parse_eds
 from coulombus.host.cycle.controller import Controller
-from coulombus.host.setup.device_plan import _locked, _misfit, device_plans, missing_mode, steps_of
+from coulombus.host.setup.device_plan import _locked, _misfit, _other, device_plans, missing_mode, steps_of
 from coulombus.host.setup.settings import Setting, settings_of
 from coulombus.rigs.rig import load_rig, load_rig_text
 from eds_edit import SENSOR, edit, gone
-from foreign_eds import BRAKE, I16, MOTOR, U8, U32, with_variable
+from foreign_eds import BRAKE, I16, MOTOR, U8, U32, another, with_variable
 from foreign_rigs import BENCH, SCHEDULE, Part, brake, drive, rig_of
 
 NOT_OURS = "it is the maker's own object: 1018h of the EDS file is not ours"
@@ -217,6 +217,21 @@ def test_what_a_device_cannot_take_and_the_host_can_do_without_is_told_and_left_
     assert (index, 0) not in dict(plans[0].read_backs)
 
 
+def test_another_maker_s_object_of_the_same_number_is_not_written():
+    motor = Part(another(MOTOR), "", ("motor.vendor_id=0x99",))
+    plan = device_plans(Controller(rig_of(motor, Part(BRAKE)).one_axis(), "hybrid"))[0]
+    assert plan.description.has(0x2001, 0)
+    assert plan.losses == OF_DRIVE
+    assert not [index for index, _ in places(plan) if index in MANUFACTURER]
+
+
+def test_a_limit_that_the_drive_takes_larger_than_the_host_wants_it_is_told():
+    plan = motor_of(edit(MOTOR, "6072", LowLimit=98))
+    told = "its own limit is 98 per mille, the least that 6072h takes; the host limits to 97"
+    assert plan.losses == (f"motor (node 1): {told}",)
+    assert values(plan, 0x6072) == [98]
+
+
 # what cannot be written
 
 
@@ -225,7 +240,8 @@ CORRECT = "correct the file where the device lets it be written, or take another
 
 @pytest.mark.parametrize("access", ["ro", "const"])
 @pytest.mark.parametrize(
-    ("default", "has"), [(50, None), (51, "says 51"), ("", "tells no value"), ("$NODEID+49", None)]
+    ("default", "has"),
+    [(50, None), (51, "says 51"), ("", "tells no value"), ("$NODEID+49", None)],
 )
 def test_an_object_that_cannot_be_written_needs_its_value_already(access, default, has):
     plan = motor_of(edit(MOTOR, "1017", AccessType=access, DefaultValue=default))
@@ -234,6 +250,13 @@ def test_an_object_that_cannot_be_written_needs_its_value_already(access, defaul
     assert list(plan.problems) == (expected if has else [])
     assert (0x1017, 0) not in places(plan)
     assert dict(plan.read_backs)[0x1017, 0] == 50
+
+
+def test_a_default_that_nobody_can_read_is_no_value_whatever_it_is_added_to():
+    variable = Variable(0x1017, 0, "", 6, "ro", None, True, None, None, False, 1)
+    what, remedy = _other(variable, {(0x1017, 0): 50}, 1, "AccessType is ro")
+    assert what == "50 (0x32) is to be set, but AccessType is ro and the EDS file tells no value"
+    assert remedy == CORRECT
 
 
 def test_the_value_that_counts_of_an_object_that_cannot_be_written_is_the_last_one():
@@ -247,6 +270,7 @@ def test_what_cannot_be_read_back_is_written_and_told_but_for_what_the_rig_file_
     plan = motor_of(edit(MOTOR, "6060", AccessType="wo"))
     assert plan.losses == ("motor (node 1): 6060h:00 is write-only, so that it cannot be read back",)
     assert values(plan, 0x6060) == [10]
+    assert plan.problems == ()
     assert (0x6060, 0) not in dict(plan.read_backs)
     text = listed("motor", ("0x2001", 0, "UNSIGNED32", 7, verify))
     (mine, _) = device_plans(Controller(rig_of(Part(MOTOR), Part(BRAKE), text=text).one_axis(), "hybrid"))

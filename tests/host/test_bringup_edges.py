@@ -1,0 +1,676 @@
+"""Bring-up over SDO against devices that are tables: what is sent in which order, what is refused,
+and how each answer that differs is told.
+"""
+
+from __future__ import annotations
+
+from io import BytesIO
+from types import SimpleNamespace
+
+import pytest
+from canopen.sdo import SdoAbortedError, SdoCommunicationError
+
+from coulombus.eds.cia301 import NmtCommand, NmtState
+from coulombus.eds.reader import Variable, parse_eds
+from coulombus.host.cycle.controllers import Controllers
+from coulombus.host.cycle.records import Image, Phase, Trip
+from coulombus.host.errors import AnswerUntrusted, DeviceMismatch, NodeMissing, SdoAborted
+from coulombus.host.setup import bringup
+from coulombus.host.setup.bringup import (
+    bring_up,
+    check_plan,
+    configure,
+    meet,
+    plans_of,
+    release,
+    shut_down,
+    wait_operational,
+)
+from coulombus.host.setup.settings import Setting
+from coulombus.rigs.rig import RigError, load_rig
+from eds_edit import edit, gone
+from foreign_eds import BRAKE, MOTOR
+from foreign_rigs import Part, brake, drive, rig_of
+
+MS = 1_000_000
+SETTLE, BEAT = ("wait", 50 * MS), ("wait", 50 * MS)
+PRE_OPERATIONAL, START = ("nmt", 0x80), ("nmt", 0x01)
+OURS = {(0x1000, 0): b"\x92\x01\x02\x00", (0x1018, 1): b"\xc0\x04\x00\x00", (0x1018, 2): b"\x02\x04\x00\x00"}
+
+
+class Device:
+    """An SDO server that keeps what is written; the test changes what it answers."""
+
+    def __init__(self, node_id, log, identity):
+        self.node_id, self.log, self.values, self.faults = node_id, log, dict(identity), {}
+        self.transfer = "segmented"
+
+    def download(self, index, subindex, data):
+        self.log.append((self.node_id, "write", index, subindex, data))
+        if ("write", index) in self.faults:
+            raise self.faults["write", index]
+        self.values[index, subindex] = data
+
+    def open(self, index, subindex, mode, buffering):
+        assert (mode, buffering) == ("rb", 0)
+        self.log.append((self.node_id, "read", index, subindex))
+        if ("read", index) in self.faults:
+            raise self.faults["read", index]
+        stream = BytesIO(self.values[index, subindex])
+        data = stream.getvalue()
+        stream.size = None if "unsized" in self.transfer else len(data)
+        stream.exp_data = data if "expedited" in self.transfer else None
+        return stream
+
+
+class Wire:
+    """A control plane whose nodes are tables, and whose time only is asked for."""
+
+    sdo_timeout_s = 0.125
+
+    def __init__(self, *plans):
+        self.log, self.states, self.later = [], {}, []
+        self.devices, self.nodes = {}, {}
+        for plan in plans:
+            identity = {(0x1018, sub): value.to_bytes(4, "little") for sub, _, value in plan.identity}
+            identity[0x1000, 0] = (plan.description.default(0x1000, 0, 0) or 0).to_bytes(4, "little")
+            self.devices[plan.node_id] = Device(plan.node_id, self.log, identity)
+            self.states[plan.node_id] = NmtState.OPERATIONAL
+        nmt = SimpleNamespace(send_command=lambda command: self.log.append(("nmt", command)))
+        self.network = SimpleNamespace(nmt=nmt, add_node=self.add_node)
+
+    def add_node(self, node):
+        device = self.devices[node.id]
+        node.sdo.open, node.sdo.download = device.open, device.download
+        self.nodes[node.id] = node
+
+    def wait_ns(self, duration_ns):
+        assert isinstance(duration_ns, int)
+        self.log.append(("wait", duration_ns))
+        if self.later:
+            self.later.pop(0)()
+
+    def nmt_state(self, node_id):
+        return self.states[node_id]
+
+
+def plans(motor=MOTOR, brake_=BRAKE, *overrides):
+    return plans_of(Controllers(rig_of(Part(motor), Part(brake_), *overrides), "hybrid"))
+
+
+def device_of(motor=MOTOR, *overrides, writes=None, read_backs=None):
+    """Return the motor as bring-up sees it, known to be ours, and its server."""
+    plan = plans(motor, BRAKE, *overrides)[0]
+    if writes is not None:
+        object.__setattr__(plan, "writes", tuple(writes))
+    if read_backs is not None:
+        object.__setattr__(plan, "read_backs", tuple(read_backs))
+    wire = Wire(plan)
+    device = bringup._Device(wire, plan)
+    device.identity = (0x4C0, 0x402)
+    return device, wire.devices[1]
+
+
+# what canopen's client gets
+
+
+def answers():
+    client = SimpleNamespace(send_request=None, on_response=None)
+    log = []
+    client.send_request = lambda request: log.append(("sent", request))
+    client.on_response = lambda can_id, data, stamp: log.append(("heard", can_id, data, stamp))
+    found = bringup._Answers(client)
+    found.ask = lambda request: log.append(("ask", request))
+    found.sent = lambda: log.append("goes on")
+    return found, client, log
+
+
+@pytest.mark.parametrize(
+    ("command", "asks"), [(0, False), (1, True), (2, True), (3, False), (4, False), (5, False), (6, False), (7, False)]
+)
+@pytest.mark.parametrize("low", [0, 0x1F])
+def test_a_request_that_begins_a_transfer_is_told_from_one_that_goes_on(command, asks, low):
+    _, client, log = answers()
+    request = bytes([command << 5 | low, 0, 0x10, 0, 0, 0, 0, 0])
+    client.send_request(request)
+    assert log == [("ask", request) if asks else "goes on", ("sent", request)]
+
+
+@pytest.mark.parametrize(
+    ("length", "takes", "asked", "heard"),
+    [(8, True, True, True), (8, False, True, False), (7, False, False, True), (9, False, False, True)],
+)
+def test_only_what_goes_on_with_a_transfer_is_heard(length, takes, asked, heard):
+    """What has no eight bytes is canopen's to refuse."""
+    found, client, log = answers()
+    found.take = lambda answer: log.append(("take", answer)) or takes
+    data = bytearray(length)
+    client.on_response(0x581, data, 1.5)
+    assert log == [("take", bytes(length))] * asked + [("heard", 0x581, data, 1.5)] * heard
+
+
+# one device
+
+
+def test_a_device_waits_as_long_as_the_rig_file_says_and_is_nobody_s_yet():
+    plan = plans()[0]
+    wire = Wire(plan)
+    device = bringup._Device(wire, plan)
+    assert wire.nodes[1].sdo.RESPONSE_TIMEOUT == 0.125
+    assert device.identity == (0, 0)
+    assert (device.name, device.node_id, device.losses) == ("motor", 1, [])
+
+
+@pytest.mark.parametrize(
+    ("error", "stray", "kind", "text"),
+    [
+        (
+            SdoAbortedError(0x06090030),
+            b"",
+            SdoAborted,
+            "motor (node 1), object 6071h:00 Target torque: abort 06090030h, ",
+        ),
+        (
+            SdoAbortedError(0x06090030),
+            b"\x43\x00\x10\x00\x00\x00\x00\x00",
+            SdoAborted,
+            "motor (node 1), object 6071h:00 Target torque: abort 06090030h, ",
+        ),
+        (
+            SdoCommunicationError("No SDO response received"),
+            b"",
+            NodeMissing,
+            "motor (node 1) does not answer SDO: check power, cable, bit rate and node id",
+        ),
+        (
+            SdoCommunicationError("No SDO response received"),
+            b"\x43\x18\x10\x02\x00\x00\x00\x00",
+            AnswerUntrusted,
+            "motor (node 1), object 6071h:00 Target torque: it answers about 1018h:02: does another SDO client ask it now, "
+            "or have two devices this node id?",
+        ),
+        (
+            SdoCommunicationError("strange"),
+            b"",
+            AnswerUntrusted,
+            "motor (node 1), object 6071h:00 Target torque: strange: does another SDO client ask it now, "
+            "or have two devices this node id?",
+        ),
+    ],
+)
+def test_what_an_answer_is_that_is_none(error, stray, kind, text):
+    device, server = device_of()
+    device.answers.stray = stray
+    server.faults["read", 0x6071] = server.faults["write", 0x6071] = error
+    for ask in (lambda: device.upload(0x6071, 0), lambda: device.write(Setting(0x6071, 0, 5))):
+        with pytest.raises(kind) as told:
+            ask()
+        assert str(told.value).startswith(text)
+
+
+def test_an_object_that_the_file_lacks_is_named_by_its_number():
+    device, server = device_of()
+    server.faults["read", 0x5FFF] = SdoCommunicationError("strange")
+    with pytest.raises(AnswerUntrusted, match=r"^motor \(node 1\), object 5FFFh:01: strange: "):
+        device.upload(0x5FFF, 1)
+
+
+@pytest.mark.parametrize("transfer", ["segmented", "unsized segmented", "expedited", "unsized expedited"])
+def test_bytes_behind_an_object_are_cut_only_of_four_bytes_whose_number_is_not_told(transfer):
+    device, server = device_of()
+    server.transfer = transfer
+    server.values |= {(0x6071, 0): b"\xfe\xff\xff\xff", (0x5FFF, 1): b"\x01\0\0\0"}
+    assert device.upload(0x6071, 0) == (b"\xfe\xff" if transfer == "unsized expedited" else b"\xfe\xff\xff\xff")
+    assert device.upload(0x5FFF, 1) == b"\x01\0\0\0"
+
+
+def variable(data_type):
+    return Variable(0x2100, 0, "X", data_type, "rw", None, False, None, None, False, 1)
+
+
+@pytest.mark.parametrize(
+    ("data", "data_type", "left"),
+    [
+        (b"\x05\0\0\0", 0x05, b"\x05"),  # UNSIGNED8
+        (b"\xff\0\0\0", 0x05, b"\xff"),
+        (b"\xff\xff\xff\xff", 0x05, None),
+        (b"\x05\0\0\x01", 0x05, None),
+        (b"\x05\x01\0\0", 0x05, None),
+        (b"\x05", 0x05, None),
+        (b"", 0x05, None),
+        (b"\x05\0", 0x05, b"\x05"),
+        (b"\x7f\0\0\0", 0x02, b"\x7f"),  # INTEGER8
+        (b"\x80\xff\xff\xff", 0x02, b"\x80"),
+        (b"\x80\0\0\0", 0x02, None),
+        (b"\x7f\xff\xff\xff", 0x02, None),
+        (b"\x00\x80\xff\xff", 0x03, b"\x00\x80"),  # INTEGER16
+        (b"\x80\x00\0\0", 0x03, b"\x80\x00"),
+        (b"\x80\x00\xff\xff", 0x03, None),
+        (b"\x01\x02\x83\xff", 0x10, b"\x01\x02\x83"),  # INTEGER24
+        (b"\x01\x02\x83\x00", 0x16, b"\x01\x02\x83"),  # UNSIGNED24
+        (b"\x01\0\0\0", 0x01, b"\x01"),  # BOOLEAN
+        (b"\x01\x02\x03\x04", 0x07, None),
+        (b"\x01\x02\x03\x04\0", 0x08, b"\x01\x02\x03\x04"),  # REAL32
+        (b"\0\0\0\0", 0x09, None),  # a text
+    ],
+)
+def test_bytes_that_only_extend_a_number_are_cut(data, data_type, left):
+    assert bringup._without_fill(data, variable(data_type)) == (data if left is None else left)
+
+
+def test_an_object_that_nobody_describes_is_left_whole():
+    assert bringup._without_fill(b"\x01\0\0\0", None) == b"\x01\0\0\0"
+
+
+@pytest.mark.parametrize("length", [0, 3, 4, 5])
+def test_an_identity_has_four_bytes(length):
+    device, server = device_of()
+    server.values[0x1018, 1] = bytes(range(1, length + 1))
+    if length == 4:
+        assert device.number(0x1018, 1) == 0x04030201
+        return
+    with pytest.raises(DeviceMismatch) as told:
+        device.number(0x1018, 1)
+    text = f"has {length} bytes in the device; expected 4, an UNSIGNED32"
+    assert str(told.value) == f"motor (node 1), object 1018h:01 Vendor-ID {text}"
+
+
+@pytest.mark.parametrize(
+    ("index", "identity", "listed", "written"),
+    [
+        (0x2001, (0x4C0, 0x402), False, True),
+        (0x2001, (0x4C0, 0x404), False, False),
+        (0x2001, (0x99, 0x402), False, False),
+        (0x2001, (0x99, 0x402), True, True),
+        (0x1017, (0x99, 0x402), False, True),
+        (0x6071, (0x99, 0x402), False, True),
+    ],
+)
+def test_a_maker_s_own_object_is_written_in_our_device_or_where_it_is_listed(index, identity, listed, written):
+    device, server = device_of()
+    device.identity = identity
+    setting = Setting(index, 0, 5, listed=listed)
+    if written:
+        device.write(setting)
+        assert [row[1:4] for row in server.log] == [("write", index, 0)]
+        return
+    with pytest.raises(DeviceMismatch) as told:
+        device.write(setting)
+    assert str(told.value) == (
+        "motor (node 1), object 2001h:00 Set-point zero time-out us is the maker's own object, and the device is not ours "
+        f"(1018h: vendor {identity[0]:#010x}, product {identity[1]:#010x}); take the EDS file of this very device"
+    )
+    assert server.log == []
+
+
+@pytest.mark.parametrize(
+    ("unless_equal", "there", "log"),
+    [
+        (False, b"\x05\x00", ["write"]),
+        (True, b"\x05\x00", ["read"]),
+        (True, b"\x06\x00", ["read", "write"]),
+        (True, b"\x05\x00\x00", ["read", "write"]),
+    ],
+)
+def test_what_a_device_has_already_is_not_written_where_it_is_read_first(unless_equal, there, log):
+    device, server = device_of()
+    server.values[0x6071, 0] = there
+    device.write(Setting(0x6071, 0, 5, unless_equal=unless_equal))
+    assert [row[1] for row in server.log] == log
+    assert server.values[0x6071, 0] == b"\x05\x00"
+
+
+def test_a_device_is_known_by_its_type_and_its_identity():
+    device, server = device_of()
+    device.identity = (0, 0)
+    assert device.identify() == []
+    assert device.identity == (0x4C0, 0x402)
+    server.values |= {
+        (0x1000, 0): b"\x91\x01\0\0",
+        (0x1018, 1): b"\x99\0\0\0",
+        (0x1018, 2): b"\x03\x04\0\0",
+    }
+    assert device.identify() == [
+        "motor (node 1): device type 1000h:00 is 0x00000191, the EDS file says 0x00020192",
+        "motor (node 1): vendor id 1018h:01 is 0x00000099, the rig file says 0x000004c0",
+        "motor (node 1): product code 1018h:02 is 0x00000403, the rig file says 0x00000402",
+    ]
+    assert device.identity == (0x99, 0x403)
+
+
+def test_what_nobody_tells_of_a_device_is_not_compared():
+    device, server = device_of(gone(edit(MOTOR, "1000", DefaultValue=""), "1018sub2"))
+    server.values[0x1000, 0] = b"\x01\x02\x03\x04"
+    assert device.identify() == []
+    assert device.identity == (0x4C0, 0)
+    lean, _ = device_of(gone(MOTOR, "1018sub1"))
+    assert lean.identify() == []
+    assert lean.identity == (0, 0x402)
+
+
+@pytest.mark.parametrize(("modes", "refused"), [(b"\0\x02\0\0", False), (b"\xff\xfd\xff\xff", True)])
+def test_a_drive_is_asked_for_its_modes(modes, refused):
+    device, server = device_of()
+    server.values[0x6502, 0] = modes
+    if not refused:
+        device.check_modes()
+        assert server.log == [(1, "read", 0x6502, 0)]
+        return
+    with pytest.raises(DeviceMismatch) as told:
+        device.check_modes()
+    text = "motor: supported drive modes 6502h = 0xfffffdff do not include cyclic synchronous torque"
+    assert str(told.value) == text
+
+
+def test_a_device_without_modes_is_not_asked_for_them():
+    device, server = device_of(gone(MOTOR, "6502"))
+    device.check_modes()
+    object.__setattr__(device.plan, "mode", None)
+    device.description = parse_eds(MOTOR.encode(), "motor.eds")
+    device.check_modes()
+    assert server.log == []
+
+
+def test_what_is_written_is_read_back_whole_and_each_difference_is_told():
+    """The text of the whole configuration comes at once."""
+    rows = [Setting(0x6071, 0, 5), Setting(0x6072, 0, 97), Setting(0x1017, 0, 50)]
+    backs = [((s.index, s.subindex), s.value) for s in rows]
+    device, server = device_of(writes=rows, read_backs=backs)
+    assert device.configure() == []
+    assert [row[1:3] for row in server.log] == [(way, s.index) for way in ("write", "read") for s in rows]
+    device, server = device_of(writes=(), read_backs=backs)
+    server.values |= {(0x6071, 0): b"\x05", (0x6072, 0): b"\x62\0", (0x1017, 0): b"\x32\0"}
+    assert device.configure() == [
+        "motor (node 1), object 6071h:00 Target torque has 1 bytes in the device, 2 in motor.eds",
+        "motor (node 1), object 6072h:00 Max torque: wrote 0x61, reads back 0x62",
+    ]
+
+
+@pytest.mark.parametrize(("lost", "why", "told"), [("a loss", "a reason", "a loss"), ("", "a reason", "a reason")])
+def test_what_a_device_refuses_and_the_host_can_do_without_is_a_loss(lost, why, told):
+    rows = [Setting(0x6071, 0, 5, soft=True, lost=lost, why=why), Setting(0x6072, 0, 97, soft=True)]
+    device, server = device_of(writes=rows, read_backs=[((0x6071, 0), 5), ((0x6072, 0), 97)])
+    server.faults["write", 0x6071] = SdoAbortedError(0x06090030)
+    assert device.configure() == []
+    (loss,) = device.losses
+    assert loss.startswith("motor (node 1), object 6071h:00 Target torque: abort 06090030h")
+    assert loss.endswith(f"; {told}")
+    assert [row[1:3] for row in server.log] == [("write", 0x6071), ("write", 0x6072), ("read", 0x6072)]
+
+
+def test_what_a_device_refuses_and_the_host_needs_ends_bring_up():
+    device, server = device_of(writes=[Setting(0x6071, 0, 5), Setting(0x6072, 0, 97)], read_backs=())
+    server.faults["write", 0x6071] = SdoAbortedError(0x06090030)
+    with pytest.raises(SdoAborted, match="6071h:00 Target torque: abort 06090030h"):
+        device.configure()
+    assert len(server.log) == 1
+    assert device.losses == []
+
+
+def test_an_object_that_only_the_rig_file_describes_is_read_back_in_its_type():
+    row = Setting(0x5FFF, 1, -5, type="INTEGER16", listed=True)
+    device, server = device_of(writes=[row], read_backs=[((0x5FFF, 1), -5)])
+    assert device.configure() == []
+    assert server.values[0x5FFF, 1] == b"\xfb\xff"
+
+
+# all devices
+
+
+def test_a_cycle_that_does_not_fit_on_its_bus_is_refused():
+    check_plan(load_rig("bench"))
+    with pytest.raises(DeviceMismatch, match="the cycle does not fit on the bus"):
+        check_plan(load_rig("bench", ("bus.bitrate_bit_s=125000",)))
+
+
+def test_the_plans_of_all_axes_are_made_once():
+    k = Controllers(load_rig("two_axes"), "hybrid")
+    found = plans_of(k)
+    assert [plan.name for plan in found] == ["left.motor", "left.brake", "right.motor", "right.brake"]
+    assert plans_of(k) is found
+
+
+def test_devices_that_are_set_up_already_are_met_and_asked_nothing():
+    k = Controllers(load_rig("bench"), "hybrid")
+    found = list(plans_of(Controllers(load_rig("bench"), "active")))
+    wire = Wire(*found)
+    meet(found, k, wire)
+    assert plans_of(k) == tuple(found)
+    assert set(wire.nodes) == {1, 2}
+    assert wire.log == []
+
+
+def prepared(*overrides):
+    k = Controllers(load_rig("bench", overrides), "hybrid")
+    wire = Wire(*plans_of(k))
+    for plan, device in zip(plans_of(k), wire.devices.values(), strict=True):
+        device.values |= {(0x6502, 0): b"\0\x02\0\0", (0x1014, 0): (0x80 + plan.node_id).to_bytes(4, "little")}
+    return k, wire
+
+
+def test_bring_up_knows_all_devices_before_it_writes_to_one_and_starts_them_last():
+    k, wire = prepared()
+    assert bring_up(k, wire) == ()
+    assert wire.log[:2] == [PRE_OPERATIONAL, SETTLE]
+    steps = wire.log[2:]
+    known = [(node, "read", *at) for node in (1, 2) for at in ((0x1000, 0), (0x1018, 1), (0x1018, 2))]
+    assert steps[:7] == [*known, (1, "read", 0x6502, 0)]
+    assert {row[0] for row in steps[7:-2]} == {1, 2}
+    assert steps[-2:] == [START, ("wait", 150 * MS)]
+    assert [row for row in steps if row[0] == "nmt"] == [START]
+
+
+def test_what_bring_up_leaves_out_is_told_device_by_device():
+    k = Controllers(rig_of(drive("A"), brake("404")), "hybrid")
+    wire = Wire(*plans_of(k))
+    for device in wire.devices.values():
+        device.values[0x6502, 0] = b"\0\x02\0\0"
+        device.values |= {(s.index, s.subindex): b"" for plan in plans_of(k) for s in plan.writes if s.unless_equal}
+    refused = SdoAbortedError(0x06090030)
+    wire.devices[1].faults["write", 0x6007] = wire.devices[2].faults["write", 0x6340] = refused
+    losses = bring_up(k, wire)
+    motor, brake_ = plans_of(k)
+    assert losses[: len(motor.losses)] == motor.losses
+    assert losses[len(motor.losses)].startswith("motor (node 1), object 6007h:00")
+    assert losses[len(motor.losses) + 1 : -1] == brake_.losses
+    assert losses[-1].startswith("brake (node 2), object 6340h:01")
+
+
+@pytest.mark.parametrize(
+    ("override", "error"),
+    [("bus.bitrate_bit_s=125000", DeviceMismatch), ("limits.brake_torque_Nm=1.0", RigError)],
+)
+def test_a_rig_that_cannot_run_is_refused_before_anything_is_sent(override, error):
+    k, wire = prepared(override)
+    with pytest.raises(error):
+        bring_up(k, wire)
+    assert wire.log == []
+
+
+def test_all_that_is_wrong_with_the_plans_is_told_before_anything_is_sent():
+    found = plans(gone(MOTOR, "1000"), gone(BRAKE, "1000"))
+    wire = Wire(*plans())
+    with pytest.raises(DeviceMismatch) as told:
+        configure(found, wire)
+    first, second = (str(plan.problems[0]) for plan in found)
+    assert str(told.value) == f"{first}; {second}"
+    assert wire.log == []
+
+
+def test_all_that_differs_in_the_devices_is_told_before_anything_is_written():
+    k, wire = prepared()
+    for device in wire.devices.values():
+        device.values[0x1018, 2] = b"\x01\0\0\0"
+    with pytest.raises(DeviceMismatch) as told:
+        bring_up(k, wire)
+    assert str(told.value) == (
+        "motor (node 1): product code 1018h:02 is 0x00000001, the rig file says 0x00000402; "
+        "brake (node 2): product code 1018h:02 is 0x00000001, the rig file says 0x00000404"
+    )
+    assert not [row for row in wire.log if "write" in row]
+    assert wire.log[-1] == SETTLE  # a second device may answer yet
+    assert START not in wire.log
+
+
+def test_all_that_is_read_back_otherwise_is_told_and_nothing_is_started():
+    k, wire = prepared()
+    for device in wire.devices.values():
+        keep = device.download
+
+        def cut(index, subindex, data, keep=keep):
+            keep(index, subindex, b"\x07\0" if index == 0x1017 else data)
+
+        device.download = cut
+    with pytest.raises(DeviceMismatch) as told:
+        bring_up(k, wire)
+    text = "({}), object 1017h:00 Producer heartbeat time: wrote 0x32, reads back 0x7"
+    assert str(told.value) == f"motor {text.format('node 1')}; brake {text.format('node 2')}"
+    assert START not in wire.log
+
+
+@pytest.mark.parametrize("wrong", [False, True])
+def test_two_devices_of_one_node_id_explain_the_rest(wrong, monkeypatch):
+    k, wire = prepared()
+    if wrong:
+        wire.devices[1].values[0x1018, 2] = b"\x01\0\0\0"
+    monkeypatch.setattr(bringup._Answers, "duplicate_node_id", property(lambda self: True))
+    with pytest.raises(DeviceMismatch) as told:
+        bring_up(k, wire)
+    text = "two devices answer as node {}: take one off the bus, and give the other another id (coulombus lss)"
+    assert str(told.value) == "; ".join(text.format(who) for who in ("1 (motor)", "2 (brake)"))
+    assert (wire.log[-1] == SETTLE) is wrong
+    assert START not in wire.log
+
+
+# after the start
+
+
+def beating(*seconds):
+    return plans(
+        MOTOR, BRAKE, *(f"{node}.heartbeat_s={s}" for node, s in zip(("motor", "brake"), seconds, strict=True))
+    )
+
+
+def test_the_slowest_heartbeat_is_waited_for_twice():
+    for seconds in ((0.02, 0.07), (0.07, 0.02)):
+        found = beating(*seconds)
+        wire = Wire(*found)
+        wait_operational(found, wire)
+        assert wire.log == [("wait", 190 * MS)]
+
+
+@pytest.mark.parametrize("late", range(1, 8))
+@pytest.mark.parametrize("node", [1, 2])
+def test_five_more_heartbeats_are_waited_for(late, node):
+    found = plans()
+    wire = Wire(*found)
+    wire.states[node] = NmtState.PRE_OPERATIONAL
+    wire.later = [lambda: None] * late + [lambda: wire.states.update({node: NmtState.OPERATIONAL})]
+    if late <= 5:
+        wait_operational(found, wire)
+        assert wire.log == [("wait", 150 * MS), *([BEAT] * late)]
+        return
+    with pytest.raises(NodeMissing) as told:
+        wait_operational(found, wire)
+    assert wire.log == [("wait", 150 * MS), *([BEAT] * 5)]
+    text = f"(node {node}) says PRE_OPERATIONAL after NMT start; OPERATIONAL is expected"
+    assert str(told.value) == f"{('motor', 'brake')[node - 1]} {text}"
+
+
+def test_a_node_that_was_not_heard_is_missing():
+    found = plans()
+    wire = Wire(*found)
+    wire.states[2] = None
+    with pytest.raises(NodeMissing, match=r"^brake \(node 2\) was not heard after NMT start; OPERATIONAL is expected$"):
+        wait_operational(found, wire)
+
+
+@pytest.mark.parametrize("gone_", [("1017", "100C"), ("1017",)], ids=["mute", "guarded"])
+def test_a_node_that_has_no_heartbeat_is_not_waited_for(gone_):
+    found = plans(gone(MOTOR, *gone_))
+    wire = Wire(*found)
+    wire.states[1] = None
+    wait_operational(found, wire)
+    assert wire.log == [("wait", 150 * MS)]
+
+
+# the end
+
+
+class Network(dict):
+    """The network of a control plane, and what is written in its nodes."""
+
+    def __init__(self, faults=()):
+        self.log = []
+        self.nmt = SimpleNamespace(send_command=lambda command: self.log.append(("nmt", command)))
+        for node_id in (1, 2, 3, 4):
+
+            def download(*what, node_id=node_id):
+                self.log.append((node_id, *what))
+                if node_id in faults:
+                    raise faults[node_id]
+
+            self[node_id] = SimpleNamespace(sdo=SimpleNamespace(download=download))
+
+
+def ended(k, states, phase=Phase.DONE, trip=Trip.NONE):
+    for axis, state in enumerate(states):
+        k.host["phase"][axis], k.host["trip"][axis] = phase, trip
+        k.host["image"][axis, Image.STATUSWORD] = state
+    return k
+
+
+DISABLED, ENABLED = 0x0250, 0x0237
+
+
+@pytest.mark.parametrize(
+    ("states", "taken_off"),
+    [
+        ((DISABLED, DISABLED), True),
+        ((DISABLED, ENABLED), False),
+        ((ENABLED, DISABLED), False),
+        ((0xFFD0, 0xFF8F), False),
+        ((0x0251, DISABLED), False),
+    ],
+)
+def test_the_watch_is_taken_off_where_every_drive_is_disabled(states, taken_off):
+    k, network = ended(Controllers(load_rig("two_axes"), "hybrid"), states), Network()
+    nodes = [plan.node_id for plan in plans_of(k)]
+    release(k, SimpleNamespace(network=network))
+    assert network.log == [PRE_OPERATIONAL, *((node, 0x1016, 1, bytes(4)) for node in nodes if taken_off)]
+
+
+@pytest.mark.parametrize(("phase", "trip"), [(Phase.DISABLE, Trip.NONE), (Phase.DONE, Trip.SPEED)])
+def test_the_watch_stays_where_the_end_is_not_a_normal_one(phase, trip):
+    k, network = ended(Controllers(load_rig("bench"), "hybrid"), (DISABLED,), phase, trip), Network()
+    release(k, SimpleNamespace(network=network))
+    assert network.log == [PRE_OPERATIONAL]
+
+
+@pytest.mark.parametrize("error", [SdoAbortedError(0x06090030), SdoCommunicationError("late")])
+def test_a_node_that_does_not_answer_at_the_end_keeps_none_from_its_own(error):
+    k, network = ended(Controllers(load_rig("bench"), "hybrid"), (DISABLED,)), Network({1: error})
+    release(k, SimpleNamespace(network=network))
+    assert [row[0] for row in network.log[1:]] == [1, 2]
+
+
+def test_only_a_watch_that_bring_up_has_set_is_taken_off():
+    k = ended(Controllers(rig_of(Part(gone(MOTOR, "1016sub1")), Part(BRAKE)), "hybrid"), (DISABLED,))
+    network = Network()
+    release(k, SimpleNamespace(network=network))
+    assert [row[0] for row in network.log[1:]] == [2]
+
+
+def test_a_watch_that_only_the_rig_file_describes_is_taken_off_too():
+    text = '\n[[motor.sdo]]\nindex = 0x1016\nsub = 1\ntype = "UNSIGNED32"\nvalue = 0x7F0096\n'
+    rig = rig_of(Part(gone(MOTOR, "1016sub1")), Part(BRAKE), text=text)
+    k, network = ended(Controllers(rig, "hybrid"), (DISABLED,)), Network()
+    release(k, SimpleNamespace(network=network))
+    assert network.log[1:] == [(node, 0x1016, 1, bytes(4)) for node in (1, 2)]
+
+
+def test_the_nodes_are_left_where_no_pdo_acts():
+    wire = Wire()
+    shut_down(wire)
+    assert wire.log == [PRE_OPERATIONAL, SETTLE]
+    assert NmtCommand.ENTER_PRE_OPERATIONAL == 0x80
