@@ -94,6 +94,18 @@ TARGETS = {
         ),
     ),
     "host/setup/reactions.py": Target(("test_reactions_edges",)),
+    "host/run/real_course.py": Target(
+        ("test_real_course_edges",),
+        tuple(
+            f"RealCourse.{name}"
+            for name in (
+                *("mark", "_why_no_change", "_apply", "_watch_keys", "drain", "_give_up_recording", "stop", "prepare"),
+                *("_hold", "_await_hand", "course", "_fail", "_attempt", "make_safe", "look", "_supervise"),
+                *("_plane_gone", "_never_cycled", "end", "close", "trip", "_lost_share", "_exit_status", "figures"),
+                "concluded",
+            )
+        ),
+    ),
     "host/setup/device_plan.py": Target(("test_device_plan_edges",)),
     "host/setup/bringup.py": Target(("test_bringup_edges",)),
     "host/realtime/data_plane.py": Target(

@@ -309,7 +309,7 @@ class RealCourse(Course):
                 self.progress((time.monotonic_ns() - enabled) * 1e-9)
         self.drain(seen_ns)
         self.answers.tell(seen_ns)
-        stuck = now - self._seen[1] > STUCK_S and self.plane.status is not Status.LOST
+        stuck = now - self._seen[1] > STUCK_S
         if (stuck or not self.plane.alive) and self.plane.status not in (Status.LOST, Status.ENDED):
             self._plane_gone()
             return False
