@@ -124,6 +124,10 @@ TARGETS = {
         ),
     ),
     "host/setup/settings.py": Target(("test_settings_edges",)),
+    "sim_bus/server/bridge.py": Target(
+        ("test_bridge_edges",),
+        ("faults", "Result.exit_status", "_Way.__init__", "_Way.take", "_Way.give", "_Way.next_ns"),
+    ),
     "node/deadlines.py": Target(("test_node_watch_edges",)),
     "node/guarding.py": Target(("test_node_watch_edges",)),
     "node/reactions.py": Target(("test_node_behaviour",)),
