@@ -128,6 +128,19 @@ TARGETS = {
         ("test_bridge_edges",),
         ("faults", "Result.exit_status", "_Way.__init__", "_Way.take", "_Way.give", "_Way.next_ns"),
     ),
+    "sim_bus/server/live_nodes.py": Target(
+        ("test_live_nodes_edges",),
+        (
+            *(
+                f"LiveNodes.{name}"
+                for name in (
+                    *("__post_init__", "_open", "_commission", "make_world", "_devices", "_heard", "_check_kind"),
+                    "_tell",
+                )
+            ),
+            "serves",
+        ),
+    ),
     "node/deadlines.py": Target(("test_node_watch_edges",)),
     "node/guarding.py": Target(("test_node_watch_edges",)),
     "node/reactions.py": Target(("test_node_behaviour",)),
