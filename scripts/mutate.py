@@ -141,6 +141,17 @@ TARGETS = {
             "serves",
         ),
     ),
+    "sim_bus/server/server.py": Target(
+        ("test_server_edges",),
+        (
+            "SimResult.exit_status",
+            *(
+                f"BusServer.{name}"
+                for name in ("_accept", "_turn_away", "_place", "_admit", "_greeted", "_part", "_unlink")
+            ),
+            *("_locked", "_refuse_live"),
+        ),
+    ),
     "node/deadlines.py": Target(("test_node_watch_edges",)),
     "node/guarding.py": Target(("test_node_watch_edges",)),
     "node/reactions.py": Target(("test_node_behaviour",)),

@@ -437,3 +437,32 @@ def test_a_brake_that_does_not_take_the_set_point_gets_no_fault_value():
     text = SENSOR + '\n[role.brake_setpoint]\nnode = "cell"\nobject = "7300:1"\nscale_Nm = 0.001\n'
     rig = rig_of(drive("own"), brake("own"), text=text)
     assert only(rig, "brake", 0x6340, 0x7341, 0x2001, 0x2005) == []
+
+
+MUTE = "the host hears none of its faults by EMCY"
+SWITCHED_ON = "its EMCY is switched off in 1014h (bit 31); bring-up switches it on"
+
+
+@pytest.mark.parametrize(
+    ("default", "access", "value", "soft", "lost", "told"),
+    [
+        ("$NODEID+0x80", "rw", 0x81, False, "", ""),
+        ("$NODEID+0x80", "ro", 0x81, False, "", ""),
+        ("", "rw", 0x81, False, "", ""),
+        ("", "ro", 0x81, False, "", ""),
+        ("$NODEID+0x80000080", "rw", 0x81, False, "", SWITCHED_ON),
+        ("$NODEID+0x80000080", "ro", 0x81, True, MUTE, ""),
+        ("0", "rw", 0x81, False, "", ""),
+        ("0", "ro", 0x81, True, MUTE, ""),
+        ("0x80", "rw", 0x81, True, "", ""),
+        ("0x80", "ro", 0x81, True, "", ""),
+        ("0x91", "rw", 0x91, False, "", ""),
+        (None, "", 0x81, True, MUTE, ""),
+    ],
+)
+def test_emcy_is_switched_on_where_it_can_be_and_else_a_loss(default, access, value, soft, lost, told):
+    """A device that has SYNC's identifier for ever is refused elsewhere: here that is no second one."""
+    eds = without(MOTOR, "1014") if default is None else edit(MOTOR, "1014", DefaultValue=default, AccessType=access)
+    (one,) = (one for one in settings(rig_of(Part(eds), brake("own")), "motor") if one.index == 0x1014)
+    assert (one.subindex, one.value, one.optional, one.unless_equal) == (0, value, True, True)
+    assert (one.soft, one.lost, one.told) == (soft, lost, told)
