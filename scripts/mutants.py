@@ -186,6 +186,15 @@ class Source:
         self._unit = ""
         self._statement = range(0)
 
+    @property
+    def lacking(self) -> list[str]:
+        """The units that the module does not have."""
+        there = {node.name for node in self.tree.body if isinstance(node, ast.FunctionDef)}
+        for node in self.tree.body:
+            if isinstance(node, ast.ClassDef):
+                there |= {f"{node.name}.{one.name}" for one in node.body if isinstance(one, ast.FunctionDef)}
+        return [unit for unit in self.units if unit not in there]
+
     def mutants(self) -> list[Mutant]:
         """Return every mutant that differs from the module and from the ones before it, in the
         order of the lines.

@@ -163,12 +163,15 @@ TARGETS = {
     "node/brake404.py": Target(
         ("test_brake404_edges", "test_node_behaviour"),
         (
-            *("start", "_torque", "_begin_ramp", "cut", "new_setpoint", "connection_lost", "host_lost", "step"),
+            *("start", "_torque", "_begin_ramp", "cut", "new_setpoint", "connection_lost", "host_lost", "actuate"),
             *("_to_int16", "_input", "_odd_input", "sample", "next_deadline"),
-            *("_step", "_apply", "_connection_lost", "_react"),
+            *("_actuate", "_apply", "_connection_lost", "_react"),
         ),
     ),
-    "node/io401.py": Target(("test_io401",), ("_sample", "_step", "_fail", "_apply", "_connection_lost", "_react")),
+    "node/io401.py": Target(
+        ("test_io401",),
+        ("_within", "_allowed", "_sample", "_actuate", "_fail", "_apply", "_connection_lost", "_react"),
+    ),
     "node/coil404.py": Target(("test_brake404_edges",)),
 }
 """What decides about torque, brake or arming, and the tests that hold it."""
@@ -287,6 +290,8 @@ def mutate(name: str, options: argparse.Namespace, listed: Equivalents, results:
     target, path = TARGETS[name], ROOT / name
     tests = [_file(test) for test in target.tests]
     source = Source(name, path.read_text(encoding="utf-8"), target.units)
+    if source.lacking:
+        raise SystemExit(f"{name}: expected the names of its functions, it has no {', '.join(source.lacking)}")
     mutants = source.mutants()
     keys, nths = _keys(name, mutants)
     numbers = list(range(len(mutants)))

@@ -76,6 +76,12 @@ def test_constants_of_the_module_are_changed_unless_a_function_is_named():
     assert changes(TEXT, "", ("limited",)) == set()
 
 
+def test_a_function_that_the_module_does_not_have_is_named():
+    text = TEXT + "\n\nclass Own:\n    def method(self):\n        return 1\n"
+    units = ("limited", "step", "Own.method", "Own.limited", "method", "Own")
+    assert Source("own.py", text, units).lacking == ["step", "Own.limited", "method", "Own"]
+
+
 def test_every_mutant_differs_and_the_source_stays():
     source = Source("own.py", TEXT)
     before = source._code("limited")

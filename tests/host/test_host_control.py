@@ -42,6 +42,17 @@ FIELDS = [
     ("mode.hybrid.compensation=0.5", "compensation_Nm", 0.07),
     ("mechanics.viscous_Nms_rad=0.007", "viscous", 0.007),
     ("law.velocity_band_counts=3", "velocity_band_counts", 3.0),
+    ("law.velocity_window_cycles=16", "slide_band_counts", 2 / 16),
+    ("law.velocity_window_cycles=16", "window_cycles", 16),
+    ('law.level="felt"', "felt", 1),
+    ('law.level="brake"', "felt", 0),
+    ("bus.delay_cycles=3", "late_cycles", 2),
+    ("mechanics.inertia_kg_m2=0.004", "inertia", 0.004),
+    ("brake.coil_lag_s=0.004", "coil_step", 1 - math.exp(-0.25)),
+    ("brake.coil_lag_s=0.0", "coil_step", 0.0),
+    ("brake.fluid_lag_s=0.02", "fluid_step", 1 - math.exp(-0.05)),
+    ("brake.fluid_lag_s=0.0", "fluid_step", 0.0),
+    ("brake.coil_lag_s=0.0", "iron_direct", 1.0),
     ("law.gain_ramp_s=0.25", "gain_step", 0.004),
     ("law.gain_ramp_s=0.0", "gain_step", 1.0),
     ("limits.torque_rate_Nm_s=400.0", "motor_rate_Nm", 0.4),
@@ -125,7 +136,16 @@ def test_a_time_is_so_many_cycles_and_at_least_one(seconds, cycles):
 def test_the_mode_says_who_displays_and_how_strong_the_motor_is(mode, motor, brake, limit_pm, polarity):
     c = control(mode, f"mechanics.motor_polarity={polarity}")
     assert (c["motor_active"], c["brake_active"], c["motor_limit_raw"]) == (motor, brake, limit_pm)
+    assert c["motor_helps"] == (mode == "hybrid")
     assert c["sign_check"] == (limit_pm > 0)
+
+
+def test_the_iron_s_plays_and_what_follows_directly():
+    c = control("hybrid", "brake.iron.play_Nm=[0.125, 0.5]", "brake.iron.weights=[0.25, 0.125]")
+    assert c["iron_plays"] == 2
+    assert c["iron_r"][:3].tolist() == [0.125, 0.5, 0.0]
+    assert c["iron_w"][:3].tolist() == [0.25, 0.125, 0.0]
+    assert c["iron_direct"] == 0.625
 
 
 def test_a_motor_of_one_per_mille_is_checked_too():

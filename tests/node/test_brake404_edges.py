@@ -361,6 +361,23 @@ def test_above_the_warning_temperature_the_limit_falls_in_a_line(degC, share, de
     assert (n.limit_Nm, n.derated) == (share * 2.0 / A_NM, derated)
 
 
+@pytest.mark.parametrize(
+    ("degC", "board_Nm", "limit_Nm"),
+    [
+        (20.0, 0.25, 0.25),
+        (20.0, 64.0, 2.0 / 0.25),
+        (96.0, 0.25, 0.25),
+        (96.0, 64.0, 1.0 / 0.25),
+        (20.0, 0.0, 2.0 / 0.25),
+    ],
+)
+def test_the_hardware_s_own_limit_holds_beside_the_coil_s(degC, board_Nm, limit_Nm):
+    n = coil(0.5, degC)
+    n.derated, n.coil_A_Nm, n.board_Nm = 1, 0.25, board_Nm
+    coil404.look(n, T)
+    assert n.limit_Nm == limit_Nm
+
+
 def test_a_line_of_no_length_falls_at_once_and_an_unknown_coil_has_no_limit():
     n = coil(0.5, 96.0)
     n.warm_degC, n.hot_degC, n.derated = 95.9, 95.95, 1

@@ -6,10 +6,13 @@ from __future__ import annotations
 
 import pytest
 
+from coulombus.eds.cia301 import NmtState
 from coulombus.eds.reader import parse_eds
-from coulombus.node import emcy, reactions
+from coulombus.node import emcy, io401, reactions
 from coulombus.node.io401 import IO401
 from coulombus.node.kinds import GENERIC, PROFILES, named, number
+from coulombus.node.profile import BY_COMMAND, BY_ITSELF, BY_RESET
+from coulombus.node.record import new_nodes
 from node_bench import MS, Bench, SdoAborted
 
 U8, I16, I32, U16, U32 = 5, 3, 4, 6, 7
@@ -293,3 +296,46 @@ def test_the_slots_of_a_kind_are_its_own():
         bits = [row.acts for row in rows if row.acts]
         assert len(set(bits)) == len(bits), profile.name
     assert [row.key for row in GENERIC.objects] == [(0x1001, 0)]
+
+
+@pytest.mark.parametrize(
+    ("why", "nmt", "put_out"),
+    [
+        (BY_COMMAND, NmtState.PRE_OPERATIONAL, (1, 5)),
+        (BY_COMMAND, NmtState.STOPPED, (3, -700)),
+        (BY_ITSELF, NmtState.PRE_OPERATIONAL, (3, -700)),
+        (BY_ITSELF, NmtState.OPERATIONAL, (3, -700)),
+        (BY_RESET, NmtState.PRE_OPERATIONAL, (0, 0)),
+    ],
+)
+def test_what_becomes_of_the_outputs_without_the_connection(why, nmt, put_out):
+    """A failure, but for a command that does not stop; a reset leaves nothing on."""
+    nodes = new_nodes(1)
+    n = nodes[0]
+    n.nmt, n.out_digital[0], n.out_analogue[0], n.analogue_most = nmt, 1, 5, 0x7FFF
+    n.values[io401.DIGITAL_ERROR_MODE], n.values[io401.DIGITAL_ERROR_VALUE] = 0xFF, 3
+    n.values[io401.ANALOGUE_ERROR_MODE], n.values[io401.ANALOGUE_ERROR_VALUE] = 1, -700
+    assert io401._connection_lost(n, 0, why) == 0
+    assert (n.out_digital[0], n.out_analogue[0]) == put_out
+    assert bool(n.failed) is (put_out != (1, 5))
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "value", "put_out"),
+    [
+        (-5, 9, 4, 4),
+        (-5, 9, 10, 9),
+        (-5, 9, -6, -5),
+        (0, 0, 700, 700),  # the hardware sets no limit
+        (3, 4, 0, 3),
+        (5, 5, 700, 700),
+    ],
+)
+@pytest.mark.parametrize("k", [0, 1])
+def test_an_analogue_output_keeps_to_what_its_hardware_may_put_out(low, high, value, put_out, k):
+    nodes = new_nodes(1)
+    n = nodes[0]
+    n.board_low[k], n.board_high[k], n.values[io401.ANALOGUE_OUT + k] = low, high, value
+    io401._actuate(n, 0)
+    assert n.out_analogue[k] == put_out
+    assert n.out_analogue[1 - k] == 0
