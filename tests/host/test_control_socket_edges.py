@@ -27,7 +27,7 @@ from coulombus.host.run.control_socket import (
     host_runs,
     stop_host,
 )
-from coulombus.wire.address import parse_address
+from coulombus.wire.address import BusAddress, parse_address, socket_path
 
 pytestmark = pytest.mark.usefixtures("private_sockets")
 
@@ -352,3 +352,16 @@ def test_a_host_whose_standard_input_was_closed_lets_go_of_its_bus_too(host):
     assert closed
     assert not control_path(BUS).exists()
     host._listener = real
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "path"),
+    [
+        ("coulombus", "desk", "desk.host"),
+        ("socketcan", "can0", "socketcan-can0.host"),
+        ("socketcan", "a/b-_.1", "socketcan-a_b-_.1.host"),
+    ],
+)
+def test_each_bus_has_a_door_of_its_own(kind, name, path):
+    """A virtual bus and an interface may have one name."""
+    assert control_socket.control_path(BusAddress(kind, name)) == socket_path(path)

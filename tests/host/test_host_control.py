@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from coulombus.host.cycle.controller import SIGN_HAND_NM, Controller, _cycles
+from coulombus.host.cycle.controller import MOTOR_LAG_S, SIGN_HAND_NM, UNLOADED_S, Controller, _cycles
 from coulombus.host.cycle.records import Image, Phase, Trip
 from coulombus.rigs.rig import RigError, load_rig_text
 from foreign_rigs import brake, drive
@@ -138,6 +138,50 @@ def test_the_mode_says_who_displays_and_how_strong_the_motor_is(mode, motor, bra
     assert (c["motor_active"], c["brake_active"], c["motor_limit_raw"]) == (motor, brake, limit_pm)
     assert c["motor_helps"] == (mode == "hybrid")
     assert c["sign_check"] == (limit_pm > 0)
+
+
+@pytest.mark.parametrize("mode", ["active", "passive", "hybrid"])
+@pytest.mark.parametrize("measured", [True, False])
+def test_the_hand_s_port_is_observed_where_a_motor_may_push_and_the_hand_is_measured(mode, measured):
+    without = () if measured else ("role.handle_torque.object=none",)
+    found = control(mode, "limits.passivity_J=0.0625", *without)["passivity_J"]
+    assert found == (0.0625 if measured and mode != "passive" else math.inf)
+
+
+def test_the_motor_s_torque_follows_its_command_with_a_lag():
+    assert control("hybrid", "bus.period_s=0.002")["motor_lag_decay"] == math.exp(-0.002 / MOTOR_LAG_S)
+
+
+@pytest.mark.parametrize("encoder", [1, -1])
+def test_the_speed_at_which_the_release_pauses_has_no_sense(encoder):
+    found = control("hybrid", f"mechanics.encoder_polarity={encoder}", "limits.safe_speed_rad_s=0.25")
+    assert found["release_counts"] == pytest.approx(0.25e-3 / RAD_COUNT)
+
+
+@pytest.mark.parametrize(("ramp_s", "unloaded_s"), [(1.8, UNLOADED_S), (0.05, 0.05)])
+def test_a_brake_without_a_load_is_released_in_its_own_time_or_sooner(ramp_s, unloaded_s):
+    c = control("hybrid", f"limits.safe_ramp_s={ramp_s}", "limits.safe_hold_s=0.0996")
+    assert c["safe_longest_cycles"] == round(ramp_s * 1000) + 100
+    assert c["release_Nm"] == pytest.approx(4.5e-3 / ramp_s)
+    assert c["unloaded_Nm"] == pytest.approx(4.5e-3 / unloaded_s)
+    assert 0.05 < UNLOADED_S < 1.8
+
+
+def test_what_a_law_keeps_is_counted():
+    axis = rig_of("bench", ("law.function=dahl",)).one_axis()
+    controller = Controller(axis, "hybrid")
+    assert controller.control[0]["law_keeps"] == sum(size for _, size in controller.law_state) > 0
+
+
+@pytest.mark.parametrize(
+    ("key", "coarse", "fine"),
+    [("speed_rad_s", RAD_COUNT / 0.001 * 0.999, RAD_COUNT / 0.001 * 1.001), ("sign_check_travel_rad", 0.0015, 0.0017)],
+)
+def test_a_limit_that_the_encoder_is_too_coarse_for_is_refused(key, coarse, fine):
+    """20 counts of the sign check are 0.0016 rad, one in a cycle is 0.08 rad/s."""
+    with pytest.raises(RigError, match=r"limits\.(speed_rad_s|sign_check_counts)"):
+        control("hybrid", f"limits.{key}={coarse}")
+    assert control("hybrid", f"limits.{key}={fine}")["period_ns"] == 1_000_000
 
 
 def test_the_iron_s_plays_and_what_follows_directly():
