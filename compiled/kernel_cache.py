@@ -4,7 +4,7 @@ which of them are removed.
 ::
 
     BASE/coulombus/kernels-0123456789abcdef/coulombus-kernels      the marker: who made it, locked as long as a process uses it
-    BASE/coulombus/kernels-0123456789abcdef/compiling              locked byte by byte by who compiles
+    BASE/coulombus/kernels-0123456789abcdef/entries                what is compiled whole; locked by who compiles
     BASE/coulombus/kernels-0123456789abcdef/host_1a2b.../*.nbi     what numba keeps
 
 BASE is ``NUMBA_CACHE_DIR``, else ``$XDG_CACHE_HOME``, else ``~/.cache``. What is kept there is run:
@@ -24,25 +24,24 @@ import shutil
 import stat
 import sys
 import tempfile
+import traceback
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from coulombus.compiled.notice import compiling
 from coulombus.private_folder import make_private, reason_against, reason_against_above
 
-__all__ = ["COMPILING", "KEPT", "MARKER", "choose", "others", "say", "trusted"]
+__all__ = ["KEPT", "MARKER", "alone", "choose", "damaged", "empty", "kept", "say"]
 
 OURS = "coulombus"
 MARKER = "coulombus-kernels"
-COMPILING = "compiling"
-"""The file whose bytes are locked, each for one kernel, by the process that compiles it
-(`compiled.kernel_files`).
-"""
+ENTRIES = "entries"
 KEPT = 4
 """Directories that stay, the newest ones; one that a process uses stays in any case."""
 
 _NAME = re.compile(r"kernels-[0-9a-f]{16}")
-_NUMBAS = re.compile(rf".+\.(nbi|nbc)(\.tmp\.[0-9a-f]+)?|{COMPILING}")
+_FILES = re.compile(rf".+\.(nbi|nbc)(\.tmp\.[0-9a-f]+)?|{ENTRIES}")
 _TRIES = 8
 _locks: list[int] = []  # descriptors of the markers that this process holds
 
@@ -73,6 +72,43 @@ def choose(key: str) -> Path | None:
     if inherited is None:
         _tidy(directory)
     return directory
+
+
+def kept(directory: Path | None, name: str) -> bool:
+    """Tell whether a process has compiled, or loaded, the entry `name`."""
+    with suppress(OSError):
+        return directory is not None and name in (directory / ENTRIES).read_text().split()
+    return False
+
+
+@contextmanager
+def alone(directory: Path | None, name: str) -> Iterator[None]:
+    """Compile, or load, the entry `name` within this: as long as nobody has done so, one process
+    goes on at a time, and the others wait for what it keeps.
+
+    So no two processes keep the same kernel for different types of arguments at the same time:
+    numba would name both files alike.
+    """
+    if directory is None or kept(directory, name):
+        yield
+        return
+    lock = None
+    with suppress(OSError):  # there is no room, or a file system without locks
+        flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
+        lock = os.open(directory / ENTRIES, flags, 0o600)
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            compiling()  # another process does
+            fcntl.flock(lock, fcntl.LOCK_EX)
+    try:
+        yield
+        if lock is not None:
+            with suppress(OSError):
+                os.write(lock, f"{name}\n".encode())
+    finally:
+        if lock is not None:
+            os.close(lock)
 
 
 def _base() -> Path:
@@ -126,14 +162,6 @@ def _reason_against(directory: Path) -> str:
     """Return why what is kept in `directory` may come from another user; "" where it cannot."""
     ours, base = directory.parent, directory.parent.parent
     return reason_against(directory) or reason_against_above(ours) or reason_against_above(base)
-
-
-def trusted(directory: Path) -> bool:
-    """Tell whether nobody else can have written to a directory that is there."""
-    try:
-        return not _reason_against(directory)
-    except OSError:
-        return False
 
 
 def _first(places: Iterator[Path], name: str) -> Path | None:
@@ -210,12 +238,12 @@ def _tidy(directory: Path) -> None:
     with suppress(OSError):
         if directory.parent.is_symlink():
             return
-        for stale in others(directory)[KEPT - 1 :]:
+        for stale in _others(directory)[KEPT - 1 :]:
             with suppress(OSError):
                 _remove(stale)
 
 
-def others(directory: Path) -> list[Path]:
+def _others(directory: Path) -> list[Path]:
     """Return the directories of this user's other states of the sources, the last used first."""
     if not (_NAME.fullmatch(directory.name) and directory.parent.name == OURS):
         return []
@@ -234,6 +262,26 @@ def _used_ns(directory: Path) -> int:
         return 0  # no marker: none of ours
 
 
+def damaged(error: BaseException | None) -> bool:
+    """Tell whether an error comes from reading what numba has kept: a power cut has cut it short."""
+    while error is not None:
+        frames = traceback.extract_tb(error.__traceback__)
+        if any(Path(frame.filename).parts[-3:] == ("numba", "core", "caching.py") for frame in frames):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
+
+
+def empty(directory: Path) -> None:
+    """Remove what is kept in a directory of ours; what was not made here stays."""
+    for _, folders, files, at in os.fwalk(directory, topdown=False, follow_symlinks=False):
+        for name in filter(_FILES.fullmatch, files):
+            os.unlink(name, dir_fd=at)
+        for name in folders:
+            with suppress(OSError):  # not empty, or a link
+                os.rmdir(name, dir_fd=at)
+
+
 def _remove(directory: Path) -> None:
     """Remove a directory of ours that no process uses.
 
@@ -246,12 +294,7 @@ def _remove(directory: Path) -> None:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # OSError: a process uses it
         if not _stands(directory, lock):
             return
-        for _, folders, files, at in os.fwalk(directory, topdown=False, follow_symlinks=False):
-            for name in filter(_NUMBAS.fullmatch, files):
-                os.unlink(name, dir_fd=at)
-            for name in folders:
-                with suppress(OSError):  # not empty, or a link
-                    os.rmdir(name, dir_fd=at)
+        empty(directory)
         (directory / MARKER).unlink()
         directory.rmdir()
     finally:

@@ -159,7 +159,7 @@ if JIT_DISABLED:
 
 else:
     from llvmlite import ir
-    from numba.core import cgutils, types
+    from numba import types
     from numba.extending import intrinsic
 
     _I32, _I64 = ir.IntType(32), ir.IntType(64)
@@ -168,19 +168,25 @@ else:
     def _call(builder: Any, name: str, result: Any, arguments: list[Any]) -> Any:
         """Call the symbol `name`; its result as an int64."""
         shape = ir.FunctionType(result, [a.type for a in arguments])
-        value = builder.call(cgutils.get_or_insert_function(builder.module, shape, name), arguments)
+        known = builder.module.globals.get(name)
+        value = builder.call(known or ir.Function(builder.module, shape, name), arguments)
         return value if result == _I64 else builder.sext(value, _I64)
+
+    def _room(builder: Any) -> Any:
+        """Return the address of a struct timespec on the stack, which a loop does not ask for again."""
+        with builder.goto_entry_block():
+            return builder.alloca(ir.ArrayType(_I64, 2))
 
     def _timespec(builder: Any, t_ns: Any) -> Any:
         """Return the address of a struct timespec on the stack that holds `t_ns` >= 0."""
-        spec = cgutils.alloca_once(builder, ir.ArrayType(_I64, 2))
+        spec = _room(builder)
         zero, second = ir.Constant(_I32, 0), ir.Constant(_I64, SECOND_NS)
         builder.store(builder.sdiv(t_ns, second), builder.gep(spec, [zero, zero]))
         builder.store(builder.srem(t_ns, second), builder.gep(spec, [zero, ir.Constant(_I32, 1)]))
         return builder.ptrtoint(spec, _I64)
 
     def _clock(builder: Any, clock: Any) -> Any:
-        spec = cgutils.alloca_once(builder, ir.ArrayType(_I64, 2))
+        spec = _room(builder)
         _call(builder, "clock_gettime", _I32, [clock, builder.ptrtoint(spec, _I64)])
         zero = ir.Constant(_I32, 0)
         seconds = builder.load(builder.gep(spec, [zero, zero]))

@@ -172,9 +172,8 @@ def _odd_input(n: NodeRecord, k: int, scaled: float) -> None:
 @kernel
 def sample(n: NodeRecord) -> None:
     """Write the three input blocks, and the output's field value, to their slots."""
-    _input(n, 0, n.in_handle_Nm)
-    _input(n, 1, n.in_coil_A)
-    _input(n, 2, n.in_coil_degC)
+    for k, value in enumerate((n.in_handle_Nm, n.in_coil_A, n.in_coil_degC)):
+        _input(n, k, value)
     n.values[slots404.OUTPUT_FV] = math.floor(n.out_brake_Nm * n.ao_FV_Nm + 0.5)
 
 

@@ -309,7 +309,7 @@ def confinement_changed(n: NodeRecord, t_ns: int, confinement: int, out: Queue) 
     if n.powered == 0:
         return
     if confinement == Confinement.PASSIVE:
-        emcy.come(n, t_ns, emcy.ERROR_PASSIVE, 0, out)
+        emcy.come(n, t_ns, emcy.ERROR_PASSIVE, emcy.NO_INFO, out)
     elif confinement == Confinement.ACTIVE:
         emcy.gone(n, t_ns, emcy.ERROR_PASSIVE, out)
     elif confinement == Confinement.BUS_OFF:
@@ -319,7 +319,7 @@ def confinement_changed(n: NodeRecord, t_ns: int, confinement: int, out: Queue) 
         react(n, t_ns, emcy.BUS_OFF)
         _react(n, t_ns, n.error_behaviour, out)
     elif confinement == Confinement.RECOVERED:
-        alarm(n, t_ns, emcy.BUS_OFF, 0, out)
+        alarm(n, t_ns, emcy.BUS_OFF, emcy.NO_INFO, out)
         emcy.gone(n, t_ns, emcy.BUS_OFF, out)
     actuate(n, t_ns)
     _schedule(n, t_ns, out)

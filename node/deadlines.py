@@ -95,7 +95,7 @@ def expire(n: NodeRecord, t_ns: int, out: Queue) -> int:
             lost_now = 1
     if guarding.late(n, t_ns):
         n.guard_state = guarding.LOST
-        alarm(n, t_ns, emcy.LIFE_GUARDING, 0, out)
+        alarm(n, t_ns, emcy.LIFE_GUARDING, emcy.NO_INFO, out)
         lost_now = 1
     if ALLOWED[n.nmt] & Service.PDO:
         for k in range(n.rpdo_used):
@@ -106,7 +106,7 @@ def expire(n: NodeRecord, t_ns: int, out: Queue) -> int:
                 alarm(n, t_ns, emcy.RPDO_DEADLINE, k + 1, out)
         timeout_ns = n.values[slots.SYNC_TIMEOUT_US] * 1000
         if n.sync_armed and timeout_ns > 0 and t_ns - n.sync_ns >= timeout_ns and not n.causes >> emcy.SYNC_LOST & 1:
-            alarm(n, t_ns, emcy.SYNC_LOST, 0, out)
+            alarm(n, t_ns, emcy.SYNC_LOST, emcy.NO_INFO, out)
     for k in range(n.sdo_used):
         if t_ns >= n.sdo_deadline_ns[k]:
             if ALLOWED[n.nmt] & Service.SDO:

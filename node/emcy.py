@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from coulombus.compiled.decorator import kernel
+from coulombus.compiled.decorator import constant, kernel
 from coulombus.eds.nmt import ALLOWED, Service
 from coulombus.node import slots
 from coulombus.node.sizes import EMCY_WAITING, MAX_HISTORY, NodeRecord
@@ -29,6 +29,7 @@ __all__ = [
     "DEVICE_FAULTS",
     "DEVICE_MASK",
     "FAULT_MASK",
+    "NO_INFO",
     "Cause",
     "clear_latches",
     "come",
@@ -49,6 +50,9 @@ class Cause(NamedTuple):
 
 RPDO_SHORT, RPDO_LONG, SYNC_LENGTH, HEARTBEAT, RPDO_DEADLINE, SYNC_LOST, SUPPLY, CONNECTION = range(8)
 FIRST_DEVICE_CAUSE, DEVICE_CAUSES_END = 8, 16
+NO_INFO = constant(0)
+"""Of a cause that has nothing more to tell."""
+_NO_ERROR = constant(0x0000)
 OVER_CURRENT, OVER_TEMPERATURE, ENCODER, COIL_OPEN, COIL_SHORT, SUPPLY_LOW, HARDWARE = range(8, 15)
 LIFE_GUARDING, ERROR_PASSIVE, BUS_OFF = 16, 17, 18
 
@@ -178,4 +182,4 @@ def clear_latches(n: NodeRecord, t_ns: int, mask: int, out: Queue) -> None:
     """Reset the latches of `mask` and send "error reset" with the register of what remains."""
     n.latched &= ~mask
     update_register(n)
-    _send(n, t_ns, 0x0000, 0, out)
+    _send(n, t_ns, _NO_ERROR, NO_INFO, out)

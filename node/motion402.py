@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import math
 
-from coulombus.compiled.decorator import kernel
+from coulombus.compiled.decorator import constant, kernel
 from coulombus.eds import cia402
 from coulombus.node import slots402
 from coulombus.node.sizes import NodeRecord
@@ -62,6 +62,7 @@ _ENABLED = int(cia402.PowerState.OPERATION_ENABLED)
 _HALT = 0x0100
 _TARGET_REACHED, _SPEED_ZERO, _SLIPPAGE = 0x0400, 0x1000, 0x2000
 _LOWEST, _HIGHEST = -0x80000000, 0x7FFFFFFF
+_NO_TIME_NS = constant(0)
 _LONGEST_STEP_S = 0.01  # of the integral: nobody called for longer
 
 
@@ -157,7 +158,7 @@ def begin(n: NodeRecord, t_ns: int, ramp: int, state: int) -> None:
     """Begin a ramp to torque 0, behind which `state` follows; it may end at once."""
     n.slowing, n.slowing_to, n.slowing_ns = ramp, state, t_ns
     n.demand_ns = t_ns
-    _slow_down(n, t_ns, 0)
+    _slow_down(n, t_ns, _NO_TIME_NS)
 
 
 @kernel

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol, TypeAlias
 
-from coulombus.compiled.decorator import kernel
+from coulombus.compiled.decorator import constant, kernel
 from coulombus.node.sizes import NodeRecord
 from coulombus.wire.frame import Queue
 
@@ -43,7 +43,7 @@ Key: TypeAlias = tuple[int, int]
 Fields: TypeAlias = list[Any]
 """Fields of a structured dtype."""
 
-BY_COMMAND, BY_RESET, BY_ITSELF = 0, 1, 2
+BY_COMMAND, BY_RESET, BY_ITSELF = constant(0), constant(1), constant(2)
 """Why NMT left OPERATIONAL: a command, a reset (safe output whatever the option codes say), 1029h.
 """
 

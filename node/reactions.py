@@ -72,7 +72,7 @@ def connection_lost(n: NodeRecord, t_ns: int, why: int, out: Queue) -> None:
         if n.kind == kind.number:
             fault = kind.connection_lost(n, t_ns, why)
     if fault:
-        alarm(n, t_ns, emcy.CONNECTION, 0, out)
+        alarm(n, t_ns, emcy.CONNECTION, emcy.NO_INFO, out)
         n.causes &= ~(1 << emcy.CONNECTION)  # an event, not a condition
 
 
@@ -111,13 +111,13 @@ def _new_inputs(n: NodeRecord, t_ns: int, present: int, out: Queue) -> None:
         if n.kind == kind.number:
             supply = kind.supply(n)
     if supply == SUPPLY_LOST:
-        alarm(n, t_ns, emcy.SUPPLY, 0, out)
+        alarm(n, t_ns, emcy.SUPPLY, emcy.NO_INFO, out)
     elif supply == SUPPLY_THERE and n.causes >> emcy.SUPPLY & 1:
         emcy.gone(n, t_ns, emcy.SUPPLY, out)
     for cause in range(emcy.FIRST_DEVICE_CAUSE, emcy.DEVICE_CAUSES_END):
         before, now = n.causes >> cause & 1, present >> cause & 1
         if now and not before:
-            alarm(n, t_ns, cause, 0, out)
+            alarm(n, t_ns, cause, emcy.NO_INFO, out)
         elif before and not now:
             emcy.gone(n, t_ns, cause, out)
 

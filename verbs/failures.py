@@ -209,6 +209,13 @@ def _failure(error: Exception) -> Failure:
         where = f"{error.filename}: " if error.filename else ""
         full = "; free some space, or write elsewhere" if error.errno in (errno.ENOSPC, errno.EDQUOT) else ""
         return Failure(f"{where}{error.strerror or error}{full}", 2)
+    kernels = sys.modules.get("coulombus.compiled.decorator")
+    if kernels is not None and kernels.CACHE_DIR is not None:
+        from coulombus.compiled.kernel_cache import damaged, empty
+
+        if damaged(error):
+            empty(kernels.CACHE_DIR)
+            return Failure(f"the compiled code in {kernels.CACHE_DIR} was damaged and is removed; start again", 2)
     return Failure(f"a mistake of this program, please report it: {type(error).__name__}: {error}", FAULT)
 
 

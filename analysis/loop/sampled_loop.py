@@ -26,7 +26,8 @@ from typing import Any
 
 import numpy as np
 
-from coulombus.compiled.decorator import borrowed, kernel
+from coulombus.compiled.decorator import kernel
+from coulombus.compiled.numba_inside import borrowed
 from coulombus.host.laws import laws
 
 __all__ = ["LOOP", "RELAY", "STATS", "run_loops"]

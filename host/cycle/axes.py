@@ -11,13 +11,15 @@ nobody.
 
 from __future__ import annotations
 
-from coulombus.compiled.decorator import kernel
+from coulombus.compiled.decorator import constant, kernel
 from coulombus.compiled.records import Integers
 from coulombus.host.cycle import step
 from coulombus.host.cycle.records import AxisRecords, Image, LawFunction, Phase, Trip
 from coulombus.wire.frame import Queue, push
 
 __all__ = [
+    "WINDOW_OPEN",
+    "WINDOW_OVER",
     "ask_to_stop",
     "begin",
     "finish",
@@ -28,6 +30,9 @@ __all__ = [
     "ramps_a_brake",
     "safe_setpoints",
 ]
+
+WINDOW_OPEN, WINDOW_OVER = constant(0), constant(1)
+"""Whether the time is over in which the TPDOs of a cycle have to come."""
 
 
 @kernel
@@ -112,7 +117,7 @@ def on_time(axes: AxisRecords, law_function: LawFunction, t_ns: int, out: Queue)
     """Do what is due at `t_ns`: the end of the window for TPDOs, or the next cycle, whose SYNC the
     first axis sends.
     """
-    finish(axes, law_function, t_ns, 1, out)
+    finish(axes, law_function, t_ns, WINDOW_OVER, out)
     first = axes[0]
     if t_ns >= first.host.sync_ns + first.control.period_ns or first.host.cycle == 0:
         begin(axes, t_ns, out)

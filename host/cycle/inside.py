@@ -8,6 +8,8 @@ does: it is read, and what was told last is kept beside it.
 
 from __future__ import annotations
 
+import numpy as np
+
 from coulombus.compiled.decorator import kernel
 from coulombus.host.cycle.records import AxisRecord, HostRecord
 from coulombus.recording.inside import FIRST, GAIN, PER_AXIS, SOURCE_INSIDE, Limit
@@ -30,13 +32,10 @@ def _grown(told: Records, k: int, count: int) -> int:
 @kernel
 def _limits(h: HostRecord) -> int:
     """Return which limits acted in this cycle: bits of `recording.inside.Limit`."""
-    told = h.told
-    limits = Limit.TORQUE_CLIPPED * _grown(told, 0, h.clipped_torque)
-    limits |= Limit.TORQUE_SLOWED * _grown(told, 1, h.slowed_torque)
-    limits |= Limit.BY_DRIVE * _grown(told, 2, h.limited_by_drive)
-    limits |= Limit.SETPOINT_CLIPPED * _grown(told, 3, h.clipped_setpoints)
-    limits |= Limit.SETPOINT_NEGATIVE * _grown(told, 4, h.negative_setpoints)
-    limits |= Limit.COMPENSATION_WITHHELD * _grown(told, 5, h.withheld_compensation)
+    limits = 0
+    counts = h.clipped_torque, h.slowed_torque, h.limited_by_drive, h.clipped_setpoints, h.negative_setpoints
+    for k, count in enumerate((*counts, h.withheld_compensation)):
+        limits |= _grown(h.told, k, count) << k  # the first bits of `Limit`, in their order
     if h.missed_in_a_row > 0:
         limits |= Limit.TPDO_MISSED
     if not h.deadman_ok:
@@ -55,6 +54,14 @@ def _put(rows: Records, row: int, t_ns: int, can_id: int, word: int, length: int
 
 
 @kernel
+def _two(first: float, second: float) -> int:
+    """Return two numbers, as REAL32 one behind the other, as a frame's word."""
+    low, high = np.float32(first).view(np.uint32), np.float32(second).view(np.uint32)
+    word: int = np.int64(low) | np.int64(high) << 32  # type: ignore[assignment]
+    return word
+
+
+@kernel
 def tell(axis: AxisRecord, number: int, t_ns: int, rows: Records, row: int) -> int:
     """Write what axis `number` tells of the cycle that it has finished into `rows`, from `row` on;
     return the row behind. Of one that was told it tells nothing more.
@@ -63,23 +70,18 @@ def tell(axis: AxisRecord, number: int, t_ns: int, rows: Records, row: int) -> i
     if h.waiting or h.cycle == h.told_cycle:
         return row
     h.told_cycle = h.cycle
-    first, two = FIRST + PER_AXIS * number, h.two
+    first = FIRST + PER_AXIS * number
     gain = min(max(round(h.gain / GAIN), 0), MOST_GAIN)
     word = h.phase | h.trip << 8 | _limits(h) << 16 | gain << 32
     word |= (1 if state.stuck else 0) << 48 | min(max(h.position_age, 0), MOST_AGE) << 56
     _put(rows, row, t_ns, first, word)
-    two.first = state.psi_Nm
-    two.second = state.brake_Nm
-    _put(rows, row + 1, t_ns, first + 1, two.word)
-    two.first = axis.motion.v_rad_s
-    two.second = state.x_stuck
-    _put(rows, row + 2, t_ns, first + 2, two.word)
+    _put(rows, row + 1, t_ns, first + 1, _two(state.psi_Nm, state.brake_Nm))
+    _put(rows, row + 2, t_ns, first + 2, _two(axis.motion.v_rad_s, state.x_stuck))
     row += 3
     for k in range(0, c.law_keeps, 2):
-        two.first = state.user[k]
         another = k + 1 < c.law_keeps
-        two.second = state.user[k + 1] if another else 0.0
-        _put(rows, row, t_ns, first + 3 + k // 2, two.word, 8 if another else 4)
+        word = _two(state.user[k], state.user[k + 1] if another else 0.0)
+        _put(rows, row, t_ns, first + 3 + k // 2, word, 8 if another else 4)
         row += 1
     return row
 

@@ -244,9 +244,6 @@ CONTROL = np.dtype(
     align=True,
 )
 
-TWO = np.dtype({"names": ["first", "second", "word"], "formats": ["<f4", "<f4", "<i8"], "offsets": [0, 4, 0]})
-"""Two numbers, and the same eight bytes as a frame's word."""
-
 HOST = np.dtype(
     [
         ("phase", np.int64),
@@ -357,7 +354,6 @@ HOST = np.dtype(
         # what the host has told of itself (`host.cycle.inside`)
         ("told_cycle", np.int64),  # the last cycle of which it told
         ("told", np.int64, (6,)),  # counters as they were then
-        ("two", TWO),
     ],
     align=True,
 )

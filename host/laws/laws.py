@@ -34,6 +34,7 @@ import inspect
 import math
 import re
 import sys
+import threading
 import traceback
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
@@ -42,7 +43,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from coulombus.compiled.decorator import JIT_DISABLED, cached
+from coulombus.compiled.decorator import JIT_DISABLED, keeps
 from coulombus.host.laws.bliman_sorine import bliman_sorine
 from coulombus.host.laws.coulomb import COULOMB, coulomb
 from coulombus.host.laws.dahl import dahl
@@ -127,7 +128,7 @@ def _signature(declared: Declaration | None = None) -> Any:
     return numba.float64(*map(numba.from_dtype, (MOTION, *named)))
 
 
-class _Pointer(numba.core.types.CompileResultWAP):  # type: ignore[misc]  # mypy follows no import of numba
+class _Pointer(numba.types.CompileResultWAP):  # type: ignore[misc]  # mypy follows no import of numba
     """A compiled law as a function pointer of the one signature.
 
     A record is a pointer in it, and its names are only another view of the same bytes.
@@ -138,12 +139,15 @@ class _Pointer(numba.core.types.CompileResultWAP):  # type: ignore[misc]  # mypy
         return _signature()
 
 
+_CHECKING = threading.Lock()
+
+
 @contextmanager
 def _bounds_checked() -> Iterator[None]:
     """Let all that is compiled meanwhile check its indices, also functions that have a decorator of
     their own.
     """
-    with numba.core.compiler_lock.global_compiler_lock:
+    with _CHECKING:
         before = numba.config.BOUNDSCHECK
         numba.config.BOUNDSCHECK = 1
         try:
@@ -175,7 +179,7 @@ def compile_law(function: Callable[..., Any], cache: bool = False) -> Any:
     signature = _signature(declared)
     options = {"nogil": True, "error_model": "numpy"}
     if cache:
-        dispatcher = cached(numba.njit(**options)(function))
+        dispatcher = numba.njit(cache=keeps(function), **options)(function)
         dispatcher.compile(signature.args)
     else:
         with _bounds_checked():

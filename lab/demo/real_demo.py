@@ -10,13 +10,12 @@ import signal
 import socket
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 
-from coulombus.compiled.decorator import kept, taken
+from coulombus.compiled.decorator import is_kept
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.errors import HostError
 from coulombus.host.realtime.data_plane import DataPlane
@@ -27,7 +26,6 @@ from coulombus.host.run.result import RunResult
 from coulombus.host.setup.bringup import check_plan
 from coulombus.lab.demo.demo import DEMO_MODES, Demo, as_dict, judge
 from coulombus.rigs.rig import Rig
-from coulombus.sim_bus.server.paced import serve
 from coulombus.wire.address import BusAddress
 from coulombus.wire.realtime import die_with_parent
 from coulombus.wire.stopping import Signals, Stopped
@@ -35,7 +33,6 @@ from coulombus.wire.stopping import Signals, Stopped
 __all__ = ["SimProcess", "run_real_demo"]
 
 END_TIMEOUT_S = 10.0
-POLL_S = 0.05
 
 
 class SimDied(HostError):
@@ -94,15 +91,12 @@ class SimProcess:
             self.process.communicate()
 
 
-def compile_host(rig: Rig, sims: Collection[SimProcess]) -> None:
+def compile_host(rig: Rig) -> None:
     """Compile the host's cycle, by a data plane without a bus, while the simulations start.
 
-    They compile side by side until only their whole loop is left, which one of them takes: then a
-    processor is free. Nothing is done where the host's code is kept.
+    Nothing is done where the host's code is kept.
     """
-    while not (kept(run_plane) or kept(serve) or taken(serve)) and all(sim.alive for sim in sims):
-        time.sleep(POLL_S)
-    if kept(run_plane):
+    if is_kept(run_plane):
         return
     line, nobody = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     with nobody:
@@ -141,7 +135,7 @@ def run_real_demo(
         for mode in DEMO_MODES:  # all at once: the second is ready when the first run is over
             address = BusAddress("coulombus", f"demo-{os.getpid()}-{mode}")
             sims[mode] = stack.enter_context(SimProcess(rig_name, address, mode, seed, overrides))
-        compile_host(rig, sims.values())
+        compile_host(rig)
         for sim in sims.values():
             sim.wait_ready()
         for mode, sim in sims.items():

@@ -27,7 +27,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from coulombus.compiled.decorator import borrowed, inlined, kernel
+from coulombus.compiled.decorator import inlined, kernel
+from coulombus.compiled.numba_inside import borrowed
 from coulombus.compiled.records import Floats, Integers, Record, Records
 from coulombus.eds.cia301 import CobId
 from coulombus.eds.cia402 import PowerState
@@ -411,7 +412,7 @@ def run(world: World, host: Host, law_function: LawFunction | None, course: Cour
                 first, t_host = out.count, own_ns(w, t)
                 wanted = host_axes.on_frame(host.axes, host.owner, t_host, b.can_id, b.length, b.word)
                 if wanted == 1 and w.host_on:
-                    host_axes.finish(host.axes, law_function, t_host, 0, out)
+                    host_axes.finish(host.axes, law_function, t_host, host_axes.WINDOW_OPEN, out)
                     if w.clock_on + w.keep_sent != 0:
                         _keep(w, out, first)
                     if w.tells != 0:

@@ -29,7 +29,7 @@ from coulombus.sim_bus.network.network import VirtualNetwork
 from coulombus.sim_bus.server.beside import Worker, settle
 from coulombus.sim_bus.server.clients import BATCH, MESSAGE_FRAMES, SLOT, SLOTS, STATION, Clients, Need, State
 from coulombus.sim_bus.server.paced import PACE, Serve, serve
-from coulombus.sim_bus.server.warm_up import compile_loop, warm_up
+from coulombus.sim_bus.server.warm_up import warm_up
 from coulombus.wire.address import BusAddress, BusUnavailable, socket_path
 from coulombus.wire.frame import new_records
 from coulombus.wire.hello import MAX_FILTERS, SEND_BUFFER, Answer, Flags, Hello, Status, greet
@@ -156,14 +156,8 @@ class BusServer:
         self._path: Path | None = None
         self._inode = 0
         self._pace["wake"], self._pace["listener"], self._pace["end_ns"] = self._wake, -1, FOREVER_NS
-        world, host, _, course = self.world.arguments
-        behind = compile_loop(self._pace[0], self._clients, self._worker.shared, world, host, course)
-        trial = make_world(self.bit_rate, True)
-        if behind:
-            warm_up(trial)
         self._load()
-        if not behind:
-            warm_up(trial)
+        warm_up(make_world(self.bit_rate, True))
         try:
             if raw is not None:
                 self._open_interface(raw)

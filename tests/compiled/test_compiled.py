@@ -8,15 +8,15 @@ import stat
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
+from coulombus.compiled import numba_inside
 from coulombus.compiled.decorator import CACHE_DIR, JIT_DISABLED
-from coulombus.compiled.kernel_cache import KEPT, MARKER
-from coulombus.compiled.kernel_files import KernelCache
+from coulombus.compiled.kernel_cache import KEPT, MARKER, alone, kept
 from coulombus.compiled.notice import compiling, on_compiling
 from coulombus.compiled.sources import source_key
 
 import pytest  # isort: skip
-from numba.core.registry import cpu_target  # isort: skip
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 
@@ -63,67 +63,23 @@ def test_an_edited_callee_in_another_file_is_compiled_anew(tmp_path):
     assert run(call, tmp_path, **cache) == "20 1"
     (rooms / "host" / "callee.py").write_text(CALLEE.format(2))
     assert run(call, tmp_path, **cache) == "30 0"
-    (rooms / "host" / "other.py").write_text("edited = 1\n")  # a new directory, but nothing to compile
-    assert run(call, tmp_path, **cache) == "30 1"
-    (rooms / "host" / "callee.py").write_text(CALLEE.format(1))  # edited back: an older directory has it
+    (rooms / "host" / "callee.py").write_text(CALLEE.format(1))  # edited back: the older folder has it
     assert run(call, tmp_path, **cache) == "20 1"
-    for kept in (tmp_path / "cache" / "coulombus").iterdir():
-        kept.chmod(0o770)
-    (rooms / "host" / "other.py").write_text("edited = 2\n")  # nothing is taken from where others could write
-    assert run(call, tmp_path, **cache) == "20 0"
 
 
-LISTENED = "import sys; from numba.core import event; heard = event.RecordingListener(); event.register('numba:compile', heard)"
-TOLD = "print('numba.np.arraymath' in sys.modules, sum(one.is_start for _, one in heard.buffer))"
+LISTENED = "from coulombus.compiled.notice import on_compiling; heard = []; on_compiling(lambda: heard.append(1))"
+TOLD = "print(len(heard))"
 COMPILED = "import numba; numba.njit(lambda x: x + 1)(1)"
 
 
 @pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
-def test_nothing_compiles_on_the_second_start_nor_is_prepared_for_it():
-    """What numba registers before it compiles took an eighth of each start.
-
-    Others may compile into the same cache meanwhile: what this process compiles is counted.
-    """
+def test_nothing_compiles_on_the_second_start():
+    """Others may compile into the same cache meanwhile: what this process compiles is counted."""
     code = "from coulombus.lab.simulate import simulate; simulate('bench', 'hybrid', 0.01)"
     base = {"NUMBA_CACHE_DIR": str(CACHE_DIR)}
     run(code, ROOT, **base)
     assert next(CACHE_DIR.rglob("*.nbc"), None) is not None
-    assert run(f"{LISTENED}; {code}; {TOLD}; {COMPILED}; {TOLD}", ROOT, **base).split() == ["False", "0", "True", "1"]
-
-
-IMPORTS = """
-from coulombus.wire.one import (
-    a,
-    b as c,
-)
-from coulombus.wire import two, three as third
-
-def late():
-    import coulombus.wire.four.five
-    from coulombus.six import seven
-"""
-
-
-def test_the_stamp_follows_what_is_imported_and_nothing_else(tmp_path):
-    names = ("wire/one", "wire/two", "wire/three", "wire/four/five", "six", "wire/__init__", "wire/four/__init__")
-    (tmp_path / "wire" / "four").mkdir(parents=True)
-    (tmp_path / "top.py").write_text(IMPORTS)
-    for name in (*names, "wire/unrelated", "wire/deep"):
-        (tmp_path / f"{name}.py").write_text("")
-    (tmp_path / "wire" / "one.py").write_text("from coulombus.wire.deep import d\n")
-
-    def now():
-        code = f"print(stamp({str(tmp_path / 'top.py')!r}, Path({str(tmp_path)!r})))"
-        return run(f"from pathlib import Path; from coulombus.compiled.sources import stamp; {code}", ROOT)
-
-    found = [now()]
-    for name in (*names, "wire/deep"):
-        with (tmp_path / f"{name}.py").open("a") as file:
-            file.write("x = 1\n")
-        found.append(now())
-    assert len(set(found)) == len(found)
-    (tmp_path / "wire" / "unrelated.py").write_text("x = 1\n")
-    assert now() == found[-1]
+    assert run(f"{LISTENED}; {code}; {TOLD}; {COMPILED}; {TOLD}", ROOT, **base).split() == ["0", "1"]
 
 
 def test_the_key_follows_every_source(tmp_path):
@@ -140,16 +96,14 @@ def test_the_key_follows_every_source(tmp_path):
     assert len({empty, one, two, three, source_key(tmp_path)}) == 5
 
 
-def test_a_source_that_is_edited_meanwhile_keeps_the_stamp_of_what_was_compiled(tmp_path):
-    file = tmp_path / "wire" / "one.py"
-    file.parent.mkdir()
-    file.write_text("a = 1\n")
-    asked = f"stamp({str(file)!r}, root)"
-    before = f"from pathlib import Path; from coulombus.compiled.sources import source_key, stamp; root = Path({str(tmp_path)!r})"
-    old = run(f"{before}; print({asked})", ROOT)
-    edited = f"source_key(root); Path({str(file)!r}).write_text('a = 2\\n')"
-    assert run(f"{before}; {edited}; print({asked})", ROOT) == old
-    assert run(f"{before}; print({asked})", ROOT) != old
+@pytest.mark.parametrize("flag", ["-O", "-OO"])
+def test_optimised_python_keeps_its_kernels_elsewhere(flag):
+    ask = "from coulombus.compiled.sources import source_key; print(source_key())"
+    keys = [
+        subprocess.run([sys.executable, *flags, "-c", ask], cwd=ROOT, capture_output=True, check=True).stdout
+        for flags in ([], [flag])
+    ]
+    assert keys[0] != keys[1]
 
 
 WHERE = "import coulombus.compiled.decorator; print(coulombus.compiled.decorator.CACHE_DIR)"
@@ -318,113 +272,43 @@ def own_kernels(tmp_path):
     return call
 
 
-@pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
-def test_a_kernel_that_only_kernels_call_has_no_machine_code(tmp_path):
-    (tmp_path / "own.py").write_text(OWN)
-    code = f"import sys; sys.path.append({str(tmp_path)!r}); import own; print(own.g(5), len(own.f.signatures), len(own.f.bodies))"
-    assert run(code, ROOT, NUMBA_CACHE_DIR=str(tmp_path / "cache")) == "-1 0 1"
-    assert [len(list((tmp_path / "cache").rglob(f"own.{name}-*.nbc"))) for name in "fg"] == [1, 2]
+SPOILT = """
+from pathlib import Path
+from coulombus.compiled.decorator import CACHE_DIR
+from coulombus.verbs.failures import _failure
+try:
+    own.f(1)
+except Exception as error:
+    print(_failure(error))
+"""
 
 
 @pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
-def test_with_another_numba_all_is_compiled_in_its_way(tmp_path):
-    (tmp_path / "own.py").write_text(OWN)
-    code = (
-        "import numba.core.utils, numba; numba.version_info = numba.version_info._replace(short=(0, 59))\n"
-        f"import sys; sys.path.append({str(tmp_path)!r}); import own\n"
-        "from coulombus.compiled.decorator import compile_together\n"
-        "compile_together(own.g, [(own.f, (1,))])\n"
-        "print(own.g(5), type(own.f).__name__, len(own.f.signatures), len(own.g.stats.cache_hits))"
-    )
-    said = [run(code, ROOT, NUMBA_CACHE_DIR=str(tmp_path / "cache")) for _ in range(2)]
-    assert said == ["-1 CPUDispatcher 1 0", "-1 CPUDispatcher 0 1"]
-
-
-@pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
-def test_a_callee_that_is_no_longer_kept_is_lowered_again(tmp_path):
-    (tmp_path / "own.py").write_text(OWN)
-    begin = f"import sys; sys.path.append({str(tmp_path)!r}); import own, numba; "
-    cache = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
-    assert run(begin + "own.g.body((numba.int64,)); print(len(own.f.bodies))", ROOT, **cache) == "1"
-    for path in (tmp_path / "cache").rglob("own.f-*"):
-        path.unlink()
-    code = begin + "print(own.g(5), len(own.f.bodies))"
-    assert run(code, ROOT, **cache) == "-1 1"
-    assert len(list((tmp_path / "cache").rglob("own.f-*.nbc"))) == 1
-
-
-ON_A_RECORD = (
-    "import sys; sys.path.append({path!r}); import numba, numpy as np\n"
-    "for k in range({before}): numba.from_dtype(np.dtype([(str(k), 'i8')]))\n"
-    "import own; a = np.zeros(1, [('x', 'i8')]); a['x'] = 5; print(own.g(a))"
-)
-OF_A_RECORD = (
-    "from coulombus.compiled.decorator import kernel\n@kernel\ndef f(r):\n    return r.x + 1\n"
-    "@kernel\ndef g(rows):\n    return rows[0].x - f(rows[0])\n"
-)
-
-
-@pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
-def test_a_callee_is_found_whatever_types_a_process_had_before(tmp_path):
-    """Numba numbers the types of a process as they come, and names a record by its number: a callee
-    that another process lowered anew was not found by its name, and the call ended at address 0.
-    """
-    (tmp_path / "own.py").write_text(OF_A_RECORD)
-    cache = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
-    assert run(ON_A_RECORD.format(path=str(tmp_path), before=0), ROOT, **cache) == "-1"
-    for pattern in ("own.f-*", "own.g-*"):  # what refers to it by name stays: the body of g
-        for path in (tmp_path / "cache").rglob(pattern):
-            if pattern == "own.f-*" or b"\x7fELF" in path.read_bytes():
-                path.unlink()
-    assert run(ON_A_RECORD.format(path=str(tmp_path), before=7), ROOT, **cache) == "-1"
-
-
-@pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
-@pytest.mark.parametrize(
-    "spoil",
-    [
-        lambda whole: b"",
-        lambda whole: whole[: len(whole) // 2],
-        lambda whole: bytes(len(whole)),
-        lambda whole: whole[:-20] + bytes([whole[-20] ^ 1]) + whole[-19:],
-    ],
-    ids=["empty", "half", "zeros", "one bit"],
-)
-def test_a_damaged_cache_is_told_once_and_compiled_again(own_kernels, tmp_path, spoil):
+@pytest.mark.parametrize("spoil", [lambda whole: b"", lambda whole: whole[: len(whole) // 2]], ids=["empty", "half"])
+@pytest.mark.parametrize("ending", ["nbi", "nbc"])
+def test_a_damaged_cache_is_told_and_removed(own_kernels, tmp_path, spoil, ending):
+    """As a power cut leaves it: the next start compiles again."""
     assert own_kernels() == ("2 -1 0", "")
-    for pattern in ("own.f-*.nbc", "own.g-*.nbi"):
-        body, entry = (tmp_path / "cache").rglob(pattern)
-        for path in (body, entry):
-            path.write_bytes(spoil(path.read_bytes()))
-    result, told = own_kernels()
-    assert result == "2 -1 0"
-    assert told.count("\n") == told.count("was damaged; it is compiled again") == 1
+    for path in (tmp_path / "cache").rglob(f"own.f-*.{ending}"):
+        path.write_bytes(spoil(path.read_bytes()))
+    code = f"import sys; sys.path.append({str(tmp_path)!r}); import own{SPOILT}"
+    told = run(code, ROOT, NUMBA_CACHE_DIR=str(tmp_path / "cache"))
+    assert told.startswith("the compiled code in")
+    assert told.endswith("was damaged and is removed; start again")
+    assert list((tmp_path / "cache").rglob("*.nb?")) == []
+    assert own_kernels() == ("2 -1 0", "")
     assert own_kernels() == ("2 -1 1", "")
 
 
 @pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
-def test_a_file_that_two_processes_named_alike_is_not_taken_for_the_other(own_kernels, tmp_path):
-    own_kernels()
-    f, g = (sorted((tmp_path / "cache").rglob(f"own.{name}-*.nbc")) for name in "fg")
-    assert len(f) == len(g) == 2  # a body and an entry
-    for one, other in zip(f, g, strict=True):
-        one.write_bytes(other.read_bytes())  # whole, and of another function
-    assert own_kernels()[0] == "2 -1 0"
-
-
-@pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
-def test_a_cache_that_takes_no_more_is_told_once(own_kernels):
-    full = "import os; from numba.core.caching import IndexDataCacheFile as F; F._save_data = lambda *_: os.write(os.open('/dev/full', 1), b'x')"
-    result, told = own_kernels(full)
-    assert result == "2 -1 0"
-    assert told.count("\n") == told.count("cannot be kept") == 1
-    assert "No space left on device" in told
-
-
-@pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
 def test_of_several_processes_one_compiles(tmp_path):
+    """The others wait for it, say so, and load what it kept."""
     (tmp_path / "own.py").write_text(OWN)
-    code = f"import sys; sys.path.append({str(tmp_path)!r}); import own; input(); print(own.g(5), len(own.g.stats.cache_hits))"
+    code = (
+        f"import sys; sys.path.append({str(tmp_path)!r}); import own\n"
+        "from coulombus.compiled.decorator import Entry\n"
+        "input(); print(Entry(own.g)(5), len(own.g.stats.cache_hits))"
+    )
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
     several = [
         subprocess.Popen(
@@ -440,90 +324,43 @@ def test_of_several_processes_one_compiles(tmp_path):
 
 
 @pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
-def test_what_another_process_compiles_comes_last(tmp_path):
-    (tmp_path / "several.py").write_text(
-        "from coulombus.compiled.decorator import compile_together, kernel\n"
-        "@kernel\ndef first(x):\n    return x\n@kernel\ndef second(x):\n    return x\n"
-        "@kernel\ndef whole(x):\n    return x\n"
-        "def taken_until_the_other_is_there():\n"
-        "    place, base = Path(first.body_cache.cache_path), first.body_cache._base\n"
-        "    lock, wanted = _lock_of(place, base)\n"
-        "    fcntl.fcntl(lock, fcntl.F_OFD_SETLK, wanted)\n"
-        "    assert first.body_cache.taken and not second.body_cache.taken\n"
-        "    threading.Thread(target=free, args=(lock,)).start()\n"
-        "def free(lock):\n"
-        "    while not second.bodies:\n        pass\n"
-        "    order.append(len(first.bodies))\n"
-        "    os.close(lock)\n"
-        "order = []\nimport fcntl, os, threading\nfrom pathlib import Path\n"
-        "from coulombus.compiled.kernel_files import _lock_of\n"
-    )
-    code = (
-        f"import sys; sys.path.append({str(tmp_path)!r}); import several as own\n"
-        "own.taken_until_the_other_is_there()\n"
-        "own.compile_together(own.whole, [(own.first, (1,)), (own.second, (1,))])\n"
-        "print(own.first.body_cache.taken, own.first(3), own.order)"
-    )
-    done = python(code, ROOT, NUMBA_CACHE_DIR=str(tmp_path / "cache"))
-    assert (done.stdout, done.stderr) == ("False 3 [0]\n", "")
+def test_who_waits_for_another_process_says_that_something_is_compiled(tmp_path):
+    told = []
+    on_compiling(lambda: told.append("one"))
+    with alone(tmp_path, "other.entry"):
+        code = (
+            "from pathlib import Path; from coulombus.compiled.kernel_cache import alone\n"
+            "from coulombus.compiled.notice import on_compiling\n"
+            "on_compiling(lambda: print('waits', flush=True))\n"
+            f"with alone(Path({str(tmp_path)!r}), 'own.entry'): print('goes on')"
+        )
+        waits = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, stdout=subprocess.PIPE, text=True)
+        assert waits.stdout.readline() == "waits\n"
+    assert waits.communicate(timeout=120)[0] == "goes on\n"
+    assert told == []
+    assert kept(tmp_path, "other.entry")
+    assert kept(tmp_path, "own.entry")
+    assert not kept(tmp_path, "entry")
+    compiling()
+
+
+def test_what_cannot_be_compiled_counts_as_nothing_and_keeps_nobody_waiting(tmp_path):
+    for _ in range(2):
+        with pytest.raises(RuntimeError), alone(tmp_path, "own.entry"):
+            raise RuntimeError
+    assert not kept(tmp_path, "own.entry")
 
 
 @pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
-def test_who_waits_for_the_last_part_is_told_that_another_process_goes_on(tmp_path):
-    (tmp_path / "several.py").write_text(
-        "from coulombus.compiled.decorator import compile_together, kernel, kept, taken\n"
-        "@kernel\ndef part(x):\n    return x\n@kernel\ndef whole(x):\n    return part(x)\n"
-        "def take(cache):\n"
-        "    lock, wanted = _lock_of(Path(cache.cache_path), cache._base)\n"
-        "    fcntl.fcntl(lock, fcntl.F_OFD_SETLK, wanted)\n"
-        "    return lock\n"
-        "def free(lock):\n"
-        "    while not part._compiling_counter:\n        pass\n"
-        "    os.close(lock)\n"
-        "import fcntl, os, threading\nfrom pathlib import Path\n"
-        "from coulombus.compiled.kernel_files import _lock_of\n"
+def test_a_constant_is_compiled_once_with_what_is_variable(tmp_path):
+    (tmp_path / "own.py").write_text(
+        "from coulombus.compiled.decorator import constant, kernel\n"
+        "ONE, TWO = constant(1), constant(2)\n"
+        "@kernel\ndef f(x):\n    return x + 1\n"
+        "@kernel\ndef g(x):\n    return f(ONE) + f(TWO) + f(x)\n"
     )
-    code = (
-        f"import sys; sys.path.append({str(tmp_path)!r}); from several import *\n"
-        "threading.Thread(target=free, args=(take(part.body_cache),)).start()\n"
-        "said = [compile_together(whole, [(part, (1,))]) for _ in range(2)]\n"
-        "said += [kept(whole), taken(whole)]\n"
-        "lock = take(whole._cache); said.append(taken(whole)); os.close(lock)\n"
-        "print(*said, whole(3), kept(whole), taken(whole), compile_together(whole, []))"
-    )
-    done = python(code, ROOT, NUMBA_CACHE_DIR=str(tmp_path / "cache"))
-    assert (done.stdout, done.stderr) == ("True False False False True 3 True False False\n", "")
-
-
-@pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
-def test_a_kernel_that_cannot_be_compiled_keeps_nobody_waiting(own_kernels, tmp_path):
-    bad = "import numba\nwhile True:\n try:\n  own.f('x')\n except numba.TypingError:\n  break\nimport fcntl, struct, pathlib, compiled_dir"
-    (tmp_path / "compiled_dir.py").write_text(
-        "import fcntl, os, struct\n"
-        "from coulombus.compiled.decorator import CACHE_DIR\n"
-        "lock = os.open(CACHE_DIR / 'compiling', os.O_RDWR)\n"
-        "fcntl.fcntl(lock, fcntl.F_OFD_SETLK, struct.pack('hhqqi4x', fcntl.F_WRLCK, 0, 0, 0, 0))\n"  # all of it
-        "os.close(lock)\n"
-    )
-    (tmp_path / "own.py").write_text(OWN)
-    code = f"import sys; sys.path.append({str(tmp_path)!r}); import own\n{bad}\nprint(own.f(1))"
-    done = python(code, ROOT, NUMBA_CACHE_DIR=str(tmp_path / "cache"))
-    assert (done.stdout, done.stderr) == ("2\n", "")
-
-
-def test_a_signal_while_a_kernel_is_loaded_keeps_nobody_waiting():
-    class Interrupted:
-        def _load_overload(self, sig, target_context):
-            raise KeyboardInterrupt
-
-    cache = KernelCache(test_the_key_follows_every_source, {})
-    cache._numbas, cache._lock = Interrupted(), os.open(os.devnull, os.O_RDWR)
-    held = cache._lock
-    with pytest.raises(KeyboardInterrupt):
-        cache.load_overload(None, cpu_target.target_context)
-    assert cache._lock is None
-    with pytest.raises(OSError, match="Bad file descriptor"):
-        os.fstat(held)
+    code = f"import sys; sys.path.append({str(tmp_path)!r}); import own; print(own.g(5), len(own.f.signatures))"
+    assert run(code, ROOT, NUMBA_CACHE_DIR=str(tmp_path / "cache")) == "11 1"
 
 
 @pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
@@ -544,32 +381,20 @@ def test_a_kernel_that_stands_in_no_file_is_compiled_and_not_kept(tmp_path):
     assert list(tmp_path.rglob("*.nbc")) == []
 
 
-INTERRUPTED = """
-import os, signal, sys
-from numba.core.codegen import JITCodeLibrary
-
-def hook(module, _):
-    if module.name == "f":
-        os.kill(os.getpid(), signal.SIGINT)
-        for _ in range(9):
-            pass
-
-JITCodeLibrary._object_compiled_hook = hook
-sys.path.append({place!r})
-import own
-try:
-    own.f(1)
-except KeyboardInterrupt:
-    print("interrupted")
-"""
-
-
-@pytest.mark.skipif(JIT_DISABLED, reason="the compiler is switched off")
-def test_ctrl_c_within_the_compiler_ends_it(own_kernels, tmp_path):
-    """LLVM calls this hook back; what is raised in it nobody can catch."""
-    code = INTERRUPTED.format(place=str(tmp_path))
-    done = python(code, ROOT, NUMBA_CACHE_DIR=str(tmp_path / "cache"))
-    assert (done.stdout, done.stderr) == ("interrupted\n", "")
+def test_ctrl_c_within_the_compiler_is_raised_behind_it(monkeypatch):
+    """LLVM calls Python back; what is raised in there nobody can catch, and Python hands it over."""
+    others = []
+    monkeypatch.setattr(sys, "unraisablehook", others.append)
+    heard = numba_inside.Compilations()
+    heard.on_start(None)
+    heard.on_start(None)
+    sys.unraisablehook(SimpleNamespace(exc_value=KeyboardInterrupt()))
+    sys.unraisablehook(SimpleNamespace(exc_value=ValueError("another")))
+    with pytest.raises(KeyboardInterrupt):
+        heard.on_end(None)
+    heard.on_end(None)
+    assert sys.unraisablehook == others.append
+    assert [str(one.exc_value) for one in others] == ["another"]
 
 
 def test_who_asked_hears_once_that_something_is_compiled():

@@ -175,7 +175,7 @@ def test_leaving_operational_makes_the_output_safe(kind, why, abort, mode, age_u
     node.call(reactions.connection_lost, why)
     told = node.codes()
     if kind == KIND_DRIVE:
-        faulty = abort == 1 and why != BY_RESET
+        faulty = bool(abort == 1 and why != BY_RESET)
         assert told == [0x8100] * faulty
         assert n.power_state == (FAULT if faulty else OE if abort == 0 and why != BY_RESET else SOD)
         assert n.causes == 0  # an event, not a condition
