@@ -25,7 +25,6 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from coulombus.host.run.result import RunResult
-    from coulombus.lab.bringup import switch_on
 
 ROUNDS = 5
 SIMULATED_S = 60.0
@@ -88,6 +87,7 @@ def simulation() -> None:
     show("simulate with recording, figures computed from it", f"{SIMULATED_S / with_recording:.0f} x", "at least 200 x")
 
     def armed() -> VirtualRig:
+        from coulombus.lab.bringup import switch_on
         from coulombus.rigs.rig import load_rig
 
         world = VirtualRig(load_rig("bench"), "hybrid")

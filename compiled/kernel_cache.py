@@ -9,7 +9,7 @@ which of them are removed.
 
 BASE is ``NUMBA_CACHE_DIR``, else ``$XDG_CACHE_HOME``, else ``~/.cache``. What is kept there is run:
 a directory that another user may enter is refused, so is one above it in which another user could
-exchange it, and the next place is taken (`coulombus.private_folder`). Nothing is removed that was not made here: the name has
+exchange it, and the next place is taken (`coulombus.system.private_folder`). Nothing is removed that was not made here: the name has
 our form, the marker stands in it and says the same name, no process uses it, and of its content
 only the marker and files with numba's endings go. No link is followed.
 """
@@ -17,7 +17,6 @@ only the marker and files with numba's endings go. No link is followed.
 from __future__ import annotations
 
 import atexit
-import fcntl
 import os
 import re
 import shutil
@@ -30,7 +29,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from coulombus.compiled.notice import compiling
-from coulombus.private_folder import make_private, reason_against, reason_against_above
+from coulombus.system.file_lock import lock_file
+from coulombus.system.private_folder import make_private, reason_against, reason_against_above
 
 __all__ = ["KEPT", "MARKER", "alone", "choose", "damaged", "empty", "kept", "say"]
 
@@ -97,10 +97,10 @@ def alone(directory: Path | None, name: str) -> Iterator[None]:
         flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
         lock = os.open(directory / ENTRIES, flags, 0o600)
         try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            lock_file(lock)
         except BlockingIOError:
             compiling()  # another process does
-            fcntl.flock(lock, fcntl.LOCK_EX)
+            lock_file(lock, wait=True)
     try:
         yield
         if lock is not None:
@@ -194,7 +194,7 @@ def _usable(directory: Path) -> bool:
             if lock is None:
                 return False
             with suppress(OSError):  # a file system without locks: there nothing is ever removed
-                fcntl.flock(lock, fcntl.LOCK_SH)
+                lock_file(lock, shared=True, wait=True)
             if not _stands(directory, lock):
                 os.close(lock)
                 continue
@@ -291,7 +291,7 @@ def _remove(directory: Path) -> None:
     if lock is None:
         return
     try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # OSError: a process uses it
+        lock_file(lock)  # OSError: a process uses it
         if not _stands(directory, lock):
             return
         empty(directory)

@@ -20,6 +20,7 @@ import time
 from typing import Any
 
 from coulombus.compiled.decorator import JIT_DISABLED
+from coulombus.system.c_library import NeedsLinux, c_library
 
 __all__ = [
     "CLOCK_MONOTONIC",
@@ -77,10 +78,12 @@ _SYMBOLS = (
     *("__errno_location", "clock_gettime", "clock_nanosleep", "epoll_ctl", "epoll_wait", "getppid"),
     *("ppoll", "read", "recv", "recvmsg", "send", "write"),
 )
-_library = ctypes.CDLL(None, use_errno=True)
+_library = c_library()
 _missing = [name for name in _SYMBOLS if not hasattr(_library, name)]
 if _missing:
-    raise ImportError(f"this system's C library has no {', '.join(_missing)}: real time needs Linux with glibc or musl")
+    raise NeedsLinux(
+        f"this needs Linux (there is no {', '.join(_missing)} here); what needs no live bus works everywhere"
+    )
 
 
 if JIT_DISABLED:

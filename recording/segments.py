@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import ctypes
 import errno
-import fcntl
 import json
 import os
 import queue
@@ -36,6 +35,8 @@ from coulombus.recording.pcapng_blocks import RecordingError
 from coulombus.recording.recorder import About, Recorder
 from coulombus.recording.wall_clock import utc
 from coulombus.rigs.rig import Rig
+from coulombus.system.c_library import c_library
+from coulombus.system.file_lock import lock_file
 from coulombus.wire.frame import Records
 
 __all__ = ["INDEX", "Rotation", "SegmentedRecorder", "parse_rotation", "parse_size", "reserve"]
@@ -51,7 +52,7 @@ TIMES = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86_400.0}
 SMALLEST = 100_000
 _SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*(kB|MB|GB|TB)")
 _TIME = re.compile(r"(\d+(?:\.\d+)?)\s*(s|min|h|d)")
-_library = ctypes.CDLL(None, use_errno=True)
+_library = c_library()
 
 
 @dataclass(frozen=True)
@@ -166,7 +167,7 @@ class SegmentedRecorder(Recorder):
         try:
             self._index = os.open(self.run / INDEX, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o666)
             with suppress(OSError):  # a file system without locks: then nobody can tell that this run lives
-                fcntl.flock(self._index, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                lock_file(self._index)
             room = os.statvfs(self.run)
             if room.f_bavail * room.f_frsize < 2 * self._step:
                 self._prune(2 * self._step)
@@ -300,7 +301,7 @@ def _lives(run: Path) -> bool:
     """Tell whether a process still records a run: it holds the lock of its index."""
     try:
         with (run / INDEX).open("rb") as index:
-            fcntl.flock(index, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            lock_file(index, shared=True)
     except BlockingIOError:
         return True
     except OSError:

@@ -11,6 +11,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from coulombus.system.c_library import c_library
+
 __all__ = ["CLOCK", "META", "attached_object", "clock_state", "meta_attachment", "utc", "wall_clock"]
 
 CLOCK, META = "clock.json", "meta.json"
@@ -46,7 +48,7 @@ def clock_state() -> dict[str, Any]:
     found: dict[str, Any] = {"synchronised": None, "max_error_us": None, "estimated_error_us": None}
     try:
         told = _Timex()
-        state = ctypes.CDLL(None, use_errno=True).adjtimex(ctypes.byref(told))
+        state = c_library().adjtimex(ctypes.byref(told))
     except (AttributeError, OSError):
         state = -1
     if state >= 0:

@@ -8,7 +8,9 @@ import errno
 import json
 import os
 import re
+import select
 import signal
+import socket
 import sys
 import traceback
 from collections.abc import Iterable, Iterator
@@ -40,6 +42,8 @@ EXIT_STATUS = (
 {"event": "error", "error": TEXT, "exit_status": N}
 """
 )
+
+LINUX_MODULES = ("fcntl", "resource", "termios", "tty")
 
 WORDS, RESULT, OUTPUTS = f"{__name__}.words", f"{__name__}.result", f"{__name__}.outputs"
 """What a context keeps: the words after the verb, that the result has been printed, and which
@@ -197,6 +201,9 @@ def _failure(error: Exception) -> Failure:
     status = getattr(error, "exit_status", None)
     if status is not None:
         return Failure(str(error), status)
+    absent = _needs_linux(error)
+    if absent:
+        return Failure(f"this needs Linux (there is no {absent} here); what needs no live bus works everywhere", 4)
     if isinstance(error, MemoryError):
         return Failure("no memory is left; end other programs, or raise the limit (ulimit -v)", 2)
     if isinstance(error, ModuleNotFoundError) and (error.name or "").startswith("coulombus."):
@@ -217,6 +224,15 @@ def _failure(error: Exception) -> Failure:
             empty(kernels.CACHE_DIR)
             return Failure(f"the compiled code in {kernels.CACHE_DIR} was damaged and is removed; start again", 2)
     return Failure(f"a mistake of this program, please report it: {type(error).__name__}: {error}", FAULT)
+
+
+def _needs_linux(error: Exception) -> str:
+    """Return what of Linux an error misses; "" where it is another error."""
+    if isinstance(error, ModuleNotFoundError) and error.name in LINUX_MODULES:
+        return error.name
+    if isinstance(error, AttributeError):
+        return next((f"{one.__name__}.{error.name}" for one in (os, select, signal, socket) if error.obj is one), "")
+    return ""
 
 
 def _has_folder() -> bool:

@@ -4,7 +4,7 @@ project, ``socketcan:can0`` an interface of Linux.
 A virtual bus is a socket in a private directory of the user: ``$XDG_RUNTIME_DIR/coulombus`` where
 the system provides one, else ``coulombus-UID`` in the directory for temporary files. Whoever can
 enter that directory can move the motor, so it has mode 0700, and is refused with any other mode or
-owner (`coulombus.private_folder`).
+owner (`coulombus.system.private_folder`).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, TypeAlias, get_args
 
-from coulombus.private_folder import make_private, reason_against
+from coulombus.system.private_folder import make_private, reason_against
 from coulombus.wire.quoting import INTERFACE
 
 __all__ = [

@@ -18,6 +18,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from coulombus.system.c_library import c_library
 from coulombus.wire.ancillary import CONTROL_WORDS, OVERFLOW, SECOND_NS, STAMP
 from coulombus.wire.client import CAN_LENGTH, MESSAGE_BYTES, Client, Received
 
@@ -45,7 +46,7 @@ HEADER = np.dtype(
         ("size", np.int64),  # an unsigned int and its padding
     ]
 )
-_libc = ctypes.CDLL(None, use_errno=True)
+_libc = c_library()
 
 
 @dataclass(frozen=True)

@@ -7,13 +7,14 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
-import resource
 import signal
 import struct
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
+
+from coulombus.system.c_library import c_library
 
 __all__ = [
     "RealTime",
@@ -37,7 +38,7 @@ PR_SET_PDEATHSIG, PR_SET_TIMERSLACK = 1, 29
 MCL_CURRENT, MCL_FUTURE = 1, 2
 MOST_CPUS = 8192
 _ALLOW = "sudo prlimit --pid $$ --rtprio=95 --memlock=unlimited  (for this shell; for good: rtprio and memlock in /etc/security/limits.d)"
-_library = ctypes.CDLL(None, use_errno=True)
+_library = c_library()
 
 
 @dataclass(frozen=True)
@@ -101,6 +102,8 @@ def lock_memory() -> Right:
     """Keep all of this process's memory, present and future, out of page faults (mlockall)."""
 
     def request() -> None:
+        import resource
+
         # under a limit the call may succeed now, and a later allocation fail: rather not at all
         if os.geteuid() != 0 and resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] != resource.RLIM_INFINITY:
             raise PermissionError(1, "the limit of locked memory (ulimit -l) is not unlimited")
@@ -143,6 +146,8 @@ def usable_cpus(root: Path = Path("/")) -> frozenset[int]:
     """Return the CPUs that a thread may be pinned to: those where this process may run, and the
     isolated ones, which nobody has who does not ask.
     """
+    if not hasattr(os, "sched_getaffinity"):  # no Linux
+        return frozenset(range(os.cpu_count() or 1))
     allowed = frozenset(os.sched_getaffinity(0))
     return allowed | {cpu for cpu in isolated_cpus(root) - allowed if _may_have(cpu)}
 
@@ -243,13 +248,15 @@ def freeze_garbage() -> None:
 
 def die_with_parent(parent: int, number: int = signal.SIGKILL) -> None:
     """Let the kernel send this process a signal when `parent`, its
-    parent's id, ends; if that has happened already, exit at once.
+    parent's id, ends; if that has happened already, exit at once. Only Linux's does so.
     """
-    _checked(_library.prctl(PR_SET_PDEATHSIG, int(number), 0, 0, 0))
+    if hasattr(_library, "prctl"):
+        _checked(_library.prctl(PR_SET_PDEATHSIG, int(number), 0, 0, 0))
     if os.getppid() != parent:
         os._exit(1)
 
 
 def outlive_parent() -> None:
     """Take `die_with_parent` back: this process sees for itself when its parent ends."""
-    _checked(_library.prctl(PR_SET_PDEATHSIG, 0, 0, 0, 0))
+    if hasattr(_library, "prctl"):
+        _checked(_library.prctl(PR_SET_PDEATHSIG, 0, 0, 0, 0))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import socket
 import struct
 from pathlib import Path
@@ -56,6 +55,8 @@ def interface_is_up(target: socket.socket, name: str) -> bool:
     """Tell whether the interface `name` is up; `target` is any
     socket. OSError when there is none of that name.
     """
+    import fcntl  # Linux has it, and only Linux has SocketCAN
+
     answer = fcntl.ioctl(target, SIOCGIFFLAGS, struct.pack("16sH14x", name.encode(), 0))
     return bool(struct.unpack_from("H", answer, 16)[0] & IFF_UP)
 

@@ -15,7 +15,6 @@ its trial shown again.
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 import re
@@ -29,6 +28,7 @@ from coulombus.lab.experiment.study import Study
 from coulombus.lab.experiment.trials import Trial, Trials
 from coulombus.recording.recorder import project_version
 from coulombus.rigs.rewrite import forget_torn, write_whole
+from coulombus.system.file_lock import lock_file
 
 __all__ = ["COLUMNS", "FolderError", "SubjectFolder", "read_events", "subjects_of"]
 
@@ -148,7 +148,7 @@ class SubjectFolder:
             raise FolderError(f"{self.folder}: cannot be written ({error.strerror}); name another folder") from error
         try:
             try:
-                fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                lock_file(self._lock)
             except BlockingIOError:
                 raise FolderError(f"{self.folder}: another session writes there; wait for its end") from None
             for folder in (self.folder, self.own):

@@ -14,7 +14,6 @@ Each file is written whole under another name, put on the disk, and renamed.
 
 from __future__ import annotations
 
-import fcntl
 import json
 import math
 import os
@@ -31,6 +30,7 @@ from coulombus.lab.sweep.file import Sweep
 from coulombus.recording.extras import library
 from coulombus.rigs.mistakes import toml_value
 from coulombus.rigs.rewrite import write_whole
+from coulombus.system.file_lock import lock_file
 
 __all__ = ["Folder", "FolderError", "Taken"]
 
@@ -317,7 +317,7 @@ def _held(path: Path) -> Iterator[None]:
         raise FolderError(f"{path}: cannot be written ({error.strerror}); name another folder") from error
     with file:
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            lock_file(file)
         except OSError:
             raise FolderError(f"{path}: another sweep is at work there; wait for it, or name another folder") from None
         yield

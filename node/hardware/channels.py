@@ -6,7 +6,6 @@ back is found again. What a channel says is a number in its own unit, `raw`.
 
 from __future__ import annotations
 
-import fcntl
 import math
 import os
 import re
@@ -14,6 +13,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
+
+from coulombus.system.file_lock import lock_file
 
 __all__ = ["Claim", "HardwareError", "Input", "Order", "Output", "SysfsFile", "finite", "put", "told"]
 
@@ -159,7 +160,7 @@ class Claim:
         with told(path):
             self.descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
         try:
-            fcntl.flock(self.descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            lock_file(self.descriptor)
         except OSError as error:
             os.close(self.descriptor)
             if isinstance(error, BlockingIOError):

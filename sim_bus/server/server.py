@@ -8,7 +8,6 @@ Python for.
 from __future__ import annotations
 
 import errno
-import fcntl
 import os
 import socket
 import struct
@@ -30,6 +29,7 @@ from coulombus.sim_bus.server.beside import Worker, settle
 from coulombus.sim_bus.server.clients import BATCH, MESSAGE_FRAMES, SLOT, SLOTS, STATION, Clients, Need, State
 from coulombus.sim_bus.server.paced import PACE, Serve, serve
 from coulombus.sim_bus.server.warm_up import warm_up
+from coulombus.system.file_lock import lock_file
 from coulombus.wire.address import BusAddress, BusUnavailable, socket_path
 from coulombus.wire.frame import new_records
 from coulombus.wire.hello import MAX_FILTERS, SEND_BUFFER, Answer, Flags, Hello, Status, greet
@@ -487,7 +487,7 @@ def _locked(directory: Path) -> Iterator[None]:
     """
     fd = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
-        fcntl.flock(fd, fcntl.LOCK_EX)
+        lock_file(fd, wait=True)
         yield
     finally:
         os.close(fd)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import shutil
 import stat
 import subprocess
 import sys
@@ -54,7 +55,7 @@ def test_an_edited_callee_in_another_file_is_compiled_anew(tmp_path):
     for module in (ROOT / "compiled").glob("*.py"):
         name = module.name
         (rooms / "compiled" / name).write_text((ROOT / "compiled" / name).read_text())
-    (rooms / "private_folder.py").write_text((ROOT / "coulombus" / "private_folder.py").read_text())
+    shutil.copytree(ROOT / "coulombus" / "system", rooms / "system")
     (rooms / "host" / "caller.py").write_text(CALLER)
     call = "from coulombus.host.caller import caller; print(caller(1), sum(caller.stats.cache_hits.values()))"
     cache = {"XDG_CACHE_HOME": str(tmp_path / "cache")}

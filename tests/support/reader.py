@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import time
@@ -13,9 +14,17 @@ from pathlib import Path
 from real_bench import PATIENCE_S, end
 from warm_start import Warm
 
-__all__ = ["Reader"]
+__all__ = ["Reader", "missing"]
+
+OPTIONAL = ("tshark", "candump", "cansend", "cangen", "canplayer", "chromium", "wireshark", "gcc", "cyclictest")
 
 READY = ("is ready", "is on bus", "waits on bus", "are joined")
+
+
+def missing(line):
+    """Return the optional programs that a command line calls and that are not installed."""
+    called = (part.split()[:1] for part in line.split(" | "))
+    return [word for words in called for word in words if word in OPTIONAL and shutil.which(word) is None]
 
 
 class Reader:

@@ -1,0 +1,25 @@
+"""The C library, for the few calls that Python has not."""
+
+from __future__ import annotations
+
+import ctypes
+from typing import Any
+
+__all__ = ["NeedsLinux", "c_library"]
+
+
+class NeedsLinux(ImportError):
+    """What only Linux has is asked for somewhere else."""
+
+    exit_status = 4
+
+
+def c_library() -> Any:
+    """Return the C library, whose calls leave `ctypes.get_errno`; None where it has no name, as on Windows.
+
+    What a system lacks is no attribute of it: ``hasattr(c_library(), "prctl")`` is for Linux alone.
+    """
+    try:
+        return ctypes.CDLL(None, use_errno=True)
+    except TypeError:
+        return None
