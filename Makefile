@@ -1,5 +1,6 @@
 # Two commands do it all: `make demo` and `make test`. They create .venv and install what they need.
 # PYTHON=... chooses the interpreter (3.11 or newer); otherwise the first that fits is taken.
+# CONSTRAINTS= takes the newest versions instead of those that were tested together.
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -10,7 +11,7 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python3.14; 
 
 unexport PYTHONDONTWRITEBYTECODE  # without bytecode each of a thousand starts of the tests compiles all sources anew
 
-.PHONY: demo test fast check docs bench coverage wheel clean help
+.PHONY: demo test fast long check docs bench coverage wheel constraints clean help
 .DEFAULT_GOAL := demo
 
 help:  ## this list
@@ -50,9 +51,12 @@ docs: $(VENV)/.docs  ## the site of the documents, in out/site; fails on a warni
 bench: $(VENV)/.dev  ## the figures of speed, as ratios
 	@$(BIN)/python -m benchmarks
 
-INSTALL := $(BIN)/python -m pip install --no-compile --disable-pip-version-check
+CONSTRAINTS ?= constraints.txt
+TESTED := $(addprefix --constraint ,$(CONSTRAINTS))
+INSTALL := $(BIN)/python -m pip install --no-compile --disable-pip-version-check $(TESTED)
 
 $(VENV)/.made:  # written when all is there: what was interrupted is begun anew, and what works is kept
+	@test ! -f coulombus/node || { echo "make: coulombus/node is no link to node/: this copy was unpacked without symbolic links (a zip archive); clone it with git" >&2; exit 1; }
 	@test -n "$(PYTHON)" || { echo "make: Python 3.11 or newer is needed; name one with PYTHON=/path/to/python3.11" >&2; exit 1; }
 	@"$(PYTHON)" -c '$(NEEDED)' || { echo "make: $(PYTHON) is older than 3.11" >&2; exit 1; }
 	@$(BIN)/python -m pip --version >/dev/null 2>&1 || { \
@@ -63,7 +67,7 @@ $(VENV)/.made:  # written when all is there: what was interrupted is begun anew,
 		else echo "make: cannot create a virtual environment (Debian: apt install python3-venv)" >&2; fi; exit 1; }; }
 	@touch $@
 
-$(VENV)/.run: pyproject.toml | $(VENV)/.made  # what the demo compiles is begun while the rest is installed
+$(VENV)/.run: pyproject.toml $(wildcard $(CONSTRAINTS)) | $(VENV)/.made  # what the demo compiles is begun while the rest is installed
 	@echo "installing (once), half a minute ..."
 	@$(BIN)/python -c 'import tomllib; \
 	wanted = tomllib.load(open("pyproject.toml", "rb"))["project"]["dependencies"]; \
@@ -73,15 +77,27 @@ $(VENV)/.run: pyproject.toml | $(VENV)/.made  # what the demo compiles is begun 
 	$(INSTALL) --editable '.[web]'
 	@touch $@
 
-$(VENV)/.dev: pyproject.toml | $(VENV)/.made
+$(VENV)/.dev: pyproject.toml $(wildcard $(CONSTRAINTS)) | $(VENV)/.made
 	@echo "installing with the development tools (once) ..."
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,docs]'
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check $(TESTED) --editable '.[dev,docs]'
 	@touch $@ $(VENV)/.run $(VENV)/.docs
 
 $(VENV)/.docs: pyproject.toml | $(VENV)/.made
 	@echo "installing what builds the site (once) ..."
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check $(TESTED) --editable '.[docs]'
 	@touch $@ $(VENV)/.run
+
+long: $(VENV)/.dev  ## what takes an hour: every mutant, a million frames against the bits, an afternoon of cycles
+	@$(BIN)/python scripts/mutate.py
+	@$(BIN)/python -m benchmarks bits
+	@$(BIN)/python -m benchmarks loss --minutes 30
+
+constraints: $(VENV)/.made  ## name the newest versions as those that are tested together; run make test behind it
+	@rm -rf out/newest && $(BIN)/python -m venv out/newest
+	@out/newest/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,docs]'
+	@{ echo "# What was tested together, renewed by make constraints. CONSTRAINTS= of make takes the newest."; \
+	out/newest/bin/python -m pip freeze --exclude-editable; } >constraints.txt
+	@rm -rf out/newest
 
 clean:  ## remove what was made here
 	rm -rf $(VENV) out build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -23,11 +23,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from benchmarks.size import SMALLEST, size
+
 if TYPE_CHECKING:
     from coulombus.host.run.result import RunResult
-
-ROUNDS = 5
-SIMULATED_S = 60.0
 
 
 def timed(function: Callable[[], object]) -> float:
@@ -37,10 +36,10 @@ def timed(function: Callable[[], object]) -> float:
     return time.perf_counter() - begin
 
 
-def rounds(*functions: Callable[[], object], count: int = ROUNDS) -> list[float]:
+def rounds(*functions: Callable[[], object], count: int = 5) -> list[float]:
     """Median time of each function; the functions take turns."""
     times: list[list[float]] = [[] for _ in functions]
-    for _ in range(count):
+    for _ in range(size(count, 1)):
         for row, function in zip(times, functions, strict=True):
             row.append(timed(function))
     return [statistics.median(row) for row in times]
@@ -67,24 +66,25 @@ def simulation() -> None:
     from coulombus.lab.simulate import simulate
     from coulombus.sim_bus.network.virtual_rig import VirtualRig
 
+    seconds = size(60.0, 1.0)
     with tempfile.TemporaryDirectory() as directory:
         path = Path(directory) / "run.pcapng"
 
         def plain() -> None:
-            untripped(simulate("bench", "hybrid", SIMULATED_S))
+            untripped(simulate("bench", "hybrid", seconds))
 
         def recorded() -> None:
-            untripped(simulate("bench", "hybrid", SIMULATED_S, record=path, force=True))
+            untripped(simulate("bench", "hybrid", seconds, record=path, force=True))
 
         plain()
         recorded()
         without, with_recording = rounds(plain, recorded)
     show(
         "simulate: host, two nodes, exact bus, rig, heartbeats; no recording",
-        f"{SIMULATED_S / without:.0f} x",
+        f"{seconds / without:.0f} x",
         "at least 300 x real time",
     )
-    show("simulate with recording, figures computed from it", f"{SIMULATED_S / with_recording:.0f} x", "at least 200 x")
+    show("simulate with recording, figures computed from it", f"{seconds / with_recording:.0f} x", "at least 200 x")
 
     def armed() -> VirtualRig:
         from coulombus.lab.bringup import switch_on
@@ -217,7 +217,11 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=0.5, help="of the runs that look for what is lost")
     parser.add_argument("--hours", type=float, default=0.0, help="of bus time in one run, in virtual time")
     parser.add_argument("--figure", type=Path, help="draw the histograms of the wake-ups there")
+    parser.add_argument("--smallest", action="store_true", help="as little as shows that it runs; no figure means much")
     options = parser.parse_args()
+    if options.smallest:
+        os.environ[SMALLEST] = "1"
+        options.seconds, options.rounds, options.minutes = 0.3, 1, 0.01
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # by way of the context managers that end the bus
     if options.what in ("all", "virtual"):
         virtual()

@@ -17,14 +17,15 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from benchmarks.size import size
 from coulombus.host.run.result import RunResult
 from coulombus.lab.simulate import simulate
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
 
 __all__ = ["bus"]
 
-SIMULATED_S = 120.0
-ROUNDS = 5
+SIMULATED_S = size(120.0, 2.0)
+ROUNDS = size(5, 1)
 NOISE = '[[fault]]\nkind = "noise"\nrate = 1.3e-4\n'
 """About 1 frame of 100 is destroyed.
 

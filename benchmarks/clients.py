@@ -19,12 +19,13 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from benchmarks.page import processor_s, ready, started
+from benchmarks.size import size
 
 __all__ = ["clients"]
 
 CHANNEL = "benchmark-clients"
 BUS = f"coulombus:{CHANNEL}"
-SECONDS, BURST, PERIOD_S = 10.0, 10, 0.001
+SECONDS, BURST, PERIOD_S = size(10.0, 1.0), 10, 0.001
 SETTLE_S = 1.0
 """Of a client: it has joined, and has taken the last frames."""
 

@@ -9,13 +9,14 @@ import statistics
 import time
 from collections.abc import Callable
 
+from benchmarks.size import size
 from coulombus.lab.bringup import switch_on
 from coulombus.rigs.rig import load_rig
 from coulombus.sim_bus.network.virtual_rig import VirtualRig
 
 __all__ = ["ALL", "detail"]
 
-ROUNDS = 9
+ROUNDS = size(9, 1)
 SIMULATED_S = 2.0
 ALL = (
     "plant.cable.stiffness_Nm_rad=2000.0", "plant.cable.damping_Nms_rad=0.05", "plant.cable.backlash_rad=5e-4",

@@ -11,10 +11,12 @@ import statistics
 import time
 from collections.abc import Callable
 
+from benchmarks.size import size
+
 __all__ = ["eds_files", "large_file"]
 
 SUBINDICES = 250
-ROUNDS = 3
+ROUNDS = size(3, 1)
 SECTIONS = 100_000
 
 

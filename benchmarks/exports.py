@@ -12,9 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.size import size
+
 __all__ = ["exports"]
 
-CYCLES, TIMES, THEIRS = 20_000, 30, 1
+CYCLES, TIMES, THEIRS = size(20_000, 1000), size(30, 1), 1
 """Of a stretch; how often ours goes on with it (ten minutes), and python-can with it."""
 
 

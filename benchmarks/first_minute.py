@@ -16,9 +16,11 @@ import sys
 import tempfile
 from collections.abc import Callable, Mapping
 
+from benchmarks.size import size
+
 __all__ = ["first_minute"]
 
-REPEATS = 5
+REPEATS = size(5, 1)
 
 REFERENCE = """
 import numba, numpy as np

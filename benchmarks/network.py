@@ -14,6 +14,7 @@ import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 
+from benchmarks.size import size
 from coulombus.eds.reader import read_eds
 from coulombus.sim_bus.network.network import VirtualNetwork
 
@@ -23,7 +24,7 @@ SIZES = (2, 8, 32, 126)
 BITRATE_PER_NODE = 160_000  # 20 Mbit/s with 126
 PERIOD_NS = 10_000_000
 SIMULATED_NS = 5_000_000_000
-ROUNDS = 5
+ROUNDS = size(5, 1)
 EDS = Path(__file__).resolve().parent.parent / "eds" / "motor.eds"
 START = b"\x01\x00"
 

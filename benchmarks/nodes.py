@@ -16,6 +16,7 @@ import numpy as np
 
 from benchmarks.node_bus import NodeBus
 from benchmarks.node_download import block_download
+from benchmarks.size import size
 from coulombus.compiled.decorator import Entry
 from coulombus.eds.codec import PDO
 from coulombus.eds.reader import parse_eds, read_eds
@@ -30,7 +31,7 @@ __all__ = ["expedited_us", "fuzz", "nodes"]
 
 MOTOR = Path(__file__).resolve().parent.parent / "eds" / "motor.eds"
 REQUEST = bytes.fromhex("4000100000000000")
-CALLS, TURNS = 3000, 9
+CALLS, TURNS = size(3000, 100), size(9, 1)
 
 
 class _Deaf(canopen.Network):  # type: ignore[misc]  # canopen has no types

@@ -21,10 +21,11 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+from benchmarks.size import size
 from coulombus.rigs.overrides import SHARED_MACHINE
 
 BUS = "coulombus:benchmark-page"
-SECONDS, WARM_S, PATIENCE_S = 10.0, 5.0, 240
+SECONDS, WARM_S, PATIENCE_S = size(10.0, 1.0), size(5.0, 1.0), 240
 TICK_S = 1 / os.sysconf("SC_CLK_TCK")
 READER = """
 import can

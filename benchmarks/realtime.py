@@ -18,6 +18,7 @@ from typing import Any
 
 from benchmarks import contestants as c
 from benchmarks.contestants import Bus, Run, quantile, together
+from benchmarks.size import size
 
 RATES = (
     # period [s], bit rate [bit/s], window for TPDOs [s]
@@ -25,7 +26,7 @@ RATES = (
     (2e-4, 5_000_000, 1.8e-4),
     (1e-4, 20_000_000, 0.9e-4),
 )
-CROWD_ROUNDS = 2000
+CROWD_ROUNDS = size(2000, 50)
 CYCLICTEST, TWIN, PLANE, CLASSIC = "cyclictest", "the loop's twin in C", "the compiled loop", "canopen, Notifier"
 LOADED = ", disturbed"
 COLOURS = {CYCLICTEST: "0.7", TWIN: "#009E73", PLANE: "#0072B2", "canopen": "#D55E00"}

@@ -16,6 +16,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 
+from benchmarks.size import size
 from coulombus.lab.bringup import switch_on
 from coulombus.lab.sweep.file import read_sweep
 from coulombus.lab.sweep.one_run import Job, carry_out, order_of
@@ -25,11 +26,11 @@ from coulombus.sim_bus.network.virtual_rig import VirtualRig
 
 __all__ = ["sweep"]
 
-DISPLAY_S = 13.0
-ROUNDS = 7
-SCALED_RUNS = 120
-TURNS = 3
-CYCLED_S = 1000.0
+DISPLAY_S = size(13.0, 1.0)
+ROUNDS = size(7, 1)
+SCALED_RUNS = size(120, 4)
+TURNS = size(3, 1)
+CYCLED_S = size(1000.0, 2.0)
 ROOT = Path(__file__).resolve().parents[1]
 FILE = f"""
 seconds = {DISPLAY_S}

@@ -11,6 +11,7 @@ from importlib import import_module
 import click
 
 from coulombus.verbs.failures import EXIT_STATUS, Verbs
+from coulombus.verbs.shown import echo
 
 __all__ = ["main"]
 
@@ -103,13 +104,36 @@ class Coulombus(Verbs):
                 formatter.write_dl([(name.ljust(widest), text) for name, (_, text) in verbs.items()])
 
 
+LIBRARIES = ("numba", "llvmlite", "numpy", "scipy", "pydantic", "python-can", "canopen")
+"""Whose versions a report needs."""
+
+
+def _tell_versions(context: click.Context, option: click.Parameter, asked: bool) -> None:
+    if not asked or context.resilient_parsing:
+        return
+    import platform
+    from importlib.metadata import version
+
+    echo(f"coulombus, version {version('coulombus')}")
+    echo(", ".join((f"Python {platform.python_version()}", *(f"{name} {version(name)}" for name in LIBRARIES))))
+    echo(platform.platform())
+    context.exit()
+
+
 @click.group(
     cls=Coulombus,
     commands=Commands(),
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
     epilog=EXIT_STATUS,
 )
-@click.version_option(package_name="coulombus", prog_name="coulombus")
+@click.option(
+    "--version",
+    is_flag=True,
+    expose_value=False,
+    is_eager=True,
+    callback=_tell_versions,
+    help="Show the versions and exit.",
+)
 def main() -> None:
     """Friction you can feel, over a CAN bus.
 

@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parent.parent.parent
 HERE = "run by tests/test_commands.py"
 FIRST = re.compile(
     r"([A-Z_]+=\S+ )*(\S*/)?(coulombus|make|pip|python3?|tshark|git|podman|cantools|candump|canplayer|can_\w+|"
-    r"echo|printf|mkfifo|dask|wireshark|head|grep|sed|cmp|wc|kill|sudo|for|timeout)(?=\s|$)"
+    r"ci|echo|printf|mkfifo|dask|wireshark|head|grep|sed|cmp|wc|kill|sudo|for|timeout)(?=\s|$)"
 )
 MACHINE = "changes the machine's settings: for a rig's PC"
 LIVE = "needs a bus or a host that lives: "
@@ -31,7 +31,7 @@ RULES = (
     (r"docs/export\.md: coulombus (export|plot|diff)", "run by tests/verbs/test_export_docs.py"),
     # what installs, tests and measures this project
     (r": (sudo|echo|for)", MACHINE),
-    (r": (make|git|pip|python3 -m venv)", "installs or tests this checkout: .ci/run does the same"),
+    (r": (make|git|pip|python3 -m venv|scripts/ci)", "installs or tests this checkout: .ci/run does the same"),
     (r": .*(-m pytest|scripts/mutate)", "runs tests within tests: .ci/run and docs/safety.md have the runs"),
     (r": .*-m benchmarks", "a measurement of minutes to hours; the page has its figures"),
     (r": NUMBA_DISABLE_JIT=1 ", "everything in plain Python: `make fast` and `make coverage` do it"),
