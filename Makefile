@@ -52,8 +52,13 @@ bench: $(VENV)/.dev  ## the figures of speed, as ratios
 	@$(BIN)/python -m benchmarks
 
 CONSTRAINTS ?= constraints.txt
-TESTED := $(addprefix --constraint ,$(CONSTRAINTS))
-INSTALL := $(BIN)/python -m pip install --no-compile --disable-pip-version-check $(TESTED)
+comma := ,
+PIP := $(BIN)/python -m pip install --disable-pip-version-check
+# installs what $(1) says in the versions that were tested together; where not all of them can be had, the newest
+define install
+$(PIP) $(addprefix --constraint ,$(CONSTRAINTS)) $(1) || { test -n "$(CONSTRAINTS)" && \
+echo "make: not all versions of $(CONSTRAINTS) can be had; taking the newest ones" >&2 && $(PIP) $(1); }
+endef
 
 $(VENV)/.made:  # written when all is there: what was interrupted is begun anew, and what works is kept
 	@test ! -f coulombus/node || { echo "make: coulombus/node is no link to node/: this copy was unpacked without symbolic links (a zip archive); clone it with git" >&2; exit 1; }
@@ -71,20 +76,20 @@ $(VENV)/.run: pyproject.toml $(wildcard $(CONSTRAINTS)) | $(VENV)/.made  # what 
 	@echo "installing (once), half a minute ..."
 	@$(BIN)/python -c 'import tomllib; \
 	wanted = tomllib.load(open("pyproject.toml", "rb"))["project"]["dependencies"]; \
-	print(*(one for one in wanted if not one.startswith(("cantools", "matplotlib", "scipy"))), sep="\n")' \
-	| $(INSTALL) --requirement /dev/stdin
+	print(*(one for one in wanted if not one.startswith(("cantools", "matplotlib", "scipy"))), sep="\n")' >$(VENV)/first.txt
+	@$(call install,--no-compile --requirement $(VENV)/first.txt)
 	@$(BIN)/python -m coulombus sim --bus coulombus:make-$$$$ --seconds 0.001 >/dev/null 2>&1 </dev/null & \
-	$(INSTALL) --editable '.[web]'
+	$(call install,--no-compile --editable '.[web]')
 	@touch $@
 
 $(VENV)/.dev: pyproject.toml $(wildcard $(CONSTRAINTS)) | $(VENV)/.made
 	@echo "installing with the development tools (once) ..."
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check $(TESTED) --editable '.[dev,docs]'
+	@$(call install,--quiet --editable '.[dev$(comma)docs]')
 	@touch $@ $(VENV)/.run $(VENV)/.docs
 
 $(VENV)/.docs: pyproject.toml | $(VENV)/.made
 	@echo "installing what builds the site (once) ..."
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check $(TESTED) --editable '.[docs]'
+	@$(call install,--quiet --editable '.[docs]')
 	@touch $@ $(VENV)/.run
 
 long: $(VENV)/.dev  ## what takes an hour: every mutant, a million frames against the bits, an afternoon of cycles
@@ -94,7 +99,7 @@ long: $(VENV)/.dev  ## what takes an hour: every mutant, a million frames agains
 
 constraints: $(VENV)/.made  ## name the newest versions as those that are tested together; run make test behind it
 	@rm -rf out/newest && $(BIN)/python -m venv out/newest
-	@out/newest/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,docs]'
+	@out/newest/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@{ echo "# What was tested together, renewed by make constraints. CONSTRAINTS= of make takes the newest."; \
 	out/newest/bin/python -m pip freeze --exclude-editable; } >constraints.txt
 	@rm -rf out/newest
