@@ -10,6 +10,7 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python3.14; 
 	"$$p" -c '$(NEEDED)' 2>/dev/null && { echo "$$p"; break; }; done)
 
 unexport PYTHONDONTWRITEBYTECODE  # without bytecode each of a thousand starts of the tests compiles all sources anew
+unexport PYTHONUNBUFFERED  # a user's output has a buffer
 
 .PHONY: demo test fast long check docs bench coverage wheel constraints clean help
 .DEFAULT_GOAL := demo

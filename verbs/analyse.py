@@ -173,7 +173,7 @@ def analyse(ctx: click.Context, /, **options: Any) -> None:
 
 
 @analyse.command(epilog=EXIT_STATUS)
-@click.argument("folder", type=click.Path(path_type=Path, file_okay=False))
+@click.argument("folder", type=click.Path(readable=False, path_type=Path, file_okay=False))
 @figures_option
 @click.option("--exploration", is_flag=True, help="How the hands moved, from the recordings.")
 @json_option

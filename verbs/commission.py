@@ -57,7 +57,7 @@ rehearsal_options = bundle(
     click.option("--virtual", is_flag=True, help="Rehearse in virtual time, on the rig file's own [plant]."),
     click.option(
         "--truth",
-        type=click.Path(path_type=Path, dir_okay=False),
+        type=click.Path(readable=False, path_type=Path, dir_okay=False),
         metavar="T.toml",
         help="With --virtual: the rig file of the simulated rig as it truly is.",
     ),
@@ -129,7 +129,7 @@ own_options = bundle(
     click.option(
         "--rig",
         "rig_path",
-        type=click.Path(path_type=Path, dir_okay=False),
+        type=click.Path(readable=False, path_type=Path, dir_okay=False),
         metavar="MY.toml",
         help="The rig file to commission; it is written.",
     ),

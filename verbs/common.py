@@ -125,7 +125,7 @@ shared_machine_option = click.option(
 )
 faults_option = click.option(
     "--faults",
-    type=click.Path(path_type=Path),
+    type=click.Path(readable=False, path_type=Path),
     metavar="F.toml",
     help="A fault file: what goes wrong on the bus, and when.",
 )
@@ -149,7 +149,7 @@ channel_option = click.option(
 )
 script_option = click.option(
     "--script",
-    type=click.Path(path_type=Path),
+    type=click.Path(readable=False, path_type=Path),
     metavar="F.toml",
     help="Switch nodes off and on, reset them, let device faults come and go at given times.",
 )

@@ -64,7 +64,12 @@ tested_options = bundle(
         "--node", "node_id", required=True, type=click.IntRange(1, 127), metavar="N", help="The device's node id."
     ),
     click.option(
-        "--eds", "eds_path", required=True, type=click.Path(path_type=Path), metavar="E", help="Its EDS or DCF file."
+        "--eds",
+        "eds_path",
+        required=True,
+        type=click.Path(readable=False, path_type=Path),
+        metavar="E",
+        help="Its EDS or DCF file.",
     ),
     click.option("--timeout", default=1.0, show_default=True, metavar="S", help="How long an answer may take."),
     click.option("--seed", default=0, show_default=True, help="Start of everything random."),

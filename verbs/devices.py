@@ -49,7 +49,7 @@ eds_folder_option = click.option(
 eds_option = click.option(
     "--eds",
     "eds",
-    type=click.Path(path_type=Path),
+    type=click.Path(readable=False, path_type=Path),
     metavar="E",
     help="Its EDS or DCF file; a folder, in which it is found by 1018h; or `device`: what the device keeps (1021h).",
 )

@@ -26,7 +26,7 @@ STATUSES: Mapping[int, str] = MappingProxyType(
         1: "a check failed",
         2: "usage: a wrong option or argument, a recording that cannot be read, a file that cannot be written, no memory left",
         3: "configuration: any file missing; rig, EDS, law, motion, fault or script file wrong; a device that is not what they say",
-        4: "bus unavailable",
+        4: "bus unavailable, or a system that is no Linux where one is needed",
         5: "a node is missing",
         6: "a node aborted an SDO transfer, or its answer cannot be trusted",
         7: "safety: arming refused, or a trip led to the safe state (as when a recording can go on no more)",

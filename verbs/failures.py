@@ -79,6 +79,8 @@ class Verbs(click.Group):
             with _failures():
                 return super().make_context(info_name, args, parent, **extra)
         except Failure as failure:
+            if isinstance(failure.__cause__, OSError):
+                abandon_stdout()  # it has taken nothing: that is told now, and need not be told at the end
             _end(failure)
         except click.ClickException as error:
             raise _printable(error) from None

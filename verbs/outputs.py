@@ -163,7 +163,7 @@ outputs_options = bundle(
     ),
     click.option(
         "--status",
-        type=click.Path(path_type=Path),
+        type=click.Path(readable=False, path_type=Path),
         metavar="SOCKET",
         help="Make a socket there that sends the state, a JSON line every 100 ms, to each reader.",
     ),

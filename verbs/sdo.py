@@ -222,7 +222,7 @@ def _described(device: Device) -> Any:
 
 @sdo.command(epilog=EXIT_STATUS)
 @node_argument
-@click.argument("dcf", type=click.Path(path_type=Path), metavar="F.dcf")
+@click.argument("dcf", type=click.Path(readable=False, path_type=Path), metavar="F.dcf")
 @devices_bus_option
 @timeout_option
 @beside_option

@@ -270,7 +270,7 @@ served_options = bundle(
     ),
     click.option(
         "--store",
-        type=click.Path(dir_okay=False, path_type=Path),
+        type=click.Path(readable=False, dir_okay=False, path_type=Path),
         metavar="FILE",
         help="Keep what 1010h and LSS store there.  [default: in memory]",
     ),
@@ -289,7 +289,7 @@ served_options = bundle(
     ),
     click.option(
         "--io",
-        type=click.Path(dir_okay=False, path_type=Path),
+        type=click.Path(readable=False, dir_okay=False, path_type=Path),
         metavar="FILE",
         help="Put real hardware behind the one node: which object is which channel of a DAC, ADC, PWM or counter, or of a Python class "
         "(docs/own-device.md).",
@@ -298,7 +298,7 @@ served_options = bundle(
 
 
 @click.command("node", epilog=EXIT_STATUS)
-@click.argument("eds", nargs=-1, required=True, metavar="EDS...", type=click.Path(path_type=Path))
+@click.argument("eds", nargs=-1, required=True, metavar="EDS...", type=click.Path(readable=False, path_type=Path))
 @click.option("--bus", metavar="B", required=True, help="coulombus:NAME (built in) or socketcan:IF.")
 @served_options
 @click.option("--seconds", type=SECONDS, default=None, help="End after this many seconds.  [default: never]")

@@ -26,11 +26,11 @@ TOLD_EVERY_S = 10.0
 
 
 @click.command("sweep", epilog=EXIT_STATUS)
-@click.argument("file", type=click.Path(path_type=Path))
+@click.argument("file", type=click.Path(readable=False, path_type=Path))
 @click.option(
     "-o",
     "--out",
-    type=click.Path(file_okay=False, path_type=Path),
+    type=click.Path(readable=False, file_okay=False, path_type=Path),
     required=True,
     metavar="DIR",
     help="Keep the runs there.",

@@ -46,7 +46,7 @@ def test_what_needs_no_live_bus_works_everywhere(tmp_path):
         "sweep still.toml -o swept",
         "analyse nyquist",
         "check",
-        f"eds check {ROOT / 'eds' / 'motor.eds'}",
+        f"eds check {shlex.quote(str(ROOT / 'eds' / 'motor.eds'))}",
     ):
         done = elsewhere(line, tmp_path)
         assert done.returncode == 0, f"{line}: {done.returncode} {done.stderr}"

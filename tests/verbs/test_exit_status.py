@@ -8,6 +8,7 @@ import errno
 import json
 import os
 import re
+import shlex
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -192,8 +193,8 @@ def call(tmp_path, private_sockets, monkeypatch):
     def run(verb, more="", **replaced):
         text = f"{BASE[verb]} {more}"
         for name, value in (words | replaced).items():
-            text = text.replace(name, str(value))
-        result = CliRunner().invoke(main, text.split())
+            text = text.replace(name, shlex.quote(str(value)))
+        result = CliRunner().invoke(main, shlex.split(text))
         assert "Traceback" not in result.output
         assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
         return result
@@ -364,7 +365,10 @@ def test_a_bus_that_is_not_there_is_told_as_such(call, verb):
 def test_a_name_that_is_no_bus_is_a_usage_error(call, verb):
     base = BASE[verb].replace("coulombus:none", "canbus0")
     result = CliRunner().invoke(
-        main, base.replace("RECORDING", "recording.pcapng").replace("EDS", str(ROOT / "eds/motor.eds")).split()
+        main,
+        shlex.split(
+            base.replace("RECORDING", "recording.pcapng").replace("EDS", shlex.quote(str(ROOT / "eds/motor.eds")))
+        ),
     )
     assert result.exit_code == USAGE, result.output
 
@@ -497,8 +501,8 @@ def test_a_file_that_comes_to_exist_meanwhile_is_not_replaced(tmp_path):
     ],
 )
 def test_two_outputs_of_one_name_are_refused_before_anything_is_run(tmp_path, words):
-    words = words.replace("DIR", str(tmp_path)).replace("EDS", str(ROOT / "eds/motor.eds"))
-    result = CliRunner().invoke(main, words.split())
+    words = words.replace("DIR", str(tmp_path)).replace("EDS", shlex.quote(str(ROOT / "eds/motor.eds")))
+    result = CliRunner().invoke(main, shlex.split(words))
     assert result.exit_code == USAGE, result.output
     assert "writes there, too; choose another name" in " ".join(result.output.split())
     assert list(tmp_path.iterdir()) == []

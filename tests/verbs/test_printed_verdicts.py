@@ -22,7 +22,7 @@ from warm_start import Warm, WithoutStdout
 
 real_run, run_verb = import_module("coulombus.host.run.real_run"), import_module("coulombus.verbs.run")
 ROOT = Path(__file__).resolve().parent.parent.parent
-EDS = ROOT / "eds" / "motor.eds"
+EDS = shlex.quote(str(ROOT / "eds" / "motor.eds"))
 
 ENDS = {
     "demo": ("demo --virtual --out /dev/null/out", 2),
@@ -84,16 +84,16 @@ def call(tmp_path, private_sockets):
     def run(words, stdout, cold=False):
         words = words.replace("RECORDING", str(tmp_path / "recording.pcapng")).replace("OTHER", str(tmp_path / "other"))
         options = {"cwd": ROOT, "stderr": subprocess.PIPE, "stdin": subprocess.DEVNULL, "text": True}
-        command = [sys.executable, "-m", "coulombus", *words.split()]
+        command = [sys.executable, "-m", "coulombus", *shlex.split(words)]
         if stdout == "closed" and cold:  # what Python starts with
             process = subprocess.Popen(["sh", "-c", f"exec {shlex.join(command)} >&-"], **options)
         elif stdout == "closed":
-            process = WithoutStdout(words.split(), **options)
+            process = WithoutStdout(shlex.split(words), **options)
         else:
             end = _without_reader() if stdout == "reader gone" else os.open("/dev/full", os.O_WRONLY)
             try:
                 process = (subprocess.Popen if cold else Warm)(
-                    command if cold else words.split(), stdout=end, **options
+                    command if cold else shlex.split(words), stdout=end, **options
                 )
             finally:
                 os.close(end)
