@@ -441,7 +441,7 @@ def test_another_program_of_this_name_is_found_where_the_shell_takes_it(tmp_path
     env, other = str(tmp_path / "env/bin"), str(tmp_path / "other")
     assert software.script_name([env, other], tmp_path / "env").ok
     assert not software.script_name([other, env], tmp_path / "env").ok
-    assert software.script_name(["", "/nonexistent"], tmp_path / "env").ok
+    assert software.script_name(["", "/proc/nonexistent"], tmp_path / "env").ok
 
 
 @pytest.mark.parametrize(

@@ -170,7 +170,7 @@ def test_the_socket_of_a_killed_host_is_taken_over_and_other_files_are_not(short
     assert path.read_text() == "mine"
 
 
-@pytest.mark.parametrize("path", ["/nonexistent/s", "/dev/null/s", "/tmp/" + "x" * 200])
+@pytest.mark.parametrize("path", ["/proc/nonexistent/s", "/dev/null/s", "/tmp/" + "x" * 200])
 def test_a_place_that_takes_no_socket_is_told(path):
     with pytest.raises((StatusError, OSError)) as caught:
         StatusSocket(Path(path), dict)

@@ -195,7 +195,7 @@ def test_a_run_that_begins_on_a_full_disk_removes_old_segments_first(tmp_path, m
 
 
 def test_a_run_that_cannot_begin_leaves_nothing(tmp_path, monkeypatch):
-    monkeypatch.setattr(module.Recorder, "__init__", lambda *given, **more: os.stat("/nonexistent/x"))
+    monkeypatch.setattr(module.Recorder, "__init__", lambda *given, **more: os.stat("/proc/nonexistent/x"))
     with pytest.raises(RecordingError):
         recorder(tmp_path, SMALL)
     assert list(tmp_path.iterdir()) == []

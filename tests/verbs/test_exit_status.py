@@ -267,7 +267,7 @@ def test_a_sweep_file_that_is_none_is_a_configuration_error(call, tmp_path, kind
 @pytest.mark.parametrize(("verb", "option", "suffix"), OUTPUTS)
 def test_a_file_that_cannot_be_written_is_a_usage_error(call, tmp_path, verb, option, suffix):
     (tmp_path / f"folder{suffix}").mkdir()
-    for place in (f"/nonexistent/x{suffix}", f"{tmp_path}/folder{suffix}"):
+    for place in (f"/proc/nonexistent/x{suffix}", f"{tmp_path}/folder{suffix}"):
         assert call(verb, f"{option} {place}").exit_code == USAGE
     if suffix:
         result = call(verb, f"{option} {tmp_path}/rig.toml")

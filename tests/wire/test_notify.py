@@ -62,7 +62,7 @@ def test_where_nobody_waits_for_a_sign_of_life_none_is_given(manager, variables)
     assert heard(manager) == []
 
 
-@pytest.mark.parametrize("name", ["", "relative", "/nonexistent/socket", "@", "@nobody-listens", "/" + "x" * 200])
+@pytest.mark.parametrize("name", ["", "relative", "/proc/nonexistent/socket", "@", "@nobody-listens", "/" + "x" * 200])
 def test_a_manager_that_is_not_there_is_no_error(name):
     notifier = Notifier({"NOTIFY_SOCKET": name, "WATCHDOG_USEC": "1"})
     notifier.tell(READY=1)
