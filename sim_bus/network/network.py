@@ -4,8 +4,7 @@ Python.
 For tests, conformance runs and fuzzers. Nothing sleeps, no thread runs, and the same calls give the
 same frames to the nanosecond::
 
-    from coulombus.compiled.records import Floats, Integers
-from coulombus.eds.cia301 import NmtCommand
+    from coulombus.eds.cia301 import NmtCommand
     from coulombus.sim_bus.network.network import VirtualNetwork
 
     network = VirtualNetwork(bitrate_bit_s=500_000)
