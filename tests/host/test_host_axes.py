@@ -7,6 +7,8 @@ from __future__ import annotations
 import pytest
 
 from coulombus.host.cycle.axes import (
+    WINDOW_OPEN,
+    WINDOW_OVER,
     ask_to_stop,
     begin,
     finish,
@@ -25,11 +27,11 @@ from plain_records import records_for_kernels
 
 
 def finish_complete(axes, law_function, t_ns, *out):
-    return finish(axes, law_function, t_ns, 0, *out)
+    return finish(axes, law_function, t_ns, WINDOW_OPEN, *out)
 
 
 def finish_waiting(axes, law_function, t_ns, *out):
-    return finish(axes, law_function, t_ns, 1, *out)
+    return finish(axes, law_function, t_ns, WINDOW_OVER, *out)
 
 
 class Axes:
