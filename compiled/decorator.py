@@ -32,7 +32,7 @@ from typing import Any, TypeVar
 from coulombus.compiled.kernel_cache import alone, choose, kept
 from coulombus.compiled.sources import source_key
 
-__all__ = ["CACHE_DIR", "JIT_DISABLED", "Entry", "constant", "inlined", "is_kept", "keeps", "kernel"]
+__all__ = ["CACHE_DIR", "JIT_DISABLED", "Entry", "cacheable", "constant", "inlined", "is_kept", "kernel"]
 
 
 @contextmanager
@@ -70,7 +70,7 @@ def constant(value: int) -> int:
     return value if JIT_DISABLED else np.int64(value)  # type: ignore[return-value]
 
 
-def keeps(function: Callable[..., Any]) -> bool:
+def cacheable(function: Callable[..., Any]) -> bool:
     """Tell whether the machine code of `function` can be kept: it stands in a file, and there is a
     place.
     """
@@ -95,7 +95,7 @@ def inlined(function: F) -> F:
 
 
 def _compiled(function: F, **options: Any) -> F:
-    compiled: F = numba.njit(nogil=True, error_model="numpy", cache=keeps(function), **options)(function)
+    compiled: F = numba.njit(nogil=True, error_model="numpy", cache=cacheable(function), **options)(function)
     return compiled
 
 

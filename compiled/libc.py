@@ -81,9 +81,7 @@ _SYMBOLS = (
 _library = c_library()
 _missing = [name for name in _SYMBOLS if not hasattr(_library, name)]
 if _missing:
-    raise NeedsLinux(
-        f"this needs Linux (there is no {', '.join(_missing)} here); what needs no live bus works everywhere"
-    )
+    raise NeedsLinux(", ".join(_missing))
 
 
 if JIT_DISABLED:

@@ -19,6 +19,7 @@ from typing import Any, NoReturn
 
 import click
 
+from coulombus.system.c_library import NeedsLinux
 from coulombus.verbs.exit_status import FAULT, STATUSES
 from coulombus.verbs.shown import echo
 from coulombus.wire.folding import hanging
@@ -205,7 +206,7 @@ def _failure(error: Exception) -> Failure:
         return Failure(str(error), status)
     absent = _needs_linux(error)
     if absent:
-        return Failure(f"this needs Linux (there is no {absent} here); what needs no live bus works everywhere", 4)
+        return _failure(NeedsLinux(absent))
     if isinstance(error, MemoryError):
         return Failure("no memory is left; end other programs, or raise the limit (ulimit -v)", 2)
     if isinstance(error, ModuleNotFoundError) and (error.name or "").startswith("coulombus."):

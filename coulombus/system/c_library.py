@@ -13,6 +13,9 @@ class NeedsLinux(ImportError):
 
     exit_status = 4
 
+    def __init__(self, absent: str) -> None:
+        super().__init__(f"this needs Linux (there is no {absent} here); what needs no live bus works everywhere")
+
 
 def c_library() -> Any:
     """Return the C library, whose calls leave `ctypes.get_errno`; None where it has no name, as on Windows.

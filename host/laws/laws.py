@@ -43,7 +43,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from coulombus.compiled.decorator import JIT_DISABLED, keeps
+from coulombus.compiled.decorator import JIT_DISABLED, cacheable
 from coulombus.host.laws.bliman_sorine import bliman_sorine
 from coulombus.host.laws.coulomb import COULOMB, coulomb
 from coulombus.host.laws.dahl import dahl
@@ -179,7 +179,7 @@ def compile_law(function: Callable[..., Any], cache: bool = False) -> Any:
     signature = _signature(declared)
     options = {"nogil": True, "error_model": "numpy"}
     if cache:
-        dispatcher = numba.njit(cache=keeps(function), **options)(function)
+        dispatcher = numba.njit(cache=cacheable(function), **options)(function)
         dispatcher.compile(signature.args)
     else:
         with _bounds_checked():

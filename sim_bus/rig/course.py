@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from coulombus.compiled.decorator import JIT_DISABLED, keeps, kernel
+from coulombus.compiled.decorator import JIT_DISABLED, cacheable, kernel
 from coulombus.compiled.records import Floats, Record, Records
 from coulombus.sim_bus.rig.chain import move
 from coulombus.sim_bus.rig.detail import BODIES
@@ -140,7 +140,7 @@ def course_of(plants: Records) -> CourseFunction:
 @cache
 def _pointer(function: CourseFunction) -> CourseFunction:
     """Return a course as kernels take it; it keeps nothing, so a process loads it once."""
-    dispatcher: Any = numba.njit(nogil=True, error_model="numpy", cache=keeps(function))(function)
+    dispatcher: Any = numba.njit(nogil=True, error_model="numpy", cache=cacheable(function))(function)
     i8, f8 = numba.int64, numba.float64
     signature = i8(numba.from_dtype(PLANT), f8[::1], i8, i8, i8, f8[:, ::1], i8)
     dispatcher.compile(signature.args)

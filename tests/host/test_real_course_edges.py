@@ -14,6 +14,7 @@ import can
 import numpy as np
 import pytest
 
+from clocks import Clock
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.records import Phase, Trip
 from coulombus.host.errors import SafetyTrip
@@ -29,24 +30,8 @@ MS, S = 1_000_000, 1_000_000_000
 ZERO_NS = 5 * S
 
 
-class Clock:
-    """Time that passes only while someone sleeps."""
-
-    def __init__(self):
-        self.ns = ZERO_NS
-
-    def monotonic_ns(self):
-        return self.ns
-
-    def monotonic(self):
-        return self.ns * 1e-9
-
-    def sleep(self, seconds):
-        self.ns += round(seconds * 1e9)
-
-
 class Plane:
-    """A data plane that notes what it is told."""
+    """A data plane that keeps the calls that it gets."""
 
     status, alive, lost_text, fate, cycles = Status.CYCLING, True, "No such device", "stands still", 7
 
@@ -91,7 +76,7 @@ def course_of(monkeypatch, rig="bench"):
     """Return a course in the middle of its run, whose `log` has what is called and `said` what is
     said.
     """
-    found, clock, log = object.__new__(RealCourse), Clock(), []
+    found, clock, log = object.__new__(RealCourse), Clock(ZERO_NS), []
     monkeypatch.setattr(real_course, "time", clock)
     found.clock, found.log, found.said = clock, log, []
     monkeypatch.setattr(real_course, "say", found.said.append)

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from clocks import Clock
 from coulombus.host.cycle.controllers import Controllers
 from coulombus.host.cycle.records import Image, Phase, Trip
 from coulombus.host.realtime.shared_memory import Status
@@ -92,20 +93,15 @@ def test_a_host_that_leaves_in_order_leaves_no_error_behind(orderly):
     assert bool(emcys) is not orderly
 
 
-class Clock:
-    """Time that passes only while someone sleeps, or is slow."""
+class PlaneClock(Clock):
+    """A clock by which a data plane lives."""
 
     def __init__(self, plane):
-        self.ns, self.plane = 0, plane
-
-    def monotonic_ns(self):
-        return self.ns
-
-    def monotonic(self):
-        return self.ns * 1e-9
+        super().__init__()
+        self.plane = plane
 
     def sleep(self, seconds):
-        self.ns += round(seconds * 1e9)
+        super().sleep(seconds)
         self.plane.live(self.ns)
 
 
@@ -180,7 +176,7 @@ def over(tmp_path, monkeypatch, *, slow_batch=1, trip=Trip.NONE, rig="bench", en
     run = object.__new__(real_course.RealCourse)
     k = Controllers(rig, "hybrid")
     plane = Plane(k, trip, enabled_s)
-    plane.clock, plane.slow_batch = Clock(plane), slow_batch
+    plane.clock, plane.slow_batch = PlaneClock(plane), slow_batch
     monkeypatch.setattr(real_course, "time", plane.clock)
     Course.__init__(run, k, tmp_path / "r.pcapng", None)
     run.rig, run.plane, run.zero_ns = rig, plane, 0
