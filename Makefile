@@ -1,6 +1,7 @@
 # Two commands do it all: `make demo` and `make test`. They create .venv and install what they need.
 # PYTHON=... chooses the interpreter (3.11 or newer); otherwise the first that fits is taken.
 # CONSTRAINTS= takes the newest versions instead of those that were tested together.
+# HASHES=.ci/hashes.txt installs the development tools from files with these hashes alone, as CI does.
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -60,6 +61,8 @@ define install
 $(PIP) $(addprefix --constraint ,$(CONSTRAINTS)) $(1) || { test -n "$(CONSTRAINTS)" && \
 echo "make: not all versions of $(CONSTRAINTS) can be had; taking the newest ones" >&2 && $(PIP) $(1); }
 endef
+hashed = $(PIP) --quiet --require-hashes --no-deps --requirement $(HASHES) && \
+	$(PIP) --quiet --no-deps --no-build-isolation --editable .
 
 $(VENV)/.made:  # written when all is there: what was interrupted is begun anew, and what works is kept
 	@test ! -f coulombus/node || { echo "make: coulombus/node is no link to node/: this copy was unpacked without symbolic links (a zip archive); clone it with git" >&2; exit 1; }
@@ -85,7 +88,7 @@ $(VENV)/.run: pyproject.toml $(wildcard $(CONSTRAINTS)) | $(VENV)/.made  # what 
 
 $(VENV)/.dev: pyproject.toml $(wildcard $(CONSTRAINTS)) | $(VENV)/.made
 	@echo "installing with the development tools (once) ..."
-	@$(call install,--quiet --editable '.[dev$(comma)docs]')
+	@$(if $(HASHES),$(hashed),$(call install,--quiet --editable '.[dev$(comma)docs]'))
 	@touch $@ $(VENV)/.run $(VENV)/.docs
 
 $(VENV)/.docs: pyproject.toml | $(VENV)/.made
@@ -103,6 +106,9 @@ constraints: $(VENV)/.made  ## name the newest versions as those that are tested
 	@out/newest/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@{ echo "# What was tested together, renewed by make constraints. CONSTRAINTS= of make takes the newest."; \
 	out/newest/bin/python -m pip freeze --exclude-editable; } >constraints.txt
+	@out/newest/bin/python -m pip install --quiet --disable-pip-version-check uv
+	@echo "setuptools>=77" | out/newest/bin/uv pip compile --quiet pyproject.toml - --extra dev --extra docs --constraint constraints.txt \
+	--universal --python-version 3.11 --generate-hashes --no-header --no-annotate --output-file .ci/hashes.txt
 	@rm -rf out/newest
 
 clean:  ## remove what was made here
